@@ -1,0 +1,1 @@
+"""Texture models, one a file, and the suites built of them."""

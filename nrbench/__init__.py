@@ -1,0 +1,1 @@
+"""nrbench: a benchmark for near-regular texture synthesis."""

@@ -1,0 +1,1 @@
+"""Numeric kernels on images, shared by lattice detectors, methods and metrics."""

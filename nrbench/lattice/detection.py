@@ -1,0 +1,58 @@
+"""What a lattice detector returns, and how it says no."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+from nrbench.imaging.door import Image
+from nrbench.lattice.geometry import Lattice
+
+
+@dataclass(frozen=True)
+class Detection:
+    """A lattice found in an image.
+
+    Parameters
+    ----------
+    lattice
+        The lattice; its origin is a phase where the detector gives one, else (0, 0).
+    confidence
+        In [0, 1]; how each detector makes it is in its docstring.
+    diagnostics
+        What led to it (correlation surface, peaks, ...), by name.
+    """
+
+    lattice: Lattice
+    confidence: float
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+
+
+class NoLatticeFound(Exception):
+    """The detector's "there is none": an answer, never a guess.
+
+    Parameters
+    ----------
+    reason
+        One sentence.
+    best
+        The best candidate that was rejected, or None.
+    """
+
+    def __init__(self, reason: str, best: Detection | None = None) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.best = best
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.reason, self.best)
+
+
+@runtime_checkable
+class Detector(Protocol):
+    """The form of a detector plugin: a frozen dataclass with this method."""
+
+    def detect(self, image: Image) -> Detection:
+        """Return the lattice of ``image``, or raise :class:`NoLatticeFound`."""
+        ...

@@ -1,0 +1,220 @@
+"""What a method is asked, what it answers, and what a metric makes of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.door import Image
+from nrbench.lattice.detection import Detector, NoLatticeFound
+from nrbench.lattice.geometry import Lattice
+from nrbench.texture import Shape, Texture
+
+Again = Callable[[Shape, int], Texture | None]
+"""``again(shape, k)``: the k-th independent draw of the sample's texture, same lattice and origin."""
+SourceMap = NDArray[np.float32]
+"""``float32 (H, W, 3)``: for each output pixel the (x, y) of the sample pixel it came from (of the largest weight where
+several were blended) and that weight in (0, 1]. NaN where it came from none."""
+Value = float | bool | None
+
+
+class Refused(Exception):
+    """The input lies outside a method's domain: shown as N/A, not a failure."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+def _ignore(fraction: float) -> None:
+    """Report progress to nobody."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One synthesis.
+
+    Parameters
+    ----------
+    sample
+        The texture to continue, rounded to 8 bits.
+    shape
+        Height and width of the output in px.
+    lattice
+        The lattice handed over, in the sample's pixel coordinates; None: find it yourself.
+    rng
+        The only source of randomness.
+    progress
+        Call it with the fraction done, in [0, 1], as often as you like.
+    again
+        Fresh draws of the same texture; None unless the method declares ``reference = True``.
+    """
+
+    sample: Image
+    shape: Shape
+    lattice: Lattice | None
+    rng: np.random.Generator
+    progress: Callable[[float], None] = _ignore
+    again: Again | None = None
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """The answer to a task.
+
+    Parameters
+    ----------
+    image
+        The output, ``task.shape`` and the sample's channels.
+    lattice
+        The lattice that was used, in the sample's coordinates; None where none was.
+    source
+        A :data:`SourceMap`, where the method copies pixels.
+    extras
+        Pictures or arrays to keep beside the output, by name.
+    detection_seconds
+        Wall seconds spent in finding the lattice.
+    note
+        One sentence that the tables show beside the row (e.g. a fallback that was taken).
+    """
+
+    image: Image
+    lattice: Lattice | None = None
+    source: SourceMap | None = None
+    extras: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    detection_seconds: float = 0.0
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class FoundLattice:
+    """What a method works with: the lattice given or found (or None and why), and what finding it cost."""
+
+    lattice: Lattice | None
+    seconds: float = 0.0
+    reason: str = ""
+
+
+def find_lattice(task: Task, detector: Detector) -> FoundLattice:
+    """Return the task's lattice where it was given one, else what ``detector`` finds in the sample."""
+    if task.lattice is not None:
+        return FoundLattice(task.lattice)
+    start = time.perf_counter()
+    try:
+        lattice, reason = detector.detect(task.sample).lattice, ""
+    except NoLatticeFound as none:
+        lattice, reason = None, none.reason
+    return FoundLattice(lattice, time.perf_counter() - start, reason)
+
+
+@runtime_checkable
+class Synthesizer(Protocol):
+    """The form of a synthesizer plugin: a frozen dataclass with this method.
+
+    Optional class variables: ``reference`` (True: receives ``task.again`` and is never ranked), ``uses_lattice``
+    (False: the lattice axis does not apply), ``paper`` (BibTeX), ``version``.
+    """
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the synthesis, or raise :class:`Refused`."""
+        ...
+
+
+@dataclass(frozen=True)
+class Observation:
+    """All that a metric may look at.
+
+    Parameters
+    ----------
+    sample, output
+        The pixels as the PNGs hold them.
+    truth
+        The sample's texture with all that is known of it; None where nothing is.
+    lattice_given
+        The lattice that the method was handed, if any.
+    lattice_used
+        The lattice that the method says it used, if any.
+    source, extras
+        As in :class:`Synthesis`.
+    seconds
+        Wall seconds of ``synthesize``; None where it was not measured.
+    again
+        Fresh draws of the sample's texture at any shape; None for photographs.
+    rng
+        The metric's own stream.
+    cost
+        Further costs by name: ``cpu_seconds``, ``detection_seconds``, ``peak_mib``; ``side_by_side`` is 1 when other
+        cells ran at the same time.
+    """
+
+    sample: Image
+    output: Image
+    truth: Texture | None = None
+    lattice_given: Lattice | None = None
+    lattice_used: Lattice | None = None
+    source: SourceMap | None = None
+    extras: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    seconds: float | None = None
+    again: Again | None = None
+    rng: np.random.Generator = field(default_factory=np.random.default_rng)
+    cost: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a score's column means.
+
+    Parameters
+    ----------
+    meaning
+        One sentence.
+    unit
+        ``""`` for ratios and truth values.
+    range
+        Lowest and highest possible value.
+    better
+        ``"higher"``, ``"lower"``, ``"one"`` (two-sided: nearest to 1), or ``"none"`` (no better way).
+    """
+
+    meaning: str
+    unit: str = ""
+    range: tuple[float, float] = (0.0, 1.0)
+    better: Literal["higher", "lower", "one", "none"] = "none"
+
+
+@dataclass(frozen=True)
+class Score:
+    """A metric's answer.
+
+    Parameters
+    ----------
+    values
+        One value for each declared column: a number, a truth value, or None.
+    reasons
+        For each None, one sentence that says why.
+    pictures
+        Images for the report, by name.
+    records
+        Anything else worth keeping, JSON-ready, by name.
+    """
+
+    values: Mapping[str, Value]
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    pictures: Mapping[str, Image] = field(default_factory=dict)
+    records: Mapping[str, Any] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Metric(Protocol):
+    """The form of a metric plugin: a frozen dataclass with declared columns and this method."""
+
+    columns: ClassVar[Mapping[str, Column]]
+
+    def score(self, observation: Observation) -> Score:
+        """Return a value, or None and a reason, for every declared column."""
+        ...

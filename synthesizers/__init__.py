@@ -1,0 +1,1 @@
+"""Synthesis methods, one a file."""
