@@ -40,7 +40,8 @@ class Texture:
         The periodic image: the mean over the model's draws at this lattice and phase, shape of ``image``; None unless
         the model is known.
     displacement
-        ``float32 (H, W, 2)``: how far (x, y) px the content at each pixel has moved from its ideal place; None: nowhere.
+        ``float32 (H, W, 2)``: how far, (x, y) px, the content at each pixel has moved
+        from its ideal place; None: not at all.
     elements
         Departures of each element (brick, thread, tile) by name, one array each whose first axis counts elements.
     regular_share

@@ -61,7 +61,7 @@ class Lattice:
 
     @cached_property
     def _inverse(self) -> Points:
-        return np.linalg.inv(self.matrix)
+        return np.asarray(np.linalg.inv(self.matrix), np.float64)
 
     @property
     def s(self) -> float:
@@ -104,7 +104,7 @@ class Lattice:
         return np.asarray(np.take_along_axis(candidates, nearest[..., np.newaxis, np.newaxis], -2)[..., 0, :])
 
     def points(self, shape: tuple[int, int], margin: float = 0.0) -> Points:
-        """Return all lattice points (x, y) within ``margin`` px of an image of ``shape`` (height, width), ``(n, 2)``."""
+        """Return all lattice points (x, y) within ``margin`` px of an image of ``shape``, as ``(n, 2)``."""
         height, width = shape
         low, high = -0.5 - margin, np.array([width, height]) - 0.5 + margin
         corners = self.to_cell([(low, low), (high[0], low), (low, high[1]), (high[0], high[1])])
