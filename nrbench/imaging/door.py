@@ -71,8 +71,8 @@ def to_bytes(image: Image) -> NDArray[np.uint8]:
 
 
 def quantize(image: Image) -> Image:
-    """Round to 8 bits: the float32 image that the PNG of ``image`` reads back as."""
-    return as_image(to_bytes(image))
+    """Round to 8 bits: the float32 image that the PNG of ``image`` reads back as (any size)."""
+    return np.asarray(to_bytes(image) / np.float32(255), np.float32)
 
 
 def like_input(image: Image, array: Any) -> NDArray[np.float32]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from nrbench.errors import BadInput
 
 Vector = tuple[float, float]
+LatticeKind = Literal["parallelogram", "rectangular", "rhombic", "square", "hexagonal"]
 Points = NDArray[np.float64]
 """``float64 (..., 2)``: (x, y) in px, or (u, v) in cells."""
 
@@ -80,6 +81,45 @@ class Lattice:
             a, b = b, a
         a, b = _right(a), _right(b)
         return Lattice(_pair(a), _pair(b if a @ b >= 0 or abs(a @ b) < 1e-9 * (a @ a) else -b), self.origin)
+
+    @property
+    def kind(self) -> LatticeKind:
+        """The Bravais class, within 1 % of the vectors' lengths; see :meth:`classify`."""
+        return self.classify()
+
+    def classify(self, tolerance: float = 0.01) -> LatticeKind:
+        """Return the Bravais class: the most symmetric one that a small move of the vectors would make exact.
+
+        Parameters
+        ----------
+        tolerance
+            How far the tip of a reduced vector may be off, as a fraction of that vector's length.
+        """
+        a, b = self.reduced().matrix
+        short, long = float(np.hypot(*a)), float(np.hypot(*b))
+        along, slack = float(a @ b) / short, tolerance * long
+        equal, right, half = long - short <= slack, along <= slack, abs(along - short / 2) <= slack
+        if right:
+            return "square" if equal else "rectangular"
+        if equal and half:
+            return "hexagonal"
+        return "rhombic" if equal or half else "parallelogram"
+
+    def is_equivalent(self, other: Lattice, tolerance: float = 1e-6) -> bool:
+        """Return whether both bases generate the same lattice, whatever the origins.
+
+        Parameters
+        ----------
+        other
+            The lattice compared with.
+        tolerance
+            How far, px, either of its reduced vectors may lie from the integer combination of this lattice's vectors
+            that matches it (an integer matrix of determinant +-1).
+        """
+        mine, theirs = self.reduced().matrix, other.reduced().matrix
+        change = np.rint(theirs @ np.linalg.inv(mine))
+        error = np.hypot(*(theirs - change @ mine).T).max()
+        return bool(abs(abs(np.linalg.det(change)) - 1) < 0.5 and error <= tolerance)
 
     def to_cell(self, xy: ArrayLike) -> Points:
         """Return cell coordinates (u, v) of points (x, y), shape ``(..., 2)``: ``xy = origin + u t1 + v t2``."""

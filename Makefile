@@ -1,0 +1,44 @@
+# Two commands on a fresh machine with Python >= 3.11:
+#   make run    set up, run the default suite, print the comparison table and the report's path
+#   make test   set up, then lint, types and tests
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+export PYTHONSAFEPATH := 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+SOURCES := $(shell find nrbench synthesizers metrics datasets_procedural reports -name '*.py' -o -name '*.pyi' -o -name '*.toml' -o -path '*templates/*')
+
+.PHONY: run test lint types unit benchmark clean
+
+run: $(VENV)/.installed
+	$(BIN)/nrbench run --out runs/default
+
+test: lint types unit
+
+lint: $(VENV)/.installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.installed-test
+	cd $(VENV) && bin/mypy --config-file "$(CURDIR)/pyproject.toml" -p nrbench
+
+unit: $(VENV)/.installed-test
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+
+benchmark: $(VENV)/.installed-test
+	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: $(VENV)/bin/python pyproject.toml $(SOURCES)
+	$(BIN)/pip install --quiet --upgrade .
+	@touch $@
+
+$(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml $(SOURCES)
+	$(BIN)/pip install --quiet --upgrade ".[test]"
+	@touch $@ $(VENV)/.installed
+
+clean:
+	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,143 @@
+"""Pictures from files: a sample is cut at random, the oracle is cut beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from nrbench.errors import BadInput
+from nrbench.imaging.door import Image
+from nrbench.imaging.files import read_image
+from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.texture import Region, Shape, Texture
+
+from .truth import ENDINGS, read_truth
+
+
+@dataclass(frozen=True)
+class Images:
+    """A picture in a file, photograph or other: its sample is a random crop, and the oracle another beside it.
+
+    Parameters
+    ----------
+    path
+        The picture: PNG, JPEG, TIFF; 8 bits, 16 bits gray, palette.
+    t1, t2
+        Generating vectors (x, y) in px of the picture's lattice, both or neither; its origin is the picture's corner.
+    """
+
+    path: Path
+    t1: Vector | None = None
+    t2: Vector | None = None
+
+    procedural: ClassVar[bool] = False
+    version: ClassVar[str] = "1"
+
+    def __post_init__(self) -> None:
+        if (self.t1 is None) != (self.t2 is None):
+            raise BadInput(f"picture {self.path}: has one generating vector; give both t1 and t2, or neither")
+        self._lattice((0, 0, 0, 0))
+
+    def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
+        """Return a random crop of ``shape``; along an axis on which the picture is smaller, all of it.
+
+        Raises
+        ------
+        BadInput
+            When the picture cannot be read.
+        """
+        image = self._read()
+        height, width = (min(wanted, side) for wanted, side in zip(shape, image.shape, strict=False))
+        x0 = int(rng.integers(image.shape[1] - width + 1))
+        y0 = int(rng.integers(image.shape[0] - height + 1))
+        return self._cut(image, (x0, y0, x0 + width, y0 + height))
+
+    def again(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture | None:
+        """Return a random region of exactly ``shape`` that ``texture.region`` does not touch; None without room."""
+        image = self._read()
+        if texture.region is None:
+            raise BadInput(f"picture {self.path}: the texture has no region; pass one that render returned")
+        corner = _free_corner(image.shape[:2], shape, texture.region, rng)
+        if corner is None:
+            return None
+        x0, y0 = corner
+        return self._cut(image, (x0, y0, x0 + shape[1], y0 + shape[0]))
+
+    @staticmethod
+    def directory_rows(directory: str | Path) -> list[dict[str, Any]]:
+        """Return a suite row (``name``, ``family``, ``parameters``) for each picture of a directory, sorted by name.
+
+        A ``truth.csv`` in it may hold generating vectors: columns ``file,t1x,t1y,t2x,t2y``, others are ignored; a
+        picture without a line, or whose four numbers are empty, has no known lattice.
+
+        Raises
+        ------
+        BadInput
+            When there is no picture, or ``truth.csv`` is malformed (naming the line).
+        """
+        folder = Path(directory)
+        pictures = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.is_file())
+        if not pictures:
+            raise BadInput(f"directory {folder}: has no picture; put PNG, JPEG or TIFF files into it")
+        truth = read_truth(folder)
+        return [
+            {"name": name, "family": "picture", "parameters": {"path": str(path), **truth.get(path.name, {})}}
+            for name, path in _named(pictures)
+        ]
+
+    def _read(self) -> Image:
+        where = Path(self.path)
+        return _cached(where, where.stat().st_mtime_ns) if where.is_file() else read_image(where)
+
+    def _lattice(self, region: Region) -> Lattice | None:
+        origin = (-float(region[0]), -float(region[1]))
+        return None if self.t1 is None or self.t2 is None else Lattice(self.t1, self.t2, origin)
+
+    def _cut(self, image: Image, region: Region) -> Texture:
+        x0, y0, x1, y1 = region
+        lattice = self._lattice(region)
+        return Texture(
+            image=image[y0:y1, x0:x1].copy(),
+            lattice=lattice,
+            lattices=() if lattice is None else (lattice,),
+            name=Path(self.path).stem,
+            family="picture",
+            region=region,
+        )
+
+
+@lru_cache(maxsize=2)
+def _cached(path: Path, _written: int) -> Image:
+    """Read a picture once for all the regions that are cut from it."""
+    image = read_image(path)
+    image.setflags(write=False)
+    return image
+
+
+def _free_corner(picture: Shape, shape: Shape, region: Region, rng: np.random.Generator) -> tuple[int, int] | None:
+    """Draw the corner (x, y) of a rectangle of ``shape`` in the picture, clear of ``region``: each as likely."""
+    rows, columns = (whole - part + 1 for whole, part in zip(picture, shape, strict=True))
+    if rows < 1 or columns < 1:
+        return None
+    x0, x1 = max(0, region[0] - shape[1] + 1), min(columns, region[2])
+    y0, y1 = max(0, region[1] - shape[0] + 1), min(rows, region[3])
+    free = np.full(rows, columns)
+    free[y0:y1] -= max(0, x1 - x0)
+    ends = np.cumsum(free)
+    if ends[-1] == 0:
+        return None
+    k = int(rng.integers(ends[-1]))
+    y = int(np.searchsorted(ends, k, side="right"))
+    x = k - int(ends[y] - free[y])
+    return (x + x1 - x0 if y0 <= y < y1 and x >= x0 else x), y
+
+
+def _named(pictures: list[Path]) -> Iterator[tuple[str, Path]]:
+    """Yield each picture with its name: without its ending, unless two would be called the same."""
+    stems = [path.stem for path in pictures]
+    return ((path.stem if stems.count(path.stem) == 1 else path.name, path) for path in pictures)

@@ -1,0 +1,156 @@
+"""Where the content of an image lies on the lattice: windows registered against the periodic image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.door import Image
+from nrbench.imaging.registration import Template, cut_windows, peaks
+from nrbench.lattice.geometry import Lattice, Points
+
+from .yardstick import Periodic, tile_box
+
+WINDOW_TILES = 1.75
+_BANDWIDTH = 0.04
+_CANDIDATES = 64
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Windows of an image, and how far the content of each has moved.
+
+    Parameters
+    ----------
+    lattice
+        Reduced.
+    window
+        Height and width of the windows in px.
+    grid
+        Rows and columns of windows, half a window apart.
+    corners
+        ``(n, 2)``: (x, y) of each window's top-left pixel, row by row.
+    displacement
+        ``(n, 2)``: (x, y) px from the ideal place to the content, modulo the lattice.
+    structure
+        ``(n,)``: weighted NCC of the window with the periodic image there.
+    """
+
+    lattice: Lattice
+    window: tuple[int, int]
+    grid: tuple[int, int]
+    corners: NDArray[np.intp]
+    displacement: Points
+    structure: NDArray[np.float64]
+
+    @cached_property
+    def phase(self) -> Points:
+        """The displacement (x, y) px that most windows share."""
+        return consensus(self.displacement, self.lattice)
+
+    @cached_property
+    def offsets(self) -> Points:
+        """``(n, 2)``: displacement from the consensus, modulo the lattice, in px."""
+        return self.lattice.wrap(self.displacement - self.phase)
+
+    @property
+    def misplacement(self) -> NDArray[np.float64]:
+        """``(n,)``: length of :attr:`offsets` over the shortest lattice vector."""
+        return np.asarray(np.hypot(*self.offsets.T) / self.lattice.s)
+
+    @property
+    def centers(self) -> Points:
+        """``(n, 2)``: middles (x, y) of the windows in px."""
+        return self.corners + (np.array(self.window[::-1]) - 1) / 2
+
+    def neighborhoods(self, size: int = 3) -> NDArray[np.float64]:
+        """Return, for each block of ``size`` x ``size`` windows, the length of their median offset over s."""
+        rows, columns = (min(size, side) for side in self.grid)
+        field = self.offsets.reshape(*self.grid, 2)
+        blocks = np.lib.stride_tricks.sliding_window_view(field, (rows, columns), axis=(0, 1))
+        middle = np.median(blocks, axis=(-2, -1))
+        return np.asarray(np.hypot(middle[..., 0], middle[..., 1]) / self.lattice.s)
+
+
+def window_shape(lattice: Lattice, tiles: float) -> tuple[int, int]:
+    """Return height and width in px of a window that is ``tiles`` tiles wide."""
+    width, height = np.maximum(np.rint(tiles * tile_box(lattice)), 3).astype(int)
+    return int(height), int(width)
+
+
+def place(image: Image, periodic: Periodic) -> Placement:
+    """Register windows 1.75 tiles wide, half a window apart, over one cell of displacements.
+
+    Content that the window at p shows and the periodic image has at q has moved by p - q, so every window is looked
+    for in one patch of the periodic image that holds a whole cell of q.
+    """
+    lattice = periodic.lattice
+    window = window_shape(lattice, WINDOW_TILES)
+    grid, corners = _grid(image.shape[:2], window)
+    cell = np.ceil(np.abs(lattice.matrix).sum(0)).astype(int) + 2
+    patch, weights = periodic.patch((window[0] + int(cell[1]), window[1] + int(cell[0])))
+    surfaces = Template(patch, weights, window).surfaces(cut_windows(image, corners, window))
+    at, height = peaks(surfaces)
+    return Placement(lattice, window, grid, corners, lattice.wrap(corners - at), height)
+
+
+def _grid(shape: tuple[int, int], window: tuple[int, int]) -> tuple[tuple[int, int], NDArray[np.intp]]:
+    """Return rows, columns and corners of windows about half a window apart that reach all four borders."""
+    starts = []
+    for side, length in zip(shape, window, strict=True):
+        count = int((side - length) / (length / 2)) + 1 if side >= length else 0
+        starts.append(np.rint(np.linspace(0, side - length, count)).astype(np.intp))
+    y, x = np.meshgrid(*starts, indexing="ij")
+    return (len(starts[0]), len(starts[1])), np.stack([x.ravel(), y.ravel()], -1)
+
+
+def consensus(displacement: Points, lattice: Lattice) -> Points:
+    """Return the displacement that most share: the densest place on the torus, by mean shift.
+
+    A circular mean would lie between two halves that are out of step; the mode lies in one of them.
+    """
+    if not len(displacement):
+        return np.zeros(2)
+    width = _BANDWIDTH * lattice.s
+    few = displacement[:: max(1, len(displacement) // _CANDIDATES)]
+    apart = (lattice.wrap(displacement[np.newaxis] - few[:, np.newaxis]) ** 2).sum(-1)
+    phase = few[np.exp(-apart / (2 * width**2)).sum(1).argmax()]
+    for _ in range(5):
+        offsets = lattice.wrap(displacement - phase)
+        share = np.exp(-(offsets**2).sum(-1) / (2 * width**2))
+        phase = phase + share @ offsets / max(share.sum(), 1e-12)
+    return lattice.wrap(phase)
+
+
+def affine_part(placement: Placement) -> Points:
+    """Return the 2 x 2 matrix A of the affine part of the displacement: ``d = A (x, y) + constant``.
+
+    Starts from the median step between neighboring windows, modulo the lattice, so that a drift over many cells is
+    unwrapped; then least squares over the windows that follow it.
+    """
+    lattice, rows_columns = placement.lattice, (*placement.grid, 2)
+    field, centers = placement.displacement.reshape(rows_columns), placement.centers.reshape(rows_columns)
+    matrix = np.zeros((2, 2))
+    for axis, along in ((1, 0), (0, 1)):
+        if field.shape[axis] < 3:
+            continue
+        steps = lattice.wrap(np.diff(field, axis=axis)).reshape(-1, 2)
+        length = np.diff(centers, axis=axis).reshape(-1, 2)[:, along]
+        matrix[:, along] = np.median(steps / length[:, np.newaxis], 0)
+    return _refined(placement, matrix)
+
+
+def _refined(placement: Placement, matrix: Points) -> Points:
+    lattice, centers = placement.lattice, placement.centers
+    for _ in range(3):
+        rest = lattice.wrap(placement.displacement - centers @ matrix.T)
+        offsets = lattice.wrap(rest - consensus(rest, lattice))
+        inside = np.hypot(*offsets.T) < 0.15 * lattice.s
+        if inside.sum() < 6 or min(placement.grid) < 3:
+            break
+        design = np.column_stack([centers[inside], np.ones(inside.sum())])
+        matrix = matrix + np.linalg.lstsq(design, offsets[inside], rcond=None)[0][:2].T
+    return matrix

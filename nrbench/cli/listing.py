@@ -1,0 +1,128 @@
+"""Verbs that show what is there: list, show."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import json
+from typing import Any
+
+import click
+
+KINDS = ("datasets", "detectors", "synthesizers", "metrics", "reports", "suites")
+
+
+@click.command("list")
+@click.argument("kind", type=click.Choice(KINDS), required=False)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
+def list_command(kind: str | None, as_json: bool) -> None:
+    """List plugins and suites; a broken plugin is listed with its error."""
+    found = {name: _entries(name) for name in ([kind] if kind else KINDS)}
+    if as_json:
+        print(json.dumps(found, indent=1))
+        return
+    for name, entries in found.items():
+        print(name)
+        for entry in entries:
+            print(f"  {entry['name']:<18} {entry['about']}")
+            if entry.get("error"):
+                print("    " + entry["error"].strip().replace("\n", "\n    "))
+
+
+def _entries(kind: str) -> list[dict[str, Any]]:
+    from nrbench import plugins
+    from nrbench.suite import builtin, load_suite
+
+    if kind == "suites":
+        suites = [load_suite(name) for name in builtin()]
+        return [{"name": s.name, "about": s.description, "version": s.version, "hash": s.hash} for s in suites]
+    return [_plugin_entry(plugin) for plugin in plugins.inventory(kind)]
+
+
+def _plugin_entry(plugin: Any) -> dict[str, Any]:
+    shown = {"name": plugin.name, "distribution": plugin.distribution, "version": plugin.version}
+    if plugin.cls is None:
+        return {**shown, "about": "BROKEN", "error": plugin.error}
+    about = _first_line(plugin.cls)
+    reference = bool(getattr(plugin.cls, "reference", False))
+    return {**shown, "about": about + (" (reference: never ranked)" if reference else ""), "reference": reference}
+
+
+def _first_line(cls: type[Any]) -> str:
+    return (inspect.getdoc(cls) or "").partition("\n")[0]
+
+
+@click.command("show")
+@click.argument("name")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
+def show_command(name: str, as_json: bool) -> None:
+    """Show one plugin: its page, parameters with defaults, columns, BibTeX of its paper; or one suite."""
+    from nrbench.errors import BadInput
+    from nrbench.parameters import nearest
+    from nrbench.suite import builtin
+
+    pages = _pages(name)
+    if not pages:
+        raise BadInput(f"{name!r}: no plugin or suite has that name{nearest(name, [*_all_names(), *builtin()])}")
+    print(json.dumps(pages, indent=1) if as_json else "\n\n".join(_text(page) for page in pages))
+
+
+def _all_names() -> list[str]:
+    from nrbench import plugins
+
+    return [name for kind in plugins.FORMS for name in plugins.names(kind)]
+
+
+def _pages(name: str) -> list[dict[str, Any]]:
+    from nrbench import plugins
+    from nrbench.suite import builtin, load_suite
+
+    pages = [_page(kind, plugins.find(kind, name)) for kind in plugins.FORMS if name in plugins.names(kind)]
+    if name in builtin():
+        suite = load_suite(name)
+        pages.append({"kind": "suites", "name": name, "hash": suite.hash, **suite.model_dump(mode="json")})
+    return pages
+
+
+def _page(kind: str, plugin: Any) -> dict[str, Any]:
+    cls = plugin.cls
+    page = {
+        "kind": kind,
+        "name": plugin.name,
+        "distribution": plugin.distribution,
+        "version": plugin.version,
+        "page": inspect.getdoc(cls) or "",
+        "parameters": {field.name: _default(field) for field in dataclasses.fields(cls)},
+        "bibtex": inspect.cleandoc(getattr(cls, "paper", "")),
+    }
+    if kind == "metrics":
+        page["columns"] = {key: dataclasses.asdict(column) for key, column in cls.columns.items()}
+    return page
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    if field.default is not dataclasses.MISSING:
+        return field.default if isinstance(field.default, bool | int | float | str | None) else str(field.default)
+    if field.default_factory is not dataclasses.MISSING:
+        return str(field.default_factory())
+    return "(must be given)"
+
+
+def _text(page: dict[str, Any]) -> str:
+    if page["kind"] == "suites":
+        rows = [f"  {row['name']:<24} {row['dataset']}  {row['description']}" for row in page["texture"]]
+        head = f"{page['name']} (suite, version {page['version']}, {page['hash']})\n{page['description']}"
+        axes = f"methods: {', '.join(page['methods'])}\nlattice: {', '.join(page['lattice'])}"
+        return "\n".join([head, f"sample {page['sample']}, size {page['size']}, seed {page['seed']}", axes, *rows])
+    lines = [f"{page['name']} ({page['kind']}, {page['distribution']}, version {page['version']})", page["page"]]
+    if page["parameters"]:
+        lines += ["", "defaults:", *(f"  {key} = {value}" for key, value in page["parameters"].items())]
+    if page.get("columns"):
+        lines += ["", "columns:", *(_column_text(page["name"], key, c) for key, c in page["columns"].items())]
+    return "\n".join([*lines, *(["", page["bibtex"]] if page["bibtex"] else [])])
+
+
+def _column_text(metric: str, key: str, column: dict[str, Any]) -> str:
+    low, high = column["range"]
+    unit = f" {column['unit']}" if column["unit"] else ""
+    return f"  {metric}.{key}: {column['meaning']} [{low:g} to {high:g}{unit}; better: {column['better']}]"

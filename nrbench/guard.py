@@ -1,0 +1,174 @@
+"""Watching one child: wall time and memory enforced, its process group swept, its end explained."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import psutil
+
+TICK = 0.02
+"""Seconds between two looks at the clock."""
+MEMORY_TICK = 0.1
+"""Seconds between two looks at the memory of the child and its own children."""
+MIB = 1 << 20
+
+Receive = Callable[[float], Iterable[dict[str, Any]] | None]
+"""Waits up to so many seconds; returns the messages that came (perhaps none), or None when the child has closed."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a child may use.
+
+    Parameters
+    ----------
+    seconds
+        Wall seconds; each message that it sends starts the clock again.
+    mib
+        MiB above the idle worker.
+    """
+
+    seconds: float
+    mib: float
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a child ended.
+
+    Parameters
+    ----------
+    messages
+        All that it sent.
+    status
+        ``ended``, ``timeout``, ``memory``, ``crash`` or ``abandoned`` (whoever asked is gone).
+    message
+        One sentence, empty for ``ended``.
+    """
+
+    messages: list[dict[str, Any]]
+    status: str = "ended"
+    message: str = ""
+
+
+class Watch:
+    """Watches one child until it ends or breaks a limit.
+
+    Parameters
+    ----------
+    pid
+        Process id of the child, leader of its own process group where there are such groups.
+    receive
+        Where its messages come from.
+    limits
+        What it may use.
+    base
+        Resident bytes of the idle worker that it was forked from; 0 for a fresh interpreter.
+    asked
+        Says whether whoever asked is still there.
+    """
+
+    def __init__(
+        self, pid: int, receive: Receive, limits: Limits, base: int = 0, asked: Callable[[], bool] = lambda: True
+    ) -> None:
+        self.pid, self.receive, self.limits, self.base, self.asked = pid, receive, limits, base, asked
+        self.messages: list[dict[str, Any]] = []
+
+    def broken(self) -> tuple[str, str] | None:
+        """Watch until the child closes (None) or breaks a limit (status and message)."""
+        deadline = time.monotonic() + self.limits.seconds
+        look = time.monotonic() + MEMORY_TICK
+        while (arrived := self.receive(TICK)) is not None:
+            for message in arrived:
+                self.messages.append(message)
+                deadline = time.monotonic() + self.limits.seconds
+            now = time.monotonic()
+            if now > deadline:
+                return "timeout", f"took longer than {self.limits.seconds:g} s; raise --timeout if it may"
+            if not self.asked():
+                return "abandoned", "whoever asked for it is gone"
+            if now > look:
+                look = now + MEMORY_TICK
+                if resident(self.pid) - self.base > self.limits.mib * MIB:
+                    return "memory", f"used more than {self.limits.mib:g} MiB; raise --memory if it may"
+        return None
+
+
+def resident(pid: int) -> int:
+    """Return the resident bytes of a process and all its descendants; 0 where it is gone."""
+    total = 0
+    with contextlib.suppress(psutil.Error):
+        process = psutil.Process(pid)
+        for one in (process, *process.children(recursive=True)):
+            with contextlib.suppress(psutil.Error):
+                total += one.memory_info().rss
+    return total
+
+
+def sweep(pid: int) -> None:
+    """Kill a process, its group and its descendants."""
+    with contextlib.suppress(psutil.Error):
+        for one in psutil.Process(pid).children(recursive=True):
+            with contextlib.suppress(psutil.Error):
+                one.kill()
+    if sys.platform != "win32":
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(pid, signal.SIGKILL)
+    with contextlib.suppress(psutil.Error):
+        psutil.Process(pid).kill()
+
+
+def explain_exit(code: int) -> str:
+    """Return how a process died, in words, from its exit code (negative: minus the signal)."""
+    if code < 0:
+        with contextlib.suppress(ValueError):
+            return f"died by {signal.Signals(-code).name}"
+        return f"died by signal {-code}"
+    return f"left with exit code {code} and said nothing"
+
+
+def confine(limits: Limits) -> None:
+    """Let the calling process, and what it starts, allocate no more than its limit above what it holds now.
+
+    A huge allocation then fails at once, inside the process; :class:`Watch` sees what grows more slowly. Where the
+    system offers no such limit, the watch alone stands.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    import resource
+
+    held = _data_bytes()
+    bound = held + int(limits.mib * MIB)
+    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+    resource.setrlimit(resource.RLIMIT_DATA, (bound if hard < 0 else min(bound, hard), hard))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _data_bytes() -> int:
+    with open("/proc/self/status", encoding="ascii") as status:  # noqa: PTH123
+        return next(int(line.split()[1]) * 1024 for line in status if line.startswith("VmData:"))
+
+
+def die_with_parent() -> None:
+    """Ask the kernel to kill the calling process when its parent dies (Linux)."""
+    if sys.platform.startswith("linux"):
+        import ctypes
+
+        ctypes.CDLL(None, use_errno=True).prctl(1, signal.SIGKILL)
+
+
+def peak_bytes() -> int:
+    """Return the highest resident size of this process so far, bytes."""
+    if sys.platform == "win32":
+        return int(psutil.Process().memory_info().peak_wset)
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(peak if sys.platform == "darwin" else peak * 1024)

@@ -1,0 +1,205 @@
+"""Square blocks that fill an output in a chess-like fashion, and the wedge-shaped borders between them.
+
+Every other block (a *placed* one) lends the gaps beside it a border: the part of its patch that reaches beyond its
+square, into the gap. Where two borders meet in a corner of the gap, the diagonal divides them: they are wedges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .door import Image
+from .matching import Hole
+
+Sides = tuple[bool, bool, bool, bool]
+"""Which neighbours a block has: left, top, right, bottom."""
+STEPS = ((-1, 0), (0, -1), (1, 0), (0, 1))
+"""(x, y) from a block to each neighbour, in blocks."""
+OWN = 4
+"""The layer of the gap's own patch; 0 to 3 are the neighbours'."""
+
+
+@dataclass(frozen=True)
+class BlockGrid:
+    """The division of an output into blocks; those at the right and bottom may reach beyond it.
+
+    Parameters
+    ----------
+    shape
+        Height and width of the output in px.
+    block
+        Side of a block in px.
+    border
+        Width in px of what a placed block's patch shows beyond its square; at most half a block.
+    """
+
+    shape: tuple[int, int]
+    block: int
+    border: int
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Rows and columns of blocks."""
+        height, width = self.shape
+        return -(-height // self.block), -(-width // self.block)
+
+    def placed(self) -> Iterator[tuple[int, int]]:
+        """Yield (row, column) of the blocks that are sampled."""
+        return self._chess(0)
+
+    def gaps(self) -> Iterator[tuple[int, int]]:
+        """Yield (row, column) of the blocks that are filled in afterwards."""
+        return self._chess(1)
+
+    def _chess(self, parity: int) -> Iterator[tuple[int, int]]:
+        rows, columns = self.counts
+        return ((i, j) for i in range(rows) for j in range(columns) if (i + j) % 2 == parity)
+
+    def sides(self, row: int, column: int) -> Sides:
+        """Return which neighbours the block has."""
+        rows, columns = self.counts
+        return column > 0, row > 0, column < columns - 1, row < rows - 1
+
+    def origins(self, places: NDArray[np.int64], row: int, column: int) -> NDArray[np.int64]:
+        """Return where in the sample each layer's patch, continued, shows the block's first pixel.
+
+        Parameters
+        ----------
+        places
+            ``(rows, columns, 2)``: the (x, y) in the sample of every block's first pixel.
+        row, column
+            The block.
+
+        Returns
+        -------
+        NDArray
+            ``(5, 2)``: left, top, right, bottom neighbour, the block itself; zero where there is no neighbour.
+        """
+        origins = np.zeros((5, 2), np.int64)
+        for side, there in enumerate(self.sides(row, column)):
+            if there:
+                dx, dy = STEPS[side]
+                origins[side] = places[row + dy, column + dx] - (self.block * dx, self.block * dy)
+        origins[OWN] = places[row, column]
+        return origins
+
+
+@dataclass(frozen=True, eq=False)
+class Wedges:
+    """The border inside a gap, pixel by pixel; n pixels, those less than ``border`` px from a neighbour.
+
+    Parameters
+    ----------
+    rows, columns
+        ``(n,)``: the pixels, in the gap's coordinates.
+    owner
+        ``(n,)``: the side whose wedge the pixel lies in: the nearest one.
+    layers
+        ``(3, n)``: what is blended there: the gap's own patch, and the neighbour beside and the one above or below.
+    weights
+        ``float32 (3, n)``: how much of each; they sum to 1.
+    hole
+        The rest of the gap.
+    """
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    owner: NDArray[np.int64]
+    layers: NDArray[np.int64]
+    weights: NDArray[np.float32]
+    hole: Hole
+
+
+@lru_cache(maxsize=256)
+def wedges(block: int, border: int, sides: Sides) -> Wedges:
+    """Return the border of a gap that has neighbours at ``sides``.
+
+    A gap's own patch fades in linearly, from its edge to the border's inner edge. The rest is the neighbour's whose
+    wedge it is; across the diagonal between two wedges one passes smoothly into the other, and at the gap's edge each
+    neighbour is whole, so that no block's own square is touched.
+    """
+    depths = _depths(block, border, sides)
+    rows, columns = np.nonzero(depths.min(0) < 1)
+    depth = depths[:, rows, columns]
+    beside, above = np.where(depth[0] < depth[2], 0, 2), np.where(depth[1] < depth[3], 1, 3)
+    p, q = depth[[0, 2]].min(0), depth[[1, 3]].min(0)
+    layers, weights = np.stack([np.full_like(beside, OWN), beside, above]), _weights(p, q)
+    return Wedges(
+        rows=rows,
+        columns=columns,
+        owner=np.where(p <= q, beside, above),
+        layers=np.where(weights > 0, layers, OWN),
+        weights=weights,
+        hole=_hole(block, border, sides),
+    )
+
+
+def _depths(block: int, border: int, sides: Sides) -> NDArray[np.float64]:
+    """Distance of each pixel from each side, as a share of the border, at most 1: ``(4, block, block)``."""
+    depth = np.minimum((np.arange(block) + 0.5) / border, 1)
+    across, down = np.broadcast_to(depth, (block, block)), np.broadcast_to(depth[:, np.newaxis], (block, block))
+    depths = np.stack([across, down, across[:, ::-1], down[::-1]])
+    return np.where(np.array(sides)[:, np.newaxis, np.newaxis], depths, 1)
+
+
+def _weights(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float32]:
+    own = np.minimum(p, q)
+    beside, above = 1 / p - 1, 1 / q - 1
+    share = beside / (beside + above)
+    return np.stack([own, (1 - own) * share, (1 - own) * (1 - share)]).astype(np.float32)
+
+
+def _hole(block: int, border: int, sides: Sides) -> Hole:
+    left, top, right, bottom = (border if side else 0 for side in sides)
+    return top, block - bottom, left, block - right
+
+
+def compose(sample: Image, grid: BlockGrid, places: NDArray[np.int64]) -> tuple[Image, NDArray[np.float32]]:
+    """Return the output that the blocks make, and its source map.
+
+    Parameters
+    ----------
+    sample
+        Where the patches come from.
+    grid
+        The blocks.
+    places
+        ``(rows, columns, 2)``: the (x, y) in the sample of every block's first pixel; placed blocks have their borders
+        inside the sample, too.
+
+    Returns
+    -------
+    image, source
+        ``(H, W, C)``; ``(H, W, 3)``: (x, y) of the largest weight and that weight.
+    """
+    block, (rows, columns) = grid.block, grid.counts
+    image = np.empty((rows * block, columns * block, sample.shape[2]), np.float32)
+    source = np.ones((*image.shape[:2], 3), np.float32)
+    for row, column in np.ndindex(rows, columns):
+        x, y = places[row, column]
+        window = np.s_[row * block : (row + 1) * block, column * block : (column + 1) * block]
+        image[window] = sample[y : y + block, x : x + block]
+        source[window][..., :2] = np.stack(np.meshgrid(np.arange(x, x + block), np.arange(y, y + block)), -1)
+    for row, column in grid.gaps():
+        window = np.s_[row * block : (row + 1) * block, column * block : (column + 1) * block]
+        border = wedges(block, grid.border, grid.sides(row, column))
+        _blend(sample, border, grid.origins(places, row, column), image[window], source[window])
+    height, width = grid.shape
+    return image[:height, :width], source[:height, :width]
+
+
+def _blend(
+    sample: Image, border: Wedges, origins: NDArray[np.int64], image: Image, source: NDArray[np.float32]
+) -> None:
+    """Blend the border of one gap into its part of the output, in place."""
+    x = origins[border.layers, 0] + border.columns
+    y = origins[border.layers, 1] + border.rows
+    image[border.rows, border.columns] = np.einsum("ln,lnc->nc", border.weights, sample[y, x])
+    main = border.weights.argmax(0)[np.newaxis]
+    chosen = (np.take_along_axis(part, main, 0)[0] for part in (x, y, border.weights))
+    source[border.rows, border.columns] = np.stack(list(chosen), -1)

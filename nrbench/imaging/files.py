@@ -1,0 +1,112 @@
+"""Pictures in files: whatever form they have, one image form comes in; PNG goes out."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import PIL.ImageOps
+from numpy.typing import NDArray
+
+from nrbench.errors import BadInput
+from nrbench.imaging.door import Image, as_image, to_bytes
+
+_DIRECT = {"L", "RGB", "I;16"}
+_VIA = {"1": "L", "P": "RGB", "CMYK": "RGB", "YCbCr": "RGB", "LAB": "RGB", "HSV": "RGB"}
+
+
+def read_image(path: str | Path) -> Image:
+    """Read a picture: PNG, JPEG, TIFF or whatever else Pillow reads; of several frames the first.
+
+    Parameters
+    ----------
+    path
+        8 bits gray, color or palette; 16 bits gray; an EXIF rotation is applied.
+
+    Returns
+    -------
+    Image
+        One channel for gray pictures, three for color and palette.
+
+    Raises
+    ------
+    BadInput
+        When there is no such file, it is no picture, has transparency, or a side under 8 px.
+    """
+    where = f"picture {path}"
+    _check_file(Path(path), where)
+    try:
+        with PIL.Image.open(path) as opened:
+            return as_image(_pixels(PIL.ImageOps.exif_transpose(opened), where), where)
+    except PIL.UnidentifiedImageError:
+        raise BadInput(f"{where}: is no picture that can be read; pass a PNG, JPEG or TIFF file") from None
+    except PIL.Image.DecompressionBombError:
+        raise BadInput(f"{where}: has too many pixels; crop it, or scale it down") from None
+    except (OSError, SyntaxError, EOFError) as error:
+        raise BadInput(f"{where}: cannot be read ({error}); it may be cut short: save it again as PNG") from None
+
+
+def _check_file(path: Path, where: str) -> None:
+    if path.is_dir():
+        raise BadInput(f"{where}: is a directory; pass one picture in it")
+    if not path.is_file():
+        raise BadInput(f"{where}: there is no such file; check the path")
+    if path.stat().st_size == 0:
+        raise BadInput(f"{where}: is empty (0 bytes); save or download it again")
+
+
+def _pixels(picture: PIL.Image.Image, where: str) -> NDArray[Any]:
+    if picture.has_transparency_data:
+        raise BadInput(f"{where}: has transparency (mode {picture.mode}); flatten it onto a background first")
+    if picture.mode in _VIA:
+        picture = picture.convert(_VIA[picture.mode])
+    elif picture.mode.startswith("I"):
+        return _sixteen_bits(np.asarray(picture), where)
+    if picture.mode not in _DIRECT:
+        raise BadInput(f"{where}: has pixels of mode {picture.mode}; save it with 8 or 16 bits a channel")
+    return np.asarray(picture)
+
+
+def _sixteen_bits(pixels: NDArray[Any], where: str) -> NDArray[np.uint16]:
+    """Return gray values of more than 8 bits, which some formats hold in 32."""
+    if pixels.min() < 0 or pixels.max() > 65535:
+        raise BadInput(f"{where}: has gray values outside 0 to 65535; save it with 8 or 16 bits a channel")
+    return pixels.astype(np.uint16)
+
+
+def write_image(path: str | Path, image: Image) -> Path:
+    """Write a PNG of 8 bits a channel; a reader never sees half a file.
+
+    Parameters
+    ----------
+    path
+        Where to; its name must end in ``.png``. An existing file is replaced.
+    image
+        float32 ``(H, W, C)`` in [0, 1]; rounded to 8 bits, values outside clipped.
+
+    Returns
+    -------
+    Path
+        The path written.
+
+    Raises
+    ------
+    BadInput
+        For another ending, or a folder that is missing or cannot be written.
+    """
+    target = Path(path)
+    if target.suffix.lower() != ".png":
+        raise BadInput(f"picture {path}: only PNG is written, which keeps every pixel; end its name in .png")
+    pixels = to_bytes(image)
+    aside = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(aside, "PNG", compress_level=1)
+        aside.replace(target)
+    except OSError as error:
+        raise BadInput(f"picture {path}: cannot be written ({error.strerror}); check its folder") from None
+    finally:
+        aside.unlink(missing_ok=True)
+    return target

@@ -1,0 +1,134 @@
+"""Registration of windows against a periodic template, by weighted normalized cross-correlation (NCC)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.fft
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from nrbench.imaging.fold import Values
+
+Map = NDArray[np.float32]
+_BATCH_PIXELS = 1 << 21
+
+
+@dataclass(frozen=True)
+class Template:
+    """A patch of the periodic image in which windows of one shape are looked for.
+
+    Parameters
+    ----------
+    image
+        ``(TH, TW, C)``, larger than the window by the range of displacements that is searched.
+    weights
+        ``(TH, TW)``, not negative: what each pixel of the template counts for.
+    window
+        Height and width of the windows.
+    """
+
+    image: Values
+    weights: Map
+    window: tuple[int, int]
+
+    @cached_property
+    def _size(self) -> tuple[int, int]:
+        height, width = self.weights.shape
+        return scipy.fft.next_fast_len(height, True), scipy.fft.next_fast_len(width, True)
+
+    @cached_property
+    def mean(self) -> NDArray[np.float32]:
+        """Weighted mean of each channel."""
+        return np.asarray(np.tensordot(self.weights, self.image, 2) / self.weights.sum(), np.float32)
+
+    @cached_property
+    def _spectra(self) -> NDArray[np.complex64]:
+        """Spectra of the weights, and of the weights times each channel, ``(1 + C, ...)``."""
+        planes = np.concatenate([self.weights[np.newaxis], np.moveaxis(self._weighted, -1, 0)])
+        return np.asarray(scipy.fft.rfft2(planes, self._size))
+
+    @cached_property
+    def _weighted(self) -> Values:
+        return self.weights[..., np.newaxis] * (self.image - self.mean)
+
+    @cached_property
+    def _sums(self) -> tuple[Map, Values, Map]:
+        """Return, over a window at every offset: sum of weights, weighted sums of channels, template's energy."""
+        weights = box_sum(self.weights, self.window)
+        sums = np.stack([box_sum(plane, self.window) for plane in np.moveaxis(self._weighted, -1, 0)])
+        squares = box_sum((self._weighted * (self.image - self.mean)).sum(-1), self.window)
+        energy = squares - (sums**2).sum(0) / weights
+        return weights, sums, energy
+
+    def surfaces(self, windows: Values) -> Map:
+        """Return the NCC of each window at every offset of the template, as ``(n, TH - h + 1, TW - w + 1)``.
+
+        All channels share one correlation; each channel's mean over the window is taken out first, so that lighting
+        does not count. A window or template without variance gives 0.
+        """
+        if not len(windows):
+            height, width = self._sums[0].shape
+            return np.zeros((0, height, width), np.float32)
+        return np.concatenate([self._batch(batch) for batch in self._batches(windows)])
+
+    def _batches(self, windows: Values) -> Iterator[Values]:
+        count = max(1, _BATCH_PIXELS // (self._size[0] * self._size[1] * (1 + windows.shape[-1])))
+        for start in range(0, len(windows), count):
+            yield windows[start : start + count]
+
+    def _batch(self, windows: Values) -> Map:
+        weights, sums, energy = self._sums
+        planes = np.moveaxis(windows - self.mean, -1, 1)
+        spectra = np.conj(scipy.fft.rfft2(planes, self._size))
+        squares = np.conj(scipy.fft.rfft2((planes**2).sum(1), self._size))
+        cross = self._valid((self._spectra[1:] * spectra).sum(1))
+        means = self._valid(self._spectra[0] * spectra)
+        power = self._valid(self._spectra[0] * squares) - (means**2).sum(1) / weights
+        cross -= (means * sums).sum(1) / weights
+        floor = 1e-6 * weights
+        good = (power > floor) & (energy > floor)
+        return np.where(good, cross / np.sqrt(np.maximum(power, floor) * np.maximum(energy, floor)), np.float32(0))
+
+    def _valid(self, spectrum: NDArray[np.complex64]) -> Map:
+        rows, columns = self._sums[0].shape
+        return np.asarray(scipy.fft.irfft2(spectrum, self._size)[..., :rows, :columns])
+
+
+def box_sum(plane: Map, window: tuple[int, int]) -> Map:
+    """Return the sum over a window at every offset where it fits, by integral image in float64."""
+    total = np.zeros((plane.shape[0] + 1, plane.shape[1] + 1))
+    total[1:, 1:] = plane.cumsum(0, dtype=np.float64).cumsum(1)
+    h, w = window
+    return np.asarray(total[h:, w:] - total[:-h, w:] - total[h:, :-w] + total[:-h, :-w], np.float32)
+
+
+def cut_windows(image: Values, corners: NDArray[np.intp], window: tuple[int, int]) -> Values:
+    """Return the windows whose top-left pixels are ``corners``, ``(n, 2)`` as (x, y), as ``(n, h, w, C)``."""
+    views = sliding_window_view(image, window, axis=(0, 1))
+    return np.moveaxis(views[corners[:, 1], corners[:, 0]], 1, -1)
+
+
+def peaks(surfaces: Map) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return each surface's highest point, ``(n, 2)`` as (x, y), sub-pixel, and its height ``(n,)``.
+
+    A parabola through three points along each axis; the surface's outermost ring is left out of the search.
+    """
+    inner = surfaces[:, 1:-1, 1:-1]
+    best = inner.reshape(len(inner), -1).argmax(1)
+    rows, columns = best // inner.shape[2] + 1, best % inner.shape[2] + 1
+    each = np.arange(len(inner))
+    at = surfaces[each, rows, columns].astype(np.float64)
+    x, gain_x = _vertex(surfaces[each, rows, columns - 1], at, surfaces[each, rows, columns + 1])
+    y, gain_y = _vertex(surfaces[each, rows - 1, columns], at, surfaces[each, rows + 1, columns])
+    return np.stack([columns + x, rows + y], -1), np.minimum(at + gain_x + gain_y, 1.0)
+
+
+def _vertex(left: Map, middle: NDArray[np.float64], right: Map) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return a parabola's offset from the middle of three points, in [-0.5, 0.5], and how far it rises above it."""
+    slope, bend = (right - left.astype(np.float64)) / 2, 2 * middle - left - right
+    offset = np.clip(slope / np.maximum(bend, 1e-12), -0.5, 0.5)
+    return offset, slope * offset - bend * offset**2 / 2

@@ -1,0 +1,92 @@
+"""Parameters: from text or TOML to a plugin's typed fields, with one clear error."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from nrbench.errors import BadInput
+
+
+def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
+    """Split ``"name:param=value,param=value"``; a comma inside a value is kept unless ``word=`` follows it.
+
+    Raises
+    ------
+    BadInput
+        When a part has no ``=``, or a parameter stands twice.
+    """
+    name, _, rest = text.partition(":")
+    parameters: dict[str, Any] = {}
+    for part in re.split(r",(?=\w+=)", rest) if rest else []:
+        key, equals, value = part.partition("=")
+        if not equals or not key:
+            raise BadInput(f"{text!r}: {part!r} is no parameter; write NAME:param=value,param=value")
+        if key in parameters:
+            raise BadInput(f"{text!r}: parameter {key!r} is given twice; leave one")
+        parameters[key] = value
+    return name, parameters
+
+
+def label(name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:
+    """Return ``name:param=value,...`` with only the parameters that differ from their defaults."""
+    changed = [f"{key}={value}" for key, value in parameters.items() if value != defaults.get(key, dataclasses.MISSING)]
+    return f"{name}:{','.join(changed)}" if changed else name
+
+
+def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
+    """Return ``cls(**parameters)`` after converting each value to its field's declared type.
+
+    Raises
+    ------
+    BadInput
+        For an unknown parameter (naming the nearest valid one), a value of another type, one that is missing, or one
+        that the class itself refuses.
+    """
+    hints = get_type_hints(cls)
+    fields = {field.name: TypeAdapter(hints[field.name]) for field in dataclasses.fields(cls)}
+    values = {key: _convert(fields, key, value, where) for key, value in parameters.items()}
+    for field in dataclasses.fields(cls):
+        bare = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        if bare and field.name not in values:
+            raise BadInput(f"{where}: parameter {field.name!r} is missing; give {where.split()[-1]}:{field.name}=...")
+    try:
+        return cls(**values)
+    except BadInput as error:
+        raise BadInput(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{where}: {error}") from error
+
+
+def _convert(fields: Mapping[str, TypeAdapter[Any]], key: str, value: Any, where: str) -> Any:
+    if key not in fields:
+        raise BadInput(f"{where}: parameter {key!r} is not known{nearest(key, fields)}")
+    for attempt in _readings(value):
+        try:
+            return fields[key].validate_python(attempt)
+        except ValidationError as error:
+            why = error.errors()[0]["msg"]
+    raise BadInput(f"{where}: {key}={value!r}: {why[:1].lower()}{why[1:]}")
+
+
+def _readings(value: Any) -> list[Any]:
+    """Return how a value may be meant: as it is; text also as "nothing" or as comma-separated numbers."""
+    if not isinstance(value, str):
+        return [value]
+    if value.lower() in ("none", "null"):
+        return [None, value]
+    return [value, value.split(",")] if "," in value else [value]
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return ``" (did you mean 'x'?)"``, or the known words where none is near."""
+    options = list(known)
+    close = difflib.get_close_matches(word, options, n=1, cutoff=0.5)
+    if close:
+        return f" (did you mean {close[0]!r}?)"
+    return f" (known: {', '.join(options)})" if options else " (there are none)"

@@ -1,0 +1,239 @@
+"""The plan: every cell of a suite, with its sample drawn, before anything is started."""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+import traceback
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from nrbench import plugins
+from nrbench.cell import Cell, Recipe
+from nrbench.errors import BadInput
+from nrbench.imaging.door import Image, quantize
+from nrbench.parameters import label, parse_spec
+from nrbench.streams import pixels_hash
+from nrbench.suite import Suite, TextureRow
+from nrbench.synthesis import Again
+from nrbench.texture import Shape, Texture
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A texture drawn for a run: what its cells share.
+
+    Parameters
+    ----------
+    row, recipe
+        The suite's row, and how it was drawn.
+    texture
+        The texture, its image rounded to 8 bits; None where drawing failed.
+    again
+        For a picture: the region that the sample does not touch, where there is room.
+    fault
+        Why drawing failed, or empty.
+    """
+
+    row: TextureRow
+    recipe: Recipe
+    texture: Texture | None
+    again: Image | None = field(default=None, repr=False)
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A synthesizer as a suite names it, checked.
+
+    Parameters
+    ----------
+    name, version, parameters, label
+        As in :class:`~nrbench.cell.Cell`.
+    reference, uses_lattice
+        What the plugin declares.
+    """
+
+    name: str
+    version: str
+    parameters: dict[str, Any]
+    label: str
+    reference: bool
+    uses_lattice: bool
+
+    @classmethod
+    def parse(cls, spec: str) -> Method:
+        """Read ``name:param=value,...``; raises BadInput for what is not known or not valid."""
+        name, given = parse_spec(spec)
+        parameters = plugins.parameters_of(plugins.build("synthesizers", name, given))
+        plugin = plugins.find("synthesizers", name)
+        shown = label(name, parameters, _defaults(plugin.cls))
+        reference = bool(getattr(plugin.cls, "reference", False))
+        return cls(name, plugin.version, parameters, shown, reference, bool(getattr(plugin.cls, "uses_lattice", True)))
+
+
+def _defaults(cls: Any) -> dict[str, Any]:
+    made = {item.name: item.default_factory() for item in dataclasses.fields(cls) if callable(item.default_factory)}
+    return {**{item.name: item.default for item in dataclasses.fields(cls)}, **made}
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a method's lattice comes from: ``given``, ``own``, ``none``, or a detector.
+
+    Parameters
+    ----------
+    name
+        What the tables print.
+    detector
+        Name, version and parameters, where it is one.
+    """
+
+    name: str
+    detector: tuple[str, str, dict[str, Any]] | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Source:
+        """Read an entry of the lattice axis; raises BadInput where it is neither a word of the axis nor a detector."""
+        if text in ("given", "own", "none"):
+            return cls(text)
+        name, given = parse_spec(text)
+        if name not in plugins.names("detectors"):
+            known = ", ".join(["given", "own", *plugins.names("detectors")])
+            raise BadInput(f"--lattice {text!r}: is not known; use one of: {known}")
+        parameters = plugins.parameters_of(plugins.build("detectors", name, given))
+        return cls(text, (name, plugins.find("detectors", name).version, parameters))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All cells of a suite.
+
+    Parameters
+    ----------
+    suite
+        The suite, command line options applied.
+    samples
+        One a texture and replicate.
+    cells
+        Each with its sample.
+    """
+
+    suite: Suite
+    samples: list[Sample]
+    cells: list[tuple[Cell, Sample]]
+
+
+def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
+    """Draw every sample and list every cell.
+
+    Parameters
+    ----------
+    suite
+        What to run.
+    textures
+        Shell patterns of texture names; none means all.
+
+    Raises
+    ------
+    BadInput
+        For unknown methods, parameters or lattice sources, or patterns that match no texture.
+    """
+    methods = [Method.parse(spec) for spec in dict.fromkeys(suite.methods)]
+    sources = [Source.parse(text) for text in dict.fromkeys(suite.lattice)]
+    if not methods:
+        raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
+    samples = drawn(suite, textures)
+    cells = [(cell, sample) for sample in samples for cell in _cells(suite, sample, methods, sources)]
+    return Plan(suite, samples, cells)
+
+
+def drawn(suite: Suite, textures: Sequence[str] = ()) -> list[Sample]:
+    """Draw every sample of a suite (of the textures whose names match a pattern)."""
+    rows = _chosen(suite, textures)
+    return [_draw(suite, row, replicate) for row in rows for replicate in range(suite.replicates)]
+
+
+def _chosen(suite: Suite, patterns: Sequence[str]) -> list[TextureRow]:
+    rows = [row for row in suite.texture if not patterns or any(fnmatch.fnmatch(row.name, p) for p in patterns)]
+    if not rows:
+        names = ", ".join(row.name for row in suite.texture[:12])
+        raise BadInput(f"-t {' '.join(patterns)}: matches no texture of suite {suite.name} ({names}, ...)")
+    return rows
+
+
+def _draw(suite: Suite, row: TextureRow, replicate: int) -> Sample:
+    plugin = plugins.build("datasets", row.dataset, row.parameters)
+    parameters = plugins.parameters_of(plugin)
+    recipe = Recipe(row.dataset, parameters, suite.seed, row.name, replicate, row.sample or suite.sample)
+    try:
+        texture = recipe.render()
+        texture = dataclasses.replace(texture, image=quantize(texture.image), name=row.name)
+        again = None if recipe.procedural else _region(recipe.again(texture), row.size or suite.size)
+    except Exception as error:
+        known = isinstance(error, BadInput)
+        fault = str(error) if known else f"{type(error).__name__}: {error} ({_last_line()})"
+        return Sample(row, recipe, None, fault=fault)
+    return Sample(row, recipe, texture, again)
+
+
+def _region(again: Again, shape: Shape) -> Image | None:
+    drawn = again(shape, 0)
+    return quantize(drawn.image) if drawn is not None else None
+
+
+def _last_line() -> str:
+    return traceback.format_exc().strip().splitlines()[-3].strip()
+
+
+def _cells(suite: Suite, sample: Sample, methods: list[Method], sources: list[Source]) -> Iterator[Cell]:
+    for method in methods:
+        for source in sources if method.uses_lattice else [Source("none")]:
+            yield _cell(suite, sample, method, source)
+
+
+def _cell(suite: Suite, sample: Sample, method: Method, source: Source) -> Cell:
+    texture, row = sample.texture, sample.row
+    cell = Cell(
+        suite=suite.name,
+        texture=row.name,
+        recipe=sample.recipe,
+        method=method.name,
+        version=method.version,
+        parameters=method.parameters,
+        label=method.label,
+        reference=method.reference,
+        lattice_source=source.name,
+        detector=source.detector,
+        replicate=sample.recipe.replicate,
+        seed=suite.seed,
+        shape=row.size or suite.size,
+        sample_hash=pixels_hash(texture.image) if texture else "",
+        family=row.family or (texture.family if texture else ""),
+        description=row.description,
+        procedural=sample.recipe.procedural,
+        again_hash=pixels_hash(sample.again) if method.reference and sample.again is not None else "",
+    )
+    return (
+        _with_truth(cell, texture, source)
+        if texture
+        else dataclasses.replace(cell, fault=sample.fault, fault_status="error")
+    )
+
+
+def _with_truth(cell: Cell, texture: Texture, source: Source) -> Cell:
+    cell = dataclasses.replace(
+        cell,
+        kind=texture.kind,
+        regular_share=None if texture.regular_share is None else float(np.round(texture.regular_share, 6)),
+        region=texture.region,
+        lattice_truth=texture.lattice,
+    )
+    if source.name != "given":
+        return cell
+    if texture.lattice is None:
+        return dataclasses.replace(cell, fault="no lattice of this texture is known, so none can be given")
+    return dataclasses.replace(cell, lattice_given=texture.lattice)

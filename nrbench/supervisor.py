@@ -1,0 +1,209 @@
+"""The supervisor: runs one job at a time in a worker process, and turns whatever happens into a result."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from nrbench import guard, plugins
+from nrbench.jobs import run
+from nrbench.worker import Reply, Request, perform, summarize
+
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+)
+"""Set to 1 in every worker, before numpy loads there."""
+GRACE = 10.0
+"""Seconds that a worker may take, beyond the limit it enforces itself, before it is killed."""
+START = 120.0
+"""Seconds that a worker may take to start."""
+
+
+class Supervisor:
+    """Owns one warm worker, and restarts it when it dies.
+
+    Where forking is unsafe or absent each request gets a fresh interpreter: same contract, slower.
+    """
+
+    def __init__(self) -> None:
+        self._worker: subprocess.Popen[str] | None = None
+        self._lines: queue.Queue[str | None] = queue.Queue()
+        self._forks = True
+
+    def ask(self, request: Request) -> Reply:
+        """Run one request under its limits; never raises for what the plugin does."""
+        if self._forks and self._worker is None:
+            self._forks = self._start()
+        if not self._forks:
+            return _fresh(request)
+        assert self._worker is not None and self._worker.stdin is not None
+        try:
+            self._worker.stdin.write(json.dumps(request) + "\n")
+            self._worker.stdin.flush()
+        except OSError:
+            self.close()
+            return {"status": "crash", "message": "the worker process was gone", "scored": []}
+        return self._answer(request)
+
+    def _answer(self, request: Request) -> Reply:
+        parts = max(1, len(request.get("metrics", ())))
+        line = self._line(request["seconds"] * parts + GRACE)
+        if line is None:
+            self.close()
+            return {"status": "crash", "message": "the worker process itself died", "scored": []}
+        reply: Reply = json.loads(line)
+        return reply
+
+    def _start(self) -> bool:
+        """Start the worker; return whether it can fork."""
+        self._worker = subprocess.Popen(
+            _command(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            env=worker_environment(),
+            start_new_session=True,
+        )
+        self._lines = queue.Queue()
+        threading.Thread(target=_pump, args=(self._worker.stdout, self._lines), daemon=True).start()
+        hello = self._line(START)
+        forks = bool(hello and json.loads(hello)["fork"])
+        if not forks:
+            self.close()
+        return forks
+
+    def _line(self, seconds: float) -> str | None:
+        with contextlib.suppress(queue.Empty):
+            return self._lines.get(timeout=seconds)
+        return None
+
+    def close(self) -> None:
+        """Kill the worker and what it runs."""
+        if self._worker is not None:
+            guard.sweep(self._worker.pid)
+            self._worker.wait()
+            for pipe in (self._worker.stdin, self._worker.stdout):
+                with contextlib.suppress(OSError):
+                    pipe.close() if pipe else None
+            self._worker = None
+
+    def __enter__(self) -> Supervisor:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+def worker_environment() -> dict[str, str]:
+    """Return the environment of a worker: one thread, no surprises from the current directory."""
+    return {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "1"), "PYTHONSAFEPATH": "1", "MPLBACKEND": "Agg"}
+
+
+def _command(*options: str) -> list[str]:
+    return [sys.executable, "-c", "from nrbench.worker import main; main()", *options, *plugins.files()]
+
+
+def _pump(stream: IO[str], lines: queue.Queue[str | None]) -> None:
+    with contextlib.suppress(ValueError, OSError):
+        for line in stream:
+            lines.put(line)
+    lines.put(None)
+
+
+def _fresh(request: Request) -> Reply:
+    """Run one request in an interpreter of its own, watched from here."""
+    with (Path(request["folder"]) / "log.txt").open("ab") as log:
+        child = subprocess.Popen(
+            _command("--once"),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            env=worker_environment(),
+            start_new_session=True,
+        )
+    assert child.stdin is not None and child.stdout is not None
+    lines: queue.Queue[str | None] = queue.Queue()
+    threading.Thread(target=_pump, args=(child.stdout, lines), daemon=True).start()
+    with contextlib.suppress(OSError):
+        child.stdin.write(json.dumps(request) + "\n")
+        child.stdin.close()
+    watch = guard.Watch(child.pid, lambda seconds: _from_queue(lines, seconds), _with_start(request), 0)
+    broken = watch.broken()
+    guard.sweep(child.pid) if broken else None
+    code = child.wait()
+    guard.sweep(child.pid)
+    child.stdout.close()
+    if broken:
+        return summarize(guard.Ending(watch.messages, *broken))
+    ending = (
+        guard.Ending(watch.messages) if code == 0 else guard.Ending(watch.messages, "crash", guard.explain_exit(code))
+    )
+    return summarize(ending)
+
+
+def _with_start(request: Request) -> guard.Limits:
+    """Return the limits of a fresh interpreter: its own start and imports come on top."""
+    return guard.Limits(request["seconds"] + GRACE, request["mib"] + 512)
+
+
+def _from_queue(lines: queue.Queue[str | None], seconds: float) -> list[dict[str, Any]] | None:
+    try:
+        line = lines.get(timeout=seconds)
+    except queue.Empty:
+        return []
+    return None if line is None else [json.loads(line)]
+
+
+class Local:
+    """The debuggable twin of :class:`Supervisor`: runs each request in this very process, without limits."""
+
+    def ask(self, request: Request) -> Reply:
+        """Run one request here; an exception that a phase does not catch comes through."""
+        messages: list[dict[str, Any]] = []
+        perform(request, messages.append)
+        return summarize(guard.Ending(messages))
+
+    def close(self) -> None:
+        """Do nothing: there is no process to end."""
+
+
+_own = threading.local()
+_all: list[Supervisor] = []
+
+
+def run_job(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Run one job by this thread's own supervisor (here, or in a process on a cluster)."""
+    for file in job.get("plugins", ()):
+        plugins.add_file(file)
+    if not hasattr(_own, "supervisor"):
+        _own.supervisor = Supervisor()
+        _all.append(_own.supervisor)
+    return run(job, _own.supervisor)
+
+
+def run_job_here(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Run one job in this process, for the debugger."""
+    return run(job, Local())
+
+
+def close_all() -> None:
+    """End every worker that this process started."""
+    while _all:
+        _all.pop().close()

@@ -1,0 +1,112 @@
+"""Any program as a method."""
+
+from __future__ import annotations
+
+import shlex
+import string
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from nrbench.errors import BadInput
+from nrbench.imaging.door import Image
+from nrbench.imaging.files import read_image, write_image
+from nrbench.synthesis import Synthesis, Task
+
+FIELDS = ("sample", "output", "width", "height", "seed")
+TAIL = 2000
+"""Characters of the program's last words that an error quotes."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A program in any language: it reads the sample from a PNG and writes its output to another.
+
+    The program runs without a shell, in an empty folder of its own that is removed afterwards. Its first word is looked
+    up as a shell would; words that name files of the current folder are passed on as absolute paths.
+
+    Parameters
+    ----------
+    run
+        The command line, e.g. ``"tool {sample} {output} --size {width}x{height} --seed {seed}"``. ``{sample}`` and
+        ``{output}`` become paths of PNG files, ``{seed}`` a number below 2^31 that is drawn from the task's stream.
+    """
+
+    run: str
+
+    reference: ClassVar[bool] = False
+    uses_lattice: ClassVar[bool] = False
+    version: ClassVar[str] = "1"
+
+    def __post_init__(self) -> None:
+        unknown = _fields(self.run) - set(FIELDS)
+        if unknown:
+            raise BadInput(f"run has {{{min(unknown)}}}; known are {', '.join(f'{{{name}}}' for name in FIELDS)}")
+        missing = {"sample", "output"} - _fields(self.run)
+        if missing:
+            raise BadInput(f"run {self.run!r} lacks {{{max(missing)}}}; put it where the program takes the file")
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return what the program wrote.
+
+        Raises
+        ------
+        BadInput
+            When there is no such program.
+        RuntimeError
+            When the program fails (with the tail of what it said) or writes no picture.
+        """
+        with tempfile.TemporaryDirectory(prefix="nrbench-") as folder:
+            sample, output = Path(folder, "sample.png"), Path(folder, "output.png")
+            write_image(sample, task.sample)
+            words = self._words(task, sample, output)
+            _execute(words, Path(folder, "work"))
+            return Synthesis(_read(output, words[0], task.sample.shape[2]))
+
+    def _words(self, task: Task, sample: Path, output: Path) -> list[str]:
+        height, width = task.shape
+        values = {"sample": sample, "output": output, "width": width, "height": height}
+        values["seed"] = int(task.rng.integers(2**31))
+        return [_absolute(word).format(**values) for word in shlex.split(self.run)]
+
+
+def _fields(template: str) -> set[str]:
+    try:
+        return {name for _, name, _, _ in string.Formatter().parse(template) if name is not None}
+    except ValueError as error:
+        raise BadInput(f"run {template!r}: {error}; write {{{{ and }}}} for braces") from None
+
+
+def _absolute(word: str) -> str:
+    return str(Path(word).resolve()) if Path(word).is_file() else word
+
+
+def _execute(words: list[str], folder: Path) -> None:
+    folder.mkdir()
+    try:
+        done = subprocess.run(words, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    except (FileNotFoundError, PermissionError) as error:
+        raise BadInput(f"command: cannot run {words[0]!r}: {error.strerror}; install it or give its path") from None
+    if done.returncode:
+        said = (done.stderr.strip() or done.stdout.strip()).decode(errors="replace")
+        raise RuntimeError(f"{words[0]} ended with exit code {done.returncode}: {said[-TAIL:] or 'it said nothing'}")
+
+
+def _read(output: Path, program: str, channels: int) -> Image:
+    if not output.exists():
+        raise RuntimeError(f"{program} ended well but wrote no {{output}}")
+    try:
+        image = read_image(output)
+    except BadInput as error:
+        raise RuntimeError(f"{program} wrote an unusable {{output}}: {error}") from error
+    return _as_gray(image) if channels == 1 else image
+
+
+def _as_gray(image: Image) -> Image:
+    """Return one channel where a program wrote a gray picture as color."""
+    same = np.array_equal(image, np.broadcast_to(image[..., :1], image.shape))
+    return image[..., :1] if same else image

@@ -1,0 +1,79 @@
+"""Outputs that were made elsewhere."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from nrbench.errors import BadInput
+from nrbench.imaging.door import Image
+from nrbench.imaging.files import read_image
+from nrbench.streams import pixels_hash
+from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.texture import Shape
+
+
+@dataclass(frozen=True)
+class Precomputed:
+    """Pictures that any method made before, looked up by the sample's pixels and the output's size.
+
+    Parameters
+    ----------
+    directory
+        A folder that holds the outputs, in one of two ways: as files named ``HASH-WIDTHxHEIGHT.png``, where HASH is
+        :func:`nrbench.streams.pixels_hash` of the sample (the refusal tells the name it looked for); or under any
+        names, with a table ``index.csv`` beside them: columns ``sample,output``, one row a pair of picture files,
+        paths relative to the folder.
+    """
+
+    directory: str
+
+    reference: ClassVar[bool] = False
+    uses_lattice: ClassVar[bool] = False
+    version: ClassVar[str] = "1"
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the picture made from this sample at this size.
+
+        Raises
+        ------
+        Refused
+            When there is none.
+        BadInput
+            When there is no such folder, or its table is not one.
+        """
+        folder = Path(self.directory)
+        if not folder.is_dir():
+            raise BadInput(
+                f"precomputed: directory {self.directory!r} is no folder; give the one that holds the outputs"
+            )
+        named = folder / name_for(task.sample, task.shape)
+        if named.exists():
+            return Synthesis(read_image(named))
+        for output in _listed(folder, task.sample):
+            if output.shape[:2] == task.shape:
+                return Synthesis(output)
+        raise Refused(f"no {named}, and no row of index.csv with this sample and an output of that size")
+
+
+def name_for(sample: Image, shape: Shape) -> str:
+    """Return the name under which an output of ``shape`` made from ``sample`` is looked up."""
+    return f"{pixels_hash(sample)}-{shape[1]}x{shape[0]}.png"
+
+
+def _listed(folder: Path, sample: Image) -> Iterator[Image]:
+    """Yield the outputs that ``index.csv`` lists for a sample."""
+    index = folder / "index.csv"
+    if not index.exists():
+        return
+    wanted = pixels_hash(sample)
+    with index.open(newline="", encoding="utf-8-sig") as lines:
+        rows = csv.DictReader(lines)
+        if not {"sample", "output"} <= set(rows.fieldnames or ()):
+            raise BadInput(f"{index}: columns {rows.fieldnames}; its first line must be sample,output")
+        for row in rows:
+            if pixels_hash(read_image(folder / row["sample"])) == wanted:
+                yield read_image(folder / row["output"])

@@ -1,0 +1,53 @@
+"""A cheat: random patches without a lattice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from nrbench.imaging.blocks import BlockGrid, compose
+from nrbench.synthesis import Synthesis, Task
+
+from .room import check_border, room_with_border
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Patches from anywhere in the sample, side by side, blended at their borders: keeps randomness, loses the lattice.
+
+    On textures without a lattice it is no cheat.
+
+    Parameters
+    ----------
+    block
+        Side of a block in px.
+    border
+        Width in px of the border over which neighbours are blended, at most half a block.
+    """
+
+    block: int = 32
+    border: int = 4
+
+    reference: ClassVar[bool] = True
+    uses_lattice: ClassVar[bool] = False
+    version: ClassVar[str] = "1"
+
+    def __post_init__(self) -> None:
+        check_border(self.block, self.border)
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the synthesis.
+
+        Raises
+        ------
+        Refused
+            When the sample does not hold a block with its borders.
+        """
+        room = room_with_border(task.sample.shape, self.block, self.border)
+        grid = BlockGrid(task.shape, self.block, self.border)
+        places = task.rng.integers((room[1], room[0]), size=(*grid.counts, 2)) + self.border
+        image, source = compose(task.sample, grid, np.asarray(places, np.int64))
+        task.progress(1.0)
+        return Synthesis(image, source=source)

@@ -1,0 +1,105 @@
+"""A cheat: one tile, repeated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from nrbench.imaging.door import Image
+from nrbench.lattice.gncc import Gncc
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
+
+BAND = 1 << 18
+"""Pixels mapped at a time."""
+SPLINE: Final = 5
+"""Order of the interpolating B-spline: no visible blur."""
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """One tile of the sample, repeated on the lattice: keeps the lattice, loses all randomness.
+
+    The tile is a Voronoi cell of the lattice, the shape with short seams, around a centre drawn uniformly from those
+    whose cell lies whole within the sample. Every output pixel shows the point of that cell that the lattice calls
+    equal to it, so the output continues the sample's phase and nothing drifts; between pixels a spline of order 5
+    interpolates, and where the lattice is of whole pixels every pixel is a copy. Seams are left as they are.
+
+    On perfectly regular textures it is no cheat. With no lattice given it finds one by ``gncc``.
+    """
+
+    reference: ClassVar[bool] = True
+    uses_lattice: ClassVar[bool] = True
+    version: ClassVar[str] = "1"
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the synthesis.
+
+        The source map's weight is 1 where a pixel was copied, else the bilinear weight of the nearest one.
+
+        Raises
+        ------
+        Refused
+            When no lattice is found, or the sample does not hold a whole tile.
+        """
+        found = find_lattice(task, Gncc())
+        if found.lattice is None:
+            raise Refused(f"no lattice found ({found.reason}): there is no tile to repeat")
+        centre = _centre(found.lattice, task.sample.shape, task.rng)
+        image, source = _repeat(task, found.lattice, centre)
+        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds)
+
+
+def reach(lattice: Lattice) -> tuple[float, float]:
+    """Return how far, along x and y in px, the lattice's Voronoi cell reaches from its centre."""
+    a, b = lattice.reduced().matrix
+    corners = np.array([_circumcentre(p, q) for p, q in ((a, b), (a, a - b), (b, b - a))])
+    x, y = np.abs(corners).max(0)
+    return float(x), float(y)
+
+
+def _circumcentre(p: Points, q: Points) -> Points:
+    """Return the point equally far from 0, p and q: a corner of the cell."""
+    return np.asarray(np.linalg.solve(2 * np.stack([p, q]), [p @ p, q @ q]))
+
+
+def _centre(lattice: Lattice, shape: tuple[int, ...], rng: np.random.Generator) -> Points:
+    """Draw the (whole-pixel) centre of a tile that lies whole within the sample."""
+    height, width = shape[:2]
+    x, y = reach(lattice)
+    low = np.ceil([x, y]).astype(int)
+    high = np.floor([width - 1 - x, height - 1 - y]).astype(int)
+    if (high < low).any():
+        raise Refused(
+            f"a tile takes {2 * x:.0f}x{2 * y:.0f} px, the sample is {width}x{height} px: it holds no whole tile"
+        )
+    return rng.integers(low, high + 1).astype(np.float64)
+
+
+def _repeat(task: Task, lattice: Lattice, centre: Points) -> tuple[Image, NDArray[np.float32]]:
+    height, width = task.shape
+    spline = [ndimage.spline_filter(plane, SPLINE, mode="mirror") for plane in np.moveaxis(task.sample, 2, 0)]
+    image = np.empty((height, width, task.sample.shape[2]), np.float32)
+    source = np.empty((height, width, 3), np.float32)
+    rows = max(1, BAND // width)
+    for top in range(0, height, rows):
+        points = _equal_points(lattice, centre, top, image[top : top + rows].shape)
+        for channel, coefficients in enumerate(spline):
+            image[top : top + rows, :, channel] = ndimage.map_coordinates(
+                coefficients, np.moveaxis(points, -1, 0)[::-1], order=SPLINE, mode="mirror", prefilter=False
+            )
+        nearest = np.rint(points)
+        source[top : top + rows, :, :2] = nearest
+        source[top : top + rows, :, 2] = (1 - np.abs(points - nearest)).prod(-1)
+        task.progress(min(1.0, (top + rows) / height))
+    return np.clip(image, 0, 1), source
+
+
+def _equal_points(lattice: Lattice, centre: Points, top: int, shape: tuple[int, ...]) -> Points:
+    """Return, for each pixel of a band of the output, the point of the tile that the lattice calls equal to it."""
+    x, y = np.meshgrid(np.arange(shape[1]), np.arange(top, top + shape[0]))
+    return centre + lattice.wrap(np.stack([x, y], -1) - centre)

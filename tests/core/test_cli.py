@@ -1,0 +1,205 @@
+"""The command line: bad input is one line that says what, where and what to do, exit code 2, and nothing is lost."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pytest
+import skimage.data
+import skimage.io
+
+from nrbench.cli.main import main
+
+
+def call(line: str) -> int:
+    """Run a command line in this process and return its exit code."""
+    with pytest.raises(SystemExit) as left:
+        main(shlex.split(line))
+    return int(left.value.code or 0)
+
+
+@pytest.fixture(autouse=True)
+def pictures(tmp_path: Path) -> Path:
+    """Write pictures that no sane person would pass, and some good ones, into the current directory."""
+    rng = np.random.default_rng(0)
+    brick = skimage.data.brick()[:160, :160]
+    (tmp_path / "text.png").write_text("this is no picture")
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "folder").mkdir()
+    skimage.io.imsave("tiny.png", np.zeros((4, 4, 3), np.uint8), check_contrast=False)
+    skimage.io.imsave("rgba.png", rng.integers(0, 255, (64, 64, 4)).astype(np.uint8), check_contrast=False)
+    skimage.io.imsave("constant.png", np.full((64, 64, 3), 99, np.uint8), check_contrast=False)
+    skimage.io.imsave("brick.png", brick)
+    skimage.io.imsave("sixteen.png", brick.astype(np.uint16) * 257)
+    PIL.Image.fromarray(brick).convert("P").save("palette.png")
+    exif = PIL.Image.Exif()
+    exif[0x0112] = 6
+    PIL.Image.fromarray(brick[:, :120]).save("rotated.jpg", exif=exif)
+    PIL.Image.open("brick.png").save("cut.png")
+    whole = (tmp_path / "cut.png").read_bytes()
+    (tmp_path / "cut.png").write_bytes(whole[: len(whole) // 2])
+    return tmp_path
+
+
+BAD = {
+    "synth text.png -m scatter --size 64x64 -o o.png": "text.png: is no picture",
+    "synth empty.png -m scatter --size 64x64 -o o.png": "is empty",
+    "synth cut.png -m scatter --size 64x64 -o o.png": "cannot be read",
+    "synth tiny.png -m scatter --size 64x64 -o o.png": "at least 8 px a side",
+    "synth rgba.png -m scatter --size 64x64 -o o.png": "flatten it",
+    "synth folder -m scatter --size 64x64 -o o.png": "is a directory",
+    "synth missing.png -m scatter --size 64x64 -o o.png": "there is no such file",
+    "synth constant.png -m rsgf --size 64x64 -o o.png": "nothing to synthesize from",
+    "synth brick.png -m scater --size 64x64 -o o.png": "did you mean 'scatter'",
+    "synth brick.png -m scatter:blok=3 --size 64x64 -o o.png": "did you mean 'block'",
+    "synth brick.png -m scatter:block=x --size 64x64 -o o.png": "block='x'",
+    "synth brick.png -m scatter --size 64 -o o.png": "write WIDTHxHEIGHT",
+    "synth brick.png -m scatter --size 0x64 -o o.png": "each side must be from 1",
+    "synth brick.png -m scatter --size 64x64 -o o.jpg": "outputs are PNG",
+    "synth brick.png -m scatter --size 64x64 -o no/where/o.png": "its directory does not exist",
+    "synth brick.png -m rsgf --size 64x64 --lattice 3,0,6,0 -o o.png": "parallel",
+    "synth brick.png -m rsgf --size 64x64 --lattice 3,0,6 -o o.png": "four numbers",
+    "synth brick.png -m rsgf --size 64x64 --lattice nan,0,0,6 -o o.png": "finite",
+    "synth brick.png -m oracle --size 64x64 -o o.png": "nrbench: ",
+    "lattice brick.png -d gnc": "did you mean 'gncc'",
+    "lattice text.png": "is no picture",
+    "score brick.png constant.png": "channels",
+    "run nosuch": "no suite, TOML file or directory of that name",
+    "run brick.png": "is no TOML file",
+    "run folder": "has no picture",
+    "run core -m nosuch": "method 'nosuch' is not known",
+    "run core -t nosuch*": "matches no texture",
+    "run core --lattice somewhere": "--lattice 'somewhere': is not known",
+    "run core --size 9x": "write WIDTHxHEIGHT",
+    "run core --jobs many": "is not a valid integer",
+    "run core --out brick.png": "is a file; pass another --out",
+    "plan bad.toml": "key 'textur' is not known (did you mean 'texture'?)",
+    "report folder": "is no run",
+    "status missing": "is no run",
+    "show rgsf": "did you mean 'rsgf'",
+    "list plugins": "is not one of",
+    "rum": "verb 'rum' is not known (did you mean 'run'?)",
+    "run --plugin missing.py": "there is no such file",
+    "render brick:colour=0.2 -o out": "did you mean 'color'",
+    "render brick -o brick.png": "is a file",
+}
+
+
+@pytest.mark.parametrize("line", BAD)
+def test_bad_input_is_one_line_and_exit_2(line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every misuse ends with exit code 2 and one line that says what to do, without traceback or debris."""
+    (tmp_path / "bad.toml").write_text('name = "bad"\n[[textur]]\nname = "x"\n')
+    before = sorted(tmp_path.rglob("*"))
+    assert call(line) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert BAD[line] in shown.err
+    assert len(shown.err.splitlines()) == 1 and "Traceback" not in shown.err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+    """`--debug`, anywhere on the line, adds the traceback."""
+    assert call("lattice missing.png --debug") == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["brick.png", "sixteen.png", "palette.png", "rotated.jpg"])
+def test_unusual_pictures_simply_work(name: str, tmp_path: Path) -> None:
+    """Gray, 16-bit, palette and EXIF-rotated pictures are synthesized from."""
+    assert call(f"synth {name} -m scatter --size 70x50 -o out.png") == 0
+    assert skimage.io.imread("out.png").shape[:2] == (50, 70)
+
+
+def test_exif_rotation_is_applied() -> None:
+    """A picture stored lying down is read standing up."""
+    from nrbench.imaging.files import read_image
+
+    assert read_image("rotated.jpg").shape[:2] == (120, 160)
+
+
+def test_a_constant_image_has_no_lattice(capsys: pytest.CaptureFixture[str]) -> None:
+    """`lattice` answers null with a reason, exit code 0."""
+    assert call("lattice constant.png --json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["lattice"] is None and "constant" in answer["reason"]
+
+
+def test_lattice_prints_what_the_contract_says(capsys: pytest.CaptureFixture[str]) -> None:
+    """`lattice --json` prints t1, t2, detector and confidence; the overlay is a picture of the same size."""
+    assert call("render hexagon:color=0.1 --sample 128x128 -o out") == 0
+    capsys.readouterr()
+    assert call("lattice out/hexagon.png --json -o overlay.png") == 0
+    assert set(json.loads(capsys.readouterr().out)) == {"t1", "t2", "detector", "confidence"}
+    assert skimage.io.imread("overlay.png").shape == (128, 128, 3)
+
+
+def test_score_prints_flat_names(capsys: pytest.CaptureFixture[str]) -> None:
+    """`score --json` prints every score as ``metric.column``; a None comes with its reason."""
+    assert call("render brick:color=0.2 --sample 192x192 -o out") == 0
+    capsys.readouterr()
+    assert call("score out/brick.png out/brick.png --json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    reasons = shown.pop("reasons")
+    assert {"regularity.preserved", "regularity.score", "randomness.variation", "cost.seconds"} <= set(shown)
+    assert all(reasons[name] for name, value in shown.items() if value is None)
+
+
+def test_run_prints_json_on_standard_output_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`run --json` prints one JSON document; progress goes to standard error; exit code 0 with a refusal in it."""
+    line = "run default -t brick* -m oracle -m scatter:block=200 --sample 64x64 --size 64x64 --jobs 0 --out r --json"
+    assert call(line) == 0
+    shown = capsys.readouterr()
+    found = json.loads(shown.out)
+    assert found["status"]["ok"] >= 1
+    assert shown.err
+
+
+def test_failed_cells_give_exit_1_and_a_table(faulty: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A failing method makes exit code 1, after the table was written; a refusal does not."""
+    base = "run default -t brick* --sample 64x64 --size 64x64 --jobs 0"
+    assert call(f"{base} -m faulty -m fine --out r") == 1
+    assert Path("r/tables/cells.csv").is_file()
+    assert call(f"{base} -m faulty:how=refuse -m fine --out q") == 0
+
+
+def test_plan_starts_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`plan` counts new cells before and cached ones after, and writes nothing."""
+    line = "default -t brick* -m oracle --sample 64x64 --size 64x64 --out r"
+    assert call(f"plan {line} --json") == 0
+    new = json.loads(capsys.readouterr().out)["new"]
+    assert new > 0 and not (tmp_path / "r").exists()
+    assert call(f"run {line} --jobs 0 --no-report") == 0
+    capsys.readouterr()
+    assert call(f"plan {line} --json") == 0
+    assert json.loads(capsys.readouterr().out)["cached"] == new
+
+
+@pytest.mark.parametrize("kind", ["", "datasets", "detectors", "synthesizers", "metrics", "reports", "suites"])
+def test_list(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """`list` names every plugin and suite, none of them broken."""
+    assert call(f"list {kind}") == 0
+    shown = capsys.readouterr().out
+    assert "BROKEN" not in shown and len(shown.splitlines()) > 1
+
+
+@pytest.mark.parametrize("name", ["rsgf", "gncc", "regularity", "brick", "html", "core"])
+def test_show(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """`show` prints a plugin's page or a suite, as text and as JSON."""
+    assert call(f"show {name}") == 0
+    assert name in capsys.readouterr().out
+    assert call(f"show {name} --json") == 0
+    assert json.loads(capsys.readouterr().out)[0]["name"] == name
+
+
+def test_help_imports_nothing_heavy() -> None:
+    """`--help` answers without importing numpy."""
+    program = "import sys; from nrbench.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
+    done = subprocess.run([sys.executable, "-c", program + "assert 'numpy' not in sys.modules"], capture_output=True)
+    assert done.returncode == 0, done.stderr

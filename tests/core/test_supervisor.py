@@ -1,0 +1,122 @@
+"""Whatever a plugin does becomes a row with its cause, and touches no neighbour."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nrbench.api import run
+from nrbench.records import CellRecord
+from nrbench.runner import Options
+from nrbench.suite import Suite, validated_suite
+from nrbench.supervisor import Supervisor
+
+HOWS = {
+    "raise": ("error", "RuntimeError: planted failure"),
+    "refuse": ("refused", "planted refusal"),
+    "loop": ("timeout", "took longer than 2 s; raise --timeout if it may"),
+    "segfault": ("crash", "died by SIGSEGV"),
+    "exit": ("crash", "left with exit code 3"),
+    "memory": ("memory", "memory"),
+    "hog": ("memory", "memory"),
+    "nan": ("invalid", "returned NaN or infinity in 1 of 4096 pixels"),
+    "shape": ("invalid", "returned an image of shape (63, 64, 3); asked for (64, 64, 3)"),
+    "nothing": ("invalid", "returned NoneType instead of a Synthesis"),
+    "lie": ("invalid", "returned a source map that is not true"),
+}
+
+
+def small_suite(methods: list[str], **more: Any) -> Suite:
+    """Return a suite of one brick wall, 64 x 64."""
+    wall = {"name": "wall", "dataset": "brick", "parameters": {"color": 0.2}}
+    return validated_suite(
+        {"name": "small", "sample": "64x64", "size": "64x64", "methods": methods, "texture": [wall], **more}, "test"
+    )
+
+
+@pytest.fixture(params=["fork", "fresh interpreter"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Run a test with a forking worker, and with a fresh interpreter a cell."""
+    if request.param != "fork":
+        monkeypatch.setenv("NRBENCH_FORK", "no")
+    return str(request.param)
+
+
+def test_every_fault_is_a_row(faulty: Path, tmp_path: Path) -> None:
+    """A method that raises, loops, dies, hogs memory or returns rubbish has its status and cause; others are fine."""
+    suite = small_suite([*(f"faulty:how={how}" for how in HOWS), "fine"])
+    found = run(suite, out=tmp_path / "run", options=Options(jobs=2, timeout=2, memory=300))
+    by_label: dict[str, CellRecord] = {record.method: record for record in found.cells}
+    for how, (status, message) in HOWS.items():
+        record = by_label["faulty" if how == "raise" else f"faulty:how={how}"]
+        assert record.status == status, (how, record.result)
+        assert message in record.message
+    assert by_label["fine"].status == "ok"
+    assert "planted failure" in by_label["faulty"].log_tail
+
+
+def test_a_metric_that_dies_spares_the_others(faulty: Path, tmp_path: Path) -> None:
+    """A metric that kills its process is None with the cause; the next metrics still answer."""
+    found = run(small_suite(["faulty:how=gray", "fine"]), out=tmp_path / "run", options=Options(timeout=20))
+    gray, fine = found.cells
+    assert gray.values["deadly.value"] is None
+    assert gray.reasons["deadly.value"] == "failed: crash: died by SIGKILL"
+    assert "cost.seconds" in gray.values and gray.values["cost.seconds"] is not None
+    assert fine.values["deadly.value"] == 1.0
+
+
+def test_what_a_method_leaves_running_is_killed(faulty: Path, tmp_path: Path) -> None:
+    """A process that a timed-out method forked dies with it."""
+    mark = tmp_path / "mark"
+    found = run(small_suite([f"spawner:mark={mark}"]), out=tmp_path / "run", options=Options(timeout=1))
+    assert found.cells[0].status == "timeout"
+    time.sleep(4.5)
+    assert not mark.exists()
+
+
+@pytest.fixture
+def supervisor() -> Iterator[Supervisor]:
+    """Close a supervisor after the test."""
+    with Supervisor() as one:
+        yield one
+
+
+def test_both_ways_of_starting_agree(faulty: Path, tmp_path: Path, way: str) -> None:
+    """A forked child and a fresh interpreter give the same output, and the same status of a failure."""
+    suite = small_suite(["scatter", "faulty:how=segfault", "faulty:how=loop"])
+    found = run(suite, out=tmp_path / "run", options=Options(timeout=3))
+    assert [record.status for record in found.cells] == ["ok", "crash", "timeout"]
+    here = run(small_suite(["scatter"]), out=tmp_path / "here", options=Options(jobs=0))
+    assert (found.cells[0].folder / "output.png").read_bytes() == (here.cells[0].folder / "output.png").read_bytes()
+
+
+def test_a_worker_that_dies_is_replaced(supervisor: Supervisor, tmp_path: Path) -> None:
+    """After its worker is killed a supervisor reports one crash, then goes on with a new worker."""
+    found = run(small_suite(["oracle"]), out=tmp_path / "run", options=Options(jobs=0))
+    request = {"phase": "score", "folder": str(found.cells[0].folder), "metrics": ["cost"], "seconds": 20, "mib": 500}
+    assert supervisor.ask(request)["scored"] == ["cost"]
+    assert supervisor._worker is not None
+    supervisor._worker.kill()
+    supervisor._worker.wait()
+    assert supervisor.ask(request)["status"] == "crash"
+    assert supervisor.ask(request)["scored"] == ["cost"]
+
+
+def test_the_worker_has_one_thread(supervisor: Supervisor, tmp_path: Path) -> None:
+    """A warm worker, all plugins imported, has a single thread: it may fork."""
+    assert supervisor._start()
+    assert supervisor._worker is not None
+    tasks = list(Path(f"/proc/{supervisor._worker.pid}/task").iterdir())
+    assert len(tasks) == 1
+
+
+def test_results_are_json(faulty: Path, tmp_path: Path) -> None:
+    """Every result on disk is plain JSON with a status."""
+    found = run(small_suite(["fine", "faulty"]), out=tmp_path / "run", options=Options(jobs=0))
+    for record in found.cells:
+        assert json.loads((record.folder / "result.json").read_text())["status"] == record.status

@@ -1,0 +1,158 @@
+"""Claims about pictures from files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from nrbench.datasets_procedural.images import Images, _free_corner
+
+from nrbench.errors import BadInput
+from nrbench.imaging.door import Image
+from nrbench.imaging.files import read_image, write_image
+from nrbench.texture import Region
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    """A picture of 90 x 60 px."""
+    image = np.random.default_rng(0).random((60, 90, 3)).astype(np.float32)
+    return write_image(tmp_path / "wall.png", image)
+
+
+def _part(image: Image, region: Region | None) -> Image:
+    assert region is not None
+    x0, y0, x1, y1 = region
+    return image[y0:y1, x0:x1]
+
+
+def test_render_is_a_crop(picture: Path) -> None:
+    """The sample is a part of the picture, named after it, and says which."""
+    texture = Images(picture).render((20, 30), np.random.default_rng(1))
+    np.testing.assert_array_equal(texture.image, _part(read_image(picture), texture.region))
+    assert texture.image.shape == (20, 30, 3) and texture.name == "wall"
+    assert texture.lattice is None and texture.regular_share is None and not Images.procedural
+
+
+def test_crops_are_drawn(picture: Path) -> None:
+    """Equal streams cut equal crops; over streams every corner place is reached, the outermost too."""
+    cut = [Images(picture).render((57, 88), np.random.default_rng(seed)).region for seed in [0, 0, *range(120)]]
+    assert cut[0] == cut[1]
+    assert {region[:2] for region in cut if region} == {(x, y) for x in range(3) for y in range(4)}
+
+
+@pytest.mark.parametrize(("shape", "region"), [((100, 100), (0, 0, 90, 60)), ((60, 90), (0, 0, 90, 60))])
+def test_small_picture_is_taken_whole(picture: Path, shape: tuple[int, int], region: Region) -> None:
+    """A picture no larger than the sample asked for is the sample."""
+    assert Images(picture).render(shape, np.random.default_rng(0)).region == region
+
+
+def test_picture_small_in_one_direction(picture: Path) -> None:
+    """Where the picture is too low but wide enough, all of its height and a part of its width are taken."""
+    assert Images(picture).render((80, 40), np.random.default_rng(0)).image.shape == (60, 40, 3)
+
+
+def test_again_is_disjoint(picture: Path) -> None:
+    """The oracle's region has the shape asked for, shares no pixel with the sample, and moves with the stream."""
+    plugin = Images(picture)
+    texture = plugin.render((20, 30), np.random.default_rng(1))
+    seen = set()
+    for seed in range(60):
+        other = plugin.again(texture, (32, 24), np.random.default_rng(seed))
+        assert other is not None and other.image.shape == (32, 24, 3)
+        np.testing.assert_array_equal(other.image, _part(read_image(picture), other.region))
+        assert other.region is not None and texture.region is not None and not _touch(other.region, texture.region)
+        seen.add(other.region)
+    assert len(seen) > 30
+
+
+def _touch(a: Region, b: Region) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+
+
+def test_again_without_room(picture: Path) -> None:
+    """None where nothing of the shape fits beside the sample, or into the picture at all."""
+    plugin = Images(picture)
+    texture = plugin.render((40, 60), np.random.default_rng(1))
+    assert plugin.again(texture, (60, 90), np.random.default_rng(0)) is None
+    assert plugin.again(texture, (61, 8), np.random.default_rng(0)) is None
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_free_corners_are_equally_likely(data: st.DataObject) -> None:
+    """The corner drawn is the k-th of all that are free, for every k: none is missed, none is taken twice."""
+    whole = data.draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
+    shape = data.draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
+    x0, y0 = data.draw(st.integers(0, whole[1] - 1)), data.draw(st.integers(0, whole[0] - 1))
+    region = (x0, y0, data.draw(st.integers(x0 + 1, whole[1])), data.draw(st.integers(y0 + 1, whole[0])))
+    places = [(x, y) for y in range(whole[0] - shape[0] + 1) for x in range(whole[1] - shape[1] + 1)]
+    free = [(x, y) for x, y in places if not _touch((x, y, x + shape[1], y + shape[0]), region)]
+    drawn = [_free_corner(whole, shape, region, _Fixed(k)) for k in range(max(1, len(free)))]  # type: ignore[arg-type]
+    assert drawn == (free or [None])
+
+
+class _Fixed:
+    """A stream whose next whole number is known."""
+
+    def __init__(self, k: int) -> None:
+        self.k = k
+
+    def integers(self, _end: int) -> int:
+        """Return the number."""
+        return self.k
+
+
+def test_lattice_moves_with_the_crop(picture: Path) -> None:
+    """The picture's lattice starts at its corner, so that all crops of it have one lattice."""
+    plugin = Images(picture, t1=(11.5, 0.2), t2=(0.0, 9.0))
+    texture = plugin.render((20, 30), np.random.default_rng(1))
+    assert texture.lattice is not None and texture.region is not None
+    assert texture.lattice.t1 == (11.5, 0.2) and texture.lattices == (texture.lattice,)
+    assert texture.lattice.origin == (-texture.region[0], -texture.region[1])
+
+
+@pytest.mark.parametrize(
+    ("vectors", "message"),
+    [({"t1": (3.0, 0.0)}, "give both t1 and t2"), ({"t1": (3.0, 0.0), "t2": (6.0, 0.0)}, "parallel")],
+)
+def test_bad_vectors(picture: Path, vectors: dict[str, tuple[float, float]], message: str) -> None:
+    """One vector without the other, and parallel ones, are refused."""
+    with pytest.raises(BadInput, match=message):
+        Images(picture, **vectors)
+
+
+def test_missing_picture(tmp_path: Path) -> None:
+    """A picture that is not there is named."""
+    with pytest.raises(BadInput, match=r"none\.png: there is no such file"):
+        Images(tmp_path / "none.png").render((16, 16), np.random.default_rng(0))
+
+
+def test_a_picture_written_anew_is_read_anew(picture: Path) -> None:
+    """What was read before is not kept when the file changes."""
+    before = Images(picture).render((60, 90), np.random.default_rng(0)).image
+    write_image(picture, 1 - before)
+    after = Images(picture).render((60, 90), np.random.default_rng(0)).image
+    assert np.abs(before + after - 1).max() < 0.01
+
+
+def test_directory_rows(picture: Path) -> None:
+    """Each picture of a directory is a row, with its lattice where truth.csv has one."""
+    for name in ("a.png", "b.png"):
+        write_image(picture.with_name(name), read_image(picture))
+    write_image(picture.with_name("wall.old.png"), read_image(picture)).rename(picture.with_name("a.jpeg"))
+    picture.with_name("notes.txt").write_text("not a picture")
+    picture.with_name("truth.csv").write_text("file,t1x,t1y,t2x,t2y,notes\nwall.png,30,0,0,20.5,fine\nb.png,,,,,none\n")
+    rows = Images.directory_rows(picture.parent)
+    assert [row["name"] for row in rows] == ["a.jpeg", "a.png", "b", "wall"]
+    assert [set(row["parameters"]) for row in rows] == [{"path"}, {"path"}, {"path"}, {"path", "t1", "t2"}]
+    assert rows[3]["parameters"] == {"path": str(picture), "t1": (30.0, 0.0), "t2": (0.0, 20.5)}
+
+
+def test_empty_directory(tmp_path: Path) -> None:
+    """A directory without a picture is refused."""
+    with pytest.raises(BadInput, match="has no picture"):
+        Images.directory_rows(tmp_path)

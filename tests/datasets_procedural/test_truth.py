@@ -1,0 +1,56 @@
+"""Claims about truth.csv."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from nrbench.datasets_procedural.truth import read_truth
+
+from nrbench.errors import BadInput
+
+HEADER = "file,t1x,t1y,t2x,t2y\n"
+
+
+def _folder(tmp_path: Path, text: str) -> Path:
+    for name in ("a.png", "b.png"):
+        (tmp_path / name).touch()
+    (tmp_path / "truth.csv").write_text(text, "utf-8")
+    return tmp_path
+
+
+def test_no_file(tmp_path: Path) -> None:
+    """Without a truth.csv nothing is known."""
+    assert read_truth(tmp_path) == {}
+
+
+def test_vectors(tmp_path: Path) -> None:
+    """Four numbers are two vectors, empty ones no lattice; column order, other columns and a byte order mark do not matter."""
+    text = '\ufefft2x,t2y,file,note,t1x,t1y\n0, 9.5,a.png,"x, y",12,-1\n,,b.png,,,\n'
+    assert read_truth(_folder(tmp_path, text)) == {"a.png": {"t1": (12.0, -1.0), "t2": (0.0, 9.5)}, "b.png": {}}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("file,t1x,t1y,t2x\na.png,1,2,3\n", r"truth\.csv line 1: lacks column 't2y'"),
+        ("", r"line 1: lacks column"),
+        (HEADER + "a.png,12,0,0,9\nb.png,12,zero,0,9\n", r"line 3: .*'12,zero,0,9' are not four numbers"),
+        (HEADER + "a.png,12,0,0\n", r"line 2: .*are not four numbers"),
+        (HEADER + "a.png,12,0,24,0\n", r"line 2: .*parallel"),
+        (HEADER + "a.png,12,0,nan,0\n", r"line 2: .*finite"),
+        (HEADER + "c.png,12,0,0,9\n", r"line 2: there is no file 'c\.png'"),
+        (HEADER + "a.png,,,,\na.png,,,,\n", r"line 3: 'a\.png' stands a second time"),
+    ],
+)
+def test_malformed(tmp_path: Path, text: str, message: str) -> None:
+    """What is wrong is named with its line."""
+    with pytest.raises(BadInput, match=message):
+        read_truth(_folder(tmp_path, text))
+
+
+def test_no_text(tmp_path: Path) -> None:
+    """A table that is no text is refused."""
+    (tmp_path / "truth.csv").write_bytes(b"\xff\xfe\x00\x00")
+    with pytest.raises(BadInput, match="is no CSV text"):
+        read_truth(tmp_path)

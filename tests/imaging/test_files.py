@@ -1,0 +1,156 @@
+"""Claims about reading and writing pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pytest
+
+from nrbench.errors import BadInput
+from nrbench.imaging.door import quantize
+from nrbench.imaging.files import read_image, write_image
+
+RAMP = np.arange(16 * 12, dtype=np.uint8).reshape(12, 16)
+
+
+def _saved(folder: Path, picture: PIL.Image.Image, name: str = "picture.png", **options: object) -> Path:
+    path = folder / name
+    picture.save(path, **options)  # type: ignore[arg-type]
+    return path
+
+
+def _refusal(path: Path) -> str:
+    with pytest.raises(BadInput) as caught:
+        read_image(path)
+    message = str(caught.value)
+    assert str(path) in message and "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_png_round_trip(tmp_path: Path, channels: int) -> None:
+    """What is written reads back as the image rounded to 8 bits."""
+    image = np.random.default_rng(0).random((9, 14, channels)).astype(np.float32)
+    path = write_image(tmp_path / "out.png", image)
+    np.testing.assert_array_equal(read_image(path), quantize(image))
+
+
+def test_write_leaves_nothing_aside(tmp_path: Path) -> None:
+    """Writing replaces the old file, and leaves no other in the folder."""
+    for value in (0.2, 0.8):
+        write_image(tmp_path / "out.png", np.full((8, 8, 1), value, np.float32))
+    assert [path.name for path in tmp_path.iterdir()] == ["out.png"]
+    assert read_image(tmp_path / "out.png").mean() == pytest.approx(0.8)
+
+
+def test_interrupted_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A write that fails half-way leaves the old picture whole, and no part beside it."""
+    path = write_image(tmp_path / "out.png", np.zeros((8, 8, 3), np.float32))
+
+    def fail(self: PIL.Image.Image, target: Path, *_: object, **__: object) -> None:
+        target.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(PIL.Image.Image, "save", fail)
+    with pytest.raises(BadInput, match="No space left on device"):
+        write_image(path, np.ones((8, 8, 3), np.float32))
+    assert [item.name for item in tmp_path.iterdir()] == ["out.png"]
+    assert not read_image(path).any()
+
+
+@pytest.mark.parametrize(("name", "hint"), [("out.jpg", "PNG"), ("none/out.png", "check its folder")])
+def test_write_refusals(tmp_path: Path, name: str, hint: str) -> None:
+    """Another ending and a missing folder are refused with what to do."""
+    with pytest.raises(BadInput, match=hint):
+        write_image(tmp_path / name, np.zeros((8, 8, 1), np.float32))
+
+
+def test_gray_stays_one_channel(tmp_path: Path) -> None:
+    """A gray PNG is one channel, value / 255."""
+    image = read_image(_saved(tmp_path, PIL.Image.fromarray(RAMP)))
+    np.testing.assert_array_equal(image[..., 0], RAMP.astype(np.float32) / 255)
+
+
+def test_sixteen_bits(tmp_path: Path) -> None:
+    """A 16-bit gray PNG keeps its 65536 levels."""
+    wide = np.linspace(0, 65535, 16 * 12).astype(np.uint16).reshape(12, 16)
+    image = read_image(_saved(tmp_path, PIL.Image.fromarray(wide)))
+    assert image.shape == (12, 16, 1)
+    np.testing.assert_allclose(image[..., 0], wide / 65535, atol=1e-7)
+
+
+def test_palette_becomes_color(tmp_path: Path) -> None:
+    """A palette PNG reads as the colors that its palette holds."""
+    color = np.zeros((10, 10, 3), np.uint8)
+    color[:5] = (200, 30, 60)
+    palette = PIL.Image.fromarray(color).convert("P", palette=PIL.Image.Palette.ADAPTIVE)
+    assert palette.mode == "P"
+    image = read_image(_saved(tmp_path, palette))
+    np.testing.assert_allclose(image * 255, color, atol=1)
+
+
+def test_black_and_white(tmp_path: Path) -> None:
+    """A picture of one bit a pixel reads as 0 and 1."""
+    image = read_image(_saved(tmp_path, PIL.Image.fromarray(RAMP > 90)))
+    np.testing.assert_array_equal(image[..., 0], RAMP > 90)
+
+
+def test_cmyk_jpeg(tmp_path: Path) -> None:
+    """A JPEG for the press reads as color."""
+    picture = PIL.Image.new("CMYK", (12, 10), (0, 255, 255, 0))
+    image = read_image(_saved(tmp_path, picture, "picture.jpg"))
+    np.testing.assert_allclose(image[5, 5], (1, 0, 0), atol=0.05)
+
+
+def test_exif_rotation(tmp_path: Path) -> None:
+    """A JPEG whose EXIF says "turned by 90 degrees" is set upright."""
+    picture = PIL.Image.new("L", (24, 16))
+    picture.paste(255, (0, 0, 24, 8))
+    exif = PIL.Image.Exif()
+    exif[0x0112] = 6
+    image = read_image(_saved(tmp_path, picture, "picture.jpg", exif=exif, quality=95))
+    assert image.shape == (24, 16, 1)
+    assert image[:, 9:].min() > 0.9 and image[:, :7].max() < 0.1
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "LA"])
+def test_alpha_is_refused(tmp_path: Path, mode: str) -> None:
+    """A picture with an alpha channel is refused: flatten it first."""
+    assert "flatten" in _refusal(_saved(tmp_path, PIL.Image.new(mode, (10, 10))))
+
+
+def test_transparent_palette_is_refused(tmp_path: Path) -> None:
+    """So is a palette with a transparent color."""
+    picture = PIL.Image.new("P", (10, 10))
+    assert "transparency" in _refusal(_saved(tmp_path, picture, transparency=0))
+
+
+def test_files_that_are_no_picture(tmp_path: Path) -> None:
+    """A text, an empty file, a directory and a missing file are told apart, each with what to do."""
+    text, empty, missing = (tmp_path / name for name in ("text.png", "empty.png", "missing.png"))
+    text.write_text("hello, I am no picture")
+    empty.touch()
+    assert "no picture that can be read" in _refusal(text)
+    assert "0 bytes" in _refusal(empty)
+    assert "is a directory" in _refusal(tmp_path)
+    assert "no such file" in _refusal(missing)
+
+
+def test_cut_short(tmp_path: Path) -> None:
+    """A PNG that ends half-way is refused, not half read."""
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64), np.uint8)
+    path = _saved(tmp_path, PIL.Image.fromarray(noise))
+    path.write_bytes(path.read_bytes()[:2000])
+    assert "save it again" in _refusal(path)
+
+
+def test_too_small(tmp_path: Path) -> None:
+    """A picture of 4 px a side is refused with the least size."""
+    assert "at least 8 px" in _refusal(_saved(tmp_path, PIL.Image.new("L", (4, 4))))
+
+
+def test_float_pixels_are_refused(tmp_path: Path) -> None:
+    """A TIFF of floating-point pixels, whose range nobody knows, is refused."""
+    assert "8 or 16 bits" in _refusal(_saved(tmp_path, PIL.Image.new("F", (10, 10)), "picture.tiff"))

@@ -1,0 +1,111 @@
+import math
+
+import numpy as np
+import pytest
+
+from nrbench.imaging.door import Image, quantize
+from nrbench.lattice.detection import Detection, NoLatticeFound
+from nrbench.lattice.geometry import Lattice
+from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.synthesizers.tiling import Tiling, reach
+
+OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
+
+
+def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
+    """A smooth image with exactly this lattice."""
+    x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
+    u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
+    first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
+    third = np.cos(2 * math.pi * (u + 2 * v + 0.3))
+    return np.stack([0.5 + 0.2 * first + 0.2 * second, 0.5 + 0.3 * third, 0.5 + 0.4 * first * second], -1).astype("f4")
+
+
+def tile(sample: Image, shape: tuple[int, int], lattice: Lattice | None, seed: int = 0) -> Synthesis:
+    return Tiling().synthesize(Task(sample, shape, lattice, np.random.default_rng(seed)))
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("shape", [(256, 256), (1, 300), (9, 5)])
+def test_a_whole_pixel_lattice_is_continued_exactly(shape: tuple[int, int], channels: int) -> None:
+    """On a perfectly periodic sample the output is the periodic continuation, phase included, to the bit."""
+    motif = np.random.default_rng(0).random((24, 30, channels), np.float32)
+    picture = quantize(np.tile(motif, (20, 20, 1)))
+    made = tile(picture[:100, :128], shape, Lattice((30, 0), (0, 24)))
+    np.testing.assert_array_equal(quantize(made.image), picture[: shape[0], : shape[1]])
+    assert made.source is not None
+    assert (made.source[..., 2] == 1).all()
+
+
+def test_a_fractional_lattice_neither_drifts_nor_blurs() -> None:
+    """Over 800 px an oblique real-valued lattice is continued within a gray level (rms) of the truth."""
+    made = tile(quantize(waves((90, 90), OBLIQUE)), (800, 800), OBLIQUE, seed=3)
+    error = made.image - waves((800, 800), OBLIQUE)
+    assert np.sqrt((error**2).mean()) < 1 / 255
+    corner = error[-100:, -100:]
+    assert np.sqrt((corner**2).mean()) < 1 / 255
+
+
+def test_every_tile_is_the_same() -> None:
+    """On a random sample with a whole-pixel lattice the output repeats exactly, whatever the sample does."""
+    sample = quantize(np.random.default_rng(0).random((70, 80, 3), np.float32))
+    made = tile(sample, (120, 120), Lattice((20, 4), (-3, 16))).image
+    np.testing.assert_allclose(made[4:, 20:], made[:-4, :-20], atol=1e-6)
+    np.testing.assert_allclose(made[16:, :-3], made[:-16, 3:], atol=1e-6)
+
+
+def test_the_map_points_at_what_was_copied() -> None:
+    """Pixels of weight 1 are the sample's; all lie inside it, within one tile."""
+    sample = quantize(np.random.default_rng(0).random((70, 80, 3), np.float32))
+    lattice = Lattice((20, 4), (-3, 16))
+    made = tile(sample, (120, 120), lattice)
+    assert made.source is not None
+    x, y, weight = np.moveaxis(made.source, -1, 0)
+    assert (weight == 1).all()
+    np.testing.assert_allclose(made.image, sample[y.astype(int), x.astype(int)], atol=1e-6)
+    assert len(np.unique(made.source[..., :2].reshape(-1, 2), axis=0)) == lattice.area
+
+
+def test_the_tile_is_drawn_from_the_stream() -> None:
+    """The same stream gives the same tile, others give others."""
+    sample = quantize(np.random.default_rng(0).random((70, 80, 1), np.float32))
+    drawn = [tile(sample, (40, 40), OBLIQUE, seed).image.tobytes() for seed in (0, 0, 1, 2)]
+    assert drawn[0] == drawn[1]
+    assert len(set(drawn)) == 3
+
+
+def test_the_reach_is_that_of_the_voronoi_cell() -> None:
+    """Rectangles reach half their sides; a running bond of squares, half its longer vector."""
+    assert reach(Lattice((30, 0), (0, 24))) == pytest.approx((15, 12))
+    assert reach(Lattice((40, 0), (20, 20))) == pytest.approx((20, 20))
+
+
+def test_a_sample_without_a_whole_tile_is_refused() -> None:
+    """The refusal gives the tile's size and the sample's."""
+    with pytest.raises(Refused, match="60x50 px, the sample is 55x90 px"):
+        tile(np.zeros((90, 55, 1), np.float32), (64, 64), Lattice((60, 0), (0, 50)))
+
+
+def test_without_a_lattice_it_finds_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With none given the detector's is used and told."""
+
+    class Finds:
+        def detect(self, image: Image) -> Detection:
+            return Detection(OBLIQUE, 1.0)
+
+    monkeypatch.setattr("nrbench.synthesizers.tiling.Gncc", Finds)
+    made = tile(waves((90, 90), OBLIQUE), (64, 64), None)
+    assert made.lattice == OBLIQUE
+    assert made.detection_seconds > 0
+
+
+def test_where_none_is_found_it_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No lattice, no tile."""
+
+    class FindsNone:
+        def detect(self, image: Image) -> Detection:
+            raise NoLatticeFound("nothing repeats")
+
+    monkeypatch.setattr("nrbench.synthesizers.tiling.Gncc", FindsNone)
+    with pytest.raises(Refused, match="nothing repeats"):
+        tile(waves((90, 90), OBLIQUE), (64, 64), None)
