@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -21,6 +20,7 @@ from .coordinates import Field, Frame
 from .fields import factor_variance, factors, grain, role_seed
 from .pattern import Layer, Pattern
 
+Elements = dict[str, NDArray[np.float64]]
 _CELL_STEPS = 96
 """Samples along each side of a cell when its variance is integrated."""
 
@@ -38,8 +38,7 @@ class Model(ABC):
     rotation
         Degrees by which the pattern is turned, from x towards y (clockwise on the screen).
     phase
-        Where pixel (0, 0) starts: the fractions (u, v) of the generating vectors by which the lattice is moved; None:
-        drawn at random.
+        Where the lattice starts: fractions (u, v), the origin is u t1 + v t2 from pixel (0, 0); None: drawn at random.
     color
         Strength in [0, 1]: each element's channels are multiplied by independent uniform factors of mean 1 and
         standard deviation ``color / 2``.
@@ -117,20 +116,11 @@ class Model(ABC):
         return Lattice(frame.vector(t1), frame.vector(t2), origin)
 
     def _drawn(self, shape: Shape, origin: Vector, rng: np.random.Generator) -> Texture:
+        """Return a draw on the lattice of that origin: all of it is a function of one number from ``rng``."""
         seed = int(rng.integers(2**63))
-        pattern = self.pattern(*Frame(origin, self.rotation).grid(shape))
-        ideal = pattern.bare()
-        image = ideal.copy()
-        elements: dict[str, NDArray[np.float64]] = {}
-        for layer in pattern.layers:
-            paint = layer.paint()
-            factor, seen = self._factors(layer, seed)
-            elements.update(seen)
-            ideal += paint
-            image += paint * factor
+        image, ideal, elements = self._painted(self.pattern(*Frame(origin, self.rotation).grid(shape)), seed)
         image += np.float32(self.noise) * grain(role_seed(seed, "noise"), shape)[..., np.newaxis]
-        lattice = self._lattice(origin)
-        name = type(self).__name__.lower()
+        lattice, name = self._lattice(origin), type(self).__name__.lower()
         return Texture(
             image=np.clip(image, 0, 1),
             lattice=lattice,
@@ -143,7 +133,20 @@ class Model(ABC):
             regular_share=self.regular_share,
         )
 
-    def _factors(self, layer: Layer, seed: int) -> tuple[Image, Mapping[str, NDArray[np.float64]]]:
+    def _painted(self, pattern: Pattern, seed: int) -> tuple[Image, Image, Elements]:
+        """Return the image with its elements' factors, the ideal image without, and the elements."""
+        ideal = pattern.bare()
+        image = ideal.copy()
+        elements: Elements = {}
+        for layer in pattern.layers:
+            factor, seen = self._factors(layer, seed)
+            paint = layer.paint()
+            ideal += paint
+            image += paint * factor
+            elements |= seen
+        return image, ideal, elements
+
+    def _factors(self, layer: Layer, seed: int) -> tuple[Image, Elements]:
         """Return the factor at each pixel, ``(H, W, 3)``, and index and factors of the elements that are seen."""
         low = [int(part.min()) for part in layer.index]
         sizes = [int(part.max()) - first + 1 for part, first in zip(layer.index, low, strict=True)]

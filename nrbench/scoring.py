@@ -78,7 +78,7 @@ def observe(where: CellFolder, cell: Cell) -> Observation:
     }
     return Observation(
         sample=sample,
-        output=read_image(where.output),
+        output=read_image(where.output, smallest=1),
         truth=truth,
         lattice_given=cell.lattice_given,
         lattice_used=_lattice(result.get("lattice_used")),

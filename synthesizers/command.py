@@ -76,13 +76,14 @@ class Command:
 
 def _fields(template: str) -> set[str]:
     try:
+        shlex.split(template)
         return {name for _, name, _, _ in string.Formatter().parse(template) if name is not None}
     except ValueError as error:
-        raise BadInput(f"run {template!r}: {error}; write {{{{ and }}}} for braces") from None
+        raise BadInput(f"run {template!r}: {error}; write {{{{ and }}}} for braces, and close quotations") from None
 
 
 def _absolute(word: str) -> str:
-    return str(Path(word).resolve()) if Path(word).is_file() else word
+    return str(Path(word).absolute()) if Path(word).is_file() else word
 
 
 def _execute(words: list[str], folder: Path) -> None:

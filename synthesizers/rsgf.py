@@ -12,7 +12,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.blocks import BlockGrid, compose, wedges
 from nrbench.imaging.jit import load_kernels
 from nrbench.imaging.matching import FrameMatcher, Match
-from nrbench.imaging.sampling import Positions, Room, around, equivalent_positions, nearest_pixel
+from nrbench.imaging.sampling import Positions, Room, around, equivalent_positions, nearest_pixels
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.gncc import Gncc
 from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
@@ -118,7 +118,7 @@ class _Filling:
         """Section 4.1: fill every second block with a patch drawn from those equal to it."""
         border = self.method.border
         for row, column in self.grid.placed():
-            candidates = nearest_pixel(self._equivalent(row, column, -border, room, 0.0))
+            candidates = nearest_pixels(self._equivalent(row, column, -border, room, 0.0), room)
             self._require(len(candidates), row, column, self.method.block + 2 * border)
             self.places[row, column] = candidates[self.task.rng.integers(len(candidates))] + border
 

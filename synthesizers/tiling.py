@@ -10,14 +10,18 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.imaging.door import Image
-from nrbench.lattice.gncc import Gncc
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.gncc import Gncc
 from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
 
 BAND = 1 << 18
 """Pixels mapped at a time."""
 SPLINE: Final = 5
 """Order of the interpolating B-spline: no visible blur."""
+
+
+ASIDE: Final = (0.0011, 0.0007)
+"""The cell's centre is moved by this, px, so that no pixel lies on its border, where rounding would choose a side."""
 
 
 @dataclass(frozen=True)
@@ -102,4 +106,5 @@ def _repeat(task: Task, lattice: Lattice, centre: Points) -> tuple[Image, NDArra
 def _equal_points(lattice: Lattice, centre: Points, top: int, shape: tuple[int, ...]) -> Points:
     """Return, for each pixel of a band of the output, the point of the tile that the lattice calls equal to it."""
     x, y = np.meshgrid(np.arange(shape[1]), np.arange(top, top + shape[0]))
-    return centre + lattice.wrap(np.stack([x, y], -1) - centre)
+    aside = centre + ASIDE
+    return aside + lattice.wrap(np.stack([x, y], -1) - aside)

@@ -16,7 +16,7 @@ MIN_SIDE = 8
 _INTEGER_PEAK = {np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}
 
 
-def as_image(array: Any, where: str = "image") -> Image:
+def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Image:
     """Convert what scikit-image users hold to an :data:`Image`.
 
     Parameters
@@ -25,6 +25,8 @@ def as_image(array: Any, where: str = "image") -> Image:
         uint8, uint16 or float in [0, 1]; ``(H, W)``, ``(H, W, 1)`` or ``(H, W, 3)``.
     where
         How an error names the input.
+    smallest
+        Least number of px a side.
 
     Returns
     -------
@@ -34,21 +36,21 @@ def as_image(array: Any, where: str = "image") -> Image:
     Raises
     ------
     BadInput
-        For any other dtype or shape, alpha, NaN or infinity, values outside [0, 1], or a side under 8 px.
+        For any other dtype or shape, alpha, NaN or infinity, values outside [0, 1], or too small a side.
     """
     pixels = np.asarray(array)
     pixels = pixels[..., np.newaxis] if pixels.ndim == 2 else pixels
-    _check_shape(pixels, where)
+    _check_shape(pixels, where, smallest)
     return _to_unit(pixels, where)
 
 
-def _check_shape(pixels: NDArray[Any], where: str) -> None:
+def _check_shape(pixels: NDArray[Any], where: str, smallest: int) -> None:
     if pixels.ndim != 3 or pixels.shape[2] not in (1, 2, 3, 4):
         raise BadInput(f"{where}: shape {pixels.shape} is no image; pass (H, W), (H, W, 1) or (H, W, 3)")
     if pixels.shape[2] in (2, 4):
         raise BadInput(f"{where}: has an alpha channel; flatten it onto a background first, e.g. image[..., :3]")
-    if min(pixels.shape[:2]) < MIN_SIDE:
-        raise BadInput(f"{where}: {pixels.shape[1]}x{pixels.shape[0]} px; at least {MIN_SIDE} px a side are needed")
+    if min(pixels.shape[:2]) < smallest:
+        raise BadInput(f"{where}: {pixels.shape[1]}x{pixels.shape[0]} px; at least {smallest} px a side are needed")
 
 
 def _to_unit(pixels: NDArray[Any], where: str) -> Image:

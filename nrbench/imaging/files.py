@@ -12,19 +12,21 @@ import PIL.ImageOps
 from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, as_image, to_bytes
+from nrbench.imaging.door import MIN_SIDE, Image, as_image, to_bytes
 
 _DIRECT = {"L", "RGB", "I;16"}
 _VIA = {"1": "L", "P": "RGB", "CMYK": "RGB", "YCbCr": "RGB", "LAB": "RGB", "HSV": "RGB"}
 
 
-def read_image(path: str | Path) -> Image:
+def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     """Read a picture: PNG, JPEG, TIFF or whatever else Pillow reads; of several frames the first.
 
     Parameters
     ----------
     path
         8 bits gray, color or palette; 16 bits gray; an EXIF rotation is applied.
+    smallest
+        Least number of px a side: an input needs some structure, an output may be a line.
 
     Returns
     -------
@@ -40,7 +42,7 @@ def read_image(path: str | Path) -> Image:
     _check_file(Path(path), where)
     try:
         with PIL.Image.open(path) as opened:
-            return as_image(_pixels(PIL.ImageOps.exif_transpose(opened), where), where)
+            return as_image(_pixels(PIL.ImageOps.exif_transpose(opened), where), where, smallest)
     except PIL.UnidentifiedImageError:
         raise BadInput(f"{where}: is no picture that can be read; pass a PNG, JPEG or TIFF file") from None
     except PIL.Image.DecompressionBombError:

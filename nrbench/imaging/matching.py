@@ -77,8 +77,8 @@ class FrameMatcher:
             self._runs(hole, channels),
             np.ascontiguousarray(positions * (channels, 1)),
         )
-        sums, squares = (table[positions[:, 1], positions[:, 0]] for table in self._sums(hole))
-        return self._rate(products, sums, squares, template, hole)
+        sums, spread = (table[positions[:, 1], positions[:, 0]] for table in self._statistics(hole))
+        return self._rate(products, sums, spread, template, hole)
 
     def everywhere(self, template: NDArray[np.float32], hole: Hole) -> Array:
         """Rate every place, in the Fourier domain: an array of shape :attr:`room`; parameters as in :meth:`at`."""
@@ -86,21 +86,22 @@ class FrameMatcher:
         spectrum = fft.rfft2(framed, self._fast_shape, axes=(0, 1)).conj()
         products = fft.irfft2((self._spectrum * spectrum).sum(-1), self._fast_shape)
         rows, columns = self.room
-        return self._rate(np.rint(products[:rows, :columns]), *self._sums(hole), template, hole)
+        return self._rate(np.rint(products[:rows, :columns]), *self._statistics(hole), template, hole)
 
-    def _rate(self, products: Array, sums: Array, squares: Array, template: NDArray[np.float32], hole: Hole) -> Array:
-        """Make ratings of sums over the frame: equation 4, or equation 10 multiplied out.
-
-        ``products (...)`` is summed over the channels, ``sums`` and ``squares (..., C)`` are not.
-        """
+    def _rate(self, products: Array, sums: Array, spread: Array, template: NDArray[np.float32], hole: Hole) -> Array:
+        """Make ratings of sums of products ``(...)``: equation 10 multiplied out, or equation 4."""
         inside = template[_outside(hole, self.size)].astype(np.float64)
-        own, own_squares = inside.sum(0), (inside**2).sum(0)
+        own, own_spread = self._summary(inside.sum(0), (inside**2).sum(0), len(inside))
         if self.match == "color":
-            return np.asarray(2 * products - squares.sum(-1) - own_squares.sum())
-        n = len(inside)
-        covariance = n * products - sums @ own
-        spread = _root(n * squares - sums**2) @ _root(n * own_squares - own**2)
-        return np.asarray(np.divide(covariance, spread, out=np.zeros_like(covariance), where=spread > 0))
+            return np.asarray(2 * products - spread - own_spread)
+        covariance, both = len(inside) * products - sums @ own, spread @ own_spread
+        return np.asarray(np.divide(covariance, both, out=np.zeros_like(covariance), where=both > 0))
+
+    def _summary(self, sums: Array, squares: Array, n: int) -> tuple[Array, Array]:
+        """Return the sums ``(..., C)``, and what the match needs of the squares: their total, or n standard deviations."""
+        if self.match == "color":
+            return sums, np.asarray(squares.sum(-1))
+        return sums, np.sqrt(np.maximum(n * squares - sums**2, 0))
 
     @cached_property
     def _fast_shape(self) -> tuple[int, int]:
@@ -117,16 +118,16 @@ class FrameMatcher:
         return _integral(values), _integral(values**2)
 
     @cached_property
-    def _known_sums(self) -> dict[Hole, tuple[Array, Array]]:
+    def _known(self) -> dict[Hole, tuple[Array, Array]]:
         return {}
 
-    def _sums(self, hole: Hole) -> tuple[Array, Array]:
-        """Sum values and squares under the frame at every place: over the square, less over the hole."""
-        if hole not in self._known_sums:
+    def _statistics(self, hole: Hole) -> tuple[Array, Array]:
+        """Return the summary of what lies under the frame at every place: sums over the square less over the hole."""
+        if hole not in self._known:
             square = (0, self.size, 0, self.size)
-            values, squares = (self._box(table, square) - self._box(table, hole) for table in self._integrals)
-            self._known_sums[hole] = values, squares
-        return self._known_sums[hole]
+            sums, squares = (self._box(table, square) - self._box(table, hole) for table in self._integrals)
+            self._known[hole] = self._summary(sums, squares, int(_outside(hole, self.size).sum()))
+        return self._known[hole]
 
     def _box(self, integral: Array, box: Hole) -> Array:
         rows, columns = self.room
@@ -157,7 +158,3 @@ def _outside(hole: Hole, size: int) -> NDArray[np.bool_]:
     frame = np.ones((size, size), bool)
     frame[hole[0] : hole[1], hole[2] : hole[3]] = False
     return frame
-
-
-def _root(square: Array) -> Array:
-    return np.sqrt(np.maximum(square, 0))

@@ -45,22 +45,29 @@ def equivalent_positions(lattice: Lattice, position: Vector, room: Room, margin:
     return Lattice(lattice.t1, lattice.t2, position).points(room, margin)
 
 
-def nearest_pixel(positions: Points) -> Positions:
-    """Round places to whole pixels, halves up."""
-    return np.floor(positions + 0.5).astype(np.int64)
+def nearest_pixels(positions: Points, room: Room) -> Positions:
+    """Return places rounded to whole pixels, halves up; each once, row by row, whatever the lattice's basis."""
+    return _once(_round(positions), room)
 
 
 def around(positions: Points, tolerance: float, room: Room) -> Positions:
     """Return the whole-pixel places within ``tolerance`` px of any of ``positions``, along x and y, inside the room.
 
-    Each is returned once. The nearest pixel always counts, however small the tolerance (RSGF, section 4.2: 3 px).
+    Each once, row by row. The nearest pixel always counts, however small the tolerance (RSGF, section 4.2: 3 px).
     """
     reach = min(max(tolerance, 0.5), max(room)) + 1e-9
     steps = np.arange(-math.floor(reach + 0.5), math.floor(reach + 0.5) + 1)
     offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
-    near = nearest_pixel(positions)[:, np.newaxis] + offsets
+    near = _round(positions)[:, np.newaxis] + offsets
     close = (np.abs(near - positions[:, np.newaxis]) <= reach).all(-1)
     inside = ((near >= 0) & (near < room[::-1])).all(-1)
-    x, y = near[close & inside].T
-    once = np.unique(y * room[1] + x)
-    return np.stack([once % room[1], once // room[1]], -1)
+    return _once(near[close & inside], room)
+
+
+def _round(positions: Points) -> Positions:
+    return np.floor(positions + 0.5).astype(np.int64)
+
+
+def _once(positions: Positions, room: Room) -> Positions:
+    index = np.unique(positions[:, 1] * room[1] + positions[:, 0])
+    return np.stack([index % room[1], index // room[1]], -1)

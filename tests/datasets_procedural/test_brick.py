@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from nrbench.datasets_procedural.brick import Brick
 
+from nrbench.datasets_procedural.brick import Brick
 from nrbench.errors import BadInput
 
 
@@ -34,7 +36,7 @@ def test_each_brick_has_one_factor() -> None:
 
 
 @pytest.mark.parametrize("parameters", [{"joint": 0.5}, {"width": 3.0}, {"height": float("nan")}, {"width": 1e6}])
-def test_bad_sizes(parameters: dict[str, float]) -> None:
+def test_bad_sizes(parameters: dict[str, Any]) -> None:
     """A joint under one px, and a brick that the joints swallow, are refused with the least size."""
     with pytest.raises(BadInput, match="give at least"):
         Brick(**parameters)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from nrbench.datasets_procedural.coordinates import Frame, honeycomb, nearest, rows
 
+from nrbench.datasets_procedural.coordinates import Frame, honeycomb, nearest, rows
 from nrbench.lattice.geometry import Lattice
 
 

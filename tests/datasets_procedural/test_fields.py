@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+
 from nrbench.datasets_procedural.fields import factor_variance, factors, grain, hashed, role_seed, uniform
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
-from nrbench.datasets_procedural.hexagon import Hexagon
 
+from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.errors import BadInput
 
 
@@ -27,7 +28,7 @@ def test_sixfold() -> None:
         .image
         for angle in (10.0, 70.0)
     ]
-    np.testing.assert_allclose(*images, atol=1e-5)
+    np.testing.assert_allclose(images[0], images[1], atol=1e-5)
 
 
 def test_each_tile_has_one_factor() -> None:
@@ -36,14 +37,14 @@ def test_each_tile_has_one_factor() -> None:
     texture = tiles.render((20, 70), np.random.default_rng(0))
     assert texture.ideal is not None
     ratio = texture.image / texture.ideal
-    inside = [ratio[0:8, 0:9], ratio[0:8, 12:29], ratio[0:8, 32:49], ratio[14:20, 8:13]]
+    inside = [ratio[0:5, 0:8], ratio[0:5, 13:28], ratio[0:5, 33:48], ratio[14:20, 4:17]]
     for tile in inside:
         assert np.ptp(tile.reshape(-1, 3), axis=0).max() < 1e-5
     assert len({tuple(tile[0, 2].round(4)) for tile in inside}) == 4
 
 
 @pytest.mark.parametrize("parameters", [{"joint": 0.9}, {"period": 4.0}, {"period": float("inf")}])
-def test_bad_sizes(parameters: dict[str, float]) -> None:
+def test_bad_sizes(parameters: dict[str, Any]) -> None:
     """Grout under one px, and a tile that it swallows, are refused with the least size."""
     with pytest.raises(BadInput, match="give at least"):
         Hexagon(**parameters)

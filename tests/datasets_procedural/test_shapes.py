@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from nrbench.datasets_procedural.coordinates import Field
 from nrbench.datasets_procedural.shapes import box, coverage, hexagon, rim, round_profile, stripe
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from nrbench.datasets_procedural.truth import read_truth
 
+from nrbench.datasets_procedural.truth import read_truth
 from nrbench.errors import BadInput
 
 HEADER = "file,t1x,t1y,t2x,t2y\n"
@@ -25,7 +25,7 @@ def test_no_file(tmp_path: Path) -> None:
 
 
 def test_vectors(tmp_path: Path) -> None:
-    """Four numbers are two vectors, empty ones no lattice; column order, other columns and a byte order mark do not matter."""
+    """Four numbers are two vectors, empty ones no lattice; order, other columns and a byte order mark do not matter."""
     text = '\ufefft2x,t2y,file,note,t1x,t1y\n0, 9.5,a.png,"x, y",12,-1\n,,b.png,,,\n'
     assert read_truth(_folder(tmp_path, text)) == {"a.png": {"t1": (12.0, -1.0), "t2": (0.0, 9.5)}, "b.png": {}}
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from nrbench.datasets_procedural.weave import Weave
 
+from nrbench.datasets_procedural.weave import Weave
 from nrbench.errors import BadInput
 
 EVEN = Weave(warp=12, weft=10, gap=2, phase=(0, 0), color=0, intensity=0, noise=0)
@@ -49,7 +51,7 @@ def test_equal_spacings_still_need_two_threads() -> None:
 
 
 @pytest.mark.parametrize("parameters", [{"gap": 0.0}, {"warp": 3.0}, {"weft": float("nan")}])
-def test_bad_sizes(parameters: dict[str, float]) -> None:
+def test_bad_sizes(parameters: dict[str, Any]) -> None:
     """A gap under one px, and a thread that the gaps swallow, are refused with the least size."""
     with pytest.raises(BadInput, match="give at least"):
         Weave(**parameters)

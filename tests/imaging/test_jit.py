@@ -10,11 +10,13 @@ from nrbench.imaging.matching_kernels import correlate_at
 
 
 def double(x: float) -> float:
+    """Return twice the argument."""
     return 2 * x
 
 
 @pytest.fixture
 def undeclared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the kernels declared in a test from the others."""
     monkeypatch.setattr(jit, "KERNELS", [])
 
 

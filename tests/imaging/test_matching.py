@@ -10,22 +10,24 @@ HOLES: list[Hole] = [(3, 6, 3, 6), (0, 6, 3, 9), (2, 2, 4, 4)]
 
 
 def noise(shape: tuple[int, int], channels: int, seed: int = 0) -> Image:
+    """Return noise of 8 bits."""
     return quantize(np.random.default_rng(seed).random((*shape, channels), np.float32))
 
 
 def cut(image: Image, x: int, y: int) -> NDArray[np.float32]:
+    """Return a patch as whole numbers."""
     return to_bytes(image)[y : y + SIZE, x : x + SIZE].astype(np.float32)
 
 
 def counted(patch: NDArray[np.float32], hole: Hole) -> NDArray[np.float64]:
-    """The pixels of a patch outside the hole, by naive loops: (n, C)."""
+    """Return the pixels of a patch outside the hole, by naive loops: (n, C)."""
     y0, y1, x0, x1 = hole
     rows = range(SIZE)
     return np.array([patch[y, x] for y in rows for x in rows if not (y0 <= y < y1 and x0 <= x < x1)], np.float64)
 
 
 def naive(patch: NDArray[np.float32], template: NDArray[np.float32], hole: Hole, match: Match) -> float:
-    """Equation 10 (negated), or equations 3 and 6, as they stand."""
+    """Rate by equation 10 (negated), or equations 3 and 6, as they stand."""
     f, g = counted(patch, hole), counted(template, hole)
     if match == "color":
         return -float(((f - g) ** 2).sum())

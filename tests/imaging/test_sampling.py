@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.imaging.sampling import around, equivalent_positions, nearest_pixel, room_for
+from nrbench.imaging.sampling import around, equivalent_positions, nearest_pixels, room_for
 from nrbench.lattice.geometry import Lattice
 
 coordinate = st.floats(-3000, 3000)
@@ -17,7 +17,7 @@ def test_room_counts_the_places_wholly_inside() -> None:
 
 def test_all_equal_places_are_found_and_no_others() -> None:
     """On an upright whole-pixel lattice the candidates are the places of equal remainder."""
-    places = nearest_pixel(equivalent_positions(Lattice((30, 0), (0, 24)), (95.0, 200.0), (69, 69)))
+    places = nearest_pixels(equivalent_positions(Lattice((30, 0), (0, 24)), (95.0, 200.0), (69, 69)), (69, 69))
     assert sorted(map(tuple, places.tolist())) == [(x, y) for x in (5, 35, 65) for y in (8, 32, 56)]
 
 
@@ -28,7 +28,8 @@ def test_places_are_equal_by_the_lattice_and_round_into_the_room(x: float, y: fl
     lattice = Lattice((21.37 * c, 21.37 * s), (-18.81 * s, 18.81 * c))
     places = equivalent_positions(lattice, (x, y), (69, 89))
     np.testing.assert_allclose(lattice.wrap(places - (x, y)), 0, atol=1e-8)
-    pixels = nearest_pixel(places)
+    pixels = nearest_pixels(places, (69, 89))
+    assert len(pixels) == len(places)
     assert ((pixels >= 0) & (pixels < (89, 69))).all()
     assert len(places) == pytest.approx(69 * 89 / lattice.area, abs=8)
 

@@ -24,15 +24,19 @@ FRACTIONAL = Lattice(
 
 
 def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
+    """Return noise of 8 bits."""
     return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
 
 
-def synthesize(method: Rsgf, sample: Image, shape: tuple[int, int], lattice: Lattice | None, seed: int = 1) -> Synthesis:
+def synthesize(
+    method: Rsgf, sample: Image, shape: tuple[int, int], lattice: Lattice | None, seed: int = 1
+) -> Synthesis:
+    """Run the method."""
     return method.synthesize(Task(sample, shape, lattice, np.random.default_rng(seed)))
 
 
 def places(made: Synthesis, block: int) -> NDArray[np.int64]:
-    """The (x, y) in the sample of every block's first pixel, read off the source map at the blocks' middles."""
+    """Read the (x, y) in the sample of every block's first pixel off the source map at the blocks' middles."""
     assert made.source is not None
     middle = made.source[block // 2 :: block, block // 2 :: block]
     assert (middle[..., 2] == 1).all()
@@ -44,7 +48,7 @@ def places(made: Synthesis, block: int) -> NDArray[np.int64]:
 @pytest.mark.parametrize("channels", [1, 3])
 def test_a_whole_pixel_lattice_is_continued_exactly(match: Any, search: Any, channels: int) -> None:
     """On a perfectly periodic sample the output is the periodic continuation, phase included, to the bit."""
-    picture = np.tile(noise(24, 30, channels), (12, 12, 1))
+    picture = np.tile(noise(24, 30, channels), (13, 13, 1))
     method = Rsgf(match=match, search=search)
     for shape in ((256, 256), (1, 300), (300, 1), (9, 5)):
         made = synthesize(method, picture[:128, :128], shape, Lattice((30, 0), (0, 24)))
@@ -56,25 +60,20 @@ def test_any_basis_of_the_lattice_gives_the_same_bytes() -> None:
     sample = noise(128, 128)
     one = synthesize(Rsgf(), sample, (100, 100), Lattice((20, 5), (-4, 22)))
     other = synthesize(Rsgf(), sample, (100, 100), Lattice((20, 5), (3 * 20 - 4, 3 * 5 + 22)))
-    assert sorted(map(tuple, places(one, 40).reshape(-1, 2))) is not None
-    np.testing.assert_allclose(FRACTIONAL.wrap([0, 0]), 0)
-    assert one.image.shape == other.image.shape
+    np.testing.assert_array_equal(one.image, other.image)
 
 
 def test_a_fractional_lattice_does_not_drift() -> None:
-    """Placed patches keep within half a pixel of the real-valued lattice, and gaps within the tolerance, over 800 px."""
+    """Over 800 px placed patches keep within half a pixel of the real-valued lattice, and gaps within the tolerance."""
     made = synthesize(Rsgf(), noise(128, 128), (800, 800), FRACTIONAL)
     found = places(made, 40)
     rows, columns = np.indices(found.shape[:2])
     output = np.stack([columns, rows], -1) * 40
     placed = (rows + columns) % 2 == 0
     tolerance = 0.1 * FRACTIONAL.s
-    assert np.abs(nearest(FRACTIONAL, found - output, placed)).max() <= 0.5 + 1e-9
-    assert np.abs(nearest(FRACTIONAL, found - output, ~placed)).max() <= tolerance + 1e-9
-
-
-def nearest(lattice: Lattice, vectors: NDArray[np.int64], chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
-    return lattice.wrap(vectors[chosen])
+    misplaced = np.abs(FRACTIONAL.wrap(found - output)).max(-1)
+    assert misplaced[placed].max() <= 0.5 + 1e-9
+    assert misplaced[~placed].max() <= tolerance + 1e-9
 
 
 def test_a_smooth_fractional_texture_is_continued_well() -> None:
@@ -98,22 +97,21 @@ def test_the_random_choice_is_uniform_over_the_candidates() -> None:
 
 
 def naive_border(sample: Image, found: NDArray[np.int64], row: int, column: int) -> NDArray[np.float64]:
-    """The full neighbouring border of a gap of 8 px: each pixel from the nearest neighbour's continued patch, or NaN."""
+    """Return the full border of a gap of 8 px: each pixel from the nearest neighbour's continued patch, or NaN."""
     pixels = np.full((8, 8, sample.shape[2]), np.nan)
     rows, columns = found.shape[:2]
     for y, x in itertools.product(range(8), range(8)):
         near = [(x, 0, -1), (y, -1, 0), (7 - x, 0, 1), (7 - y, 1, 0)]
         near = [(d, i, j) for d, i, j in near if 0 <= row + i < rows and 0 <= column + j < columns]
-        near = sorted((d, k, i, j) for k, (d, i, j) in enumerate(near))
-        if near[0][0] >= 2:
-            continue
-        _, _, i, j = min(near, key=lambda one: (one[0], one[2] != 0))
-        sx, sy = found[row + i, column + j]
-        pixels[y, x] = to_bytes(sample)[sy + y - 8 * i, sx + x - 8 * j]
+        distance, i, j = min(near, key=lambda one: (one[0], one[1] != 0))
+        if distance < 2:
+            sx, sy = found[row + i, column + j]
+            pixels[y, x] = to_bytes(sample)[sy + y - 8 * i, sx + x - 8 * j]
     return pixels
 
 
 def naive_rating(patch: NDArray[np.float64], border: NDArray[np.float64], match: str) -> float:
+    """Rate a patch by equation 10 (negated), or equations 3 and 6, where the border is."""
     f, g = (part[~np.isnan(border[..., 0])].astype(float) for part in (patch, border))
     if match == "color":
         return -float(((f - g) ** 2).sum())
@@ -141,6 +139,7 @@ def test_gaps_take_the_best_of_the_patches_allowed(match: Any, search: Any, tole
 
 
 def allowed(lattice: Lattice, x: int, y: int, tolerance: float) -> bool:
+    """Tell whether a vector is within the tolerance of one of the lattice."""
     steps = np.array(list(itertools.product(range(-9, 10), repeat=2))) @ lattice.matrix
     return bool((np.abs((x, y) - steps) <= tolerance + 1e-9).all(-1).any())
 

@@ -13,7 +13,7 @@ OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
 
 
 def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
-    """A smooth image with exactly this lattice."""
+    """Return a smooth image with exactly this lattice."""
     x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
     u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
     first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
@@ -22,6 +22,7 @@ def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
 
 
 def tile(sample: Image, shape: tuple[int, int], lattice: Lattice | None, seed: int = 0) -> Synthesis:
+    """Run the method."""
     return Tiling().synthesize(Task(sample, shape, lattice, np.random.default_rng(seed)))
 
 

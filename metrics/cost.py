@@ -1,0 +1,40 @@
+"""What an output cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from nrbench.synthesis import Column, Observation, Score, Value
+
+
+def _column(meaning: str, unit: str, better: Literal["higher", "lower"] = "lower") -> Column:
+    return Column(meaning, unit, (0.0, math.inf), better)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Time and memory that the synthesis took, as the supervisor measured them."""
+
+    version: ClassVar[str] = "1"
+    columns: ClassVar[Mapping[str, Column]] = {
+        "seconds": _column("Wall time of the synthesis, detection included.", "s"),
+        "cpu_seconds": _column("Processor time of the synthesis, all threads.", "s"),
+        "detection_seconds": _column("Wall time spent in finding the lattice.", "s"),
+        "peak_mib": _column("Peak memory above that of the idle worker.", "MiB"),
+        "px_per_second": _column("Output pixels for each second of wall time.", "px/s", "higher"),
+        "reliable": Column("No other cell ran at the same time, so the times are comparable."),
+    }
+
+    def score(self, observation: Observation) -> Score:
+        """Return what was measured; None and the reason for the rest."""
+        height, width = observation.output.shape[:2]
+        seconds, cost = observation.seconds, observation.cost
+        values: dict[str, Value] = {name: cost.get(name) for name in ("cpu_seconds", "detection_seconds", "peak_mib")}
+        values["seconds"] = seconds
+        values["px_per_second"] = height * width / seconds if seconds else None
+        values["reliable"] = None if seconds is None else not cost.get("side_by_side")
+        reasons = {name: "it was not measured" for name, value in values.items() if value is None}
+        return Score({name: values[name] for name in self.columns}, reasons)

@@ -1,0 +1,71 @@
+"""The lattice that a method used, against the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from nrbench.errors import BadInput
+from nrbench.lattice.error import LatticeError, lattice_error
+from nrbench.synthesis import Column, Observation, Score, Value
+
+
+@dataclass(frozen=True)
+class LatticeRecovery:
+    """How well the method's lattice agrees with the true one; see :mod:`nrbench.lattice.error`.
+
+    Parameters
+    ----------
+    tolerance
+        The largest error of a generating vector, px, at which the lattice still counts as the same.
+    """
+
+    tolerance: float = 1.0
+
+    version: ClassVar[str] = "1"
+    columns: ClassVar[Mapping[str, Column]] = {
+        "exact": Column("The method used the smallest lattice of the texture.", better="higher"),
+        "index": Column(
+            "True cells in a cell of the method's lattice: 1, k for a supercell, 1/k for a subcell.",
+            range=(0.0, math.inf),
+            better="one",
+        ),
+        "vector_error": Column("Larger error of the two generating vectors.", "px", (0.0, math.inf), "lower"),
+        "angle": Column("Larger angle between generating vectors and true ones.", "deg", (0.0, 180.0), "lower"),
+        "area_ratio": Column("Area of the method's cell over the true cell's.", "", (0.0, math.inf), "one"),
+        "drift": Column(
+            "How far the two lattices, matched at one corner of the output, are apart at the opposite corner.",
+            "px",
+            (0.0, math.inf),
+            "lower",
+        ),
+    }
+
+    def __post_init__(self) -> None:
+        if not 0 < self.tolerance < math.inf:
+            raise BadInput(f"lattice_recovery: tolerance is {self.tolerance}; give a number of px above 0")
+
+    def score(self, observation: Observation) -> Score:
+        """Return the comparison; None throughout where the truth or the method has no lattice."""
+        truth = observation.truth.lattice if observation.truth else None
+        used = observation.lattice_used
+        if truth is None or used is None:
+            reason = "the truth has no lattice" if truth is None else "the method used no lattice"
+            return Score(dict.fromkeys(self.columns), dict.fromkeys(self.columns, reason))
+        height, width = observation.output.shape[:2]
+        error = lattice_error(used, truth, (height, width), self.tolerance)
+        reasons = {} if error.index is not None else {"index": "the lattice is wrong, not a multiple of the true one"}
+        return Score(_values(error), reasons, records={"class": error.label})
+
+
+def _values(error: LatticeError) -> dict[str, Value]:
+    return {
+        "exact": error.relation == "exact",
+        "index": error.index,
+        "vector_error": error.vector,
+        "angle": error.angle,
+        "area_ratio": error.area_ratio,
+        "drift": error.drift,
+    }

@@ -1,0 +1,72 @@
+"""The wheel: all that a stranger needs is in it, and nothing of ours lies beside the one package."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PARTS = (
+    "nrbench",
+    "synthesizers",
+    "metrics",
+    "datasets_procedural",
+    "reports",
+    "pyproject.toml",
+    "README.md",
+    "LICENSE",
+)
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the wheel from a copy of the sources."""
+    place = tmp_path_factory.mktemp("wheel")
+    for part in PARTS:
+        copy = shutil.copytree if (ROOT / part).is_dir() else shutil.copy
+        copy(ROOT / part, place / part)
+    options = ["--no-deps", "--no-build-isolation", "--quiet", "--wheel-dir", str(place / "dist")]
+    subprocess.run([sys.executable, "-m", "pip", "wheel", str(place), *options], check=True, capture_output=True)
+    return next((place / "dist").glob("*.whl"))
+
+
+def test_only_one_package_is_installed(wheel: Path) -> None:
+    """The wheel holds `nrbench` and its metadata alone, templates, suites and type marker included."""
+    names = zipfile.ZipFile(wheel).namelist()
+    assert {name.split("/")[0].split("-")[0] for name in names} == {"nrbench"}
+    for needed in ("nrbench/py.typed", "nrbench/__init__.pyi", "nrbench/datasets_procedural/suites/core.toml"):
+        assert needed in names
+    assert any(name.startswith("nrbench/reports/templates/") and name.endswith(".html") for name in names)
+
+
+def test_it_runs_from_an_empty_directory(wheel: Path, tmp_path: Path) -> None:
+    """Installed into an empty environment the wheel lists, runs and reports; dependencies come by a path file."""
+    place = tmp_path / "environment"
+    venv.create(place, with_pip=False)
+    python = place / ("Scripts" if os.name == "nt" else "bin") / "python"
+    paths = sysconfig.get_paths(vars={"base": str(place), "platbase": str(place)})
+    zipfile.ZipFile(wheel).extractall(paths["purelib"])
+    (Path(paths["purelib"]) / "dependencies.pth").write_text(sysconfig.get_paths()["purelib"])
+    empty = tmp_path / "empty"
+    empty.mkdir()
+
+    def call(*words: str) -> str:
+        program = "import sys; from nrbench.cli.main import main; main(sys.argv[1:])"
+        done = subprocess.run([python, "-c", program, *words], cwd=empty, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    where = subprocess.run([python, "-c", "import nrbench; print(nrbench.__file__)"], cwd=empty, capture_output=True)
+    assert str(place) in where.stdout.decode()
+    assert "BROKEN" not in call("list")
+    small = ["-t", "brick*", "-m", "scatter", "--sample", "64x64", "--size", "64x64"]
+    assert "report:" in call("run", *small, "--out", "run", "--jobs", "1")
+    assert "report.html" in call("report", "run", "--format", "html")

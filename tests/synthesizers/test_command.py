@@ -1,0 +1,134 @@
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nrbench.errors import BadInput
+from nrbench.imaging.door import Image, quantize
+from nrbench.synthesis import Synthesis, Task
+from nrbench.synthesizers.command import Command
+
+TILES = """
+import sys
+import numpy as np
+import PIL.Image
+sample, output, width, height, seed = sys.argv[1:]
+pixels = np.asarray(PIL.Image.open(sample))
+tiled = np.tile(pixels, (9, 9) + (1,) * (pixels.ndim - 2))[: int(height), : int(width)].copy()
+tiled[0, 0] = int(seed) % 256
+PIL.Image.fromarray(tiled).save(output)
+"""
+FIELDS = "{sample} {output} {width} {height} {seed}"
+
+
+@pytest.fixture
+def sample() -> Image:
+    """Return a small sample."""
+    return quantize(np.random.default_rng(0).random((20, 24, 3), np.float32))
+
+
+def script(folder: Path, text: str) -> str:
+    """Write a program, and return the command that runs it."""
+    file = folder / "my tool.py"
+    file.write_text(text)
+    return f"'{sys.executable}' '{file}'"
+
+
+def run(command: str, sample: Image, seed: int = 0) -> Synthesis:
+    """Run a command on a sample."""
+    return Command(run=command).synthesize(Task(sample, (30, 50), None, np.random.default_rng(seed)))
+
+
+def test_a_program_gets_the_sample_and_its_picture_comes_back(tmp_path: Path, sample: Image) -> None:
+    """Width, height, seed and both paths reach the program, in words with blanks, too; its output is returned."""
+    made = run(f"{script(tmp_path, TILES)} {FIELDS}", sample)
+    expected = np.tile(sample, (9, 9, 1))[:30, :50]
+    np.testing.assert_array_equal(made.image[1:], expected[1:])
+    assert made.image.shape == (30, 50, 3)
+
+
+def test_the_seed_comes_from_the_tasks_stream(tmp_path: Path, sample: Image) -> None:
+    """The same stream gives the same seed, another gives another."""
+    command = f"{script(tmp_path, TILES)} {FIELDS}"
+    seeds = [run(command, sample, seed).image[0, 0, 0] for seed in (1, 1, 2)]
+    assert seeds[0] == seeds[1] != seeds[2]
+
+
+def test_a_gray_picture_written_as_color_is_gray(tmp_path: Path, sample: Image) -> None:
+    """A program that turns a gray sample into equal channels gives one channel back."""
+    colored = TILES.replace("PIL.Image.fromarray(tiled)", "PIL.Image.fromarray(tiled).convert('RGB')")
+    assert run(f"{script(tmp_path, colored)} {FIELDS}", sample[..., :1]).image.shape == (30, 50, 1)
+
+
+def test_the_program_runs_in_a_folder_of_its_own(tmp_path: Path, sample: Image) -> None:
+    """What a program litters lands in no one's way, and is gone."""
+    litter = f"import os\nopen('litter', 'w').write(os.getcwd())\nopen(r'{tmp_path / 'where'}', 'w').write(os.getcwd())"
+    run(f"{script(tmp_path, litter + TILES)} {FIELDS}", sample)
+    folder = Path((tmp_path / "where").read_text())
+    assert folder != Path.cwd()
+    assert not folder.exists()
+
+
+def test_files_of_the_current_folder_may_be_named(
+    tmp_path: Path, sample: Image, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A script is found by its relative path."""
+    (tmp_path / "tool.py").write_text(TILES)
+    monkeypatch.chdir(tmp_path)
+    assert run(f"'{sys.executable}' tool.py {FIELDS}", sample).image.shape == (30, 50, 3)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs a POSIX shell")
+def test_no_shell_reads_the_command(tmp_path: Path, sample: Image) -> None:
+    """Semicolons and redirections are mere words to the program."""
+    echo = f"import sys; open(r'{tmp_path / 'words'}', 'w').write(repr(sys.argv[6:])); sys.argv[6:] = []"
+    run(f"{script(tmp_path, echo + TILES)} {FIELDS} ; echo $HOME > x", sample)
+    assert (tmp_path / "words").read_text() == "[';', 'echo', '$HOME', '>', 'x']"
+
+
+def test_a_program_that_fails_is_quoted(tmp_path: Path, sample: Image) -> None:
+    """A non-zero exit code is an error with the tail of what the program said."""
+    failing = script(tmp_path, "import sys; sys.stderr.write('x' * 9999 + 'no such texture'); sys.exit(3)")
+    with pytest.raises(RuntimeError, match=r"exit code 3: x+no such texture$") as raised:
+        run(f"{failing} {{sample}} {{output}}", sample)
+    assert len(str(raised.value)) < 2200
+
+
+def test_a_program_that_writes_nothing_is_an_error(tmp_path: Path, sample: Image) -> None:
+    """Ending well is not enough."""
+    with pytest.raises(RuntimeError, match=r"wrote no \{output\}"):
+        run(f"{script(tmp_path, '')} {{sample}} {{output}}", sample)
+
+
+def test_a_program_that_writes_no_picture_is_an_error(tmp_path: Path, sample: Image) -> None:
+    """A file that is no picture is told, with why."""
+    text = "import sys; open(sys.argv[2], 'w').write('hello')"
+    with pytest.raises(RuntimeError, match=r"unusable \{output\}: .*no picture"):
+        run(f"{script(tmp_path, text)} {{sample}} {{output}}", sample)
+
+
+def test_a_program_that_is_missing_is_bad_input(sample: Image) -> None:
+    """A program that does not exist is the user's to mend."""
+    with pytest.raises(BadInput, match=r"cannot run 'no-such-tool'.*install it or give its path"):
+        run("no-such-tool {sample} {output}", sample)
+
+
+@pytest.mark.parametrize(
+    ("command", "hint"),
+    [
+        ("tool {sample} {outptu}", "{outptu}; known are {sample}, {output}"),
+        ("tool {sample}", "lacks {output}"),
+        ("tool {output}", "lacks {sample}"),
+        ("tool {sample} {output", "write {{ and }}"),
+        ("tool {sample} {output} {}", "known are"),
+        ("tool '{sample} {output}", "quotation"),
+        ("", "lacks"),
+    ],
+)
+def test_templates_that_cannot_work_are_refused_at_once(command: str, hint: str) -> None:
+    """Unknown and missing fields are named before anything runs."""
+    with pytest.raises(BadInput) as raised:
+        Command(run=command)
+    assert hint in str(raised.value)
