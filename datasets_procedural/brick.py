@@ -1,50 +1,88 @@
-"""Running bond."""
+"""Brick walls."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .coordinates import Field, rows
-from .model import Model, check
+from .checks import check, check_choice, check_sizes
+from .coordinates import Field, boxes, nearest
+from .model import Model
 from .pattern import Layer, Pattern
-from .shapes import box, coverage, rim
+from .shades import rim
+from .shapes import box, coverage
 
 _CLAY = (0.55, 0.38, 0.32)
 _MORTAR = (0.75, 0.72, 0.67)
+_SHIFTS = {"running": 0.5, "stack": 0.0, "english": 0.0, "flemish": 0.75}
+"""How many widths each course is moved against the one above it."""
 
 
 @dataclass(frozen=True)
 class Brick(Model):
-    """A brick wall in running bond: each row moved by half a brick. Element: brick.
+    """A brick wall. Element: brick.
 
     Parameters
     ----------
     width, height
-        From brick to brick along a row, and from row to row, in px: the lattice is (width, 0), (width / 2, height).
+        From brick to brick along a course, and from course to course, in px.
     joint
         Width of the mortar joints in px, at least 1.
+    bond
+        ``"running"``: each course moved by half a brick; ``"stack"``: all joints in line; ``"english"``: courses of
+        bricks and of half bricks in turn; ``"flemish"``: a brick and a half brick in turn along every course.
+    small_every
+        Every so manieth course is of half bricks, at least 2; 0: none (English bond has its own).
     """
 
     width: float = 27.3
     height: float = 12.2
     joint: float = 2.2
+    bond: Literal["running", "stack", "english", "flemish"] = "running"
+    small_every: int = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check(self.joint >= 1, f"joint is {self.joint} px; give at least 1")
-        for name in ("width", "height"):
-            size = getattr(self, name)
-            check(self.joint + 2 <= size < 1e4, f"{name} is {size} px; give at least joint + 2 = {self.joint + 2:g}")
+        check_choice(self, "bond", _SHIFTS)
+        check_sizes(self, joint=1, width=(self.joint + 2) * (1 + self._halves), height=self.joint + 2)
+        every = self.small_every
+        check(every == 0 or 2 <= every <= 100, f"small_every is {every}; give a number of courses from 2 to 100, or 0")
+        check(not (every and self.bond == "english"), "small_every is for bonds other than English; leave it at 0")
+
+    @property
+    def _halves(self) -> bool:
+        return self.bond in ("english", "flemish") or self.small_every > 0
+
+    @property
+    def _courses(self) -> int:
+        """After how many courses the wall repeats."""
+        return 2 if self.bond == "english" else max(1, self.small_every)
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """Along a row, and to the next row."""
-        return (self.width, 0.0), (self.width / 2, self.height)
+        """Along a course, and to the next one that is like it."""
+        along = self.width * (1.5 if self.bond == "flemish" else 1.0)
+        return (along, 0.0), (self._courses * _SHIFTS[self.bond] * self.width % along, self._courses * self.height)
+
+    @property
+    def element_size(self) -> float:
+        """The height of a brick."""
+        return self.height
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return bricks on mortar; the origin is the middle of a brick."""
-        index, (along, across) = rows(x, y, self.width, self.height, 0.5)
-        distance = box(along, across, self.width - self.joint, self.height - self.joint, radius=1.0)
-        return Pattern(_MORTAR, (Layer("brick", index, coverage(distance), _CLAY, rim(distance, 0.15, 1.5)),))
+        j, across = nearest(y, self.height)
+        x = x - j * (_SHIFTS[self.bond] * self.width)
+        widths = (self.width, self.width / 2) if self.bond == "flemish" else (self.width,)
+        i, along, width = boxes(x, widths)
+        if self._courses > 1:
+            halves = boxes(x, (self.width / 2,))
+            i, along, width = (
+                np.where(j % self._courses == 0, *pair) for pair in zip(halves, (i, along, width), strict=True)
+            )
+        distance = box(along, across, width - self.joint, self.height - self.joint, radius=1.0)
+        return Pattern(_MORTAR, (Layer("brick", (i, j), coverage(distance), _CLAY, rim(distance, 0.15, 1.5)),))

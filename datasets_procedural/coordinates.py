@@ -15,6 +15,8 @@ Field = NDArray[np.float64]
 """One number for each point, any shape; usually ``(H, W)``."""
 Index = NDArray[np.int64]
 """One whole number for each point: a part of an element's index."""
+Displacement = NDArray[np.float64]
+"""(x, y) px for each pixel, in the picture's axes, ``(H, W, 2)``."""
 Local = tuple[Field, Field]
 """(x, y) in px from the centre of the cell that a point lies in."""
 
@@ -34,10 +36,22 @@ class Frame:
     origin: Vector = (0.0, 0.0)
     rotation: float = 0.0
 
-    def grid(self, shape: Shape) -> tuple[Field, Field]:
-        """Return the model's coordinates (x, y) px of each pixel centre, two arrays of ``shape``."""
-        x = np.arange(shape[1]) - self.origin[0]
-        y = np.arange(shape[0])[:, np.newaxis] - self.origin[1]
+    def grid(self, shape: Shape, margin: int = 0, moved: Displacement | None = None) -> tuple[Field, Field]:
+        """Return the model's coordinates (x, y) px of each pixel centre, two arrays of ``shape``.
+
+        Parameters
+        ----------
+        shape
+            (height, width) of the picture.
+        margin
+            Also of as many pixels beyond each side.
+        moved
+            How far the content at each pixel has moved from the place whose coordinates it gets.
+        """
+        x = np.arange(-margin, shape[1] + margin) - self.origin[0]
+        y = np.arange(-margin, shape[0] + margin)[:, np.newaxis] - self.origin[1]
+        if moved is not None:
+            x, y = x - moved[..., 0], y - moved[..., 1]
         cos, sin = _turn(self.rotation)
         return x * cos + y * sin, y * cos - x * sin
 
@@ -70,6 +84,27 @@ def rows(x: Field, y: Field, width: float, height: float, shift: float) -> tuple
     return (i, j), (along, across)
 
 
+def boxes(x: Field, widths: tuple[float, ...]) -> tuple[Index, Field, Field]:
+    """Return in which box of a row each point lies, the signed distance from its middle, and its width.
+
+    The row repeats ``widths``; the middle of its first box lies at x = 0.
+    """
+    sizes = np.asarray(widths)
+    if len(sizes) == 1:
+        return (*nearest(x, widths[0]), np.broadcast_to(sizes, x.shape))
+    turn = np.floor((x + sizes[0] / 2) / sizes.sum())
+    rest = x + sizes[0] / 2 - turn * sizes.sum()
+    ends = np.cumsum(sizes)
+    which = np.searchsorted(ends[:-1], rest, side="right")
+    return turn.astype(np.int64) * len(sizes) + which, rest - (ends - sizes / 2)[which], sizes[which]
+
+
+def cells(x: Field, y: Field, width: float, height: float) -> tuple[tuple[Index, Index], Local]:
+    """Return the box (i, j) of a rectangular grid, its middles at multiples of width and height."""
+    (i, right), (j, down) = nearest(x, width), nearest(y, height)
+    return (i, j), (right, down)
+
+
 def honeycomb(x: Field, y: Field, period: float) -> tuple[tuple[Index, Index], Local]:
     """Return the hexagon (i, j) nearest to each point: centres at the lattice of (p, 0) and (p/2, p sqrt(3)/2).
 
@@ -85,3 +120,17 @@ def honeycomb(x: Field, y: Field, period: float) -> tuple[tuple[Index, Index], L
 def _rectangle(x: Field, y: Field, width: float, height: float) -> tuple[Index, Index, Field, Field]:
     (i, dx), (j, dy) = nearest(x, width), nearest(y, height)
     return i, j, dx, dy
+
+
+def hats(u: Field, v: Field) -> list[tuple[tuple[Index, Index], Field]]:
+    """Return the four whole points (i, j) around each point (u, v), each with its bilinear weight.
+
+    In each of the four, i and j have a parity of their own, so that no two ever name the same point.
+    """
+    found = []
+    for row in range(2):
+        for column in range(2):
+            i = 2 * np.rint((u - column) / 2).astype(np.int64) + column
+            j = 2 * np.rint((v - row) / 2).astype(np.int64) + row
+            found.append(((i, j), np.maximum(1 - np.abs(u - i), 0) * np.maximum(1 - np.abs(v - j), 0)))
+    return found

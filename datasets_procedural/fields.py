@@ -41,10 +41,14 @@ def _mixed(z: Words) -> Words:
     return z ^ (z >> np.uint64(31))
 
 
+def unit(seed: int, *index: NDArray[Any]) -> NDArray[np.float64]:
+    """Return uniform numbers in [0, 1) for each index."""
+    return (hashed(seed, *index) >> np.uint64(11)).astype(np.float64) * 2.0**-53
+
+
 def uniform(seed: int, *index: NDArray[Any]) -> NDArray[np.float64]:
     """Return uniform numbers of mean 0 and variance 1, in [-sqrt(3), sqrt(3)], for each index."""
-    unit = (hashed(seed, *index) >> np.uint64(11)).astype(np.float64) * 2.0**-53
-    return (2 * unit - 1) * math.sqrt(3)
+    return (2 * unit(seed, *index) - 1) * math.sqrt(3)
 
 
 def factors(seed: int, name: str, index: NDArray[np.int64], color: float, intensity: float) -> NDArray[np.float64]:

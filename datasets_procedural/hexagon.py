@@ -1,41 +1,52 @@
-"""Hexagonal tiles."""
+"""Hexagonal tiles, and a hexagonal net."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .coordinates import Field, honeycomb
-from .model import Model, check
+from .checks import check_choice, check_sizes
+from .coordinates import Field, Index, Local, honeycomb
+from .model import Model
 from .pattern import Layer, Pattern
-from .shapes import coverage, hexagon, rim
+from .shades import rim, round_profile
+from .shapes import coverage, hexagon
 
 _GLAZE = (0.32, 0.46, 0.52)
 _GROUT = (0.78, 0.77, 0.73)
+_WIRE = (0.60, 0.56, 0.44)
+_SHADOW = (0.13, 0.16, 0.14)
+_NEIGHBORS = np.array([(1, 0), (0, 1), (-1, 1), (-1, 0), (0, -1), (1, -1)])
+"""Steps (i, j) to the hexagons around one, in order of their angle."""
 
 
 @dataclass(frozen=True)
 class Hexagon(Model):
-    """Regular hexagonal tiles, a net of grout between them. Element: tile.
+    """Regular hexagonal tiles with grout between them, or a net of wires. Element: tile, or wire.
 
     Parameters
     ----------
     period
         From a tile's centre to the next in px: the lattice is (period, 0), (period / 2, period sqrt(3) / 2).
     joint
-        Width of the grout in px, at least 1.
+        Width of the grout, or of the wires, in px, at least 1.
+    style
+        ``"tiles"`` or ``"net"``.
     """
 
     period: float = 26.2
     joint: float = 2.4
+    style: Literal["tiles", "net"] = "tiles"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check(self.joint >= 1, f"joint is {self.joint} px; give at least 1")
-        least = self.joint + 2
-        check(least <= self.period < 1e4, f"period is {self.period} px; give at least joint + 2 = {least:g}")
+        check_choice(self, "style", ("tiles", "net"))
+        check_sizes(self, joint=1, period=self.joint + 2)
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
@@ -43,7 +54,18 @@ class Hexagon(Model):
         return (self.period, 0.0), (self.period / 2, self.period * math.sqrt(3) / 2)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
-        """Return tiles on grout; the origin is the middle of a tile."""
+        """Return tiles on grout, or wires; the origin is the middle of a tile, or of a mesh."""
         index, (right, down) = honeycomb(x, y, self.period)
+        if self.style == "net":
+            return self._net(index, (right, down))
         distance = hexagon(right, down, self.period - self.joint, radius=0.5)
         return Pattern(_GROUT, (Layer("tile", index, coverage(distance), _GLAZE, rim(distance, 0.2, 1.5)),))
+
+    def _net(self, mesh: tuple[Index, Index], local: Local) -> Pattern:
+        """Return the wires, each named by the sum of the two meshes that it parts."""
+        sector = np.rint(np.arctan2(local[1], local[0]) / (math.pi / 3)).astype(np.int64) % 6
+        beyond = _NEIGHBORS[sector]
+        index = 2 * mesh[0] + beyond[..., 0], 2 * mesh[1] + beyond[..., 1]
+        aside = -hexagon(*local, self.period)
+        shade = round_profile(aside, self.joint * 1.05, 0.5)
+        return Pattern(_SHADOW, (Layer("wire", index, coverage(aside - self.joint / 2), _WIRE, shade),))

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import inspect
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.texture import Kind, Shape, Texture
 
+from .checks import check, check_shape, check_strengths
 from .coordinates import Field, Frame
-from .fields import factor_variance, factors, grain, role_seed
-from .pattern import Layer, Pattern
+from .departures import Departures
+from .pattern import Pattern
+from .shades import hue_turn
 
-Elements = dict[str, NDArray[np.float64]]
+_STRENGTHS = ("color", "intensity", "noise", "light", "damage", "missing", "jitter", "bend")
 _CELL_STEPS = 96
 """Samples along each side of a cell when its variance is integrated."""
 
@@ -30,8 +31,13 @@ class Model(ABC):
     """A texture model: a pattern on a lattice, with departures that act on the pattern's own elements.
 
     A model gives its vectors and its pattern; what is here makes textures of them. The parameters below are every
-    model's, and stand at the end of its page. ``Texture.elements`` holds ``NAME.index`` ``(n, k)``, whole numbers, and
-    ``NAME.factor`` ``(n, 3)`` of the n elements in the picture, for each kind of element.
+    model's, and stand at the end of its page. All departures but damaged and missing elements leave the mean color of
+    each point alone, before clipping; the ideal image is undamaged, and nothing in it is displaced.
+
+    ``Texture.elements`` holds, for each kind of element and the n of them in the picture, ``NAME.index`` ``(n, k)``,
+    whole numbers, ``NAME.factor`` ``(n, 3)``, and where there are such departures ``NAME.damage`` ``(n,)``, the share
+    lost (0, 0.5 or 1), and ``NAME.displacement`` ``(n, 2)`` px. The regular share is the variance of the mean over
+    draws, damage and displacements included, over mean total variance.
 
     Parameters
     ----------
@@ -39,6 +45,8 @@ class Model(ABC):
         Degrees by which the pattern is turned, from x towards y (clockwise on the screen).
     phase
         Where the lattice starts: fractions (u, v), the origin is u t1 + v t2 from pixel (0, 0); None: drawn at random.
+    hue
+        Degrees by which all colors are turned around the gray axis.
     color
         Strength in [0, 1]: each element's channels are multiplied by independent uniform factors of mean 1 and
         standard deviation ``color / 2``.
@@ -46,13 +54,32 @@ class Model(ABC):
         The same by one factor common to the channels.
     noise
         Strength in [0, 1]: standard deviation of the grain added to every pixel, all channels alike.
+    light
+        Strength in [0, 1] of a lighting gradient: everything is multiplied by a wave of random direction, about 16 s
+        long (s: the shortest lattice vector), of mean 1 and standard deviation ``light / 4``.
+    damage
+        Probability that an element is worn: about half of it, in blots, is lost to the ground.
+    missing
+        Probability that an element is lost whole, before any is worn.
+    jitter
+        Strength in [0, 1]: each element is displaced as one, by uniform numbers of standard deviation
+        ``jitter * s / 4`` along x and y; what lies between two elements is stretched.
+    bend
+        Strength in [0, 1] of a smooth warp: nearly normal displacements of standard deviation ``bend * s / 4`` along x
+        and y, in waves about 5 s long.
     """
 
     rotation: float = 0.0
     phase: tuple[float, float] | None = None
+    hue: float = 0.0
     color: float = 0.2
     intensity: float = 0.1
     noise: float = 0.03
+    light: float = 0.0
+    damage: float = 0.0
+    missing: float = 0.0
+    jitter: float = 0.0
+    bend: float = 0.0
 
     procedural: ClassVar[bool] = True
     version: ClassVar[str] = "1"
@@ -62,12 +89,14 @@ class Model(ABC):
         super().__init_subclass__()
         if cls.__doc__ and Model.__doc__:
             shared = inspect.cleandoc(Model.__doc__).partition("Parameters\n----------\n")[2]
-            cls.__doc__ = f"{inspect.cleandoc(cls.__doc__)}\n{shared}\n"
+            own = inspect.cleandoc(cls.__doc__)
+            heading = "" if "\nParameters\n" in own else "\nParameters\n----------\n"
+            cls.__doc__ = f"{own}\n{heading}{shared}\n"
 
     def __post_init__(self) -> None:
-        for name in ("color", "intensity", "noise"):
-            check(0 <= getattr(self, name) <= 1, f"{name} is {getattr(self, name)}; give a strength from 0 to 1")
-        check(bool(np.isfinite(self.rotation)), f"rotation is {self.rotation}; give degrees")
+        check_strengths(self, *_STRENGTHS)
+        for name in ("rotation", "hue"):
+            check(math.isfinite(getattr(self, name)), f"{name} is {getattr(self, name)}; give degrees")
         fixed = () if self.phase is None else self.phase
         check(bool(np.isfinite(fixed).all()), f"phase is {self.phase}; give two fractions of the generating vectors")
 
@@ -79,6 +108,15 @@ class Model(ABC):
     @abstractmethod
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return the pattern at points (x, y) px in the model's own axes, a lattice point at (0, 0)."""
+
+    @property
+    def element_size(self) -> float:
+        """Typical breadth of an element in px."""
+        return self._lattice((0.0, 0.0)).s / 2
+
+    def sublattices(self) -> tuple[tuple[Vector, Vector], ...]:
+        """Return the generating vectors, before rotation, of parts that have a lattice of their own."""
+        return ()
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
         """Return a texture of ``shape``: its phase, then its departures, drawn from ``rng``."""
@@ -94,71 +132,57 @@ class Model(ABC):
         return self._drawn(shape, texture.lattice.origin, rng)
 
     @cached_property
+    def departures(self) -> Departures:
+        """The strengths, with the lengths that they refer to."""
+        strengths = {name: getattr(self, name) for name in _STRENGTHS}
+        return Departures(**strengths, s=self._lattice((0.0, 0.0)).s, element_size=self.element_size)
+
+    @cached_property
     def regular_share(self) -> float:
-        """Variance of the ideal image over mean total variance, integrated over one cell."""
+        """Variance of the mean over draws, over mean total variance, integrated over one cell."""
         steps = (np.arange(_CELL_STEPS) + 0.5) / _CELL_STEPS
         u, v = np.meshgrid(steps, steps)
         (ax, ay), (bx, by) = self.vectors
-        pattern = self.pattern(u * ax + v * bx, u * ay + v * by)
-        paints = [layer.paint() for layer in pattern.layers]
-        regular = (pattern.bare() + sum(paints)).var((0, 1), dtype=np.float64).mean()
-        elements = sum(float((paint.astype(np.float64) ** 2).mean()) for paint in paints)
-        return float(regular / (regular + elements * factor_variance(self.color, self.intensity) + self.noise**2))
+        cell = self._tinted(u * ax + v * bx, u * ay + v * by)
+        return self.departures.regular_share(cell, Lattice(*self.vectors))
 
     @property
     def kind(self) -> Kind:
-        """``"0"`` without departures, else ``"I"``."""
-        return "I" if self.color or self.intensity or self.noise else "0"
+        """The type of departures, see :class:`~nrbench.texture.Texture`."""
+        return self.departures.kind
 
-    def _lattice(self, origin: Vector) -> Lattice:
-        t1, t2 = self.vectors
+    def _tinted(self, x: Field, y: Field) -> Pattern:
+        pattern = self.pattern(x, y)
+        return pattern.tinted(hue_turn(self.hue)) if self.hue else pattern
+
+    def _lattice(self, origin: Vector, vectors: tuple[Vector, Vector] | None = None) -> Lattice:
+        t1, t2 = vectors or self.vectors
         frame = Frame(rotation=self.rotation)
         return Lattice(frame.vector(t1), frame.vector(t2), origin)
 
     def _drawn(self, shape: Shape, origin: Vector, rng: np.random.Generator) -> Texture:
         """Return a draw on the lattice of that origin: all of it is a function of one number from ``rng``."""
+        check_shape(shape)
         seed = int(rng.integers(2**63))
-        image, ideal, elements = self._painted(self.pattern(*Frame(origin, self.rotation).grid(shape)), seed)
-        image += np.float32(self.noise) * grain(role_seed(seed, "noise"), shape)[..., np.newaxis]
-        lattice, name = self._lattice(origin), type(self).__name__.lower()
+        frame, departures = Frame(origin, self.rotation), self.departures
+        pattern = self._tinted(*frame.grid(shape))
+        ideal, moved = pattern.ideal(), None
+        if departures.spread:
+            around = self.pattern(*frame.grid(shape, departures.margin)) if departures.jitter else pattern
+            moved = departures.displacement(around, shape, seed)
+            pattern = self._tinted(*frame.grid(shape, moved=moved))
+        image, elements = departures.painted(pattern, seed)
+        name = type(self).__name__.lower()
+        parts = [self._lattice(origin, vectors) for vectors in self.sublattices()]
         return Texture(
             image=np.clip(image, 0, 1),
-            lattice=lattice,
-            lattices=(lattice,),
+            lattice=self._lattice(origin),
+            lattices=(self._lattice(origin), *parts),
             name=name,
             family=name,
             kind=self.kind,
             ideal=ideal,
+            displacement=None if moved is None else moved.astype(np.float32),
             elements=elements,
             regular_share=self.regular_share,
         )
-
-    def _painted(self, pattern: Pattern, seed: int) -> tuple[Image, Image, Elements]:
-        """Return the image with its elements' factors, the ideal image without, and the elements."""
-        ideal = pattern.bare()
-        image = ideal.copy()
-        elements: Elements = {}
-        for layer in pattern.layers:
-            factor, seen = self._factors(layer, seed)
-            paint = layer.paint()
-            ideal += paint
-            image += paint * factor
-            elements |= seen
-        return image, ideal, elements
-
-    def _factors(self, layer: Layer, seed: int) -> tuple[Image, Elements]:
-        """Return the factor at each pixel, ``(H, W, 3)``, and index and factors of the elements that are seen."""
-        low = [int(part.min()) for part in layer.index]
-        sizes = [int(part.max()) - first + 1 for part, first in zip(layer.index, low, strict=True)]
-        place = np.ravel_multi_index([part - first for part, first in zip(layer.index, low, strict=True)], sizes)
-        index = np.indices(sizes).reshape(len(sizes), -1).T + low
-        table = factors(seed, layer.name, index, self.color, self.intensity)
-        seen = np.bincount(place[layer.coverage > 0], minlength=len(index)) > 0
-        truth = {f"{layer.name}.index": index[seen].astype(np.float64), f"{layer.name}.factor": table[seen]}
-        return table.astype(np.float32)[place], truth
-
-
-def check(holds: bool, message: str) -> None:
-    """Raise :class:`BadInput` with ``message`` unless ``holds``."""
-    if not holds:
-        raise BadInput(message)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from nrbench.imaging.door import Image
 
@@ -41,6 +41,33 @@ class Layer:
         weight = np.asarray(self.coverage * self.shade, np.float32)[..., np.newaxis]
         return weight * np.asarray(self.color, np.float32)
 
+    def census(self) -> Census:
+        """Return which elements there are, and to which one each point belongs."""
+        low = [int(part.min()) for part in self.index]
+        sizes = [int(part.max()) - first + 1 for part, first in zip(self.index, low, strict=True)]
+        place = np.ravel_multi_index([part - first for part, first in zip(self.index, low, strict=True)], sizes)
+        return Census(np.indices(sizes).reshape(len(sizes), -1).T + low, place)
+
+
+@dataclass(frozen=True)
+class Census:
+    """The elements of a layer.
+
+    Parameters
+    ----------
+    index
+        ``(n, k)``: every index between the least and the greatest; not each need be in the picture.
+    place
+        The row of ``index`` at each point.
+    """
+
+    index: NDArray[np.int64]
+    place: NDArray[np.intp]
+
+    def seen(self, coverage: Field) -> NDArray[np.bool_]:
+        """Return which elements cover a part of any pixel, ``(n,)``."""
+        return np.bincount(self.place[coverage > 0], minlength=len(self.index)) > 0
+
 
 @dataclass(frozen=True)
 class Pattern:
@@ -61,3 +88,19 @@ class Pattern:
         """Return the ground where no element covers it."""
         covered = np.sum([layer.coverage for layer in self.layers], 0)
         return np.asarray((1 - covered)[..., np.newaxis] * np.asarray(self.ground), np.float32)
+
+    def ideal(self) -> Image:
+        """Return the pattern as it is without departures."""
+        image = self.bare()
+        for layer in self.layers:
+            image += layer.paint()
+        return image
+
+    def tinted(self, turn: NDArray[np.float64]) -> Pattern:
+        """Return the pattern with the matrix ``turn`` applied to its colors."""
+        layers = [replace(layer, color=_turned(layer.color, turn)) for layer in self.layers]
+        return Pattern(_turned(self.ground, turn), tuple(layers))
+
+
+def _turned(color: ArrayLike, turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.clip(np.asarray(color) @ turn.T, 0.0, 1.0)

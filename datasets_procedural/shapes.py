@@ -12,12 +12,12 @@ import numpy as np
 from .coordinates import Field
 
 
-def stripe(x: Field, width: float) -> Field:
+def stripe(x: Field, width: Field | float) -> Field:
     """Return the distance to a stripe of ``width`` px around x = 0."""
     return np.abs(x) - width / 2
 
 
-def box(x: Field, y: Field, width: float, height: float, radius: float = 0.0) -> Field:
+def box(x: Field, y: Field, width: Field | float, height: Field | float, radius: float = 0.0) -> Field:
     """Return the distance to a box around the origin, its corners rounded by ``radius`` px."""
     dx, dy = np.abs(x) - (width / 2 - radius), np.abs(y) - (height / 2 - radius)
     outside = np.hypot(np.maximum(dx, 0), np.maximum(dy, 0))
@@ -35,6 +35,28 @@ def hexagon(x: Field, y: Field, width: float, radius: float = 0.0) -> Field:
     return np.asarray(np.copysign(np.hypot(along - np.clip(along, -side, side), ahead), ahead) - radius)
 
 
+def disc(x: Field, y: Field, width: Field | float) -> Field:
+    """Return the distance to a disc around the origin, ``width`` px across."""
+    return np.asarray(np.hypot(x, y) - width / 2)
+
+
+def lozenge(x: Field, y: Field, width: float, height: float) -> Field:
+    """Return the distance to the sides of a lozenge around the origin (exact but for its tips)."""
+    along = np.hypot(width, height)
+    return np.asarray((np.abs(x) * height + np.abs(y) * width - width * height / 2) / along)
+
+
+def capsule(x: Field, y: Field, length: float, width: float) -> Field:
+    """Return the distance to a box with round ends, ``length`` px over all along x."""
+    return np.asarray(np.hypot(np.maximum(np.abs(x) - (length - width) / 2, 0), y) - width / 2)
+
+
+def turned(x: Field, y: Field, degrees: float) -> tuple[Field, Field]:
+    """Return the coordinates along axes turned by ``degrees`` from x towards y."""
+    cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return x * cos + y * sin, y * cos - x * sin
+
+
 def coverage(distance: Field) -> Field:
     """Return the share in [0, 1] of a pixel on the inner side of a straight edge ``distance`` px from its centre.
 
@@ -42,13 +64,3 @@ def coverage(distance: Field) -> Field:
     pattern stays exactly periodic at any phase and angle.
     """
     return np.clip(0.5 - distance, 0, 1)
-
-
-def rim(distance: Field, depth: float, width: float) -> Field:
-    """Return a shade in [1 - depth, 1]: darkest at the edge, fading over ``width`` px towards the inside."""
-    return np.asarray(1 - depth * np.exp(np.minimum(distance, 0) / width))
-
-
-def round_profile(x: Field, width: float, depth: float) -> Field:
-    """Return a shade in [1 - depth, 1]: that of a round thread of ``width`` px, lit from the front."""
-    return np.asarray(1 - depth * (1 - np.sqrt(np.maximum(1 - (2 * x / width) ** 2, 0))))

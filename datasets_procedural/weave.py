@@ -1,72 +1,77 @@
-"""Plain weave."""
+"""Weaves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .coordinates import Field, nearest
-from .model import Model, check
+from .checks import check_choice, check_sizes
+from .coordinates import Field
+from .model import Model
 from .pattern import Layer, Pattern
-from .shapes import coverage, round_profile, stripe
+from .threads import interlaced
 
 _WARP = (0.34, 0.37, 0.45)
 _WEFT = (0.65, 0.61, 0.53)
 _GAP = (0.20, 0.19, 0.18)
+_WEFTS, _WARPS = np.indices((8, 8))
+_DRAFTS = {
+    "plain": ((_WARPS + _WEFTS) % 2 == 0, ((1, 1), (1, -1))),
+    "twill": ((_WARPS + _WEFTS) % 4 < 2, ((1, -1), (2, 2))),
+    "basket": ((_WARPS // 2 + _WEFTS // 2) % 2 == 0, ((2, 2), (2, -2))),
+    "herringbone": ((np.minimum(_WARPS, 8 - _WARPS) + _WEFTS) % 4 < 2, ((8, 0), (0, 4))),
+}
+"""Where the warp lies above, and the generating vectors in threads."""
 
 
 @dataclass(frozen=True)
 class Weave(Model):
-    """A plain weave: warp and weft threads pass over and under each other in turn. Elements: warp, weft thread.
+    """A weave: warp and weft threads pass over and under each other. Elements: warp, weft thread.
 
     A thread keeps its color along its length.
 
     Parameters
     ----------
     warp, weft
-        From a warp thread to the next along x, and from a weft thread to the next along y, in px. Over and under
-        alternate like a chess-board, so the smallest lattice is (warp, weft), (warp, -weft).
+        From a warp thread to the next along x, and from a weft thread to the next along y, in px.
     gap
         Width of the dark gap between threads in px, at least 1.
+    draft
+        ``"plain"``: over and under in turn, like a chess-board, so the smallest lattice is (warp, weft),
+        (warp, -weft); ``"twill"``: over two and under two, moved by one each thread; ``"basket"``: a plain weave of
+        double threads; ``"herringbone"``: a twill that turns back every four warp threads.
     """
 
     warp: float = 12.3
     weft: float = 13.9
     gap: float = 1.5
+    draft: Literal["plain", "twill", "basket", "herringbone"] = "plain"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check(self.gap >= 1, f"gap is {self.gap} px; give at least 1")
-        for name in ("warp", "weft"):
-            size = getattr(self, name)
-            check(self.gap + 2 <= size < 1e4, f"{name} is {size} px; give at least gap + 2 = {self.gap + 2:g}")
+        check_choice(self, "draft", _DRAFTS)
+        check_sizes(self, gap=1, warp=self.gap + 2, weft=self.gap + 2)
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """To the next crossing below on the right, and above on the right."""
-        return (self.warp, self.weft), (self.warp, -self.weft)
+        """To crossings that are alike."""
+        (a, b), (c, d) = _DRAFTS[self.draft][1]
+        return (a * self.warp, b * self.weft), (c * self.warp, d * self.weft)
+
+    @property
+    def element_size(self) -> float:
+        """The breadth of the thinner threads."""
+        return min(self.warp, self.weft)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return threads on a dark gap; the origin is a crossing where the warp lies above."""
-        (i, right), (j, down) = nearest(x, self.warp), nearest(y, self.weft)
-        above = (i + j) % 2 == 0
-        warp = coverage(stripe(right, self.warp - self.gap))
-        weft = coverage(stripe(down, self.weft - self.gap))
-        lift = np.where(above, 1.0, -1.0)
-        warp_shade = round_profile(right, self.warp - self.gap, 0.45) * _height(lift, down / self.weft)
-        weft_shade = round_profile(down, self.weft - self.gap, 0.45) * _height(-lift, right / self.warp)
-        warp_seen = np.where(above, warp, warp * (1 - weft))
-        weft_seen = np.where(above, weft * (1 - warp), weft)
+        warp, weft = interlaced(x, y, (self.warp, self.weft), self.gap, _DRAFTS[self.draft][0])
         threads = (
-            Layer("warp", (i,), warp_seen, _WARP, warp_shade),
-            Layer("weft", (j,), weft_seen, _WEFT, weft_shade),
+            Layer("warp", (warp.index,), warp.coverage, _WARP, warp.shade),
+            Layer("weft", (weft.index,), weft.coverage, _WEFT, weft.shade),
         )
         return Pattern(_GAP, threads)
-
-
-def _height(lift: Field, along: Field) -> Field:
-    """Return the shade of a thread that rises over one crossing (lift 1) and dives under the next (lift -1)."""
-    return np.asarray(0.78 + 0.22 * lift * np.cos(np.pi * along))

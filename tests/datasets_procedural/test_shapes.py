@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from nrbench.datasets_procedural.coordinates import Field
-from nrbench.datasets_procedural.shapes import box, coverage, hexagon, rim, round_profile, stripe
+from nrbench.datasets_procedural.shades import rim, round_profile
+from nrbench.datasets_procedural.shapes import box, coverage, hexagon, stripe
 
 
 def test_box_distances() -> None:
