@@ -1,0 +1,62 @@
+"""Cans seen from above."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_choice, check_sizes
+from .coordinates import Field, cells, honeycomb
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import mix
+from .shapes import capsule, coverage, disc
+
+_LID = (0.50, 0.50, 0.49)
+_TAB = (0.40, 0.40, 0.42)
+_MOUTH = (0.22, 0.22, 0.25)
+_CRATE = (0.14, 0.11, 0.10)
+
+
+@dataclass(frozen=True)
+class Cans(Model):
+    """Drink cans seen from above, packed in a crate. Element: can.
+
+    Parameters
+    ----------
+    period
+        From can to can in px.
+    packing
+        ``"hexagonal"`` or ``"square"``.
+    """
+
+    period: float = 28.3
+    packing: Literal["hexagonal", "square"] = "hexagonal"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice(self, "packing", ("hexagonal", "square"))
+        check_sizes(self, period=12)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """To the next cans."""
+        p = self.period
+        return (p, 0.0), ((p / 2, p * math.sqrt(3) / 2) if self.packing == "hexagonal" else (0.0, p))
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return cans in the crate; the origin is the middle of a can."""
+        p = self.period
+        index, (right, down) = honeycomb(x, y, p) if self.packing == "hexagonal" else cells(x, y, p, p)
+        outline, radius = disc(right, down, 0.97 * p), np.hypot(right, down) / p
+        mouth = capsule(right, down - 0.17 * p, 0.27 * p, 0.18 * p)
+        tab = capsule(down + 0.06 * p, right, 0.3 * p, 0.17 * p)
+        color = mix(coverage(tab), mix(coverage(mouth), _LID, _MOUTH), _TAB)
+        rims = 0.24 * np.exp(-(((radius - 0.45) / 0.025) ** 2)) - 0.42 * np.exp(-(((radius - 0.385) / 0.03) ** 2))
+        gleam = 0.14 * np.cos(2 * np.arctan2(down, right) + 1.2) * np.minimum(radius / 0.3, 1)
+        return Pattern(_CRATE, (Layer("can", index, coverage(outline), color, 0.98 + rims + gleam),))

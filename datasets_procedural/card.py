@@ -1,0 +1,51 @@
+"""Punched cards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check, check_sizes
+from .coordinates import Field, cells, hats
+from .model import Model
+from .pattern import Layer, Pattern
+from .shapes import box, coverage
+
+_HOLE = (0.16, 0.15, 0.17)
+_PAPER = (0.62, 0.57, 0.44)
+
+
+@dataclass(frozen=True)
+class Card(Model):
+    """A punched card: columns of tall holes. Elements: hole, and the paper around it, which fades into the next.
+
+    Parameters
+    ----------
+    width, height
+        From hole to hole along and across a row in px.
+    hole
+        Breadth of a hole as a share of ``width``, from 0.2 to 0.8.
+    """
+
+    width: float = 12.7
+    height: float = 27.4
+    hole: float = 0.42
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, width=6, height=6)
+        check(0.2 <= self.hole <= 0.8, f"hole is {self.hole}; give a share of the width from 0.2 to 0.8")
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Along and across the rows."""
+        return (self.width, 0.0), (0.0, self.height)
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return holes in paper; the origin is the middle of a hole."""
+        index, (right, down) = cells(x, y, self.width, self.height)
+        hole = coverage(box(right, down, self.hole * self.width, 0.66 * self.height, radius=0.8))
+        around = hats(x / self.width, y / self.height)
+        paper = (Layer("paper", index, weight * (1 - hole), _PAPER) for index, weight in around)
+        return Pattern(_PAPER, (Layer("hole", index, hole, _HOLE), *paper))

@@ -1,0 +1,63 @@
+"""A knotted carpet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check, check_sizes
+from .coordinates import Field, cells
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import rim
+from .shapes import box, coverage
+
+_COLORS = np.array([(0.48, 0.10, 0.12), (0.10, 0.14, 0.30), (0.60, 0.48, 0.28), (0.28, 0.34, 0.20)])
+_WARP = (0.16, 0.10, 0.09)
+
+
+@dataclass(frozen=True)
+class Carpet(Model):
+    """A carpet: small knots whose colors make medallions between stars. Element: knot.
+
+    Parameters
+    ----------
+    knot
+        From knot to knot in px.
+    knots
+        Of a medallion along x and y, even, from 6 to 40; every row of medallions is moved by half of one.
+    """
+
+    knot: float = 3.7
+    knots: int = 12
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, knot=3)
+        check(self.knots in range(6, 41, 2), f"knots is {self.knots}; give an even number from 6 to 40")
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """To the next medallion along the row, and in the next row."""
+        side = self.knots * self.knot
+        return (side, 0.0), (side / 2, side)
+
+    @property
+    def element_size(self) -> float:
+        """The breadth of a knot."""
+        return self.knot
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return knots; the origin is the middle of a medallion."""
+        (i, j), (right, down) = cells(x, y, self.knot, self.knot)
+        row = np.rint(j / self.knots)
+        du = np.abs(i - self.knots * (row / 2 + np.rint(i / self.knots - row / 2))) / self.knots
+        dv = np.abs(j - self.knots * row) / self.knots
+        medal, star = du + dv, np.maximum(du, dv) + 0.4 * np.minimum(du, dv)
+        color = np.select([medal < 0.13, medal < 0.27, medal < 0.36, star > 0.52], [2, 0, 2, 3], 1)
+        distance = box(right, down, self.knot - 0.6, self.knot - 0.6, radius=1.0)
+        shade = rim(distance, 0.35, 0.8)
+        return Pattern(_WARP, (Layer("knot", (i, j), coverage(distance), _COLORS[color], shade),))

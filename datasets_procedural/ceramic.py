@@ -1,0 +1,60 @@
+"""Glazed wall tiles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_sizes
+from .coordinates import Field, cells
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import bevel, mix
+from .shapes import box, coverage
+
+_GLAZE = (0.60, 0.60, 0.56)
+_BLUE = (0.16, 0.26, 0.50)
+_OCHRE = (0.60, 0.42, 0.14)
+_GROUT = (0.40, 0.39, 0.38)
+
+
+@dataclass(frozen=True)
+class Ceramic(Model):
+    """Glazed ceramic tiles with a painted flower. Element: tile.
+
+    Parameters
+    ----------
+    period
+        From tile to tile in px.
+    joint
+        Width of the grout in px, at least 1.
+    """
+
+    period: float = 29.3
+    joint: float = 2.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, joint=1, period=6 * self.joint)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Along a row, and to the next one."""
+        return (self.period, 0.0), (0.0, self.period)
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return tiles on grout; the origin is the middle of a tile."""
+        index, (right, down) = cells(x, y, self.period, self.period)
+        side = self.period - self.joint
+        distance = box(right, down, side, side, radius=1.0)
+        radius, angle = np.hypot(right, down), np.arctan2(down, right)
+        petals = radius - side * (0.24 + 0.12 * np.cos(4 * angle))
+        corner = side * 0.24 - np.hypot(np.abs(right) - side / 2, np.abs(down) - side / 2)
+        ring = np.abs(corner + 0.05 * side) - 0.035 * side
+        painted = mix(coverage(np.minimum(petals, -corner)), mix(coverage(ring), _GLAZE, _BLUE), _BLUE)
+        color = mix(coverage(radius - 0.1 * side), painted, _OCHRE)
+        shade = bevel(distance, right, down, 0.3, 1.5)
+        return Pattern(_GROUT, (Layer("tile", index, coverage(distance), color, shade),))

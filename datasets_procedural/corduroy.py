@@ -1,0 +1,57 @@
+"""Corduroy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_sizes
+from .coordinates import Field, nearest
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import round_profile
+from .shapes import coverage, stripe
+
+_PILE = (0.50, 0.36, 0.20)
+_GROUND = (0.20, 0.13, 0.08)
+
+
+@dataclass(frozen=True)
+class Corduroy(Model):
+    """Corduroy: upright cords of pile, tufted along their length. Element: tuft.
+
+    Parameters
+    ----------
+    width
+        From cord to cord in px.
+    tuft
+        From tuft to tuft along a cord in px.
+    """
+
+    width: float = 14.3
+    tuft: float = 5.9
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, width=5, tuft=3)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """To the next cord, and along it."""
+        return (self.width, 0.0), (0.0, self.tuft)
+
+    @property
+    def element_size(self) -> float:
+        """The breadth of a tuft."""
+        return self.tuft
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return tufts in cords; the origin is the middle of one."""
+        i, right = nearest(x, self.width)
+        k, along = nearest(y + 0.35 * np.abs(right), self.tuft)
+        cord = coverage(stripe(right, 0.78 * self.width))
+        shade = round_profile(right, 0.8 * self.width, 0.6) * (0.86 + 0.14 * np.cos(2 * np.pi * along / self.tuft))
+        return Pattern(_GROUND, (Layer("tuft", (i, k), cord, _PILE, shade),))

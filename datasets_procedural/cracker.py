@@ -1,0 +1,60 @@
+"""Crackers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_sizes
+from .coordinates import Field, cells, nearest
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import mix
+from .shapes import box, coverage, disc
+
+_BISCUIT = (0.62, 0.50, 0.30)
+_BAKED = (0.50, 0.30, 0.12)
+_TRAY = (0.18, 0.14, 0.12)
+
+
+@dataclass(frozen=True)
+class Cracker(Model):
+    """Square crackers with nine holes and wavy edges, side by side. Element: cracker.
+
+    Parameters
+    ----------
+    period
+        From cracker to cracker in px.
+    gap
+        Between crackers in px, at least 1.
+    """
+
+    period: float = 33.7
+    gap: float = 2.4
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, gap=1, period=16 + self.gap)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Along a row, and to the next one."""
+        return (self.period, 0.0), (0.0, self.period)
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return crackers on a tray; the origin is the middle of one."""
+        index, (right, down) = cells(x, y, self.period, self.period)
+        side, number = self.period - self.gap, 2 * np.pi * 6 / self.period
+        wavy = 0.02 * self.period * (np.cos(number * right) + np.cos(number * down) - 2)
+        distance = box(right, down, side, side, radius=0.12 * side) - wavy
+        holes = [np.clip(part, -1.4 * side / 4, 1.4 * side / 4) for part in (right, down)]
+        (_, aside), (_, below) = (nearest(part, side / 4) for part in holes)
+        beyond = np.hypot(right - holes[0], down - holes[1])
+        hole = coverage(disc(np.hypot(aside, beyond), below, 0.075 * side))
+        blister = 0.5 + 0.5 * np.cos(2 * np.pi * 4 * right / side) * np.cos(2 * np.pi * 4 * down / side)
+        toasted = np.clip(np.exp(distance / (0.07 * side)) + 0.25 * blister, 0, 1)
+        color = mix(hole, mix(toasted, _BISCUIT, _BAKED), _TRAY)
+        return Pattern(_TRAY, (Layer("cracker", index, coverage(distance), color),))

@@ -1,0 +1,72 @@
+"""A jigsaw puzzle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_choice, check_sizes
+from .coordinates import Field, nearest
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import rim
+from .shapes import coverage, disc
+
+_CARD = (0.50, 0.47, 0.34)
+_TABLE = (0.15, 0.12, 0.10)
+
+
+@dataclass(frozen=True)
+class Jigsaw(Model):
+    """A jigsaw puzzle: pieces that hold each other by round tabs. Element: piece.
+
+    Parameters
+    ----------
+    width, height
+        From piece to piece in px.
+    gap
+        Width of the seams in px, at least 1.
+    tabs
+        ``"alternate"``: a piece has two tabs, opposite each other, and its neighbors have the other two, so the
+        lattice is (width, height), (width, -height); ``"same"``: all pieces are alike.
+    """
+
+    width: float = 31.3
+    height: float = 28.9
+    gap: float = 1.6
+    tabs: Literal["alternate", "same"] = "alternate"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice(self, "tabs", ("alternate", "same"))
+        check_sizes(self, gap=1, width=8 * self.gap, height=8 * self.gap)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """To the next piece that is alike."""
+        if self.tabs == "same":
+            return (self.width, 0.0), (0.0, self.height)
+        return (self.width, self.height), (self.width, -self.height)
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return pieces on a dark table; the origin is the middle of a piece with tabs on its left and right."""
+        (i, right), (j, down) = nearest(x, self.width), nearest(y, self.height)
+        after_i, aside = nearest(x - self.width / 2, self.width)
+        after_j, below = nearest(y - self.height / 2, self.height)
+        turn = 1 if self.tabs == "same" else -1
+        tab = 0.27 * min(self.width, self.height)
+        across = _seam(aside, down, turn ** ((after_i + j) % 2), tab)
+        along = _seam(below, right, -turn * turn ** ((i + after_j) % 2), tab)
+        index = after_i + (across > 0), after_j + (along > 0)
+        distance = self.gap / 2 - np.minimum(np.abs(across), np.abs(along))
+        return Pattern(_TABLE, (Layer("piece", index, coverage(distance), _CARD, rim(distance, 0.25, 1.5)),))
+
+
+def _seam(across: Field, along: Field, side: NDArray[np.int64], tab: float) -> Field:
+    """Return the signed distance from a straight seam with a round tab of ``tab`` px that bulges to ``side``."""
+    return np.asarray(side * np.minimum(side * across, disc(side * across - 0.4 * tab, along, tab)))

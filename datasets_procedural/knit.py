@@ -1,0 +1,52 @@
+"""Knitted cloth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_sizes
+from .coordinates import Field, nearest
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import round_profile
+from .shapes import capsule, coverage
+
+_WOOL = (0.54, 0.24, 0.26)
+_SHADOW = (0.16, 0.07, 0.08)
+
+
+@dataclass(frozen=True)
+class Knit(Model):
+    """Knitted cloth in stocking stitch: columns of stitches like a V. Element: stitch.
+
+    Parameters
+    ----------
+    width, height
+        From stitch to stitch along and across a row in px.
+    """
+
+    width: float = 17.3
+    height: float = 13.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, width=6, height=5)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Along a row, and to the next one."""
+        return (self.width, 0.0), (0.0, self.height)
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return stitches before a shadow; the origin is the tip of a V."""
+        i, right = nearest(x, self.width)
+        aside = np.abs(right) - self.width / 4
+        j, down = nearest(y + 1.1 * self.height / self.width * 2 * aside, self.height)
+        distance = capsule(aside, down * 0.9, 0.52 * self.width, 0.84 * self.height * 0.9)
+        strand = 0.88 + 0.12 * np.cos(2 * np.pi * (aside / self.width * 4 + down / self.height))
+        shade = strand * round_profile(down, self.height, 0.5)
+        return Pattern(_SHADOW, (Layer("stitch", (i, j), coverage(distance), _WOOL, shade),))

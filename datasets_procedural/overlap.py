@@ -1,0 +1,66 @@
+"""Squares over hexagons."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_sizes
+from .coordinates import Field, cells, honeycomb
+from .model import Model
+from .pattern import Layer, Pattern
+from .shapes import box, coverage, hexagon
+
+_SQUARE = (0.60, 0.46, 0.16)
+_HEXAGON = (0.22, 0.34, 0.46)
+_GROUND = (0.58, 0.58, 0.55)
+
+
+@dataclass(frozen=True)
+class Overlap(Model):
+    """Square frames over hexagonal tiles: two lattices, both repeated only by a tile of many of each.
+
+    Five squares are as wide as seven hexagons, and as high as four double rows of them (hexagons stretched by 1 %).
+    ``Texture.lattices`` holds the common lattice, that of the squares and that of the hexagons. Elements: square,
+    hexagon.
+
+    Parameters
+    ----------
+    period
+        From square to square in px; the common tile is 5 periods wide and high.
+    """
+
+    period: float = 37.3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, period=14)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Of the common lattice."""
+        return (5 * self.period, 0.0), (0.0, 5 * self.period)
+
+    def sublattices(self) -> tuple[tuple[Vector, Vector], ...]:
+        """Return the lattice of the squares, and that of the hexagons."""
+        width, rise = 5 / 7 * self.period, 5 / 4 * self.period
+        return ((self.period, 0.0), (0.0, self.period)), ((width, 0.0), (width / 2, rise / 2))
+
+    @property
+    def element_size(self) -> float:
+        """The breadth of a hexagon."""
+        return 5 / 7 * self.period
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return frames over tiles; the origin is the middle of a square and of a hexagon."""
+        square, (right, down) = cells(x, y, self.period, self.period)
+        frame = np.abs(box(right, down, 0.7 * self.period, 0.7 * self.period)) - 0.055 * self.period
+        over = coverage(frame)
+        squeeze = 7 / 4 / math.sqrt(3)
+        tile, (aside, below) = honeycomb(x, y / squeeze, self.element_size)
+        under = coverage(hexagon(aside, below, self.element_size - 2)) * (1 - over)
+        return Pattern(_GROUND, (Layer("square", square, over, _SQUARE), Layer("hexagon", tile, under, _HEXAGON)))

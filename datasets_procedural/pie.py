@@ -1,0 +1,55 @@
+"""A lattice pie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_sizes
+from .coordinates import Field
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import mix
+from .threads import interlaced
+
+_CRUST = (0.62, 0.46, 0.24)
+_BROWN = (0.48, 0.27, 0.12)
+_FILLING = (0.36, 0.06, 0.08)
+_DRAFT = np.array([[True, False], [False, True]])
+
+
+@dataclass(frozen=True)
+class Pie(Model):
+    """The top of a pie: strips of crust, woven, over a dark filling. Element: strip, one kind for each direction.
+
+    Parameters
+    ----------
+    period
+        From strip to strip in px; the lattice is (period, period), (period, -period).
+    strip
+        Breadth of a strip in px.
+    """
+
+    period: float = 20.3
+    strip: float = 12.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, strip=4, period=self.strip + 1)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """To crossings that are alike."""
+        return (self.period, self.period), (self.period, -self.period)
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return strips over the filling; the origin is a crossing where the upright one lies above."""
+        strips = interlaced(x, y, (self.period, self.period), self.period - self.strip, _DRAFT, depth=0.3)
+        layers = []
+        for name, strip in zip(("upright", "level"), strips, strict=True):
+            baked = mix(np.exp(np.minimum(strip.distance, 0) / (0.14 * self.strip)), _CRUST, _BROWN)
+            layers.append(Layer(name, (strip.index,), strip.coverage, baked, strip.shade))
+        return Pattern(_FILLING, tuple(layers))

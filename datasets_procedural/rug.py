@@ -1,0 +1,64 @@
+"""A flat-woven rug."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check, check_sizes
+from .coordinates import Field, cells
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import round_profile
+from .shapes import coverage, stripe
+
+_COLORS = np.array([(0.56, 0.18, 0.12), (0.62, 0.52, 0.36), (0.14, 0.22, 0.34), (0.58, 0.38, 0.12)])
+_JUTE = (0.36, 0.31, 0.24)
+
+
+@dataclass(frozen=True)
+class Rug(Model):
+    """A flat-woven rug: stepped lozenges of ribbed yarn, between bands. Element: yarn, a step long.
+
+    Parameters
+    ----------
+    yarn
+        From rib to rib in px.
+    step
+        Length of a step in px.
+    steps
+        From lozenge to lozenge along the band, from 4 to 20; a band is twice as many ribs high.
+    """
+
+    yarn: float = 3.1
+    step: float = 5.3
+    steps: int = 8
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, yarn=2.5, step=3)
+        check(4 <= self.steps <= 20, f"steps is {self.steps}; give a number from 4 to 20")
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """To the next lozenge along the band, and in the next band."""
+        return (self.steps * self.step, 0.0), (0.0, 2 * self.steps * self.yarn)
+
+    @property
+    def element_size(self) -> float:
+        """The breadth of a yarn's step."""
+        return self.step
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return yarn on jute; the origin is the middle of a lozenge."""
+        (i, j), (right, down) = cells(x, y, self.step, self.yarn)
+        n = self.steps
+        across = np.abs(j - 2 * n * np.rint(j / (2 * n)).astype(np.int64))
+        away = np.abs(i - n * np.rint(i / n).astype(np.int64)) + across // 2
+        color = np.where(across >= n - 2, 1 + 2 * ((across + i) % 2), np.array([3, 1, 0, 0, 2, 2, 0])[away % 7])
+        rib = coverage(stripe(down, self.yarn - 0.5))
+        shade = round_profile(down, self.yarn, 0.45) * (0.9 + 0.1 * np.cos(2 * np.pi * right / self.step))
+        return Pattern(_JUTE, (Layer("yarn", (i, j), rib, _COLORS[color], shade),))

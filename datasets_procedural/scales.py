@@ -1,0 +1,61 @@
+"""Fish-scale tiles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_sizes
+from .coordinates import Field
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import rim
+from .shapes import coverage, disc
+
+_SCALE = (0.34, 0.50, 0.52)
+_GAP = (0.12, 0.16, 0.20)
+
+
+@dataclass(frozen=True)
+class Scales(Model):
+    """Fish-scale tiles: each row hangs over the one below it, moved by half a scale. Element: scale.
+
+    Parameters
+    ----------
+    width
+        From scale to scale along a row in px; a row is half as high.
+    gap
+        Width of the dark gap between scales in px, at least 1.
+    """
+
+    width: float = 26.9
+    gap: float = 1.8
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, gap=1, width=6 * self.gap)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Along a row, and to the next one."""
+        return (self.width, 0.0), (self.width / 2, self.width / 2)
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return scales, each a disc under the two above it; the origin is the middle of a disc."""
+        row = np.floor(y / (self.width / 2)).astype(np.int64)
+        above, below = self._scale(x, y, row), self._scale(x, y, row + 1)
+        over = above[1] <= 0
+        i, distance = (np.where(over, *pair) for pair in zip(above, below, strict=True))
+        seam = self.gap / 2 - np.abs(above[1])
+        shade = 1 - 0.45 * np.exp(-np.maximum(above[1], 0) / (0.12 * self.width)) * ~over
+        ribs = 1 + 0.12 * np.cos(2 * np.pi * distance / (0.17 * self.width))
+        index = i, np.where(over, row, row + 1)
+        return Pattern(_GAP, (Layer("scale", index, coverage(seam), _SCALE, 0.85 * shade * ribs * rim(seam, 0.2, 1.0)),))
+
+    def _scale(self, x: Field, y: Field, row: Field) -> tuple[Field, Field]:
+        """Return the nearest scale of a row, and the distance to its disc."""
+        i = np.rint(x / self.width - row / 2).astype(np.int64)
+        return i, disc(x - (i + row / 2) * self.width, y - row * self.width / 2, self.width)

@@ -1,0 +1,58 @@
+"""Squares in squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_sizes
+from .coordinates import Field, cells
+from .model import Model
+from .pattern import Layer, Pattern
+from .shapes import box, coverage
+
+_OUTER = (0.55, 0.22, 0.18)
+_MIDDLE = (0.60, 0.54, 0.40)
+_INNER = (0.18, 0.26, 0.40)
+_GROUND = (0.30, 0.30, 0.27)
+
+
+@dataclass(frozen=True)
+class Squares(Model):
+    """Three squares in each other, in rows. Elements: outer, middle, inner square.
+
+    Parameters
+    ----------
+    period
+        From square to square in px.
+    """
+
+    period: float = 27.7
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, period=12)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Along a row, and to the next one."""
+        return (self.period, 0.0), (0.0, self.period)
+
+    @property
+    def element_size(self) -> float:
+        """The breadth of a middle square."""
+        return self.period / 2
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return squares on a ground; the origin is the middle of three."""
+        index, (right, down) = cells(x, y, self.period, self.period)
+        outer, middle, inner = (coverage(box(right, down, p * self.period, p * self.period)) for p in (0.84, 0.56, 0.28))
+        return Pattern(
+            _GROUND,
+            (
+                Layer("outer", index, outer - middle, _OUTER),
+                Layer("middle", index, middle - inner, _MIDDLE),
+                Layer("inner", index, inner, _INNER),
+            ),
+        )

@@ -1,0 +1,56 @@
+"""Swirls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check, check_sizes
+from .coordinates import Field, rows
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import mix
+from .shapes import coverage, disc
+
+_LIGHT = (0.60, 0.54, 0.42)
+_DARK = (0.40, 0.16, 0.24)
+_GROUND = (0.26, 0.34, 0.36)
+
+
+@dataclass(frozen=True)
+class Swirl(Model):
+    """Spirals of two colors in discs, each row moved by half a disc. Element: swirl.
+
+    Parameters
+    ----------
+    period
+        From swirl to swirl in px.
+    arms
+        Of each spiral, from 1 to 6.
+    """
+
+    period: float = 30.7
+    arms: int = 3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, period=12)
+        check(1 <= self.arms <= 6, f"arms is {self.arms}; give a number from 1 to 6")
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Along a row, and to the next one."""
+        return (self.period, 0.0), (self.period / 2, self.period)
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return swirls on a ground; the origin is the middle of one."""
+        index, (right, down) = rows(x, y, self.period, self.period, 0.5)
+        radius, angle = np.hypot(right, down), np.arctan2(down, right)
+        wave = np.cos(self.arms * angle - 13 * np.sqrt(radius / self.period + 0.01))
+        slope = np.hypot(self.arms / np.maximum(radius, 1), 6.5 / np.sqrt(self.period * (radius + 1)))
+        color = mix(np.clip(0.5 + wave / slope, 0, 1), _DARK, _LIGHT)
+        outline = coverage(disc(right, down, 0.95 * self.period))
+        return Pattern(_GROUND, (Layer("swirl", index, outline, color),))

@@ -1,0 +1,128 @@
+"""The 17 plane groups, and random smooth functions that have their symmetry.
+
+Operations and settings: International Tables for Crystallography, volume A, part 6 (plane groups); the two centred
+groups (cm, cmm) in their primitive, rhombic cell, so that the lattice stated is always the smallest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .coordinates import Field
+from .fields import role_seed, uniform, unit
+
+Group = Literal[
+    "p1", "p2", "pm", "pg", "cm", "pmm", "pmg", "pgg", "cmm", "p4", "p4m", "p4g", "p3", "p3m1", "p31m", "p6", "p6m"
+]
+GROUPS: tuple[Group, ...] = get_args(Group)
+HEXAGONAL = ("p3", "p3m1", "p31m", "p6", "p6m")
+Operation = tuple[int, int, int, int, float, float]
+"""(a, b, c, d, e, f): the cell coordinates (u, v) go to (a u + b v + e, c u + d v + f)."""
+
+_TWO: Operation = (-1, 0, 0, -1, 0, 0)
+_THREE: Operation = (0, -1, 1, -1, 0, 0)
+_FOUR: Operation = (0, -1, 1, 0, 0, 0)
+_SIX: Operation = (1, -1, 1, 0, 0, 0)
+_MIRROR: Operation = (-1, 0, 0, 1, 0, 0)
+_SWAP: Operation = (0, 1, 1, 0, 0, 0)
+_GENERATORS: dict[Group, tuple[Operation, ...]] = {
+    "p1": (),
+    "p2": (_TWO,),
+    "pm": (_MIRROR,),
+    "pg": ((-1, 0, 0, 1, 0, 0.5),),
+    "cm": (_SWAP,),
+    "pmm": (_TWO, _MIRROR),
+    "pmg": (_TWO, (-1, 0, 0, 1, 0.5, 0)),
+    "pgg": (_TWO, (-1, 0, 0, 1, 0.5, 0.5)),
+    "cmm": (_TWO, _SWAP),
+    "p4": (_FOUR,),
+    "p4m": (_FOUR, _MIRROR),
+    "p4g": (_FOUR, (-1, 0, 0, 1, 0.5, 0.5)),
+    "p3": (_THREE,),
+    "p3m1": (_THREE, (0, -1, -1, 0, 0, 0)),
+    "p31m": (_THREE, _SWAP),
+    "p6": (_SIX,),
+    "p6m": (_SIX, _SWAP),
+}
+
+
+@cache
+def operations(group: Group) -> tuple[Operation, ...]:
+    """Return all operations of a group, whole translations left out."""
+    found: list[Operation] = [(1, 0, 0, 1, 0.0, 0.0)]
+    for one in found:
+        found += [new for other in _GENERATORS[group] if (new := _product(other, one)) not in found]
+    return tuple(found)
+
+
+def _product(left: Operation, right: Operation) -> Operation:
+    """Return the operation of ``right``, then ``left``."""
+    first, second = (np.array(one[:4]).reshape(2, 2) for one in (left, right))
+    (a, b), (c, d) = (first @ second).tolist()
+    e, f = ((first @ right[4:] + left[4:]) % 1.0).tolist()
+    return a, b, c, d, e, f
+
+
+@dataclass(frozen=True)
+class Motif:
+    """Some real functions of cell coordinates with period 1, as Fourier series of few terms.
+
+    Parameters
+    ----------
+    orders
+        int ``(n, 2)``: the waves (k, l); of a wave and its negative, one.
+    terms
+        complex ``(n, m)``: the terms of each of the m functions.
+    """
+
+    orders: NDArray[np.int64]
+    terms: NDArray[np.complex128]
+
+    def __call__(self, u: Field, v: Field) -> Field:
+        """Return the functions' values, ``(m, ...)``."""
+        along, across = (_powers(part, int(np.abs(self.orders).max())) for part in (u, v))
+        total = np.zeros((self.terms.shape[1], *np.broadcast_shapes(u.shape, v.shape)))
+        for (k, l), terms in zip(self.orders, self.terms, strict=True):
+            wave = along[k] * across[l]
+            for sum_, term in zip(total, terms, strict=True):
+                sum_ += term.real * wave.real - term.imag * wave.imag
+        return total
+
+
+def _powers(u: Field, most: int) -> dict[int, NDArray[np.complex128]]:
+    """Return exp(2 pi i k u) by k, from -most to most."""
+    powers = {0: np.ones(u.shape, np.complex128), 1: np.exp(2j * np.pi * u)}
+    for k in range(2, most + 1):
+        powers[k] = powers[k - 1] * powers[1]
+    return powers | {-k: np.conj(power) for k, power in powers.items() if k}
+
+
+def random_motif(seed: int, group: Group, count: int) -> Motif:
+    """Return random smooth functions, each of mean 0 and variance 1, that have the symmetry of a group.
+
+    They hold the waves of length not under 0.37 of the cell's side: few enough for a motif that one remembers.
+    """
+    drawn: dict[tuple[int, int], NDArray[np.complex128]] = {}
+    for k, l in _short_orders(group):
+        size, turn = ([draw(role_seed(seed, f"{k} {l}"), np.arange(count) + 9 * i) for i, draw in enumerate((uniform, unit))])
+        for a, b, c, d, e, f in operations(group):
+            order, term = (a * k + c * l, b * k + d * l), size * np.exp(2j * np.pi * (turn + k * e + l * f))
+            for sign, one in ((1, term), (-1, np.conj(term))):
+                key = (sign * order[0], sign * order[1])
+                drawn[key] = drawn.get(key, 0) + one
+    kept = [key for key, term in drawn.items() if key > (0, 0) and np.abs(term).max() > 1e-9]
+    terms = np.array([drawn[key] for key in kept])
+    return Motif(np.array(kept), terms / np.sqrt((np.abs(terms) ** 2).sum(0) / 2))
+
+
+def _short_orders(group: Group) -> list[tuple[int, int]]:
+    """Return the waves (k, l) up to a length, their square in the metric of the reciprocal cell; not (0, 0)."""
+    hexagonal = group in HEXAGONAL
+    steps = range(-3, 4)
+    squares = {(k, l): k * k + l * l + k * l * hexagonal for k in steps for l in steps}
+    return [order for order, square in squares.items() if 0 < square <= (7 if hexagonal else 5)]

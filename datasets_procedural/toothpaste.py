@@ -1,0 +1,58 @@
+"""Striped toothpaste."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_sizes
+from .coordinates import Field, nearest
+from .model import Model
+from .pattern import Layer, Pattern
+from .shades import round_profile
+from .shapes import coverage, stripe
+
+_COLORS = np.array([(0.62, 0.62, 0.61), (0.58, 0.14, 0.16), (0.62, 0.62, 0.61), (0.14, 0.44, 0.48)])
+_GAP = (0.20, 0.22, 0.26)
+
+
+@dataclass(frozen=True)
+class Toothpaste(Model):
+    """Toothpaste in strands side by side: white, red, white and green stripes wind round each. Element: stripe.
+
+    Parameters
+    ----------
+    width
+        From strand to strand in px.
+    turn
+        Length in px on which the four stripes wind round once.
+    """
+
+    width: float = 19.3
+    turn: float = 37.9
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, width=6, turn=12)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """To the next strand, and along it."""
+        return (self.width, 0.0), (0.0, self.turn)
+
+    @property
+    def element_size(self) -> float:
+        """The breadth of a stripe."""
+        return self.turn / 4
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return stripes on a dark gap; the origin is the middle of a white stripe."""
+        i, right = nearest(x, self.width)
+        around = np.arcsin(np.clip(2 * right / self.width, -1, 1)) / np.pi
+        k, along = nearest(y - 0.5 * self.turn * around, self.turn / 4)
+        strand = coverage(stripe(right, self.width - 1.5)) * coverage(stripe(along, self.turn / 4 - 0.3))
+        shade = 1.0 * round_profile(right, self.width, 0.6)
+        return Pattern(_GAP, (Layer("stripe", (i, k), strand, _COLORS[k % 4], shade),))

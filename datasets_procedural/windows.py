@@ -1,0 +1,77 @@
+"""Windows in a house front."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check, check_sizes
+from .coordinates import Field, cells, nearest
+from .model import Model
+from .pattern import Layer, Pattern
+from .shapes import box, coverage
+
+_WALL = (0.60, 0.52, 0.43)
+_FRAME = (0.62, 0.62, 0.60)
+_SILL = (0.34, 0.31, 0.28)
+_GLASS = (0.24, 0.31, 0.40)
+
+
+@dataclass(frozen=True)
+class Windows(Model):
+    """Windows in the front of a house, with sills. Elements: frame (with its sill), pane.
+
+    Parameters
+    ----------
+    width, height
+        From window to window along and across a storey in px.
+    columns, lines
+        Panes of a window along and across, from 1 to 4.
+    wall
+        Share of ``width`` and ``height`` that is wall, from 0.05 to 0.7.
+    """
+
+    width: float = 27.1
+    height: float = 36.3
+    columns: int = 2
+    lines: int = 3
+    wall: float = 0.35
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check(0.05 <= self.wall <= 0.7, f"wall is {self.wall}; give a share from 0.05 to 0.7")
+        for name in ("columns", "lines"):
+            check(1 <= getattr(self, name) <= 4, f"{name} is {getattr(self, name)}; give a number from 1 to 4")
+        check_sizes(self, width=5 * self.columns / (1 - self.wall), height=5 * self.lines / (1 - self.wall))
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Along a storey, and to the next one."""
+        return (self.width, 0.0), (0.0, self.height)
+
+    @property
+    def element_size(self) -> float:
+        """The breadth of a pane."""
+        return (1 - self.wall) * self.width / self.columns
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return windows in a wall; the origin is the middle of a window."""
+        (i, j), (right, down) = cells(x, y, self.width, self.height)
+        width, height = (1 - self.wall) * self.width, (1 - self.wall) * self.height
+        column, aside = nearest(right - width / self.columns * (self.columns - 1) / 2, width / self.columns)
+        line, below = nearest(down - height / self.lines * (self.lines - 1) / 2, height / self.lines)
+        window = coverage(box(right, down, width, height))
+        pane = window * coverage(box(aside, below, width / self.columns - 2, height / self.lines - 2))
+        sill = coverage(box(right, down - height / 2 - 1.2, 1.15 * width, 2.4)) * (1 - window)
+        gleam = 1 + 0.25 * np.clip((right - 1.5 * down) / self.height, -1, 1)
+        return Pattern(
+            _WALL,
+            (
+                Layer("pane", (self.columns * i + column, self.lines * j + line), pane, _GLASS, gleam),
+                Layer("frame", (i, j), window - pane, _FRAME),
+                Layer("sill", (i, j), sill, _SILL),
+            ),
+        )
