@@ -17,10 +17,10 @@ from .pattern import Layer, Pattern
 from .shades import mix
 from .shapes import capsule, coverage, disc
 
-_LID = (0.50, 0.50, 0.49)
-_TAB = (0.40, 0.40, 0.42)
-_MOUTH = (0.22, 0.22, 0.25)
-_CRATE = (0.14, 0.11, 0.10)
+_LID = (0.46, 0.46, 0.45)
+_TAB = (0.44, 0.44, 0.46)
+_MOUTH = (0.30, 0.30, 0.32)
+_CRATE = (0.23, 0.21, 0.20)
 
 
 @dataclass(frozen=True)

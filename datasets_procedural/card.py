@@ -12,8 +12,8 @@ from .model import Model
 from .pattern import Layer, Pattern
 from .shapes import box, coverage
 
-_HOLE = (0.16, 0.15, 0.17)
-_PAPER = (0.62, 0.57, 0.44)
+_HOLE = (0.25, 0.24, 0.26)
+_PAPER = (0.62, 0.58, 0.47)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from .pattern import Layer, Pattern
 from .shades import rim
 from .shapes import box, coverage
 
-_COLORS = np.array([(0.48, 0.10, 0.12), (0.10, 0.14, 0.30), (0.60, 0.48, 0.28), (0.28, 0.34, 0.20)])
-_WARP = (0.16, 0.10, 0.09)
+_COLORS = np.array([(0.50, 0.20, 0.22), (0.20, 0.23, 0.36), (0.60, 0.50, 0.34), (0.34, 0.39, 0.28)])
+_WARP = (0.25, 0.20, 0.19)
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ class Carpet(Model):
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return knots; the origin is the middle of a medallion."""
         (i, j), (right, down) = cells(x, y, self.knot, self.knot)
-        row = np.rint(j / self.knots)
-        du = np.abs(i - self.knots * (row / 2 + np.rint(i / self.knots - row / 2))) / self.knots
-        dv = np.abs(j - self.knots * row) / self.knots
+        row = np.floor(j / self.knots + 0.5)
+        du = np.abs((i / self.knots - row / 2 + 0.5) % 1 - 0.5)
+        dv = np.abs(j / self.knots - row)
         medal, star = du + dv, np.maximum(du, dv) + 0.4 * np.minimum(du, dv)
         color = np.select([medal < 0.13, medal < 0.27, medal < 0.36, star > 0.52], [2, 0, 2, 3], 1)
         distance = box(right, down, self.knot - 0.6, self.knot - 0.6, radius=1.0)

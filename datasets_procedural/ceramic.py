@@ -15,10 +15,10 @@ from .pattern import Layer, Pattern
 from .shades import bevel, mix
 from .shapes import box, coverage
 
-_GLAZE = (0.60, 0.60, 0.56)
-_BLUE = (0.16, 0.26, 0.50)
-_OCHRE = (0.60, 0.42, 0.14)
-_GROUT = (0.40, 0.39, 0.38)
+_GLAZE = (0.55, 0.55, 0.52)
+_BLUE = (0.25, 0.33, 0.52)
+_OCHRE = (0.60, 0.46, 0.23)
+_GROUT = (0.44, 0.43, 0.42)
 
 
 @dataclass(frozen=True)
@@ -56,5 +56,5 @@ class Ceramic(Model):
         ring = np.abs(corner + 0.05 * side) - 0.035 * side
         painted = mix(coverage(np.minimum(petals, -corner)), mix(coverage(ring), _GLAZE, _BLUE), _BLUE)
         color = mix(coverage(radius - 0.1 * side), painted, _OCHRE)
-        shade = bevel(distance, right, down, 0.3, 1.5)
+        shade = bevel(distance, right, down, 0.2, 1.5)
         return Pattern(_GROUT, (Layer("tile", index, coverage(distance), color, shade),))

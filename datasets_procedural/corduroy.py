@@ -15,8 +15,8 @@ from .pattern import Layer, Pattern
 from .shades import round_profile
 from .shapes import coverage, stripe
 
-_PILE = (0.50, 0.36, 0.20)
-_GROUND = (0.20, 0.13, 0.08)
+_PILE = (0.52, 0.41, 0.28)
+_GROUND = (0.28, 0.22, 0.18)
 
 
 @dataclass(frozen=True)
@@ -53,5 +53,5 @@ class Corduroy(Model):
         i, right = nearest(x, self.width)
         k, along = nearest(y + 0.35 * np.abs(right), self.tuft)
         cord = coverage(stripe(right, 0.78 * self.width))
-        shade = round_profile(right, 0.8 * self.width, 0.6) * (0.86 + 0.14 * np.cos(2 * np.pi * along / self.tuft))
+        shade = round_profile(right, 0.8 * self.width, 0.4) * (0.86 + 0.14 * np.cos(2 * np.pi * along / self.tuft))
         return Pattern(_GROUND, (Layer("tuft", (i, k), cord, _PILE, shade),))

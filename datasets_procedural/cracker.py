@@ -15,9 +15,9 @@ from .pattern import Layer, Pattern
 from .shades import mix
 from .shapes import box, coverage, disc
 
-_BISCUIT = (0.62, 0.50, 0.30)
-_BAKED = (0.50, 0.30, 0.12)
-_TRAY = (0.18, 0.14, 0.12)
+_BISCUIT = (0.62, 0.52, 0.36)
+_BAKED = (0.52, 0.36, 0.22)
+_TRAY = (0.26, 0.23, 0.22)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from .shapes import coverage, hexagon
 _GLAZE = (0.32, 0.46, 0.52)
 _GROUT = (0.78, 0.77, 0.73)
 _WIRE = (0.60, 0.56, 0.44)
-_SHADOW = (0.13, 0.16, 0.14)
+_SHADOW = (0.20, 0.23, 0.21)
 _NEIGHBORS = np.array([(1, 0), (0, 1), (-1, 1), (-1, 0), (0, -1), (1, -1)])
 """Steps (i, j) to the hexagons around one, in order of their angle."""
 

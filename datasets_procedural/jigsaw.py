@@ -17,8 +17,8 @@ from .pattern import Layer, Pattern
 from .shades import rim
 from .shapes import coverage, disc
 
-_CARD = (0.50, 0.47, 0.34)
-_TABLE = (0.15, 0.12, 0.10)
+_CARD = (0.52, 0.50, 0.39)
+_TABLE = (0.24, 0.22, 0.20)
 
 
 @dataclass(frozen=True)

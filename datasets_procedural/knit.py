@@ -15,8 +15,8 @@ from .pattern import Layer, Pattern
 from .shades import round_profile
 from .shapes import capsule, coverage
 
-_WOOL = (0.54, 0.24, 0.26)
-_SHADOW = (0.16, 0.07, 0.08)
+_WOOL = (0.55, 0.31, 0.33)
+_SHADOW = (0.25, 0.18, 0.18)
 
 
 @dataclass(frozen=True)
@@ -48,5 +48,5 @@ class Knit(Model):
         j, down = nearest(y + 1.1 * self.height / self.width * 2 * aside, self.height)
         distance = capsule(aside, down * 0.9, 0.52 * self.width, 0.84 * self.height * 0.9)
         strand = 0.88 + 0.12 * np.cos(2 * np.pi * (aside / self.width * 4 + down / self.height))
-        shade = strand * round_profile(down, self.height, 0.5)
+        shade = strand * round_profile(down, self.height, 0.4)
         return Pattern(_SHADOW, (Layer("stitch", (i, j), coverage(distance), _WOOL, shade),))

@@ -15,9 +15,9 @@ from .pattern import Layer, Pattern
 from .shades import round_profile
 from .shapes import capsule, coverage, stripe
 
-_ROPE = (0.60, 0.50, 0.32)
-_KNOT = (0.55, 0.40, 0.22)
-_FLOOR = (0.14, 0.10, 0.08)
+_ROPE = (0.60, 0.52, 0.38)
+_KNOT = (0.56, 0.44, 0.30)
+_FLOOR = (0.23, 0.20, 0.18)
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,6 @@ class Mat(Model):
         twist = 0.82 + 0.18 * np.cos(8 * number * y + 5 * aside / self.rope)
         turns = 0.8 + 0.2 * np.cos(2 * np.pi * (right / self.rope * 1.7 + down / self.rope * 0.6))
         rope = coverage(stripe(aside, self.rope)) * (1 - knot)
-        strands = Layer("rope", (i,), rope, _ROPE, twist * round_profile(aside, self.rope, 0.5))
-        knots = Layer("knot", (across, along), knot, _KNOT, turns * round_profile(down, 1.05 * self.rope, 0.5))
+        strands = Layer("rope", (i,), rope, _ROPE, twist * round_profile(aside, self.rope, 0.4))
+        knots = Layer("knot", (across, along), knot, _KNOT, turns * round_profile(down, 1.05 * self.rope, 0.4))
         return Pattern(_FLOOR, (strands, knots))

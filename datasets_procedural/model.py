@@ -56,7 +56,7 @@ class Model(ABC):
         Strength in [0, 1]: standard deviation of the grain added to every pixel, all channels alike.
     light
         Strength in [0, 1] of a lighting gradient: everything is multiplied by a wave of random direction, about 16 s
-        long (s: the shortest lattice vector), of mean 1 and standard deviation ``light / 4``.
+        long (s: the shortest vector of any of its lattices), of mean 1 and standard deviation ``light / 4``.
     damage
         Probability that an element is worn: about half of it, in blots, is lost to the ground.
     missing
@@ -110,9 +110,14 @@ class Model(ABC):
         """Return the pattern at points (x, y) px in the model's own axes, a lattice point at (0, 0)."""
 
     @property
+    def s(self) -> float:
+        """Length in px of the shortest vector of any of its lattices: the unit of displacements."""
+        return min(Lattice(*vectors).s for vectors in (self.vectors, *self.sublattices()))
+
+    @property
     def element_size(self) -> float:
         """Typical breadth of an element in px."""
-        return self._lattice((0.0, 0.0)).s / 2
+        return self.s / 2
 
     def sublattices(self) -> tuple[tuple[Vector, Vector], ...]:
         """Return the generating vectors, before rotation, of parts that have a lattice of their own."""
@@ -135,7 +140,7 @@ class Model(ABC):
     def departures(self) -> Departures:
         """The strengths, with the lengths that they refer to."""
         strengths = {name: getattr(self, name) for name in _STRENGTHS}
-        return Departures(**strengths, s=self._lattice((0.0, 0.0)).s, element_size=self.element_size)
+        return Departures(**strengths, s=self.s, element_size=self.element_size)
 
     @cached_property
     def regular_share(self) -> float:
@@ -165,10 +170,10 @@ class Model(ABC):
         check_shape(shape)
         seed = int(rng.integers(2**63))
         frame, departures = Frame(origin, self.rotation), self.departures
-        pattern = self._tinted(*frame.grid(shape))
+        around = self._tinted(*frame.grid(shape, departures.margin))
+        pattern = around.cropped(departures.margin)
         ideal, moved = pattern.ideal(), None
         if departures.spread:
-            around = self.pattern(*frame.grid(shape, departures.margin)) if departures.jitter else pattern
             moved = departures.displacement(around, shape, seed)
             pattern = self._tinted(*frame.grid(shape, moved=moved))
         image, elements = departures.painted(pattern, seed)

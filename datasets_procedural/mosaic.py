@@ -16,8 +16,9 @@ from .pattern import Layer, Pattern
 from .shades import rim
 from .shapes import coverage
 
-_COLORS = np.array([(0.58, 0.34, 0.16), (0.60, 0.55, 0.44), (0.18, 0.34, 0.44), (0.50, 0.16, 0.14)])
-_GROUT = (0.24, 0.23, 0.22)
+_COLORS = np.array([(0.58, 0.39, 0.25), (0.60, 0.56, 0.47), (0.26, 0.39, 0.47), (0.52, 0.25, 0.23)])
+_NEAR = [(a, b) for b in (-1, 0, 1) for a in (-1, 0, 1)]
+_GROUT = (0.31, 0.30, 0.30)
 
 
 @dataclass(frozen=True)
@@ -57,27 +58,34 @@ class Mosaic(Model):
         """Return stones on grout: each point belongs to the nearest stone's middle; the origin is a rosette's."""
         u, v = x / self.element_size, y / self.element_size
         i, j = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
-        near = [(i + a, j + b) for b in (-1, 0, 1) for a in (-1, 0, 1)]
-        offsets = np.stack([np.stack(self._middle(*stone)) - (u, v) for stone in near])
-        squares = (offsets**2).sum(1)
-        order = np.argsort(squares, 0, kind="stable")[:1]
-        first = np.take_along_axis(offsets, order[:, np.newaxis], 0)
-        gap = np.maximum(np.sqrt(((offsets - first) ** 2).sum(1)), 1e-9)
-        bisector = (squares - np.take_along_axis(squares, order, 0)) / (2 * gap)
-        bisector[gap < 1e-6] = np.inf
-        distance = self.joint / 2 - bisector.min(0) * self.element_size
-        index = tuple(np.take_along_axis(np.stack(part), order, 0)[0] for part in zip(*near, strict=True))
+        offsets = self._offsets(i, j, u - i, v - j)
+        squares = [dx**2 + dy**2 for dx, dy in offsets]
+        mine, first = squares[0], np.zeros(u.shape, np.int64)
+        for k, square in enumerate(squares[1:], 1):
+            first = np.where(square < mine, k, first)
+            mine = np.minimum(mine, square)
+        own = [np.choose(first, part) for part in zip(*offsets, strict=True)]
+        seam = np.full(u.shape, np.inf)
+        for square, (dx, dy) in zip(squares, offsets, strict=True):
+            apart = np.sqrt((dx - own[0]) ** 2 + (dy - own[1]) ** 2)
+            seam = np.where(apart > 1e-6, np.minimum(seam, (square - mine) / np.maximum(2 * apart, 1e-6)), seam)
+        index = i + np.array(_NEAR)[first, 0], j + np.array(_NEAR)[first, 1]
+        distance = self.joint / 2 - seam * self.element_size
         color = _COLORS[self._ring(*index)]
         return Pattern(_GROUT, (Layer("stone", index, coverage(distance), color, rim(distance, 0.15, 1.0)),))
 
-    def _middle(self, i: Index, j: Index) -> tuple[Field, Field]:
-        """Return the middle of a stone, in stones."""
+    def _offsets(self, i: Index, j: Index, du: Field, dv: Field) -> list[tuple[Field, Field]]:
+        """Return how far, in stones, the middles of the nine stones nearby lie from each point."""
         n = self.stones
-        jitter = (0.16 * uniform(role_seed(n, name), i % n, j % n) for name in "xy")
-        dx, dy = jitter
-        return i + dx, j + dy
+        uneven = 0.16 * uniform(role_seed(n, "stones"), *np.indices((2, n, n)))
+        place = (i % n) * n + j % n
+        found = []
+        for a, b in _NEAR:
+            dx, dy = np.roll(uneven, (-a, -b), (1, 2)).reshape(2, -1)
+            found.append(((dx + a).take(place) - du, (dy + b).take(place) - dv))
+        return found
 
     def _ring(self, i: Index, j: Index) -> Index:
         n = self.stones
         du, dv = (part - n * np.rint(part / n) for part in (i, j))
-        return np.rint(np.hypot(du, dv)).astype(np.int64) % len(_COLORS)
+        return np.asarray(np.rint(np.hypot(du, dv)).astype(np.int64) % len(_COLORS))

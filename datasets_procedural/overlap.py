@@ -15,9 +15,9 @@ from .model import Model
 from .pattern import Layer, Pattern
 from .shapes import box, coverage, hexagon
 
-_SQUARE = (0.60, 0.46, 0.16)
-_HEXAGON = (0.22, 0.34, 0.46)
-_GROUND = (0.58, 0.58, 0.55)
+_SQUARE = (0.60, 0.49, 0.25)
+_HEXAGON = (0.30, 0.39, 0.49)
+_GROUND = (0.58, 0.58, 0.56)
 
 
 @dataclass(frozen=True)

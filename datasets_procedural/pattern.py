@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -95,6 +96,20 @@ class Pattern:
         for layer in self.layers:
             image += layer.paint()
         return image
+
+    def cropped(self, margin: int) -> Pattern:
+        """Return the pattern without its outer ``margin`` px."""
+        inside = slice(margin, -margin or None)
+
+        def crop(part: ArrayLike) -> NDArray[Any]:
+            array = np.asarray(part)
+            return array[inside, inside] if array.ndim > 1 else array
+
+        layers = (
+            Layer(each.name, tuple(map(crop, each.index)), crop(each.coverage), crop(each.color), crop(each.shade))
+            for each in self.layers
+        )
+        return Pattern(crop(self.ground), tuple(layers))
 
     def tinted(self, turn: NDArray[np.float64]) -> Pattern:
         """Return the pattern with the matrix ``turn`` applied to its colors."""

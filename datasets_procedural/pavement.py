@@ -17,9 +17,9 @@ from .pattern import Layer, Pattern
 from .shades import rim
 from .shapes import box, coverage, lozenge
 
-_STONE = (0.52, 0.47, 0.43)
-_SMALL = (0.36, 0.30, 0.30)
-_SAND = (0.66, 0.62, 0.54)
+_STONE = (0.54, 0.50, 0.46)
+_SMALL = (0.41, 0.36, 0.36)
+_SAND = (0.28, 0.26, 0.23)
 _LATTICES: dict[str, tuple[Vector, Vector]] = {
     "herringbone": ((1, 1), (2, -2)),
     "basket": ((2, 2), (2, -2)),

@@ -15,9 +15,9 @@ from .pattern import Layer, Pattern
 from .shades import mix
 from .threads import interlaced
 
-_CRUST = (0.62, 0.46, 0.24)
-_BROWN = (0.48, 0.27, 0.12)
-_FILLING = (0.36, 0.06, 0.08)
+_CRUST = (0.62, 0.49, 0.31)
+_BROWN = (0.50, 0.34, 0.22)
+_FILLING = (0.41, 0.17, 0.18)
 _DRAFT = np.array([[True, False], [False, True]])
 
 

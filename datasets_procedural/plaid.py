@@ -14,10 +14,10 @@ from .model import Model
 from .pattern import Layer, Pattern
 from .shapes import coverage, stripe
 
-_COLORS = np.array([(0.52, 0.10, 0.12), (0.08, 0.14, 0.24), (0.10, 0.28, 0.18), (0.62, 0.56, 0.24)])
+_COLORS = np.array([(0.54, 0.20, 0.22), (0.18, 0.23, 0.31), (0.20, 0.34, 0.26), (0.62, 0.57, 0.31)])
 _SETT = (0.42, 0.08, 0.26, 0.08, 0.16)
 _DYES = np.array([0, 3, 1, 2, 1])
-_GROUND = (0.14, 0.12, 0.12)
+_GROUND = (0.23, 0.22, 0.22)
 
 
 @dataclass(frozen=True)

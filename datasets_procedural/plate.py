@@ -15,7 +15,7 @@ from .pattern import Layer, Pattern
 from .shades import bevel
 from .shapes import coverage, lozenge, turned
 
-_STEEL = (0.46, 0.48, 0.50)
+_STEEL = (0.49, 0.50, 0.52)
 
 
 @dataclass(frozen=True)

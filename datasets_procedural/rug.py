@@ -15,8 +15,10 @@ from .pattern import Layer, Pattern
 from .shades import round_profile
 from .shapes import coverage, stripe
 
-_COLORS = np.array([(0.56, 0.18, 0.12), (0.62, 0.52, 0.36), (0.14, 0.22, 0.34), (0.58, 0.38, 0.12)])
-_JUTE = (0.36, 0.31, 0.24)
+_COLORS = np.array([(0.57, 0.26, 0.22), (0.62, 0.54, 0.41), (0.23, 0.30, 0.39), (0.58, 0.42, 0.22)])
+_STEPS = np.array([3, 1, 0, 0, 2, 2, 0])
+"""Colors from the middle of a lozenge outwards."""
+_JUTE = (0.41, 0.37, 0.31)
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,9 @@ class Rug(Model):
         (i, j), (right, down) = cells(x, y, self.step, self.yarn)
         n = self.steps
         across = np.abs(j - 2 * n * np.rint(j / (2 * n)).astype(np.int64))
-        away = np.abs(i - n * np.rint(i / n).astype(np.int64)) + across // 2
-        color = np.where(across >= n - 2, 1 + 2 * ((across + i) % 2), np.array([3, 1, 0, 0, 2, 2, 0])[away % 7])
+        aside = np.abs(i - n * np.rint(i / n).astype(np.int64))
+        lozenge = _STEPS[(aside + across // 2) % len(_STEPS)]
+        color = np.where(across >= n - 2, 1 + 2 * ((across + aside) % 2), lozenge)
         rib = coverage(stripe(down, self.yarn - 0.5))
         shade = round_profile(down, self.yarn, 0.45) * (0.9 + 0.1 * np.cos(2 * np.pi * right / self.step))
         return Pattern(_JUTE, (Layer("yarn", (i, j), rib, _COLORS[color], shade),))

@@ -9,14 +9,14 @@ import numpy as np
 from nrbench.lattice.geometry import Vector
 
 from .checks import check_sizes
-from .coordinates import Field
+from .coordinates import Field, Index
 from .model import Model
 from .pattern import Layer, Pattern
 from .shades import rim
 from .shapes import coverage, disc
 
-_SCALE = (0.34, 0.50, 0.52)
-_GAP = (0.12, 0.16, 0.20)
+_SCALE = (0.39, 0.52, 0.54)
+_GAP = (0.22, 0.25, 0.28)
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,11 @@ class Scales(Model):
         shade = 1 - 0.45 * np.exp(-np.maximum(above[1], 0) / (0.12 * self.width)) * ~over
         ribs = 1 + 0.12 * np.cos(2 * np.pi * distance / (0.17 * self.width))
         index = i, np.where(over, row, row + 1)
-        return Pattern(_GAP, (Layer("scale", index, coverage(seam), _SCALE, 0.85 * shade * ribs * rim(seam, 0.2, 1.0)),))
+        return Pattern(
+            _GAP, (Layer("scale", index, coverage(seam), _SCALE, 0.85 * shade * ribs * rim(seam, 0.2, 1.0)),)
+        )
 
-    def _scale(self, x: Field, y: Field, row: Field) -> tuple[Field, Field]:
+    def _scale(self, x: Field, y: Field, row: Index) -> tuple[Index, Field]:
         """Return the nearest scale of a row, and the distance to its disc."""
         i = np.rint(x / self.width - row / 2).astype(np.int64)
         return i, disc(x - (i + row / 2) * self.width, y - row * self.width / 2, self.width)

@@ -12,10 +12,10 @@ from .model import Model
 from .pattern import Layer, Pattern
 from .shapes import box, coverage
 
-_OUTER = (0.55, 0.22, 0.18)
-_MIDDLE = (0.60, 0.54, 0.40)
-_INNER = (0.18, 0.26, 0.40)
-_GROUND = (0.30, 0.30, 0.27)
+_OUTER = (0.56, 0.30, 0.26)
+_MIDDLE = (0.60, 0.55, 0.44)
+_INNER = (0.26, 0.33, 0.44)
+_GROUND = (0.36, 0.36, 0.34)
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,9 @@ class Squares(Model):
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return squares on a ground; the origin is the middle of three."""
         index, (right, down) = cells(x, y, self.period, self.period)
-        outer, middle, inner = (coverage(box(right, down, p * self.period, p * self.period)) for p in (0.84, 0.56, 0.28))
+        outer, middle, inner = (
+            coverage(box(right, down, p * self.period, p * self.period)) for p in (0.84, 0.56, 0.28)
+        )
         return Pattern(
             _GROUND,
             (

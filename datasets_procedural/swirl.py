@@ -15,9 +15,9 @@ from .pattern import Layer, Pattern
 from .shades import mix
 from .shapes import coverage, disc
 
-_LIGHT = (0.60, 0.54, 0.42)
-_DARK = (0.40, 0.16, 0.24)
-_GROUND = (0.26, 0.34, 0.36)
+_LIGHT = (0.60, 0.55, 0.46)
+_DARK = (0.44, 0.25, 0.31)
+_GROUND = (0.33, 0.39, 0.41)
 
 
 @dataclass(frozen=True)

@@ -75,20 +75,20 @@ class Motif:
     Parameters
     ----------
     orders
-        int ``(n, 2)``: the waves (k, l); of a wave and its negative, one.
+        int ``(n, 2)``: the waves (k, m); of a wave and its negative, one.
     terms
-        complex ``(n, m)``: the terms of each of the m functions.
+        complex ``(n, count)``: the terms of each of the functions.
     """
 
     orders: NDArray[np.int64]
     terms: NDArray[np.complex128]
 
     def __call__(self, u: Field, v: Field) -> Field:
-        """Return the functions' values, ``(m, ...)``."""
+        """Return the functions' values, ``(count, ...)``."""
         along, across = (_powers(part, int(np.abs(self.orders).max())) for part in (u, v))
         total = np.zeros((self.terms.shape[1], *np.broadcast_shapes(u.shape, v.shape)))
-        for (k, l), terms in zip(self.orders, self.terms, strict=True):
-            wave = along[k] * across[l]
+        for (k, m), terms in zip(self.orders, self.terms, strict=True):
+            wave = along[k] * across[m]
             for sum_, term in zip(total, terms, strict=True):
                 sum_ += term.real * wave.real - term.imag * wave.imag
         return total
@@ -108,10 +108,10 @@ def random_motif(seed: int, group: Group, count: int) -> Motif:
     They hold the waves of length not under 0.37 of the cell's side: few enough for a motif that one remembers.
     """
     drawn: dict[tuple[int, int], NDArray[np.complex128]] = {}
-    for k, l in _short_orders(group):
-        size, turn = ([draw(role_seed(seed, f"{k} {l}"), np.arange(count) + 9 * i) for i, draw in enumerate((uniform, unit))])
+    for k, m in _short_orders(group):
+        size, turn = (draw(role_seed(seed, f"{draw.__name__} {k} {m}"), np.arange(count)) for draw in (uniform, unit))
         for a, b, c, d, e, f in operations(group):
-            order, term = (a * k + c * l, b * k + d * l), size * np.exp(2j * np.pi * (turn + k * e + l * f))
+            order, term = (a * k + c * m, b * k + d * m), size * np.exp(2j * np.pi * (turn + k * e + m * f))
             for sign, one in ((1, term), (-1, np.conj(term))):
                 key = (sign * order[0], sign * order[1])
                 drawn[key] = drawn.get(key, 0) + one
@@ -121,8 +121,8 @@ def random_motif(seed: int, group: Group, count: int) -> Motif:
 
 
 def _short_orders(group: Group) -> list[tuple[int, int]]:
-    """Return the waves (k, l) up to a length, their square in the metric of the reciprocal cell; not (0, 0)."""
+    """Return the waves (k, m) up to a length, their square in the metric of the reciprocal cell; not (0, 0)."""
     hexagonal = group in HEXAGONAL
     steps = range(-3, 4)
-    squares = {(k, l): k * k + l * l + k * l * hexagonal for k in steps for l in steps}
+    squares = {(k, m): k * k + m * m + k * m * hexagonal for k in steps for m in steps}
     return [order for order, square in squares.items() if 0 < square <= (7 if hexagonal else 5)]

@@ -15,8 +15,8 @@ from .pattern import Layer, Pattern
 from .shades import round_profile
 from .shapes import coverage, stripe
 
-_COLORS = np.array([(0.62, 0.62, 0.61), (0.58, 0.14, 0.16), (0.62, 0.62, 0.61), (0.14, 0.44, 0.48)])
-_GAP = (0.20, 0.22, 0.26)
+_COLORS = np.array([(0.62, 0.62, 0.61), (0.58, 0.23, 0.25), (0.62, 0.62, 0.61), (0.23, 0.47, 0.50)])
+_GAP = (0.28, 0.30, 0.33)
 
 
 @dataclass(frozen=True)
@@ -54,5 +54,5 @@ class Toothpaste(Model):
         around = np.arcsin(np.clip(2 * right / self.width, -1, 1)) / np.pi
         k, along = nearest(y - 0.5 * self.turn * around, self.turn / 4)
         strand = coverage(stripe(right, self.width - 1.5)) * coverage(stripe(along, self.turn / 4 - 0.3))
-        shade = 1.0 * round_profile(right, self.width, 0.6)
+        shade = 1.0 * round_profile(right, self.width, 0.4)
         return Pattern(_GAP, (Layer("stripe", (i, k), strand, _COLORS[k % 4], shade),))

@@ -18,8 +18,8 @@ from .pattern import Layer, Pattern
 from .shades import mix
 from .symmetry import GROUPS, HEXAGONAL, Group, Motif, random_motif
 
-_PAPER = (0.62, 0.60, 0.52)
-_INKS = ((0.30, 0.42, 0.38), (0.58, 0.30, 0.26), (0.56, 0.46, 0.22))
+_PAPER = (0.62, 0.60, 0.54)
+_INKS = ((0.36, 0.46, 0.42), (0.58, 0.36, 0.33), (0.57, 0.49, 0.30))
 
 
 @dataclass(frozen=True)

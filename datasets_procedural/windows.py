@@ -14,10 +14,10 @@ from .model import Model
 from .pattern import Layer, Pattern
 from .shapes import box, coverage
 
-_WALL = (0.60, 0.52, 0.43)
+_WALL = (0.60, 0.54, 0.46)
 _FRAME = (0.62, 0.62, 0.60)
-_SILL = (0.34, 0.31, 0.28)
-_GLASS = (0.24, 0.31, 0.40)
+_SILL = (0.39, 0.37, 0.34)
+_GLASS = (0.31, 0.37, 0.44)
 
 
 @dataclass(frozen=True)
