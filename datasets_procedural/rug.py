@@ -23,7 +23,7 @@ _JUTE = (0.41, 0.37, 0.31)
 
 @dataclass(frozen=True)
 class Rug(Model):
-    """A flat-woven rug: stepped lozenges of ribbed yarn, between bands. Element: yarn, a step long.
+    """A flat-woven rug: stepped lozenges of ribbed yarn, between bands. Element: patch of two steps, four ribs high.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ class Rug(Model):
 
     @property
     def element_size(self) -> float:
-        """The breadth of a yarn's step."""
-        return self.step
+        """The breadth of a patch."""
+        return 2 * self.step
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return yarn on jute; the origin is the middle of a lozenge."""
@@ -64,4 +64,4 @@ class Rug(Model):
         color = np.where(across >= n - 2, 1 + 2 * ((across + aside) % 2), lozenge)
         rib = coverage(stripe(down, self.yarn - 0.5))
         shade = round_profile(down, self.yarn, 0.45) * (0.9 + 0.1 * np.cos(2 * np.pi * right / self.step))
-        return Pattern(_JUTE, (Layer("yarn", (i, j), rib, _COLORS[color], shade),))
+        return Pattern(_JUTE, (Layer("patch", (i // 2, j // 4), rib, _COLORS[color], shade),))

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import itertools
+import json
+import math
 import re
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from nrbench import plugins
 from nrbench.datasets_procedural.model import Model
-from nrbench.suite import TextureRow, load_suite
+from nrbench.imaging.door import to_bytes
+from nrbench.plan import Sample, drawn
+from nrbench.streams import pixels_hash
+from nrbench.suite import Suite, TextureRow, load_suite
 
 SHARES = {"mild": (0.9, 1.0), "middle": (0.6, 0.9), "strong": (0.3, 0.6)}
 SUITES = ["core", "default"]
+FROZEN = Path(__file__).with_name("frozen_samples.json")
 ROWS = [pytest.param(row, id=f"{name}-{row.name}") for name in SUITES for row in load_suite(name).texture]
 
 
@@ -35,7 +42,7 @@ def test_families_by_shares(name: str, count: int) -> None:
     assert rotated == (9 if name == "core" else 4)
 
 
-@pytest.mark.parametrize("row", ROWS)
+@pytest.mark.parametrize("row", [*ROWS, *(pytest.param(row, id=row.name) for row in load_suite("integer").texture)])
 def test_share_is_what_the_row_says(row: TextureRow) -> None:
     """The regular share lies in the range that the name tells, and is the one in the description."""
     share = _model(row).regular_share
@@ -68,3 +75,106 @@ def test_departures_are_visible_and_unclipped(row: TextureRow) -> None:
     assert model.color >= 0.1 and 0.02 <= model.noise <= 0.15 and model.phase is None
     images = np.stack([model.render((128, 128), np.random.default_rng(seed)).image for seed in range(4)])
     assert ((images <= 0) | (images >= 1)).mean() < 0.0015
+
+
+@pytest.mark.parametrize("row", load_suite("integer").texture, ids=lambda row: row.name)
+def test_integer_is_lucky(row: TextureRow) -> None:
+    """Each vector of the twin is whole (of hexagons, within 0.03 px); upright ones fit the sample."""
+    model, twin = _model(row), _model(next(each for each in load_suite("core").texture if each.name == row.name))
+    lattice = model.render((16, 16), np.random.default_rng(0)).lattice
+    assert lattice is not None and type(model) is type(twin) and bool(model.rotation) == bool(twin.rotation)
+    assert np.abs(lattice.matrix - np.rint(lattice.matrix)).max() < (0.03 if row.family == "hexagon" else 1e-9)
+    assert model.regular_share == pytest.approx(twin.regular_share, abs=0.02)
+    if row.family != "hexagon" and not model.rotation:
+        steps = np.array([(128.0, 0.0), (0.0, 128.0)]) @ np.linalg.inv(lattice.matrix)
+        np.testing.assert_allclose(steps, np.rint(steps), atol=1e-9)
+
+
+def test_spectrum_is_graded() -> None:
+    """The knob goes from perfectly regular to no lattice in at least 8 steps, each less regular than the last."""
+    samples = drawn(load_suite("spectrum"))
+    textures = [sample.texture for sample in samples if sample.texture is not None]
+    shares = [texture.regular_share for texture in textures]
+    assert len(textures) == len(samples) >= 8 and shares[0] == 1.0 and shares == sorted(shares, reverse=True)
+    assert textures[0].kind == "0" and {texture.kind for texture in textures[1:-1]} == {"III"}
+    assert textures[-1].kind == "stochastic" and textures[-1].lattice is None
+    for sample in samples:
+        assert f"{sample.texture.regular_share:.2f}" in sample.row.description or sample.row.dataset == "noise"
+
+
+@pytest.fixture(scope="module")
+def report() -> list[Sample]:
+    """Draw the samples of the report's analogues."""
+    return drawn(load_suite("report2004"))
+
+
+def test_report_rows(report: list[Sample]) -> None:
+    """Figures 3 to 45 stand row for row; 3 to 7 are perfectly regular, all others vary in color alone."""
+    assert [sample.row.figure for sample in report] == list(range(3, 46))
+    kinds = [sample.texture.kind for sample in report if sample.texture is not None]
+    assert kinds == ["0"] * 5 + ["I"] * 38
+    for sample in report:
+        description, colon, hard = sample.row.description.partition(": ")
+        assert colon and len(hard) > 20 and description.replace(" ", "-").replace("&", "-") in sample.row.name
+
+
+def test_report_sizes(report: list[Sample]) -> None:
+    """Samples have sides of 128 to 192 px, outputs of 256 to 384 px."""
+    for sample in report:
+        assert sample.row.sample and sample.row.size
+        assert all(128 <= side <= 192 for side in sample.row.sample)
+        assert all(256 <= side <= 384 for side in sample.row.size)
+
+
+def test_report_facts(report: list[Sample]) -> None:
+    """What the report says of single figures is so."""
+    figures = {sample.row.figure: sample for sample in report}
+    models = {
+        figure: plugins.build("datasets", each.row.dataset, each.row.parameters) for figure, each in figures.items()
+    }
+    both, puzzle = figures[31], figures[33]
+    assert both.texture and puzzle.texture and puzzle.row.sample and both.row.sample
+    assert len(both.texture.lattices) == 3 and all(math.hypot(*t) > max(both.row.sample) for t in models[31].vectors)
+    assert puzzle.texture.lattice and puzzle.texture.lattice.area > math.prod(puzzle.row.sample)
+    assert models[37].small_every == 6
+    assert all(models[figure].damage > 0 for figure in (43, 44))
+    assert all(models[figure].bond != "stack" for figure in (36, 37, 38, 40, 41))
+    assert {figures[figure].row.dataset for figure in (23, 28, 34)} == {"pie", "weave"}
+
+
+def _signature(suite: Suite) -> dict[str, dict[str, object]]:
+    """Return of each sample the hash of its pixels, and the mean of each of 8 x 8 blocks of them, in [0, 255]."""
+    found: dict[str, dict[str, object]] = {}
+    for sample in drawn(suite):
+        assert sample.texture is not None, sample.fault
+        pixels = to_bytes(sample.texture.image).mean(-1)
+        rows, columns = (np.linspace(0, side, 9).astype(int) for side in pixels.shape)
+        blocks = [pixels[a:b, c:d].mean() for a, b in itertools.pairwise(rows) for c, d in itertools.pairwise(columns)]
+        found[sample.row.name] = {"pixels": pixels_hash(sample.texture.image), "blocks": np.round(blocks, 3).tolist()}
+    return found
+
+
+@pytest.mark.parametrize("name", ["core", "default", "integer", "spectrum", "report2004"])
+def test_samples_are_frozen(name: str) -> None:
+    """The samples are those that methods have met so far.
+
+    The hash of the 8-bit pixels is compared first. Processors may differ in the last bit of a cosine, which now and
+    then rounds a pixel to the next gray level: where a hash differs, the means of 64 blocks must agree to 0.02 gray
+    levels, which no change of a model, a parameter or a draw leaves in place.
+
+    A change of these numbers needs a reason that mentions no method's result (a model that draws something wrong, a
+    fact about a figure); say it in the change log, raise the suite's version, and write the file anew by
+    ``python -c "import test_suites; test_suites.write_frozen()"`` in this folder.
+    """
+    frozen = json.loads(FROZEN.read_text("utf-8"))[name]
+    now = _signature(load_suite(name))
+    assert list(now) == list(frozen)
+    for row, signature in now.items():
+        if signature["pixels"] != frozen[row]["pixels"]:
+            np.testing.assert_allclose(signature["blocks"], frozen[row]["blocks"], atol=0.02, err_msg=row)
+
+
+def write_frozen() -> None:
+    """Write the signatures of all suites."""
+    found = {name: _signature(load_suite(name)) for name in ("core", "default", "integer", "spectrum", "report2004")}
+    FROZEN.write_text(json.dumps(found, indent=None, separators=(",", ":")).replace('},"', '},\n"') + "\n", "utf-8")

@@ -1,0 +1,69 @@
+"""Basketwork."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from nrbench.lattice.geometry import Vector
+
+from .checks import check_choice, check_sizes
+from .coordinates import Field
+from .model import Model
+from .pattern import Layer, Pattern
+from .threads import interlaced
+
+_STAKE = (0.42, 0.32, 0.24)
+_STRAND = (0.62, 0.51, 0.34)
+_INSIDE = (0.24, 0.20, 0.18)
+_SQUARE = np.indices((4, 4))
+_DRAFTS = {
+    "single": (_SQUARE.sum(0) % 2 == 0, ((1, 1), (1, -1))),
+    "double": ((_SQUARE[1] + _SQUARE[0] // 2) % 2 == 0, ((1, 2), (1, -2))),
+}
+"""Where the stake lies above, and the generating vectors in stakes and strands."""
+
+
+@dataclass(frozen=True)
+class Basket(Model):
+    """The side of a basket: thin strands woven around broad upright stakes. Elements: stake, strand.
+
+    Parameters
+    ----------
+    stake, strand
+        From stake to stake along x, and from strand to strand along y, in px.
+    gap
+        Width of the dark gap between them in px, at least 1.
+    draft
+        ``"single"``: each strand passes the stakes otherwise than the one above it, so the lattice is
+        (stake, strand), (stake, -strand); ``"double"``: strands in pairs.
+    """
+
+    stake: float = 19.3
+    strand: float = 8.7
+    gap: float = 1.6
+    draft: Literal["single", "double"] = "single"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice(self, "draft", _DRAFTS)
+        check_sizes(self, gap=1, stake=self.gap + 2, strand=self.gap + 2)
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """To crossings that are alike."""
+        (a, b), (c, d) = _DRAFTS[self.draft][1]
+        return (a * self.stake, b * self.strand), (c * self.stake, d * self.strand)
+
+    @property
+    def element_size(self) -> float:
+        """The breadth of a strand."""
+        return self.strand
+
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return strands and stakes before the dark inside; the origin is a crossing where the stake lies above."""
+        stake, strand = interlaced(x, y, (self.stake, self.strand), self.gap, _DRAFTS[self.draft][0], depth=0.35)
+        stakes = Layer("stake", (stake.index,), stake.coverage, _STAKE, stake.shade)
+        return Pattern(_INSIDE, (stakes, Layer("strand", (strand.index,), strand.coverage, _STRAND, strand.shade)))
