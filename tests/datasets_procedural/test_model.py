@@ -177,9 +177,9 @@ def test_mean_is_the_ideal(model: type[Model]) -> None:
     made = model(color=0.3, intensity=0.2, noise=0.05, light=0.1, rotation=11.0)
     first = _render(made, side=80)
     rng = np.random.default_rng(1)
-    draws = np.stack([made.again(first, (80, 80), rng).image for _ in range(60)]).astype(np.float64)
-    z = (draws.mean(0) - _truth(first)[1]) / (draws.std(0, ddof=1) / math.sqrt(60))
-    assert (np.abs(z) > 4).mean() < 0.002 and abs(z.mean()) < 0.6 and 0.75 < z.std() < 1.3
+    draws = np.stack([made.again(first, (80, 80), rng).image for _ in range(40)]).astype(np.float64)
+    z = (draws.mean(0) - _truth(first)[1]) / (draws.std(0, ddof=1) / math.sqrt(40))
+    assert (np.abs(z) > 4).mean() < 0.006 and abs(z.mean()) < 0.6 and 0.75 < z.std() < 1.3
 
 
 @pytest.mark.parametrize("departure", ["color", "intensity"])
@@ -187,7 +187,7 @@ def test_mean_is_the_ideal(model: type[Model]) -> None:
 def test_clipping_is_rare(model: type[Model], departure: str) -> None:
     """At a strength of 0.6, under noise, less than 0.1 % of the values are clipped."""
     made = model(**{**NONE, "noise": 0.04, departure: 0.6})
-    images = np.stack([_render(made, seed).image for seed in range(10)])
+    images = np.stack([_render(made, seed).image for seed in range(6)])
     assert ((images <= 0) | (images >= 1)).mean() < 0.001
 
 
@@ -195,10 +195,10 @@ def test_clipping_is_rare(model: type[Model], departure: str) -> None:
 def test_regular_share(model: type[Model]) -> None:
     """The share given is the one measured over draws and phases, whatever the rotation."""
     made = model(color=0.3, intensity=0.2, noise=0.06, rotation=20.0)
-    textures = [_render(made, seed, 200) for seed in range(12)]
+    textures = [_render(made, seed, 200) for seed in range(8)]
     regular = np.mean([_truth(texture)[1].var((0, 1)).mean() for texture in textures])
     departures = np.mean([((texture.image - _truth(texture)[1]) ** 2).mean() for texture in textures])
-    assert textures[0].regular_share == pytest.approx(regular / (regular + departures), abs=0.02)
+    assert textures[0].regular_share == pytest.approx(regular / (regular + departures), abs=0.03)
     assert {texture.regular_share for texture in textures} == {made.regular_share}
     assert model(**NONE).regular_share == 1.0
 

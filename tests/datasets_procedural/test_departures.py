@@ -1,0 +1,167 @@
+"""Claims about departures, over all models: what each changes, by how much, and what it leaves alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nrbench import plugins
+from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.coordinates import Field, Frame
+from nrbench.datasets_procedural.departures import Elements
+from nrbench.datasets_procedural.hexagon import Hexagon
+from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.pattern import Pattern
+from nrbench.datasets_procedural.rug import Rug
+from nrbench.datasets_procedural.weave import Weave
+from nrbench.datasets_procedural.windows import Windows
+from nrbench.texture import Texture
+
+MODELS = [
+    plugin.cls for plugin in plugins.inventory("datasets") if plugin.cls is not None and issubclass(plugin.cls, Model)
+]
+NONE: dict[str, Any] = {"color": 0.0, "intensity": 0.0, "noise": 0.0}
+KINDS = {"color": "I", "intensity": "I", "noise": "I", "light": "I", "damage": "I", "missing": "I"} | {
+    "jitter": "II",
+    "bend": "II",
+}
+
+
+def _render(model: Model, seed: int = 0, side: int = 96) -> Texture:
+    return model.render((side, side), np.random.default_rng(seed))
+
+
+def _pattern(model: Model, texture: Texture) -> Pattern:
+    assert texture.lattice is not None
+    moved = None if texture.displacement is None else texture.displacement.astype(np.float64)
+    return model._tinted(*Frame(texture.lattice.origin, model.rotation).grid(texture.image.shape[:2], moved=moved))
+
+
+def _lost(pattern: Pattern, elements: Elements) -> Field:
+    """Return the greatest share that any element seen at each pixel has lost."""
+    found = np.zeros(pattern.layers[0].coverage.shape)
+    for layer in pattern.layers:
+        census = layer.census()
+        table = np.zeros(len(census.index))
+        rows = {tuple(index): loss for index, loss in zip(*_named(elements, layer.name, "damage"), strict=True)}
+        table[:] = [rows.get(tuple(index), 0.0) for index in census.index.tolist()]
+        found = np.maximum(found, np.where(layer.coverage > 0, table[census.place], 0))
+    return found
+
+
+def _named(elements: Elements, name: str, part: str) -> tuple[list[list[int]], Any]:
+    return elements[f"{name}.index"].astype(int).tolist(), elements[f"{name}.{part}"]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_kinds(model: type[Model]) -> None:
+    """Each departure makes its type, one of either sort make type III, and all of them change the picture."""
+    ideal = _render(model(**NONE)).image
+    for name, kind in KINDS.items():
+        texture = _render(model(**{**NONE, name: 0.5}))
+        assert texture.kind == kind and np.abs(texture.image - ideal).mean() > 1e-3
+        np.testing.assert_array_equal(texture.ideal, ideal)
+    assert model(**{**NONE, "bend": 0.1, "light": 0.1}).kind == "III"
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_displacement_is_the_truth(model: type[Model]) -> None:
+    """The ideal pattern, looked up where the displacement field says each pixel came from, is the picture."""
+    made = model(rotation=13.0, jitter=0.2, bend=0.3, **NONE)
+    texture = _render(made)
+    assert texture.displacement is not None and texture.displacement.shape == (96, 96, 2)
+    assert texture.displacement.dtype == np.float32
+    difference = np.abs(_pattern(made, texture).ideal() - texture.image)
+    assert np.quantile(difference, 0.999) < 1e-4
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_jitter_moves_elements(model: type[Model]) -> None:
+    """An element moves by a standard deviation of jitter x s / 4 along x and y, with mean 0; pixels follow."""
+    made = model(jitter=0.4, **NONE)
+    textures = [_render(made, seed, 160) for seed in range(3)]
+    tables = [rows for one in textures for name, rows in one.elements.items() if name.endswith(".displacement")]
+    moves, spread = np.concatenate(tables), 0.1 * made.s
+    assert np.abs(moves.mean(0)).max() < 5 * spread / np.sqrt(len(moves))
+    np.testing.assert_allclose(moves.std(0), spread, rtol=max(0.12, 3 / np.sqrt(len(moves))))
+    pixels = np.stack([texture.displacement for texture in textures if texture.displacement is not None])
+    assert 0.35 * spread < pixels.std() < 1.25 * spread
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_bend_is_smooth(model: type[Model]) -> None:
+    """Pixels move by a standard deviation of bend x s / 4, with mean 0, and neighbors nearly alike."""
+    made = model(bend=0.4, **NONE)
+    fields = np.stack([_render(made, seed, 48).displacement for seed in range(30)])  # type: ignore[arg-type]
+    spread = 0.1 * made.s
+    assert np.abs(fields.mean((0, 1, 2))).max() < 5 * spread / np.sqrt(30)
+    assert fields.std() == pytest.approx(spread, rel=0.25)
+    assert np.abs(np.diff(fields, axis=1)).max() < 1.3 * spread * 4 / made.s * 2
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_intact_elements_stay(model: type[Model]) -> None:
+    """Damage changes only pixels of damaged elements; about as many are damaged as the strengths say."""
+    made = model(rotation=9.0, damage=0.3, missing=0.2, **NONE)
+    textures = [_render(made, seed, 100) for seed in range(4)]
+    assert textures[0].ideal is not None
+    changed = np.abs(textures[0].image - textures[0].ideal).max(-1) > 1e-5
+    lost = _lost(_pattern(made, textures[0]), dict(textures[0].elements))
+    assert not changed[lost == 0].any() and (changed & (lost > 0)).any()
+    losses = np.concatenate([rows for one in textures for name, rows in one.elements.items() if "damage" in name])
+    assert set(losses) <= {0.0, 0.5, 1.0}
+    slack = 4 / np.sqrt(len(losses))
+    assert (losses == 1).mean() == pytest.approx(0.2, abs=slack) and (losses == 0.5).mean() == pytest.approx(
+        0.24, abs=slack
+    )
+
+
+@pytest.mark.parametrize("model", [Brick, Hexagon, Rug, Weave, Windows])
+def test_intact_elements_converge(model: type[Model]) -> None:
+    """Over draws, the mean of the pixels whose elements are whole is the ideal image."""
+    made = model(rotation=9.0, damage=0.2, missing=0.1, color=0.3, intensity=0.2, noise=0.04)
+    first = _render(made, side=64)
+    assert first.ideal is not None
+    rng, pattern = np.random.default_rng(1), _pattern(made, first)
+    total, square, count = np.zeros((64, 64, 3)), np.zeros((64, 64, 3)), np.zeros((64, 64, 1))
+    for _ in range(40):
+        draw = made.again(first, (64, 64), rng)
+        whole = (_lost(pattern, dict(draw.elements)) == 0)[..., np.newaxis]
+        off = np.where(whole, draw.image - first.ideal, 0)
+        total, square, count = total + off, square + off**2, count + whole
+    seen = count[..., 0] >= 10
+    z = (total / np.sqrt(np.maximum(square, 1e-9)))[seen]
+    assert seen.mean() > 0.5 and (np.abs(z) > 4).mean() < 0.002 and abs(z.mean()) < 0.6
+
+
+def test_light_is_a_slow_wave() -> None:
+    """The gradient multiplies everything by one number a pixel, of mean 1 and standard deviation light / 4."""
+    made = Hexagon(light=0.8, **NONE)
+    draws = [_render(made, seed, 64) for seed in range(120)]
+    ratios = np.stack([draw.image / draw.ideal for draw in draws if draw.ideal is not None])
+    whole = ratios.max(-1) - ratios.min(-1) < 1e-4
+    assert whole.mean() > 0.9
+    assert ratios[whole].mean() == pytest.approx(1, abs=0.06) and ratios[..., 0].std() == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize("strengths", [{"damage": 0.4, "missing": 0.1}, {"light": 0.8}, {"bend": 0.6}, {"jitter": 0.5}])
+def test_regular_share_counts_every_departure(strengths: dict[str, float]) -> None:
+    """The share is the variance of the mean over draws, as a part of the mean variance of a draw."""
+    made = Hexagon(period=14.3, joint=2.5, phase=(0.1, 0.2), **{**NONE, "color": 0.1}, **strengths)
+    first = _render(made, side=160)
+    rng = np.random.default_rng(0)
+    draws = np.stack([made.again(first, (160, 160), rng).image for _ in range(50)]).astype(np.float64)
+    mean, within = draws.mean(0), draws.var(0, ddof=1)
+    regular = mean.var((0, 1)).mean() - within.mean() / 50
+    assert made.regular_share == pytest.approx(regular / (regular + within.mean()), abs=0.08)
+
+
+def test_a_window_of_a_draw_is_the_same_draw() -> None:
+    """With every departure at once, a smaller picture is the corner of a larger one, to the byte."""
+    made = Hexagon(rotation=5.0, light=0.3, damage=0.2, missing=0.1, jitter=0.3, bend=0.3)
+    small, large = (made.render(shape, np.random.default_rng(4)) for shape in ((50, 70), (120, 90)))
+    np.testing.assert_array_equal(small.image, large.image[:50, :70])
+    assert small.displacement is not None and large.displacement is not None
+    np.testing.assert_array_equal(small.displacement, large.displacement[:50, :70])
