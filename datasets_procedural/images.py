@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,7 +18,7 @@ from nrbench.imaging.files import read_image
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.texture import Region, Shape, Texture
 
-from .truth import ENDINGS, read_truth
+from .truth import ENDINGS, read_rendered, read_truth
 
 
 @dataclass(frozen=True)
@@ -28,12 +30,15 @@ class Images:
     path
         The picture: PNG, JPEG, TIFF; 8 bits, 16 bits gray, palette.
     t1, t2
-        Generating vectors (x, y) in px of the picture's lattice, both or neither; its origin is the picture's corner.
+        Generating vectors (x, y) in px of the picture's lattice, both or neither.
+    origin
+        A lattice point (x, y) in px of the picture.
     """
 
     path: Path
     t1: Vector | None = None
     t2: Vector | None = None
+    origin: Vector = (0.0, 0.0)
 
     procedural: ClassVar[bool] = False
     version: ClassVar[str] = "1"
@@ -72,21 +77,29 @@ class Images:
     def directory_rows(directory: str | Path) -> list[dict[str, Any]]:
         """Return a suite row (``name``, ``family``, ``parameters``) for each picture of a directory, sorted by name.
 
-        A ``truth.csv`` in it may hold generating vectors: columns ``file,t1x,t1y,t2x,t2y``, others are ignored; a
-        picture without a line, or whose four numbers are empty, has no known lattice.
+        A ``truth.csv`` in it may hold generating vectors: columns ``file,t1x,t1y,t2x,t2y`` and, at will,
+        ``originx,originy``; others are ignored. A picture without a line, or whose numbers are empty, has no known
+        lattice. A ``truth.json`` that ``nrbench render`` wrote says how each picture was drawn.
 
         Raises
         ------
         BadInput
-            When there is no picture, or ``truth.csv`` is malformed (naming the line).
+            When there is no picture, or a truth file is malformed (naming the line).
         """
         folder = Path(directory)
-        pictures = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.is_file())
+        sheet, rendered = read_rendered(folder)
+        names = sorted(entry.name for entry in os.scandir(folder) if entry.is_file() and entry.name != sheet)
+        pictures = [folder / name for name in names if Path(name).suffix.lower() in ENDINGS]
         if not pictures:
             raise BadInput(f"directory {folder}: has no picture; put PNG, JPEG or TIFF files into it")
         truth = read_truth(folder)
         return [
-            {"name": name, "family": "picture", "parameters": {"path": str(path), **truth.get(path.name, {})}}
+            {
+                "name": name,
+                "family": "picture",
+                "parameters": {"path": str(path), **truth.get(path.name, {})},
+                **rendered.get(path.name, {}),
+            }
             for name, path in _named(pictures)
         ]
 
@@ -95,7 +108,7 @@ class Images:
         return _cached(where, where.stat().st_mtime_ns) if where.is_file() else read_image(where)
 
     def _lattice(self, region: Region) -> Lattice | None:
-        origin = (-float(region[0]), -float(region[1]))
+        origin = (self.origin[0] - region[0], self.origin[1] - region[1])
         return None if self.t1 is None or self.t2 is None else Lattice(self.t1, self.t2, origin)
 
     def _cut(self, image: Image, region: Region) -> Texture:
@@ -139,5 +152,5 @@ def _free_corner(picture: Shape, shape: Shape, region: Region, rng: np.random.Ge
 
 def _named(pictures: list[Path]) -> Iterator[tuple[str, Path]]:
     """Yield each picture with its name: without its ending, unless two would be called the same."""
-    stems = [path.stem for path in pictures]
-    return ((path.stem if stems.count(path.stem) == 1 else path.name, path) for path in pictures)
+    stems = Counter(path.stem for path in pictures)
+    return ((path.stem if stems[path.stem] == 1 else path.name, path) for path in pictures)

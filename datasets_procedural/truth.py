@@ -1,9 +1,11 @@
-"""``truth.csv``: the known lattices of a directory of pictures."""
+"""``truth.csv`` and ``truth.json``: what is known of a directory of pictures."""
 
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
+from typing import Any
 
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice, Vector
@@ -11,11 +13,16 @@ from nrbench.lattice.geometry import Lattice, Vector
 ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
 """Endings of the files that count as pictures."""
 _NUMBERS = ("t1x", "t1y", "t2x", "t2y")
+_ORIGIN = ("originx", "originy")
 _HEADER = ",".join(("file", *_NUMBERS))
+_ROW = ("family", "description", "figure", "size", "recipe")
+"""What a suite's row takes from ``truth.json``."""
 
 
 def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:
-    """Return the generating vectors ``{"t1": (x, y), "t2": (x, y)}`` in px by file name; {} for empty ones.
+    """Return ``{"t1": (x, y), "t2": (x, y), "origin": (x, y)}`` in px by file name; {} where the numbers are empty.
+
+    The columns ``originx, originy`` may be missing: the origin is then the picture's corner, and not returned.
 
     Parameters
     ----------
@@ -62,13 +69,46 @@ def _vectors(row: dict[str, str], where: str) -> dict[str, Vector]:
     texts = [row[name].strip() for name in _NUMBERS]
     if not any(texts):
         return {}
+    origin = [row.get(name, "").strip() for name in _ORIGIN]
     try:
-        x1, y1, x2, y2 = map(float, texts)
-        lattice = Lattice((x1, y1), (x2, y2))
+        x1, y1, x2, y2, *start = map(float, texts + origin * all(origin))
+        lattice = Lattice((x1, y1), (x2, y2), (start[0], start[1]) if start else (0.0, 0.0))
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from None
     except ValueError:
         raise BadInput(
             f"{where}: {','.join(texts)!r} are not four numbers; give {','.join(_NUMBERS)}, or none"
         ) from None
-    return {"t1": lattice.t1, "t2": lattice.t2}
+    return {"t1": lattice.t1, "t2": lattice.t2} | ({"origin": lattice.origin} if start else {})
+
+
+def read_rendered(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
+    """Return the name of the contact sheet, and of each picture what ``nrbench render`` wrote for a suite's row.
+
+    Parameters
+    ----------
+    folder
+        A directory; without a ``truth.json`` of ours in it nothing is known.
+
+    Raises
+    ------
+    BadInput
+        When ``truth.json`` is no JSON.
+    """
+    path = folder / "truth.json"
+    try:
+        content = json.loads(path.read_text("utf-8")) if path.is_file() else {}
+    except ValueError as error:
+        raise BadInput(f"{path}: is no JSON ({error}); render the textures again, or delete it") from None
+    textures = content.get("textures") if isinstance(content, dict) else None
+    if not isinstance(textures, dict):
+        return "", {}
+    rows = {name: known for name, known in textures.items() if isinstance(known, dict)}
+    kept = {name: {key: known[key] for key in _ROW if known.get(key)} for name, known in rows.items()}
+    return str(content.get("sheet", "")), {name: row | _whole(row) for name, row in kept.items()}
+
+
+def _whole(row: dict[str, Any]) -> dict[str, Any]:
+    """Return the shape of a rendered picture: all of it is the sample."""
+    shape = row["recipe"].get("shape") if isinstance(row.get("recipe"), dict) else None
+    return {"sample": shape} if shape else {}

@@ -36,6 +36,8 @@ class Sample:
         For a picture: the region that the sample does not touch, where there is room.
     fault
         Why drawing failed, or empty.
+    shape
+        Shape (height, width) of the outputs.
     """
 
     row: TextureRow
@@ -43,6 +45,7 @@ class Sample:
     texture: Texture | None
     again: Image | None = field(default=None, repr=False)
     fault: str = ""
+    shape: Shape | None = None
 
 
 @dataclass(frozen=True)
@@ -166,18 +169,36 @@ def _chosen(suite: Suite, patterns: Sequence[str]) -> list[TextureRow]:
 
 
 def _draw(suite: Suite, row: TextureRow, replicate: int) -> Sample:
-    plugin = plugins.build("datasets", row.dataset, row.parameters)
-    parameters = plugins.parameters_of(plugin)
-    recipe = Recipe(row.dataset, parameters, suite.seed, row.name, replicate, row.sample or suite.sample)
+    recipe, shape = _recipe(suite, row, replicate), row.size or suite.size
     try:
         texture = recipe.render()
         texture = dataclasses.replace(texture, image=quantize(texture.image), name=row.name)
-        again = None if recipe.procedural else _region(recipe.again(texture), row.size or suite.size)
+        again = None if recipe.procedural else _region(recipe.again(texture), shape)
     except Exception as error:
         known = isinstance(error, BadInput)
         fault = str(error) if known else f"{type(error).__name__}: {error} ({_last_line()})"
-        return Sample(row, recipe, None, fault=fault)
-    return Sample(row, recipe, texture, again)
+        return Sample(row, recipe, None, fault=fault, shape=shape)
+    return Sample(row, recipe, texture, again, shape=shape)
+
+
+def _recipe(suite: Suite, row: TextureRow, replicate: int) -> Recipe:
+    """Return how a row's sample is drawn: for a picture that a model rendered, as that model did."""
+    plugin = plugins.build("datasets", row.dataset, row.parameters)
+    shape = row.sample or suite.sample
+    own = Recipe(row.dataset, plugins.parameters_of(plugin), suite.seed, row.name, replicate, shape)
+    known = row.recipe
+    if known is None:
+        return own
+    first = Recipe(known.dataset, known.parameters, known.seed, known.texture, known.replicate, known.shape)
+    try:
+        parameters = plugins.parameters_of(first.plugin())
+        same = pixels_hash(first.render().image) == pixels_hash(
+            dataclasses.replace(own, shape=known.shape).render().image
+        )
+    except Exception:  # of another version, or of a plugin that is not installed here: a picture like any other
+        return own
+    there = dataclasses.replace(first, parameters=parameters, replicate=known.replicate + replicate, shape=shape)
+    return there if same else own
 
 
 def _region(again: Again, shape: Shape) -> Image | None:
@@ -210,7 +231,7 @@ def _cell(suite: Suite, sample: Sample, method: Method, source: Source) -> Cell:
         detector=source.detector,
         replicate=sample.recipe.replicate,
         seed=suite.seed,
-        shape=row.size or suite.size,
+        shape=sample.shape or suite.size,
         sample_hash=pixels_hash(texture.image) if texture else "",
         family=row.family or (texture.family if texture else ""),
         description=row.description,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.resources import files
@@ -51,8 +52,24 @@ Size = Annotated[Shape, BeforeValidator(parse_size), PlainSerializer(size_text)]
 _Name = Annotated[str, Field(pattern=r"^[^/\\\x00-\x1f]+$", max_length=200)]
 
 
+class Drawing(BaseModel):
+    """How a picture in a file was once drawn: see :class:`~nrbench.cell.Recipe`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    dataset: str
+    parameters: dict[str, Any]
+    seed: int = Field(ge=0)
+    texture: str
+    replicate: int = Field(ge=0)
+    shape: Size
+
+
 class TextureRow(BaseModel):
-    """One texture of a suite: a dataset with its parameters, under a name."""
+    """One texture of a suite: a dataset with its parameters, under a name.
+
+    A picture that was rendered from a model may say by ``recipe`` how: where the recipe still gives the same pixels,
+    the texture is drawn by it, and all of its truth is known.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     name: _Name
@@ -63,6 +80,7 @@ class TextureRow(BaseModel):
     parameters: dict[str, Any] = {}
     sample: Size | None = None
     size: Size | None = None
+    recipe: Drawing | None = None
 
 
 class Suite(BaseModel):
@@ -182,5 +200,13 @@ def directory_suite(directory: Path) -> Suite:
             rows = [{"dataset": plugin.name, **row} for row in lister(directory)]
             title = directory.resolve().name or "pictures"
             methods = load_suite(DEFAULT).methods
-            return validated_suite({"name": title, "texture": rows, "methods": methods}, str(directory))
+            content = {"name": title, "texture": rows, "methods": methods, "seed": _common_seed(rows)}
+            return validated_suite(content, str(directory))
     raise BadInput(f"{directory}: no dataset plugin reads a directory; see `nrbench list datasets`")
+
+
+def _common_seed(rows: Sequence[Mapping[str, Any]]) -> int:
+    """Return the seed of the suite that all pictures were rendered from; 0 where they were not, or from several."""
+    seeds = {row["recipe"]["seed"] if row.get("recipe") else None for row in rows}
+    seed = seeds.pop() if len(seeds) == 1 else None
+    return seed if isinstance(seed, int) else 0

@@ -17,7 +17,7 @@ import click
 def render_command(
     what: str, output: Path, textures: tuple[str, ...], sample: str | None, seed: int | None, replicates: int | None
 ) -> None:
-    """Write the textures of a model or a suite as PNG, with truth.csv beside them."""
+    """Write the textures of a model or a suite as PNG, with truth.csv, truth.json and a contact sheet beside them."""
     from nrbench.api import changed
     from nrbench.plan import drawn
     from nrbench.rendering import model_suite, write_textures

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import PIL.Image
 import PIL.ImageOps
+import PIL.PngImagePlugin
 from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
@@ -80,7 +81,7 @@ def _sixteen_bits(pixels: NDArray[Any], where: str) -> NDArray[np.uint16]:
 
 
 def write_image(path: str | Path, image: Image) -> Path:
-    """Write a PNG of 8 bits a channel; a reader never sees half a file.
+    """Write a PNG of 8 bits a channel, marked as sRGB; a reader never sees half a file.
 
     Parameters
     ----------
@@ -103,9 +104,12 @@ def write_image(path: str | Path, image: Image) -> Path:
     if target.suffix.lower() != ".png":
         raise BadInput(f"picture {path}: only PNG is written, which keeps every pixel; end its name in .png")
     pixels = to_bytes(image)
+    chunks = PIL.PngImagePlugin.PngInfo()
+    chunks.add(b"sRGB", b"\x00")
     aside = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(aside, "PNG", compress_level=1)
+        picture = PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
+        picture.save(aside, "PNG", compress_level=1, pnginfo=chunks)
         aside.replace(target)
     except OSError as error:
         raise BadInput(f"picture {path}: cannot be written ({error.strerror}); check its folder") from None
