@@ -18,6 +18,7 @@ from nrbench.imaging.files import read_image
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.texture import Region, Shape, Texture
 
+from .checks import check
 from .truth import ENDINGS, read_rendered, read_truth
 
 
@@ -54,8 +55,9 @@ class Images:
         Raises
         ------
         BadInput
-            When the picture cannot be read.
+            When the picture cannot be read, or ``shape`` is empty.
         """
+        check(min(shape) >= 1, f"shape {shape[1]}x{shape[0]} px has no pixels; give at least 1 a side")
         image = self._read()
         height, width = (min(wanted, side) for wanted, side in zip(shape, image.shape, strict=False))
         x0 = int(rng.integers(image.shape[1] - width + 1))
@@ -77,6 +79,8 @@ class Images:
     def directory_rows(directory: str | Path) -> list[dict[str, Any]]:
         """Return a suite row (``name``, ``family``, ``parameters``) for each picture of a directory, sorted by name.
 
+        No picture is opened. Hidden files and the contact sheet of ``nrbench render`` are left out.
+
         A ``truth.csv`` in it may hold generating vectors: columns ``file,t1x,t1y,t2x,t2y`` and, at will,
         ``originx,originy``; others are ignored. A picture without a line, or whose numbers are empty, has no known
         lattice. A ``truth.json`` that ``nrbench render`` wrote says how each picture was drawn.
@@ -88,8 +92,8 @@ class Images:
         """
         folder = Path(directory)
         sheet, rendered = read_rendered(folder)
-        names = sorted(entry.name for entry in os.scandir(folder) if entry.is_file() and entry.name != sheet)
-        pictures = [folder / name for name in names if Path(name).suffix.lower() in ENDINGS]
+        names = sorted(entry.name for entry in os.scandir(folder) if entry.is_file() and not entry.name.startswith("."))
+        pictures = [folder / name for name in names if Path(name).suffix.lower() in ENDINGS and name != sheet]
         if not pictures:
             raise BadInput(f"directory {folder}: has no picture; put PNG, JPEG or TIFF files into it")
         truth = read_truth(folder)

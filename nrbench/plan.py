@@ -6,7 +6,8 @@ import dataclasses
 import fnmatch
 import traceback
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,6 @@ from nrbench.imaging.door import Image, quantize
 from nrbench.parameters import label, parse_spec
 from nrbench.streams import pixels_hash
 from nrbench.suite import Suite, TextureRow
-from nrbench.synthesis import Again
 from nrbench.texture import Shape, Texture
 
 
@@ -32,20 +32,30 @@ class Sample:
         The suite's row, and how it was drawn.
     texture
         The texture, its image rounded to 8 bits; None where drawing failed.
-    again
-        For a picture: the region that the sample does not touch, where there is room.
-    fault
-        Why drawing failed, or empty.
     shape
         Shape (height, width) of the outputs.
+    again_hash
+        For a picture: hash of the region that the sample does not touch; empty where there is no room.
+    fault
+        Why drawing failed, or empty.
     """
 
     row: TextureRow
     recipe: Recipe
     texture: Texture | None
-    again: Image | None = field(default=None, repr=False)
+    shape: Shape
+    again_hash: str = ""
     fault: str = ""
-    shape: Shape | None = None
+
+    @cached_property
+    def hash(self) -> str:
+        """Hash of the sample's pixels; empty where the texture could not be drawn."""
+        return pixels_hash(self.texture.image) if self.texture else ""
+
+    @property
+    def again(self) -> Image | None:
+        """The region that the sample does not touch, cut anew: a plan of many pictures does not keep them all."""
+        return _region(self.recipe, self.texture, self.shape) if self.again_hash and self.texture else None
 
 
 @dataclass(frozen=True)
@@ -173,12 +183,12 @@ def _draw(suite: Suite, row: TextureRow, replicate: int) -> Sample:
     try:
         texture = recipe.render()
         texture = dataclasses.replace(texture, image=quantize(texture.image), name=row.name)
-        again = None if recipe.procedural else _region(recipe.again(texture), shape)
+        again = None if recipe.procedural else _region(recipe, texture, shape)
     except Exception as error:
         known = isinstance(error, BadInput)
         fault = str(error) if known else f"{type(error).__name__}: {error} ({_last_line()})"
-        return Sample(row, recipe, None, fault=fault, shape=shape)
-    return Sample(row, recipe, texture, again, shape=shape)
+        return Sample(row, recipe, None, shape, fault=fault)
+    return Sample(row, recipe, texture, shape, pixels_hash(again) if again is not None else "")
 
 
 def _recipe(suite: Suite, row: TextureRow, replicate: int) -> Recipe:
@@ -201,8 +211,8 @@ def _recipe(suite: Suite, row: TextureRow, replicate: int) -> Recipe:
     return there if same else own
 
 
-def _region(again: Again, shape: Shape) -> Image | None:
-    drawn = again(shape, 0)
+def _region(recipe: Recipe, texture: Texture, shape: Shape) -> Image | None:
+    drawn = recipe.again(texture)(shape, 0)
     return quantize(drawn.image) if drawn is not None else None
 
 
@@ -231,12 +241,12 @@ def _cell(suite: Suite, sample: Sample, method: Method, source: Source) -> Cell:
         detector=source.detector,
         replicate=sample.recipe.replicate,
         seed=suite.seed,
-        shape=sample.shape or suite.size,
-        sample_hash=pixels_hash(texture.image) if texture else "",
+        shape=sample.shape,
+        sample_hash=sample.hash,
         family=row.family or (texture.family if texture else ""),
         description=row.description,
         procedural=sample.recipe.procedural,
-        again_hash=pixels_hash(sample.again) if method.reference and sample.again is not None else "",
+        again_hash=sample.again_hash if method.reference else "",
     )
     return (
         _with_truth(cell, texture, source)

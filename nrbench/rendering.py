@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from nrbench.errors import BadInput
+from nrbench.imaging.door import Image
 from nrbench.imaging.files import write_image
 from nrbench.imaging.sheet import contact_sheet
 from nrbench.parameters import parse_spec
@@ -66,12 +67,15 @@ def _file_name(sample: Sample) -> str:
     return f"{sample.row.name}{f'-{sample.recipe.replicate}' if sample.recipe.replicate else ''}.png"
 
 
-def _sheet(named: dict[str, tuple[Sample, Texture]]) -> Any:
-    captions = []
-    for name, (sample, texture) in named.items():
-        share = "" if texture.regular_share is None else f", regular share {texture.regular_share:.2f}"
-        captions.append(f"{name.removesuffix('.png')}\n{sample.recipe.dataset}: {f'type {texture.kind}' if texture.kind else 'picture'}{share}")
+def _sheet(named: dict[str, tuple[Sample, Texture]]) -> Image:
+    captions = [f"{name.removesuffix('.png')}\n{_caption(*pair)}" for name, pair in named.items()]
     return contact_sheet([texture.image for _, texture in named.values()], captions)
+
+
+def _caption(sample: Sample, texture: Texture) -> str:
+    kind = f", type {texture.kind}" if texture.kind else ""
+    share = "" if texture.regular_share is None else f", regular share {texture.regular_share:.2f}"
+    return f"{sample.recipe.dataset}{kind}{share}".replace("type stochastic", "stochastic")
 
 
 def _known(sample: Sample, texture: Texture) -> dict[str, Any]:
@@ -93,7 +97,7 @@ def _known(sample: Sample, texture: Texture) -> dict[str, Any]:
         "regular_share": texture.regular_share,
         "lattice": texture.lattice.as_dict() if texture.lattice else None,
         "lattices": [lattice.as_dict() for lattice in texture.lattices],
-        "size": size_text(sample.shape) if sample.shape else None,
+        "size": size_text(sample.shape),
         "recipe": recipe if sample.recipe.procedural else None,
     }
 

@@ -220,8 +220,9 @@ def _prepare(where: CellFolder, cell: Cell, sample: Sample) -> None:
     where.clear()
     if sample.texture is not None:
         write_image(_made(where).sample, sample.texture.image)
-    if sample.again is not None and cell.reference:
-        write_image(where.again, sample.again)
+    again = sample.again if cell.reference else None
+    if again is not None:
+        write_image(where.again, again)
     write_json(where.cell_file, cell.as_dict())
 
 

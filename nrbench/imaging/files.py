@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     Parameters
     ----------
     path
-        8 bits gray, color or palette; 16 bits gray; an EXIF rotation is applied.
+        8 bits gray, color or palette; 16 bits gray; an EXIF rotation is applied, a broken EXIF block is passed over.
     smallest
         Least number of px a side: an input needs some structure, an output may be a line.
 
@@ -42,7 +43,8 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     where = f"picture {path}"
     _check_file(Path(path), where)
     try:
-        with PIL.Image.open(path) as opened:
+        # Opened here, because Pillow maps some TIFF files that it opens itself, and then garbles those that lie sideways.
+        with warnings.catch_warnings(action="ignore"), Path(path).open("rb") as file, PIL.Image.open(file) as opened:
             return as_image(_pixels(PIL.ImageOps.exif_transpose(opened), where), where, smallest)
     except PIL.UnidentifiedImageError:
         raise BadInput(f"{where}: is no picture that can be read; pass a PNG, JPEG or TIFF file") from None

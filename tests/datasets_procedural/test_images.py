@@ -13,6 +13,8 @@ from nrbench.datasets_procedural.images import Images, _free_corner
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image
 from nrbench.imaging.files import read_image, write_image
+from nrbench.plan import drawn
+from nrbench.suite import load_suite
 from nrbench.texture import Region
 
 
@@ -156,3 +158,42 @@ def test_empty_directory(tmp_path: Path) -> None:
     """A directory without a picture is refused."""
     with pytest.raises(BadInput, match="has no picture"):
         Images.directory_rows(tmp_path)
+
+
+def test_listing_opens_no_picture(tmp_path: Path) -> None:
+    """A folder of 2000 files is listed without reading any; hidden files are left out; names stay unlike."""
+    for i in range(1000):
+        (tmp_path / f"wall{i:04d}.png").write_bytes(b"not read")
+        (tmp_path / f"wall{i:04d}.JPG").touch()
+    (tmp_path / "._wall0000.png").touch()
+    rows = Images.directory_rows(tmp_path)
+    assert len(rows) == 2000 == len({row["name"] for row in rows})
+
+
+def test_mixed_sizes(tmp_path: Path) -> None:
+    """Pictures of any size, gray or color, stand side by side: each gives what it has, a broken one a failed row."""
+    rng = np.random.default_rng(0)
+    for name, shape in (("big", (300, 200, 3)), ("small", (30, 40, 1)), ("long", (20, 400, 3))):
+        write_image(tmp_path / f"{name}.png", rng.random(shape).astype(np.float32))
+    (tmp_path / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    (tmp_path / "truth.csv").write_text("file,t1x,t1y,t2x,t2y\nbig.png,10,0,0,10\n")
+    drawings = {sample.row.name: sample for sample in drawn(load_suite(tmp_path))}
+    shapes = {name: each.texture.image.shape for name, each in drawings.items() if each.texture}
+    assert shapes == {"big": (128, 128, 3), "small": (30, 40, 1), "long": (20, 128, 3)}
+    assert "broken.png" in drawings["broken"].fault
+    assert {name for name, each in drawings.items() if each.texture and each.texture.lattice} == {"big"}
+
+
+@pytest.mark.parametrize("shape", [(0, 10), (10, -1)])
+def test_no_pixels_asked(picture: Path, shape: tuple[int, int]) -> None:
+    """A crop without pixels is refused."""
+    with pytest.raises(BadInput, match="has no pixels"):
+        Images(picture).render(shape, np.random.default_rng(0))
+
+
+def test_origin_moves_with_the_crop(picture: Path) -> None:
+    """A lattice point of the picture is where it was, in the crop's coordinates."""
+    plugin = Images(picture, t1=(11.5, 0.2), t2=(0.0, 9.0), origin=(3.25, 1.5))
+    texture = plugin.render((20, 30), np.random.default_rng(1))
+    assert texture.lattice is not None and texture.region is not None
+    assert texture.lattice.origin == (3.25 - texture.region[0], 1.5 - texture.region[1])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nrbench.datasets_procedural.truth import read_truth
+from nrbench.datasets_procedural.truth import read_rendered, read_truth
 from nrbench.errors import BadInput
 
 HEADER = "file,t1x,t1y,t2x,t2y\n"
@@ -28,6 +28,29 @@ def test_vectors(tmp_path: Path) -> None:
     """Four numbers are two vectors, empty ones no lattice; order, other columns and a byte order mark do not matter."""
     text = '\ufefft2x,t2y,file,note,t1x,t1y\n0, 9.5,a.png,"x, y",12,-1\n,,b.png,,,\n'
     assert read_truth(_folder(tmp_path, text)) == {"a.png": {"t1": (12.0, -1.0), "t2": (0.0, 9.5)}, "b.png": {}}
+
+
+def test_origin(tmp_path: Path) -> None:
+    """Two further numbers are the origin, where both are given; numbers keep every digit."""
+    header = HEADER.strip() + ",originx,originy\n"
+    text = header + "a.png,12.300000000000001,0,0,9,3.25,-0.5\nb.png,12,0,0,9,,\n"
+    known = read_truth(_folder(tmp_path, text))
+    assert known["a.png"] == {"t1": (12.300000000000001, 0.0), "t2": (0.0, 9.0), "origin": (3.25, -0.5)}
+    assert "origin" not in known["b.png"]
+
+
+def test_rendered(tmp_path: Path) -> None:
+    """What render wrote becomes a row; a truth.json of another kind is passed over; one that is no JSON is refused."""
+    assert read_rendered(tmp_path) == ("", {})
+    (tmp_path / "truth.json").write_text('{"textures": [1, 2]}')
+    assert read_rendered(tmp_path) == ("", {})
+    entry = '{"family": "wall", "kind": "I", "figure": null, "size": "64x64", "recipe": {"shape": "32x48"}}'
+    (tmp_path / "truth.json").write_text(f'{{"sheet": "s.png", "textures": {{"a.png": {entry}}}}}')
+    row = {"family": "wall", "size": "64x64", "recipe": {"shape": "32x48"}, "sample": "32x48"}
+    assert read_rendered(tmp_path) == ("s.png", {"a.png": row})
+    (tmp_path / "truth.json").write_text("{")
+    with pytest.raises(BadInput, match=r"truth\.json: is no JSON"):
+        read_rendered(tmp_path)
 
 
 @pytest.mark.parametrize(

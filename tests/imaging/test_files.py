@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +114,43 @@ def test_exif_rotation(tmp_path: Path) -> None:
     image = read_image(_saved(tmp_path, picture, "picture.jpg", exif=exif, quality=95))
     assert image.shape == (24, 16, 1)
     assert image[:, 9:].min() > 0.9 and image[:, :7].max() < 0.1
+
+
+@pytest.mark.parametrize("turn", range(1, 9))
+def test_every_exif_orientation(tmp_path: Path, turn: int) -> None:
+    """All eight orientations that EXIF knows come in upright, from JPEG, PNG and TIFF."""
+    upright = np.zeros((16, 24), np.uint8)
+    upright[:8, :12] = 255
+    undo = [np.asarray, np.fliplr, lambda a: np.rot90(a, 2), np.flipud, np.transpose, np.rot90]
+    undo += [lambda a: np.rot90(a, 2).T, lambda a: np.rot90(a, -1)]
+    stored = PIL.Image.fromarray(np.ascontiguousarray(undo[turn - 1](upright)))
+    exif = PIL.Image.Exif()
+    exif[0x0112] = turn
+    for name, options in (
+        ("a.jpg", {"exif": exif}),
+        ("a.png", {"exif": exif}),
+        ("a.tif", {"tiffinfo": {0x0112: turn}}),
+    ):
+        image = read_image(_saved(tmp_path, stored, name, **options))
+        assert image.shape == (16, 24, 1)
+        np.testing.assert_allclose(image[..., 0], upright / 255, atol=0.1)
+
+
+def test_broken_exif(tmp_path: Path) -> None:
+    """An EXIF block that is cut short or made of noise does no harm, and says nothing on the terminal."""
+    rng = np.random.default_rng(0)
+    for length in (0, 3, 9, 40):
+        noise = b"Exif\0\0II*\0\x08\0\0\0" + rng.bytes(length)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert read_image(_saved(tmp_path, PIL.Image.fromarray(RAMP), "a.jpg", exif=noise)).shape == (12, 16, 1)
+
+
+def test_png_says_srgb(tmp_path: Path) -> None:
+    """What is written says that its values are sRGB."""
+    path = write_image(tmp_path / "out.png", np.zeros((8, 8, 3), np.float32))
+    with PIL.Image.open(path) as opened:
+        assert opened.info["srgb"] == 0
 
 
 @pytest.mark.parametrize("mode", ["RGBA", "LA"])

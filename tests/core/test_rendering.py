@@ -1,0 +1,129 @@
+"""Claims about textures as files, and what a run on their directory knows."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nrbench.api import run
+from nrbench.cell import Cell
+from nrbench.errors import BadInput
+from nrbench.imaging.files import read_image, write_image
+from nrbench.plan import drawn, make_plan
+from nrbench.rendering import SHEET, model_suite, write_textures
+from nrbench.runner import Options
+from nrbench.suite import Suite, load_suite, validated_suite
+
+ROWS = [
+    {"name": "wall", "dataset": "brick", "description": "A wall.", "parameters": {"color": 0.3, "rotation": 7.0}},
+    {"name": "cloth", "dataset": "weave", "family": "fabric", "sample": "72x56", "size": "80x96"},
+    {"name": "sand", "dataset": "noise"},
+]
+
+
+def _suite(**more: object) -> Suite:
+    content = {"name": "three", "seed": 5, "sample": "64x64", "size": "96x80", "replicates": 2, "lattice": ["given"]}
+    return validated_suite({**content, "texture": ROWS, "methods": ["oracle", "scatter"], **more}, "test")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Render the suite."""
+    write_textures(drawn(_suite()), tmp_path / "three")
+    return tmp_path / "three"
+
+
+def _cells(suite: Suite) -> list[Cell]:
+    changed = suite.with_changes(methods=["oracle", "scatter"], lattice=["given"], size="96x80")
+    return [cell for cell, _ in make_plan(changed).cells]
+
+
+def test_what_is_written(folder: Path) -> None:
+    """A PNG for each texture and replicate, a contact sheet, and both truths, which agree."""
+    pictures = {f"{name}{number}.png" for name in ("wall", "cloth", "sand") for number in ("", "-1")}
+    assert {path.name for path in folder.iterdir()} == pictures | {SHEET, "truth.csv", "truth.json"}
+    truth = json.loads((folder / "truth.json").read_text("utf-8"))
+    with (folder / "truth.csv").open(encoding="utf-8", newline="") as lines:
+        rows = {row["file"]: row for row in csv.DictReader(lines)}
+    assert set(rows) == set(truth["textures"]) == pictures
+    for name, known in truth["textures"].items():
+        assert rows[name]["family"] == known["family"] and rows[name]["kind"] == known["kind"]
+        if known["lattice"]:
+            assert float(rows[name]["t1x"]) == known["lattice"]["t1"][0]
+    assert truth["textures"]["wall.png"]["description"] == "A wall."
+    assert truth["textures"]["sand.png"]["lattice"] is None
+
+
+def test_a_run_on_the_directory_is_the_run_of_the_suite(folder: Path) -> None:
+    """Every cell of the directory has the key of a cell of the suite: nothing that decides a result differs."""
+    there = {(cell.key, cell.family, cell.regular_share) for cell in _cells(load_suite(folder))}
+    assert there == {(cell.key, cell.family, cell.regular_share) for cell in _cells(_suite())}
+
+
+def test_outputs_and_scores_are_identical(folder: Path, tmp_path: Path) -> None:
+    """Run on the directory, methods give the same bytes as run on the suite, and metrics the same numbers."""
+    names = {"wall.png", "cloth-1.png"}
+    for path in folder.glob("*.png"):
+        path.unlink() if path.name not in names else None
+    (folder / "truth.csv").unlink()
+    found = [
+        run(suite, textures=["wall", "cloth*"], out=tmp_path / f"run{i}", options=Options(jobs=0))
+        for i, suite in enumerate((_suite(), load_suite(folder).with_changes(methods=["scatter"], lattice=["given"])))
+    ]
+    suite, directory = ({record.key: record for record in each.cells} for each in found)
+    assert set(directory) <= set(suite) and len(directory) == 2
+    for key, record in directory.items():
+        assert record.status == suite[key].status == "ok"
+        assert (record.folder / "output.png").read_bytes() == (suite[key].folder / "output.png").read_bytes()
+        scores = [
+            {name: value for name, value in one.values.items() if "cost" not in name} for one in (record, suite[key])
+        ]
+        assert scores[0] == scores[1] and scores[0]
+
+
+def test_an_edited_picture_is_a_photograph(folder: Path) -> None:
+    """Where the recipe no longer gives the picture's pixels, the picture counts, and its lattice stays known."""
+    before = {sample.row.name: sample for sample in drawn(load_suite(folder))}
+    image = read_image(folder / "wall.png")
+    image[3, 3] = 1 - image[3, 3]
+    write_image(folder / "wall.png", image)
+    after = {sample.row.name: sample for sample in drawn(load_suite(folder))}
+    old, new = before["wall"].texture, after["wall"].texture
+    assert before["wall"].recipe.dataset == "brick" and after["wall"].recipe.dataset == "images"
+    assert old and new and old.lattice and new.lattice
+    np.testing.assert_allclose(new.image, image, atol=1e-6)
+    assert new.lattice.is_equivalent(old.lattice, tolerance=1e-9)
+    np.testing.assert_allclose(new.lattice.origin, old.lattice.origin, atol=1e-9)
+    assert after["cloth"].recipe.dataset == "weave"
+
+
+def test_a_recipe_of_a_stranger_is_passed_over(folder: Path) -> None:
+    """A recipe of a dataset that is not installed here leaves a picture with its lattice."""
+    text = (folder / "truth.json").read_text("utf-8").replace('"dataset": "brick"', '"dataset": "nobody"')
+    (folder / "truth.json").write_text(text, "utf-8")
+    wall = next(sample for sample in drawn(load_suite(folder), ["wall"]))
+    assert wall.recipe.dataset == "images" and wall.texture and wall.texture.lattice
+
+
+def test_another_seed_draws_other_outputs_of_the_same_samples(folder: Path) -> None:
+    """--seed on a rendered directory changes the methods' streams, never the pictures."""
+    changed = _cells(load_suite(folder).with_changes(seed=9))
+    assert {cell.sample_hash for cell in changed} == {cell.sample_hash for cell in _cells(load_suite(folder))}
+    assert {cell.seed for cell in changed} == {9}
+
+
+def test_one_model() -> None:
+    """A model's name with parameters is a suite of one texture."""
+    assert write_textures(drawn(model_suite("brick:color=0.4")), Path("out"))[0] == Path("out/brick.png")
+
+
+@pytest.mark.parametrize("names", [("a-1", "a"), ("contact-sheet", "b")])
+def test_two_files_of_one_name(names: tuple[str, str]) -> None:
+    """A texture whose file would be another's, or the contact sheet, is refused."""
+    suite = _suite(texture=[{"name": name, "dataset": "brick"} for name in names])
+    with pytest.raises(BadInput, match="name of two pictures; rename the texture"):
+        write_textures(drawn(suite), Path("out"))
