@@ -61,7 +61,7 @@ class Jigsaw(Model):
         turn = 1 if self.tabs == "same" else -1
         tab = 0.27 * min(self.width, self.height)
         across = _seam(aside, down, turn ** ((after_i + j) % 2), tab)
-        along = _seam(below, right, -turn * turn ** ((i + after_j) % 2), tab)
+        along = _seam(below, right, turn * turn ** ((i + after_j) % 2), tab)
         index = after_i + (across > 0), after_j + (along > 0)
         distance = self.gap / 2 - np.minimum(np.abs(across), np.abs(along))
         return Pattern(_TABLE, (Layer("piece", index, coverage(distance), _CARD, rim(distance, 0.25, 1.5)),))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.datasets_procedural.coordinates import Frame, honeycomb, nearest, rows
+from nrbench.datasets_procedural.coordinates import Frame, boxes, hats, honeycomb, nearest, rows
 from nrbench.lattice.geometry import Lattice
 
 
@@ -48,3 +48,32 @@ def test_index_is_the_lattice_coordinate(name: str) -> None:
         np.testing.assert_allclose(np.stack([dx, dy], -1), lattice.wrap(np.stack([x, y], -1)), atol=1e-9)
     there = lattice.from_cell(np.stack([i, j], -1)) + np.stack([dx, dy], -1)
     np.testing.assert_allclose(there, np.stack([x, y], -1), atol=1e-9)
+
+
+def test_boxes() -> None:
+    """A row of boxes of 10 and 4 px: which box, how far from its middle, how wide; the first one's middle is at 0."""
+    which, aside, width = boxes(np.array([0.0, 4.9, 5.5, 7, 9.5, 14, -5.5]), (10.0, 4.0))
+    assert which.tolist() == [0, 0, 1, 1, 2, 2, -1] and width.tolist() == [10, 10, 4, 4, 10, 10, 4]
+    np.testing.assert_allclose(aside, [0, 4.9, -1.5, 0, -4.5, 0, 1.5])
+
+
+def test_hats_are_a_partition() -> None:
+    """The four whole points around a point have weights that add up to 1, and their mean is the point."""
+    u, v = np.random.default_rng(0).uniform(-9, 9, (2, 500))
+    found = hats(u, v)
+    assert sum(weight for _, weight in found) == pytest.approx(np.ones(500))
+    for k, part in enumerate((u, v)):
+        np.testing.assert_allclose(sum(index[k] * weight for index, weight in found), part, atol=1e-12)
+    for (i, j), _ in found:
+        assert len(np.unique(i % 2)) == len(np.unique(j % 2)) == 1
+
+
+def test_margin_and_displacement() -> None:
+    """A margin adds pixels on every side; content that moved by (2, -1) comes from that much to the left and below."""
+    frame = Frame((1.5, -0.5), 30.0)
+    x, y = frame.grid((4, 5))
+    wide = frame.grid((4, 5), margin=2)
+    np.testing.assert_array_equal(wide[0][2:-2, 2:-2], x)
+    moved = frame.grid((4, 5), moved=np.broadcast_to([2.0, -1.0], (4, 5, 2)))
+    np.testing.assert_allclose(moved[0][:3, 2:], x[1:, :3])
+    np.testing.assert_allclose(moved[1][:3, 2:], y[1:, :3])

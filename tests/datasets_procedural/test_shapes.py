@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from nrbench.datasets_procedural.coordinates import Field
-from nrbench.datasets_procedural.shades import rim, round_profile
-from nrbench.datasets_procedural.shapes import box, coverage, hexagon, stripe
+from nrbench.datasets_procedural.shapes import box, capsule, coverage, disc, hexagon, lozenge, stripe, turned
 
 
 def test_box_distances() -> None:
@@ -47,7 +46,19 @@ def test_coverage_is_the_area_covered(shape: str, angle: float) -> None:
     assert np.abs(error).max() < 0.25 and np.sqrt((error**2).mean()) < 0.02 and abs(error.sum()) < 0.01 * counted.sum()
 
 
-def test_shades() -> None:
-    """A rim is darkest at the edge; a round thread is lightest in the middle, and never under its depth."""
-    assert rim(np.array([0.0, -50]), 0.2, 1.5) == pytest.approx((0.8, 1.0))
-    assert round_profile(np.array([0.0, 3, 5, 9]), 10, 0.4) == pytest.approx((1.0, 0.92, 0.6, 0.6))
+def test_round_shapes() -> None:
+    """A disc 6 px across, and a capsule 10 px long and 4 broad: known distances."""
+    np.testing.assert_allclose(disc(np.array([0.0, 3, 4]), np.array([0.0, 0, 3]), 6), (-3, 0, 2))
+    np.testing.assert_allclose(capsule(np.array([0.0, 5, 3, 7]), np.array([0.0, 0, 2, 0]), 10, 4), (-2, 0, 0, 2))
+
+
+def test_lozenge() -> None:
+    """A lozenge 8 px wide and 6 high: its sides pass through its tips, its middle is 2.4 px from each."""
+    np.testing.assert_allclose(
+        lozenge(np.array([0.0, 4, 0, 2]), np.array([0.0, 0, 3, 1.5]), 8, 6), (-2.4, 0, 0, 0), atol=1e-12
+    )
+
+
+def test_turned() -> None:
+    """A point on the y axis lies on the x axis of axes turned by 90 degrees."""
+    np.testing.assert_allclose(turned(np.array(0.0), np.array(2.0), 90.0), (2, 0), atol=1e-12)

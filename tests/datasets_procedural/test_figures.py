@@ -1,0 +1,141 @@
+"""Claims about single models: what lies at known places."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nrbench import plugins
+from nrbench.datasets_procedural.basket import Basket
+from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.hexagon import Hexagon
+from nrbench.datasets_procedural.jigsaw import Jigsaw
+from nrbench.datasets_procedural.overlap import Overlap
+from nrbench.datasets_procedural.windows import Windows
+from nrbench.errors import BadInput
+from nrbench.lattice.geometry import Lattice
+
+PLACES: list[tuple[str, dict[str, Any], tuple[float, float], str, tuple[int, ...]]] = [
+    ("brick", {"width": 20, "height": 10, "bond": "stack"}, (20, 10), "brick", (1, 1)),
+    ("brick", {"width": 20, "height": 10, "bond": "english"}, (10, 0), "brick", (1, 0)),
+    ("brick", {"width": 20, "height": 10, "bond": "english"}, (10, 10), "ground", ()),
+    ("brick", {"width": 20, "height": 10, "bond": "flemish"}, (15, 0), "brick", (1, 0)),
+    ("brick", {"width": 20, "height": 10, "bond": "flemish"}, (0, 10), "brick", (-1, 1)),
+    ("hexagon", {"period": 20, "joint": 4, "style": "net"}, (10, 0), "wire", (1, 0)),
+    ("hexagon", {"period": 20, "joint": 4, "style": "net"}, (0, 0), "ground", ()),
+    ("jigsaw", {"width": 40, "height": 40, "tabs": "same"}, (24, 0), "piece", (0, 0)),
+    ("jigsaw", {"width": 40, "height": 40, "tabs": "same"}, (24, 14), "piece", (1, 0)),
+    ("pavement", {"width": 10, "style": "herringbone"}, (10, 0), "stone", (0, 0)),
+    ("pavement", {"width": 20}, (20, 20), "small stone", (0, 0)),
+    ("card", {"width": 10, "height": 20}, (10, 20), "hole", (1, 1)),
+    ("plate", {"period": 20}, (20, 0), "lozenge", (1, 0)),
+    ("ceramic", {"period": 30}, (30, 30), "tile", (1, 1)),
+    ("ceramic", {"period": 30}, (15, 0), "ground", ()),
+    ("scales", {"width": 20}, (0, 8), "scale", (0, 0)),
+    ("scales", {"width": 20}, (10, 8), "scale", (0, 1)),
+    ("squares", {"period": 20}, (20, 0), "inner", (1, 0)),
+    ("squares", {"period": 20}, (4, 0), "middle", (0, 0)),
+    ("cans", {"period": 20, "packing": "square"}, (20, 20), "can", (1, 1)),
+    ("cans", {"period": 20, "packing": "square"}, (10, 10), "ground", ()),
+    ("swirl", {"period": 20}, (10, 20), "swirl", (0, 1)),
+    ("mat", {"width": 24, "height": 18, "rope": 8}, (12, 9), "knot", (0, 0)),
+    ("mat", {"width": 24, "height": 18, "rope": 8}, (0, 0), "rope", (0,)),
+    ("pie", {"period": 20, "strip": 12}, (10, 10), "ground", ()),
+    ("pie", {"period": 20, "strip": 12}, (0, 0), "upright", (0,)),
+    ("pie", {"period": 20, "strip": 12}, (20, 0), "level", (0,)),
+    ("toothpaste", {"width": 20, "turn": 40}, (20, 10), "stripe", (1, 1)),
+    ("windows", {"width": 40, "height": 60}, (0, 0), "pane", (-1, -1)),
+    ("windows", {"width": 40, "height": 60}, (20, 0), "ground", ()),
+    ("mosaic", {"period": 60}, (0, 0), "stone", (0, 0)),
+    ("cracker", {"period": 40}, (5, 40), "cracker", (0, 1)),
+    ("cracker", {"period": 40}, (20, 0), "ground", ()),
+    ("carpet", {"knot": 5}, (10, 5), "knot", (2, 1)),
+    ("rug", {"yarn": 4, "step": 6}, (12, 16), "patch", (1, 1)),
+    ("corduroy", {"width": 16, "tuft": 6}, (16, 12), "tuft", (1, 2)),
+    ("corduroy", {"width": 16, "tuft": 6}, (8, 0), "ground", ()),
+    ("overlap", {"period": 40}, (14, 0), "square", (0, 0)),
+    ("overlap", {"period": 40}, (0, 0), "hexagon", (0, 0)),
+    ("basket", {"stake": 20, "strand": 8}, (0, 0), "stake", (0,)),
+    ("basket", {"stake": 20, "strand": 8}, (20, 0), "strand", (0,)),
+]
+
+
+@pytest.mark.parametrize(("name", "parameters", "point", "layer", "index"), PLACES)
+def test_known_places(
+    name: str, parameters: dict[str, Any], point: tuple[float, float], layer: str, index: tuple[int, ...]
+) -> None:
+    """At known points lies the element that should, or the ground."""
+    model = plugins.build("datasets", name, parameters)
+    if name == "windows" and layer == "pane":
+        point = (point[0] - 6, point[1])
+    pattern = model.pattern(*(np.array([part], np.float64) for part in point))
+    seen = {each.name: (float(each.coverage[0]), tuple(int(part[0]) for part in each.index)) for each in pattern.layers}
+    if layer == "ground":
+        assert sum(coverage for coverage, _ in seen.values()) < 0.01
+    else:
+        assert seen[layer] == (pytest.approx(1, abs=0.02), index)
+
+
+def test_small_courses() -> None:
+    """Every n-th course is of bricks half as wide; the bond of the others goes on across it."""
+    wall = Brick(width=20, height=10, small_every=3)
+    x = np.arange(-40.0, 40, 0.5)
+    counts = [len(np.unique(wall.pattern(x, np.full_like(x, 10 * j)).layers[0].index[0])) for j in range(-3, 4)]
+    assert [count > 7 for count in counts] == [True, False, False, True, False, False, True]
+    assert Lattice(*wall.vectors).is_equivalent(Lattice((20, 0), (10, 30)))
+
+
+@pytest.mark.parametrize("parameters", [{"bond": "english", "small_every": 3}, {"small_every": 1}])
+def test_bonds_that_do_not_go_together(parameters: dict[str, Any]) -> None:
+    """English bond has small courses of its own, and a wall of small courses alone is another wall."""
+    with pytest.raises(BadInput, match="small_every"):
+        Brick(**parameters)
+
+
+def test_each_wire_is_one_element() -> None:
+    """Three wires of a hexagonal net belong to each mesh; both meshes beside a wire give it one name."""
+    net = Hexagon(period=20, joint=4, style="net", color=0.5, intensity=0, noise=0)
+    texture = net.render((200, 200), np.random.default_rng(0))
+    count, meshes = len(texture.elements["wire.index"]), 200 * 200 / (400 * math.sqrt(3) / 2)
+    assert count == pytest.approx(3 * meshes, rel=0.15)
+    x = np.array([9.0, 11.0])
+    index = net.pattern(x, np.zeros(2)).layers[0].index
+    assert index[0][0] == index[0][1] and index[1][0] == index[1][1]
+
+
+def test_pieces_fit() -> None:
+    """A jigsaw piece has the area of its cell, whatever its tabs: what it bulges out, its neighbors lack."""
+    for tabs in ("same", "alternate"):
+        puzzle = Jigsaw(width=60, height=50, gap=1.0, tabs=tabs)  # type: ignore[arg-type]
+        y, x = np.mgrid[-60:60:0.25, -60:60:0.25]
+        i, j = puzzle.pattern(x, y).layers[0].index
+        assert ((i == 0) & (j == 0)).sum() / 16 == pytest.approx(3000, rel=0.07 if tabs == "alternate" else 0.01)
+
+
+def test_two_lattices() -> None:
+    """The overlap has three lattices: squares, hexagons, and the one of both, of which the others are finer."""
+    texture = Overlap(period=30.5, rotation=10.0).render((64, 64), np.random.default_rng(0))
+    common, squares, hexagons = texture.lattices
+    assert texture.lattice == common and squares.s == pytest.approx(30.5)
+    assert hexagons.classify(0.02) == "hexagonal" and {one.origin for one in texture.lattices} == {common.origin}
+    for part in (squares, hexagons):
+        steps = common.matrix @ np.linalg.inv(part.matrix)
+        np.testing.assert_allclose(steps, np.rint(steps), atol=1e-9)
+    assert common.area / squares.area == pytest.approx(25) and common.area / hexagons.area == pytest.approx(56)
+
+
+def test_windows_have_their_panes() -> None:
+    """Each pane is an element: columns x lines of them in each window."""
+    front = Windows(width=60, height=60, columns=3, lines=2, phase=(0.5, 0.5))
+    texture = front.render((60, 60), np.random.default_rng(0))
+    assert len(texture.elements["pane.index"]) == 6 and len(texture.elements["frame.index"]) == 1
+
+
+def test_double_strands() -> None:
+    """In a basket of double strands, two pass each stake alike."""
+    y = np.arange(4) * 8.0
+    stake = Basket(stake=20, strand=8, draft="double").pattern(np.zeros(4), y).layers[0].coverage
+    assert stake.round().tolist() == [1, 1, 0, 0]
