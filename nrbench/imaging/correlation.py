@@ -50,13 +50,13 @@ def half_autocorrelation(image: Image) -> Correlation:
     RSGF (2011), section 3.1, equations 3 to 6, and section 3.2, equations 7 and 8. One transform for each channel and
     one back; the sums over overlaps are cumulative sums from the corners.
     """
-    height = image.shape[0]
     channels = np.moveaxis(image - image.mean((0, 1), dtype=np.float64), 2, 0)
-    covariance, scale = _products(channels.astype(np.float32)), np.float32(0)
+    covariance = _products(channels.astype(np.float32))
+    scale = np.zeros_like(covariance)
     for channel in channels:
         means, deviations = _moments(channel)
         covariance -= means
-        scale = scale + deviations
+        scale += deviations
     structured = scale > FLAT * scale[0, 0, 0]
     gamma = np.clip(np.divide(covariance, scale, out=np.zeros_like(scale), where=structured), -1, 1)
     return np.concatenate([gamma[1, :0:-1], gamma[0]])

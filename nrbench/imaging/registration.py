@@ -112,15 +112,24 @@ def cut_windows(image: Values, corners: NDArray[np.intp], window: tuple[int, int
     return np.moveaxis(views[corners[:, 1], corners[:, 0]], 1, -1)
 
 
-def peaks(surfaces: Map) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def peaks(surfaces: Map, where: NDArray[np.bool_] | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return each surface's highest point, ``(n, 2)`` as (x, y), sub-pixel, and its height ``(n,)``.
 
-    A parabola through three points along each axis; the surface's outermost ring is left out of the search.
+    A parabola through three points along each axis.
+
+    Parameters
+    ----------
+    surfaces
+        ``(n, height, width)``.
+    where
+        ``bool (height, width)``: where to look; the outermost ring is always left out. None: everywhere else.
     """
-    inner = surfaces[:, 1:-1, 1:-1]
-    best = inner.reshape(len(inner), -1).argmax(1)
-    rows, columns = best // inner.shape[2] + 1, best % inner.shape[2] + 1
-    each = np.arange(len(inner))
+    height, width = surfaces.shape[1:]
+    inner = np.zeros((height, width), np.bool_)
+    inner[1:-1, 1:-1] = True
+    rows, columns = np.nonzero(inner if where is None else inner & where)
+    best = surfaces[:, rows, columns].argmax(1)
+    rows, columns, each = rows[best], columns[best], np.arange(len(surfaces))
     at = surfaces[each, rows, columns].astype(np.float64)
     x, gain_x = _vertex(surfaces[each, rows, columns - 1], at, surfaces[each, rows, columns + 1])
     y, gain_y = _vertex(surfaces[each, rows - 1, columns], at, surfaces[each, rows + 1, columns])

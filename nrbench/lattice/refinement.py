@@ -1,0 +1,80 @@
+"""Generating vectors to a fraction of a pixel: fitted to the autocorrelation's peaks at all their multiples."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nrbench.imaging.correlation import Correlation
+from nrbench.lattice.geometry import Points
+from nrbench.lattice.peaks import climb
+
+NEAR = 1.5
+"""A peak further than this, px along x or y, from where a multiple was expected does not belong to it."""
+
+
+def fit_multiples(gamma: Correlation, vectors: Points, reach: tuple[int, int]) -> Points:
+    """Return each vector fitted to the peaks near its own multiples.
+
+    A peak at the k-th multiple tells the vector k times more precisely than the first, but is found only from a vector
+    that is precise already: so the fit goes outward, one multiple at a time, until no peak is near or ``reach`` ends.
+
+    Parameters
+    ----------
+    gamma
+        The right half of an autocorrelation, ``(2H-1, W)``.
+    vectors
+        ``(n, 2)``, (x, y) px, at peaks.
+    reach
+        Largest lag along x and y, px, that is looked at.
+    """
+    fitted, live, k = vectors.copy(), np.arange(len(vectors)), 1
+    products, squares = vectors.copy(), np.ones(len(vectors))
+    while len(live):
+        k += 1
+        live = live[(np.abs(k * fitted[live]) <= reach).all(1)]
+        peaks, _ = climb(gamma, k * fitted[live])
+        near = (np.abs(peaks - k * fitted[live]) <= NEAR).all(1)
+        live, peaks = live[near], peaks[near]
+        products[live] += k * peaks
+        squares[live] += k * k
+        fitted[live] = products[live] / squares[live, np.newaxis]
+    return fitted
+
+
+def fit_pair(gamma: Correlation, pair: Points, reach: tuple[int, int]) -> Points:
+    """Return two generating vectors fitted to the peaks near all their multiples within ``reach``.
+
+    Least squares, each peak weighted by its correlation, over a disk whose radius doubles: see :func:`fit_multiples`.
+
+    Parameters
+    ----------
+    gamma
+        The right half of an autocorrelation, ``(2H-1, W)``.
+    pair
+        ``(2, 2)``, rows (x, y) px.
+    reach
+        Largest lag along x and y, px, that is looked at.
+    """
+    lengths = np.hypot(*pair.T)
+    n = int(2 * np.hypot(*reach) / lengths.min()) + 1
+    numbers = np.stack(np.meshgrid(np.arange(-n, n + 1), np.arange(n + 1)), -1).reshape(-1, 2)
+    numbers = numbers[(numbers[:, 1] > 0) | (numbers[:, 0] > 0)]
+    distance = np.hypot(*(numbers @ pair).T)
+    radius = 1.5 * lengths.max()
+    while True:
+        chosen = numbers[distance <= radius]
+        chosen = chosen[(np.abs(chosen @ pair) <= reach).all(1)]
+        pair = _least_squares(gamma, chosen, pair)
+        if radius > np.hypot(*reach):
+            return pair
+        radius *= 2
+
+
+def _least_squares(gamma: Correlation, numbers: Points, pair: Points) -> Points:
+    """Return the pair whose multiples ``numbers`` lie nearest to the peaks there; ``pair`` where they do not tell."""
+    peaks, values = climb(gamma, numbers @ pair)
+    use = (np.abs(peaks - numbers @ pair) <= NEAR).all(1) & (values > 0)
+    weights = np.sqrt(values[use])[:, np.newaxis]
+    if np.linalg.matrix_rank(numbers[use] * weights) < 2:
+        return pair
+    return np.asarray(np.linalg.lstsq(numbers[use] * weights, peaks[use] * weights)[0])
