@@ -15,7 +15,7 @@ from nrbench.synthesis import Column, Observation, Score
 from .judgement import Judgement, judge
 from .periodic import tile_box
 from .regularity import NO_LATTICE, no_score
-from .residual import Residual, interior_weights, reference_energy
+from .residual import Residual, interior_weights, offset_noise, reference_energy
 
 _LEAST_TILES = 4
 _LEAST_ENERGY = (1 / 255) ** 2
@@ -55,8 +55,9 @@ class Randomness:
             return no_score(self.columns, NO_LATTICE)
         if judgement.preserved is False:
             return no_score(self.columns, f"not scored: regularity is lost ({judgement.faults[0]})")
-        references = [Residual.of(look, observation.rng) for look in judgement.references]
-        output = Residual.of(judgement.output, observation.rng)
+        noise = offset_noise(judgement.references)
+        references = [Residual.of(look, noise, observation.rng) for look in judgement.references]
+        output = Residual.of(judgement.output, noise, observation.rng)
         if min(len(residual.departures) for residual in (output, *references)) < _LEAST_TILES:
             return no_score(self.columns, f"undecided: fewer than {_LEAST_TILES} whole tiles to compare")
         return _scored(self.columns, observation.sample, judgement, output, references)

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.imaging.fold import Values, cut_tiles
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 
 from .judgement import Look
+from .periodic import TOLERANCE
 
 _ALIGNMENT = 0.4
 """Pixels by which an aligned tile may still be off: what edges then differ by is not held against it."""
+_LEAST_NOISE = 0.03
 _BLOCKS = 2
 MOST_TILES = 1500
 
@@ -38,18 +40,24 @@ class Residual:
     departures: Values
 
     @classmethod
-    def of(cls, look: Look, rng: np.random.Generator) -> Residual:
-        """Cut the tiles where each was found, so that a small misplacement does not count as variation.
+    def of(cls, look: Look, noise: Points, rng: np.random.Generator) -> Residual:
+        """Cut the tiles where they were found, so that a small misplacement does not count as variation.
 
-        Of more than 1500 tiles a random subset is used.
+        Parameters
+        ----------
+        look
+            The image.
+        noise
+            Covariance in px^2 of the places at which tiles are found that are where they should be.
+        rng
+            Chooses the tiles where there are more than 1500.
         """
-        tiles = look.tiles
-        middles = (tiles.centers + tiles.offsets)[tiles.whole]
+        middles = found_middles(look, noise)
         if len(middles) > MOST_TILES:
             middles = middles[np.sort(rng.choice(len(middles), MOST_TILES, replace=False))]
-        cut, _ = cut_tiles(look.image, tiles.lattice, middles)
+        cut, _ = cut_tiles(look.image, look.tiles.lattice, middles)
         mean = cut.mean(0) if len(cut) else np.zeros(cut.shape[1:], np.float32)
-        return cls(tiles.lattice, mean, cut - mean)
+        return cls(look.tiles.lattice, mean, cut - mean)
 
     def energy(self, weights: Values) -> float:
         """Return the weighted mean of the squared departures; a mean of n tiles takes 1/n of them."""
@@ -62,6 +70,45 @@ class Residual:
         return np.concatenate(
             [_pairs(self.departures[:, row, column], weights[row, column]) for row, column in quarters]
         )
+
+
+def found_middles(look: Look, noise: Points) -> Points:
+    """Return the middles (x, y) px of the whole tiles where they were found, ``(n, 2)``.
+
+    A tile's place is that of the window around it, plus as much of its own offset from there as exceeds the noise of
+    such offsets: Wiener's filter, with the signal's covariance as what is left of the offsets' less the noise's.
+    """
+    whole = look.tiles.whole
+    around, own = _offsets(look)
+    keep = _shrinkage(_covariance(own), noise)
+    return np.asarray(look.tiles.centers[whole] + around + own @ keep.T)
+
+
+def offset_noise(looks: tuple[Look, ...]) -> Points:
+    """Return the covariance in px^2 of tiles' own offsets in images whose tiles are where they should be."""
+    return _covariance(np.concatenate([_offsets(look)[1] for look in looks]))
+
+
+def _offsets(look: Look) -> tuple[Points, Points]:
+    """Return for each whole tile the offset of the window around it, where that is in place, and its own from there."""
+    tiles, placement = look.tiles, look.placement
+    nearest = placement.nearest(tiles.centers[tiles.whole])
+    inside = placement.misplacement[nearest] <= TOLERANCE
+    around = placement.offsets[nearest] * inside[:, np.newaxis]
+    return around, tiles.offsets[tiles.whole] - around
+
+
+def _covariance(offsets: Points) -> Points:
+    return offsets.T @ offsets / max(len(offsets), 1) + _LEAST_NOISE**2 * np.eye(2)
+
+
+def _shrinkage(total: Points, noise: Points) -> Points:
+    """Return the matrix that keeps of an offset what exceeds the noise."""
+    values, vectors = np.linalg.eigh(noise)
+    root = vectors @ np.diag(np.sqrt(values)) @ vectors.T
+    back = np.linalg.inv(root)
+    ratio, axes = np.linalg.eigh(back @ total @ back)
+    return np.asarray(root @ axes @ np.diag(np.maximum(0, 1 - 1 / ratio)) @ axes.T @ back)
 
 
 def reference_energy(residuals: list[Residual], weights: Values) -> float:

@@ -14,7 +14,6 @@ from nrbench.records import CellRecord, Run
 from .foot import FootRow, foot
 from .summary import Difference, Head, Summary, differences, heads, summarize
 from .verdicts import MARKS, SCORE, explanation, frame, verdict
-from .wording import number
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class Entry:
         if self.verdict in ("failed", "missing"):
             return self.records[0].status
         share = f"{self.preserved}/{len(self.records)} " if self.verdict == "mixed" else ""
-        return share + (number(self.score) if self.score is not None else "")
+        return share + ("" if self.score is None else f"{self.score:.2f}")
 
     @property
     def text(self) -> str:

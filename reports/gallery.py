@@ -37,8 +37,10 @@ class Draw:
         The sample's pixels; None where it could not be drawn.
     scale
         Page pixels a pixel of the outputs.
-    truth, found
-        The true lattice, and every other one that was used.
+    truth, agreeing
+        The true lattice, and the columns that found it by themselves.
+    found
+        Every other lattice that was used.
     figures
         The outputs.
     """
@@ -47,6 +49,7 @@ class Draw:
     sample: Picture | None
     scale: float
     truth: Overlay | None
+    agreeing: Sequence[str]
     found: Sequence[FoundLattice]
     figures: Sequence[Figure]
 
@@ -84,16 +87,25 @@ def _draw(run: Run, pictures: Pictures, records: Sequence[CellRecord]) -> Draw:
         sample=sample,
         scale=outputs[0].scale if outputs else 1.0,
         truth=overlay(truth, shape) if truth and sample else None,
+        agreeing=[head_of(record).label for record in records if _agrees(record, truth)],
         found=_found_lattices(records, truth, shape) if sample else [],
         figures=figures,
     )
+
+
+def _agrees(record: CellRecord, truth: Lattice | None, handed: bool = False) -> bool:
+    """Return whether a cell used the true lattice, and found it by itself unless ``handed`` ones count too."""
+    used = parsed(record.lattice_used)
+    if used is None or truth is None or (record.lattice_source in ("given", "none") and not handed):
+        return False
+    return used.is_equivalent(truth, SAME)
 
 
 def _found_lattices(records: Sequence[CellRecord], truth: Lattice | None, shape: tuple[int, int]) -> list[FoundLattice]:
     groups: list[tuple[Lattice, list[str]]] = []
     for record in records:
         used = parsed(record.lattice_used)
-        if used is None or (truth is not None and used.is_equivalent(truth, SAME)):
+        if used is None or _agrees(record, truth, handed=True):
             continue
         names = next((names for known, names in groups if known.is_equivalent(used, SAME)), None)
         if names is None:

@@ -101,7 +101,8 @@ def known_columns(run: Run) -> dict[str, Column]:
 
 def headlines(run: Run) -> dict[str, Column]:
     """Return the columns that methods are compared by, those that the run has."""
-    return {name: column for name, column in known_columns(run).items() if name in (*HEADLINES, "seconds")}
+    known = known_columns(run)
+    return {name: known[name] for name in (*HEADLINES, "seconds") if name in known}
 
 
 def summarize(run: Run, cells: pd.DataFrame) -> list[Summary]:

@@ -117,11 +117,15 @@ def _conclude(run: Any, written: list[Path], as_json: bool) -> int:
 
 
 def _print_terminal_report(run: Any) -> None:
+    """Print each report that declares itself made for the terminal (``terminal``: it has ``width`` and ``render``)."""
+    import shutil
+
     from nrbench import plugins
 
+    width = max(40, shutil.get_terminal_size((120, 40)).columns)
     for plugin in plugins.inventory("reports"):
         if getattr(plugin.cls, "terminal", False):
-            print(plugins.build("reports", plugin.name).render(run))
+            print(plugins.build("reports", plugin.name, {"width": width}).render(run), end="")
 
 
 @click.command("plan")

@@ -44,6 +44,7 @@ def test_equal_lattices_are_drawn_once(make_cell: Make, make_run: Make, tmp_path
     draw = _gallery(run, tmp_path)[0].draws[0]
     assert [list(one.labels) for one in draw.found] == [["a (own)", "b (own)"]]
     assert draw.truth is not None
+    assert list(draw.agreeing) == ["d (own)"]
 
 
 def test_reasons_stand_beside_scores_that_are_missing(every_ending: Run, tmp_path: Path) -> None:
