@@ -23,6 +23,9 @@ LARGEST_SIDE = 16384
 DEFAULT = "default"
 """The suite that runs where none is named; a directory of pictures takes its methods."""
 
+PICTURE_SIZES = {"sample": "256x256", "size": "256x256"}
+"""Of a directory of pictures: samples that hold some periods of a wall, outputs for which there is room beside them."""
+
 
 def parse_size(text: Any) -> Shape:
     """Read ``"WIDTHxHEIGHT"`` into the shape (height, width).
@@ -181,6 +184,6 @@ def directory_suite(directory: Path) -> Suite:
         if lister is not None:
             rows = [{"dataset": plugin.name, **row} for row in lister(directory)]
             title = directory.resolve().name or "pictures"
-            methods = load_suite(DEFAULT).methods
-            return validated_suite({"name": title, "texture": rows, "methods": methods}, str(directory))
+            content = {"name": title, "texture": rows, "methods": load_suite(DEFAULT).methods, **PICTURE_SIZES}
+            return validated_suite(content, str(directory))
     raise BadInput(f"{directory}: no dataset plugin reads a directory; see `nrbench list datasets`")

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
@@ -16,6 +16,7 @@ def placement(displacement: np.ndarray, rows: int, columns: int) -> Placement:
     return Placement(LATTICE, (30, 30), (rows, columns), corners, LATTICE.wrap(displacement), np.ones(len(corners)))
 
 
+@settings(max_examples=40, deadline=None)
 @given(st.floats(-40, 40), st.floats(-40, 40), st.integers(0, 100))
 def test_the_consensus_is_the_common_displacement(x: float, y: float, seed: int) -> None:
     """Whatever the phase, the consensus is what most windows share, modulo the lattice, despite outliers."""
@@ -33,6 +34,7 @@ def test_the_consensus_of_two_halves_is_one_of_them() -> None:
     assert min(np.hypot(*found), np.hypot(*(found - [4, 0]))) < 0.2
 
 
+@settings(max_examples=15, deadline=None)
 @given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
 def test_an_affine_drift_over_many_cells_is_unwrapped(a: float, b: float, c: float, d: float) -> None:
     """The affine part is found where it adds up to many cells over the image."""
