@@ -14,7 +14,7 @@ from nrbench.imaging.registration import Template
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.texture import Shape
 
-WINDOW_TILES = 1.75
+WINDOW_TILES = 2.0
 """Width of the windows whose place is registered, in tiles."""
 TOLERANCE = 0.1
 """How far from its place content may be and still count as in place, in units of s."""

@@ -30,6 +30,8 @@ class Tiles:
         ``(n,)``: best weighted NCC within the tolerance of the tile's place.
     elsewhere
         ``(n,)``: best weighted NCC in the rest of the cell.
+    slope
+        ``(n,)``: how much of the periodic image's contrast the tile shows here.
     whole
         ``(n,)``: whether the window's middle is a lattice point (one window a cell).
     """
@@ -39,6 +41,7 @@ class Tiles:
     offsets: Points
     here: NDArray[np.float64]
     elsewhere: NDArray[np.float64]
+    slope: NDArray[np.float64]
     whole: NDArray[np.bool_]
 
     @property
@@ -66,15 +69,13 @@ def inspect(image: Image, periodic: Periodic, phase: Points) -> Tiles:
     """
     lattice = periodic.lattice.shifted((float(phase[0]), float(phase[1])))
     parts = [_inspect(image, lattice, search) for search in periodic.searches]
-    centers, offsets, here, elsewhere = (np.concatenate(column) for column in zip(*parts, strict=True))
+    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
     whole = np.repeat([search.half == (0.0, 0.0) for search in periodic.searches], [len(part[0]) for part in parts])
-    return Tiles(lattice, centers, offsets, here, elsewhere, whole)
+    return Tiles(lattice, *columns, whole)
 
 
-def _inspect(
-    image: Image, lattice: Lattice, search: Search
-) -> tuple[Points, Points, NDArray[np.float64], NDArray[np.float64]]:
-    """Return middles, offsets and NCC here and elsewhere of the tiles at one place of the cell."""
+def _inspect(image: Image, lattice: Lattice, search: Search) -> tuple[NDArray[np.float64], ...]:
+    """Return middles, offsets, NCC here and elsewhere, and slope of the tiles at one place of the cell."""
     size = np.array(search.template.window[::-1])
     first = lattice.from_cell(search.half)
     centers = Lattice(lattice.t1, lattice.t2, (float(first[0]), float(first[1]))).points(image.shape[:2])
@@ -82,8 +83,9 @@ def _inspect(
     fits = (corners >= 0).all(1) & (corners + size <= image.shape[1::-1]).all(1)
     centers, corners = centers[fits], corners[fits]
     if not len(corners):
-        return centers, centers, np.zeros(0), np.zeros(0)
-    surfaces = search.template.surfaces(cut_windows(image, corners, search.template.window))
+        return centers, centers, np.zeros(0), np.zeros(0), np.zeros(0)
+    surfaces, slopes = search.template.surfaces_and_slopes(cut_windows(image, corners, search.template.window))
     at, here = peaks(surfaces, search.near)
     offsets = corners - (centers - (size - 1) / 2) + search.place - at
-    return centers, offsets, here, surfaces[:, search.far].max(1).astype(np.float64)
+    slope = slopes[np.arange(len(at)), *np.rint(at).astype(int).T[::-1]].astype(np.float64)
+    return centers, offsets, here, surfaces[:, search.far].max(1).astype(np.float64), slope

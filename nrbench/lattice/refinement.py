@@ -45,6 +45,7 @@ def fit_pair(gamma: Correlation, pair: Points, reach: tuple[int, int]) -> Points
     """Return two generating vectors fitted to the peaks near all their multiples within ``reach``.
 
     Least squares, each peak weighted by its correlation, over a disk whose radius doubles: see :func:`fit_multiples`.
+    A fit that moves a vector by more than a quarter of the shorter one has lost its peaks: ``pair`` is returned.
 
     Parameters
     ----------
@@ -60,14 +61,13 @@ def fit_pair(gamma: Correlation, pair: Points, reach: tuple[int, int]) -> Points
     numbers = np.stack(np.meshgrid(np.arange(-n, n + 1), np.arange(n + 1)), -1).reshape(-1, 2)
     numbers = numbers[(numbers[:, 1] > 0) | (numbers[:, 0] > 0)]
     distance = np.hypot(*(numbers @ pair).T)
-    radius = 1.5 * lengths.max()
-    while True:
-        chosen = numbers[distance <= radius]
-        chosen = chosen[(np.abs(chosen @ pair) <= reach).all(1)]
-        pair = _least_squares(gamma, chosen, pair)
-        if radius > np.hypot(*reach):
-            return pair
+    fitted, radius = pair, 0.75 * lengths.max()
+    while radius <= np.hypot(*reach):
         radius *= 2
+        chosen = numbers[distance <= radius]
+        chosen = chosen[(np.abs(chosen @ fitted) <= reach).all(1)]
+        fitted = _least_squares(gamma, chosen, fitted)
+    return fitted if np.hypot(*(fitted - pair).T).max() <= lengths.min() / 4 else pair
 
 
 def _least_squares(gamma: Correlation, numbers: Points, pair: Points) -> Points:
