@@ -95,11 +95,15 @@ class Judgement:
 
     @cached_property
     def breakage_suspicion(self) -> Ratios:
-        """For each tile, how far it exceeds the limits of fitting badly in its place: above 1 it is broken."""
-        tail = Tail.fit(np.concatenate([look.tiles.misfit for look in self.references]), overlap=2)
-        typical = float(np.median(np.concatenate([look.tiles.here for look in self.references])))
-        lack = (1 - self.output.tiles.here / max(typical, 1e-6)) / (1 - limits.FIT_FLOOR)
-        return np.minimum(tail.surprise(self.output.tiles.misfit) / limits.TILE_SURPRISE, lack)
+        """For each tile, how far it exceeds the limits of fitting badly in its place: above 1 it is broken.
+
+        Its correlation with the periodic image, or the contrast that it shows of it, is too low.
+        """
+        tiles, own = self.output.tiles, [look.tiles for look in self.references]
+        return np.maximum(
+            _lack(tiles.here, np.concatenate([other.here for other in own])),
+            _lack(tiles.slope, np.concatenate([other.slope for other in own])),
+        )
 
     @property
     def displaced(self) -> Flags:
@@ -154,7 +158,7 @@ class Judgement:
         rows, columns = self.output.placement.grid
         if min(rows, columns) < limits.LEAST_WINDOWS:
             least = limits.LEAST_WINDOWS
-            return f"the output holds {columns} x {rows} windows of 1.75 tiles, at least {least} x {least} are needed"
+            return f"the output holds {columns} x {rows} windows of 2 tiles, at least {least} x {least} are needed"
         if self.yardstick.regular_share < limits.LEAST_SHARE:
             return f"the regular share {self.yardstick.regular_share:.2f} is under {limits.LEAST_SHARE:g}"
         if self.limit > limits.REFERENCE_SCATTER:
@@ -168,9 +172,11 @@ class Judgement:
     @property
     def preserved(self) -> bool | None:
         """The verdict: True, False, or None where nothing is seen and nothing would be."""
-        if self.faults and min(self.output.placement.grid) >= limits.LEAST_WINDOWS:
-            return False
-        return None if self.blindness else True
+        if min(self.output.placement.grid) < limits.LEAST_WINDOWS:
+            return None
+        if self.blindness:
+            return False if self.misplaced.mean() > limits.GROSS_SHARE + 2 * self.reference_misplaced else None
+        return not self.faults
 
     @cached_property
     def worst_neighborhood(self) -> float:
@@ -201,6 +207,13 @@ class Judgement:
         own = np.concatenate([look.placement.neighborhoods() for look in self.references])
         surprise = Tail.fit(own, quantile=0.9, overlap=4).surprise(self.output.placement.neighborhoods())
         return min(far, float(surprise.max(initial=0.0)) / limits.NEIGHBORHOOD_SURPRISE)
+
+
+def _lack(values: Ratios, own: Ratios) -> Ratios:
+    """Return how far values fall short of the references' own, in units of both limits of a broken tile."""
+    surprise = Tail.fit(-own, overlap=2).surprise(-values) / limits.TILE_SURPRISE
+    short = (1 - values / max(float(np.median(own)), 1e-6)) / (1 - limits.FIT_FLOOR)
+    return np.minimum(surprise, short)
 
 
 _LAST: list[tuple[Observation, Judgement | None]] = []

@@ -92,7 +92,7 @@ class Periodic:
 
     @cached_property
     def windows(self) -> Template:
-        """A patch that holds every displacement of a cell at least once, for windows of 1.75 tiles."""
+        """A patch that holds every displacement of a cell at least once, for windows of 2 tiles."""
         window = window_shape(self.lattice, WINDOW_TILES)
         cell = np.ceil(np.abs(self.lattice.matrix).sum(0)).astype(int) + 2
         shape = (window[0] + int(cell[1]), window[1] + int(cell[0]))

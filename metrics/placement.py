@@ -88,7 +88,7 @@ class Placement:
 
 
 def place(image: Image, periodic: Periodic) -> Placement:
-    """Register windows 1.75 tiles wide, half a window apart, over one cell of displacements.
+    """Register windows 2 tiles wide, half a window apart, over one cell of displacements.
 
     Content that the window at p shows and the periodic image has at q has moved by p - q, so every window is looked
     for in one patch of the periodic image that holds a whole cell of q.

@@ -18,7 +18,7 @@ from .regularity import NO_LATTICE, no_score
 from .residual import Residual, interior_weights, offset_noise, reference_energy
 
 _LEAST_TILES = 4
-_LEAST_ENERGY = (1 / 255) ** 2
+_LEAST_VARIANCE = (2 / 255) ** 2
 _TWINS_OF_COPIER = 0.1
 
 
@@ -68,8 +68,8 @@ def _scored(
 ) -> Score:
     weights = interior_weights(references)
     energy = reference_energy(references, weights)
-    if energy < _LEAST_ENERGY:
-        return no_score(columns, "not applicable: the texture does not vary from tile to tile")
+    if min(energy, float(judgement.yardstick.periodic.variance.values.mean())) < _LEAST_VARIANCE:
+        return no_score(columns, "not applicable: the texture hardly varies from tile to tile")
     choices = sources(sample, judgement.yardstick.lattice)
     pairs = np.concatenate([residual.distances(weights) for residual in references])
     limit = float(np.quantile(pairs, _TWINS_OF_COPIER / choices))

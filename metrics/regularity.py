@@ -21,7 +21,7 @@ class Regularity:
     """How well the output keeps the true lattice, without asking any detector.
 
     The texture's periodic image - the model's own, or the mean tile of the sample folded by the given lattice - is the
-    template. Windows of the output 1.75 tiles wide, half a window apart, are registered against it by weighted NCC over
+    template. Windows of the output 2 tiles wide, half a window apart, are registered against it by weighted NCC over
     one cell of displacements, sub-pixel. The displacement that most windows share is the output's phase, which is free;
     what remains, modulo the lattice and over its shortest vector s, is each window's misplacement. Then windows of one
     tile, half a cell apart, are compared with the template at that phase, every pixel weighted by the inverse of its
@@ -53,7 +53,7 @@ class Regularity:
         if judgement is None:
             return no_score(self.columns, NO_LATTICE)
         if not len(judgement.output.placement.corners) or not len(judgement.output.tiles.centers):
-            return no_score(self.columns, "undecided: the output is smaller than a window of 1.75 tiles")
+            return no_score(self.columns, "undecided: the output is smaller than a window of 2 tiles")
         values = _values(judgement)
         reasons = {} if values["preserved"] is not None else {"preserved": f"undecided: {judgement.blindness}"}
         return Score(values, reasons, {"defects": defect_map(judgement)}, _records(judgement))

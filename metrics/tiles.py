@@ -49,11 +49,6 @@ class Tiles:
         """``(n,)``: how much better a tile fits elsewhere than here: high where it is displaced."""
         return self.elsewhere - self.here
 
-    @property
-    def misfit(self) -> NDArray[np.float64]:
-        """``(n,)``: how badly a tile fits here: high where it is displaced, missing or broken."""
-        return 1 - self.here
-
 
 def inspect(image: Image, periodic: Periodic, phase: Points) -> Tiles:
     """Compare every tile with the periodic image at the consensus phase.
@@ -69,9 +64,9 @@ def inspect(image: Image, periodic: Periodic, phase: Points) -> Tiles:
     """
     lattice = periodic.lattice.shifted((float(phase[0]), float(phase[1])))
     parts = [_inspect(image, lattice, search) for search in periodic.searches]
-    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    centers, offsets, here, elsewhere, slope = (np.concatenate(column) for column in zip(*parts, strict=True))
     whole = np.repeat([search.half == (0.0, 0.0) for search in periodic.searches], [len(part[0]) for part in parts])
-    return Tiles(lattice, *columns, whole)
+    return Tiles(lattice, centers, offsets, here, elsewhere, slope, whole)
 
 
 def _inspect(image: Image, lattice: Lattice, search: Search) -> tuple[NDArray[np.float64], ...]:

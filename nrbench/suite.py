@@ -126,7 +126,7 @@ def validated_suite(content: dict[str, Any], where: str) -> Suite:
 
 
 def _first(error: ValidationError) -> str:
-    first = error.errors()[0]
+    first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
     place = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         model = TextureRow if first["loc"][0] == "texture" else Suite

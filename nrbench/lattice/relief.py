@@ -13,6 +13,9 @@ from nrbench.imaging.fold import fold
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.lattice.topography import highest_ridge
 
+LINES = 4
+"""Lines in a pixel when stripes are taken out: fewer leave the steps of their edges, which make a lattice of their own."""
+
 
 @dataclass(frozen=True)
 class Ridge:
@@ -65,10 +68,10 @@ def without_stripes(image: Image, direction: Vector) -> NDArray[np.float32]:
     image
         :data:`~nrbench.imaging.door.Image`.
     direction
-        (x, y), any length above 0. Lines are a pixel apart, each pixel is shared between the two it lies between.
+        (x, y), any length above 0. Each pixel is shared between the two lines it lies between.
     """
     y, x = np.indices(image.shape[:2])
-    across = (y * direction[0] - x * direction[1]).ravel() / np.hypot(*direction)
+    across = (y * direction[0] - x * direction[1]).ravel() / np.hypot(*direction) * LINES
     across -= across.min()
     line, share = np.floor(across).astype(np.intp), across % 1.0
     lines, shares = np.concatenate([line, line + 1]), np.concatenate([1 - share, share])
