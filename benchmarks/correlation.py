@@ -37,9 +37,8 @@ def main() -> None:
         image = quantize(Brick().render((side, side), np.random.default_rng(0)).image)
         ours = median_seconds(lambda image=image: half_autocorrelation(image))
         theirs = median_seconds(lambda image=image: peer(image), 3)
-        print(
-            f"{side:4} x {side:<4} {ours / u:7.1f} u {theirs / u:11.1f} u {theirs / ours:7.1f}   {difference(image):.1e}"
-        )
+        times = f"{ours / u:7.1f} u {theirs / u:11.1f} u {theirs / ours:7.1f}"
+        print(f"{side:4} x {side:<4} {times}   {difference(image):.1e}")
 
 
 if __name__ == "__main__":

@@ -137,7 +137,9 @@ def run(first: int, count: int, sides: tuple[int, ...], draws: int) -> list[Verd
 
 
 def auc(low: list[float], high: list[float]) -> float:
-    """Return how often a value of ``high`` exceeds one of ``low``; ties count half."""
+    """Return how often a value of ``high`` exceeds one of ``low``, ties counting half; NaN where one is empty."""
+    if not low or not high:
+        return float("nan")
     a, b = np.array(low), np.array(high)[:, np.newaxis]
     return float((b > a).mean() + (b == a).mean() / 2)
 
@@ -178,23 +180,25 @@ def print_false_alarms(verdicts: list[Verdict]) -> None:
 
 
 def print_detection(verdicts: list[Verdict]) -> None:
-    """Print AUC and share called lost, by defect and regular share."""
-    clean, faulty = defaultdict(list), defaultdict(list)
+    """Print AUC over the images with a verdict, share called lost and share undecided, by defect and regular share."""
+    groups = defaultdict(list)
     for verdict in verdicts:
-        if verdict.kind == "none" and verdict.side == 256:
-            clean[verdict.share].append(max(verdict.suspicions))
-        elif verdict.kind != "none":
-            faulty[verdict.kind, verdict.size, verdict.share].append(verdict)
-    print("AUC / share called lost / share undecided, 256 x 256")
+        if verdict.side == 256:
+            groups[verdict.kind, verdict.size, verdict.share].append(verdict)
+    print("AUC where there is a verdict / share called lost / share undecided, 256 x 256")
     print(f"{'':22}" + "".join(f"share {share:<14.2f}" for share in SHARES))
     for kind, size in DEFECTS:
         cells = []
         for share in SHARES:
-            found = faulty[kind, size, share]
-            area = auc(clean[share], [max(verdict.suspicions) for verdict in found])
+            found = groups[kind, size, share]
+            area = auc(_decided(groups["none", 0.0, share]), _decided(found))
             lost, open_ = (np.mean([verdict.preserved is answer for verdict in found]) for answer in (False, None))
             cells.append(f"{area:.3f} / {lost:.2f} / {open_:.2f}")
         print(f"{kind:16}{size:<6g}" + "".join(f"{cell:20}" for cell in cells))
+
+
+def _decided(verdicts: list[Verdict]) -> list[float]:
+    return [max(verdict.suspicions) for verdict in verdicts if verdict.preserved is not None]
 
 
 def main() -> None:

@@ -51,11 +51,16 @@ def half_autocorrelation(image: Image) -> Correlation:
     RSGF (2011), section 3.1, equations 3 to 6, and section 3.2, equations 7 and 8. One transform for each channel and
     one back; the sums over overlaps are cumulative sums from the corners.
     """
-    channels = np.moveaxis(image - image.mean((0, 1), dtype=np.float64), 2, 0)
-    covariance = _products(channels.astype(np.float32))
+    height, width = image.shape[:2]
+    channels = np.ascontiguousarray(np.moveaxis(image, 2, 0))
+    channels = channels - channels.mean((1, 2), np.float64, keepdims=True).astype(np.float32)
+    covariance = _products(channels)
     scale = np.zeros_like(covariance)
+    counts = np.outer(np.arange(height, 0, -1), np.arange(width, 0, -1)).astype(np.float32)
     for channel in channels:
-        _add_moments(channel, covariance, scale)
+        means, deviations = _moments(channel, counts)
+        covariance -= means
+        scale += deviations
     structured = scale > FLAT * scale[0, 0, 0]
     gamma = np.divide(covariance, scale, out=np.zeros_like(scale), where=structured)
     np.clip(gamma, -1, 1, out=gamma)
@@ -71,29 +76,34 @@ def _products(channels: NDArray[np.float32]) -> NDArray[np.float32]:
     height, width = channels.shape[1:]
     rows, columns = (scipy.fft.next_fast_len(2 * n - 1, real=True) for n in (height, width))
     spectra = scipy.fft.fft(scipy.fft.rfft(channels, columns, axis=2), rows, axis=1, overwrite_x=True)
-    power = np.square(spectra.real).sum(0) + np.square(spectra.imag).sum(0)
+    parts = spectra.view(np.float32)
+    squares = np.einsum("cij,cij->ij", parts, parts)
+    power = squares[:, ::2] + squares[:, 1::2]
     below = scipy.fft.ihfft(power, axis=0)[:height]
     cyclic = scipy.fft.irfft(below, columns, axis=1, overwrite_x=True)
-    return np.stack([cyclic[:, :width], cyclic[:, -np.arange(width)]])
+    return np.stack([cyclic[:, :width], np.concatenate([cyclic[:, :1], cyclic[:, :-width:-1]], 1)])
 
 
-def _add_moments(channel: NDArray[np.float64], covariance: NDArray[np.float32], scale: NDArray[np.float32]) -> None:
-    """Take count times the product of the overlaps' means from ``covariance``, add their deviations' to ``scale``.
+def _moments(channel: NDArray[np.float32], counts: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+    """Return count times the product of the overlaps' means, and the product of their deviations, ``(2, H, W)`` each.
 
     Lags as in :func:`_products`. A deviation is the root of the sum of squares from the overlap's own mean.
     """
-    height, width = channel.shape
-    inverse = np.outer(1 / np.arange(height, 0, -1), 1 / np.arange(width, 0, -1)).astype(np.float32)
+    means, deviations = np.empty((2, 2, *counts.shape), np.float32)
     for half, (one, other), (squares, others) in zip(
         (0, 1), _corner_sums(channel), _corner_sums(np.square(channel)), strict=True
     ):
-        covariance[half] -= one * other * inverse
-        variance = np.maximum(squares - np.square(one) * inverse, 0)
-        variance *= np.maximum(others - np.square(other) * inverse, 0)
-        scale[half] += np.sqrt(variance, out=variance)
+        np.multiply(one, other, out=means[half])
+        variance = np.multiply(one, one, out=deviations[half])
+        variance -= counts * squares
+        variance *= np.square(other) - counts * others
+    means /= counts
+    np.sqrt(np.maximum(deviations, 0, out=deviations), out=deviations)
+    deviations /= counts
+    return means, deviations
 
 
-def _corner_sums(values: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+def _corner_sums(values: NDArray[np.float32]) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
     """Yield the sums over the h x w pixels in opposite corners at ``[H - h, W - w]``: what a lag overlaps.
 
     First those of the top left and the bottom right, then those of the bottom left and the top right.

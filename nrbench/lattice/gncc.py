@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,8 +73,6 @@ class Gncc:
         Number of phase-randomized copies.
     false_alarms
         Probability at which a phase-randomized copy would be taken for a lattice.
-    relief
-        Least share of their height by which a lattice's peaks stand above the ridge that joins them.
     """
 
     alpha: float = 1.12
@@ -86,7 +84,6 @@ class Gncc:
     reject: Literal["none", "surrogate"] = "surrogate"
     surrogates: int = 30
     false_alarms: float = 0.01
-    relief: float = 0.05
 
     version: ClassVar[str] = "1"
     paper: ClassVar[str] = """@inproceedings{recas2011rsgf,
@@ -107,7 +104,6 @@ class Gncc:
         _check(self.reject in ("none", "surrogate"), f"reject is {self.reject!r}; give none or surrogate")
         _check(self.surrogates >= 2, f"surrogates is {self.surrogates}; give at least 2")
         _check(0 < self.false_alarms < 1, f"false_alarms is {self.false_alarms}; give a probability, e.g. 0.01")
-        _check(0 <= self.relief < 1, f"relief is {self.relief}; give a share from 0 to below 1")
 
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``; its origin is (0, 0), the method finds no phase.
@@ -169,38 +165,30 @@ class Gncc:
 
     def _tested(self, image: Image, found: Detection, best: Pair) -> Detection:
         """Return what was found, with what it was compared with, unless it is a grating or chance."""
-        ridge = find_ridge(
-            found.diagnostics["correlation"], found.lattice, self._reach(found.diagnostics["correlation"])
-        )
-        found = _with(found, relief=ridge.relief)
-        if ridge.relief < self.relief:
-            raise NoLatticeFound("the image repeats along one direction only: a ridge joins the peaks", found)
-        reached = best.goodness
+        gamma, rng = found.diagnostics["correlation"], stream("detection", pixels_hash(image))
+        ridge, reached, kind = find_ridge(gamma, found.lattice, self._reach(gamma)), best.goodness, "lattice"
         if ridge.relief < JOINED:
-            image = without_stripes(image, ridge.direction)
+            image, kind = without_stripes(image, ridge.direction), "lattice but for stripes along one direction"
             reached = self._goodness(half_autocorrelation(image), best.vectors)
-        chance = self._chance(image)
+        chance = self._chance(image, rng)
         limit = upper_limit(chance, self.false_alarms)
-        found = _with(found, tested_goodness=reached, surrogate_goodness=chance, limit=limit)
+        more = {"relief": ridge.relief, "tested_goodness": reached, "surrogate_goodness": chance, "limit": limit}
+        found = replace(found, diagnostics={**found.diagnostics, **more})
         if reached <= limit:
-            reason = f"the best lattice (goodness {reached:.2f}) is no better than chance ({limit:.2f})"
-            raise NoLatticeFound(reason, found)
+            raise NoLatticeFound(
+                f"the best {kind} (goodness {reached:.2f}) is no better than chance ({limit:.2f})", found
+            )
         return found
 
     def _goodness(self, gamma: Correlation, vectors: Points) -> float:
         """Return the goodness of one pair."""
         return float(best_pair(quantized(dilated(gamma, self.tolerance)), vectors, UNIT, self.alpha, self.overlap)[0])
 
-    def _chance(self, image: Image) -> NDArray[np.float64]:
+    def _chance(self, image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float64]:
         """Return the goodness of the best pair of each surrogate; 0 where it has none."""
-        rng = stream("detection", pixels_hash(image))
         surrogates = phase_randomized(image, rng, self.surrogates)
         pairs = [self._search(half_autocorrelation(surrogate)) for surrogate in surrogates]
         return np.array([pair.goodness if pair else 0.0 for pair in pairs])
-
-
-def _with(found: Detection, **more: Any) -> Detection:
-    return replace(found, diagnostics={**found.diagnostics, **more})
 
 
 def _check(holds: bool, message: str) -> None:

@@ -10,6 +10,8 @@ from nrbench.lattice.peaks import climb
 
 NEAR = 1.5
 """A peak further than this, px along x or y, from where a multiple was expected does not belong to it."""
+LOST = 0.25
+"""A fit that moves a vector by more than this share of its length has followed peaks that are not its own."""
 
 
 def fit_multiples(gamma: Correlation, vectors: Points, reach: tuple[int, int]) -> Points:
@@ -17,6 +19,7 @@ def fit_multiples(gamma: Correlation, vectors: Points, reach: tuple[int, int]) -
 
     A peak at the k-th multiple tells the vector k times more precisely than the first, but is found only from a vector
     that is precise already: so the fit goes outward, one multiple at a time, until no peak is near or ``reach`` ends.
+    A vector that the fit moves too far (:data:`LOST`) is returned as it was.
 
     Parameters
     ----------
@@ -27,10 +30,9 @@ def fit_multiples(gamma: Correlation, vectors: Points, reach: tuple[int, int]) -
     reach
         Largest lag along x and y, px, that is looked at.
     """
-    fitted, live, k = vectors.copy(), np.arange(len(vectors)), 1
+    lengths, fitted, live = np.hypot(*vectors.T), vectors.copy(), np.arange(len(vectors))
     products, squares = vectors.copy(), np.ones(len(vectors))
-    while len(live):
-        k += 1
+    for k in range(2, int(np.hypot(*reach) / lengths.min(initial=np.inf)) + 1):
         live = live[(np.abs(k * fitted[live]) <= reach).all(1)]
         peaks, _ = climb(gamma, k * fitted[live])
         near = (np.abs(peaks - k * fitted[live]) <= NEAR).all(1)
@@ -38,14 +40,15 @@ def fit_multiples(gamma: Correlation, vectors: Points, reach: tuple[int, int]) -
         products[live] += k * peaks
         squares[live] += k * k
         fitted[live] = products[live] / squares[live, np.newaxis]
-    return fitted
+    lost = np.hypot(*(fitted - vectors).T) > lengths * LOST
+    return np.where(lost[:, np.newaxis], vectors, fitted)
 
 
 def fit_pair(gamma: Correlation, pair: Points, reach: tuple[int, int]) -> Points:
     """Return two generating vectors fitted to the peaks near all their multiples within ``reach``.
 
     Least squares, each peak weighted by its correlation, over a disk whose radius doubles: see :func:`fit_multiples`.
-    A fit that moves a vector by more than a quarter of the shorter one has lost its peaks: ``pair`` is returned.
+    Where the fit moves a vector too far (:data:`LOST`), ``pair`` is returned.
 
     Parameters
     ----------
@@ -67,7 +70,7 @@ def fit_pair(gamma: Correlation, pair: Points, reach: tuple[int, int]) -> Points
         chosen = numbers[distance <= radius]
         chosen = chosen[(np.abs(chosen @ fitted) <= reach).all(1)]
         fitted = _least_squares(gamma, chosen, fitted)
-    return fitted if np.hypot(*(fitted - pair).T).max() <= lengths.min() / 4 else pair
+    return fitted if np.hypot(*(fitted - pair).T).max() <= lengths.min() * LOST else pair
 
 
 def _least_squares(gamma: Correlation, numbers: Points, pair: Points) -> Points:

@@ -14,7 +14,7 @@ from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.lattice.topography import highest_ridge
 
 LINES = 4
-"""Lines in a pixel when stripes are taken out: fewer leave the steps of their edges, which make a lattice of their own."""
+"""Lines in a pixel when stripes are taken out: with fewer, their edges leave steps, which form a lattice."""
 
 
 @dataclass(frozen=True)

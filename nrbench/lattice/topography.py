@@ -22,19 +22,25 @@ def prominences(surface: NDArray[np.int32], order: NDArray[np.int64]) -> NDArray
     Returns
     -------
     NDArray
-        ``(2h+1, w)``: 0 where there is no peak; the highest peak stands above the lowest pixel. Pixels of equal height
-        make one peak.
+        ``(2h+1, w)``: 0 where there is no peak, and in the first column above the origin, which repeats what is below;
+        the highest peak stands above the lowest pixel. Adjoining pixels of equal height make one peak.
     """
     rows, columns = surface.shape
+    middle = rows // 2
     height = surface.ravel()
     parent = np.full(height.size, -1, np.int64)
     found = np.zeros(height.size, np.int32)
+    highest = -1
     for pixel in order:
-        parent[pixel] = pixel
         y, x = pixel // columns, pixel % columns
+        # The first column holds its pixels twice, above and below the origin: those above are left out.
+        if x == 0 and y < middle:
+            continue
+        highest = pixel if highest < 0 else highest
+        parent[pixel] = pixel
         for step in range(9):
             near_y, near_x = y + step // 3 - 1, x + step % 3 - 1
-            if near_x < 0:
+            if near_x < 0 or (near_x == 0 and near_y < middle):
                 near_y, near_x = rows - 1 - near_y, -near_x
             if near_x >= columns or near_y < 0 or near_y >= rows:
                 continue
@@ -55,7 +61,7 @@ def prominences(surface: NDArray[np.int32], order: NDArray[np.int64]) -> NDArray
                 one, other = other, one
             found[other] = height[other] - height[pixel]
             parent[other] = one
-    found[order[0]] = height[order[0]] - height[order[-1]]
+    found[highest] = height[highest] - height[order[-1]]
     return found.reshape(surface.shape)
 
 
