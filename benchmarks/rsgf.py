@@ -6,12 +6,8 @@ figure is the median of seven.
 
 from __future__ import annotations
 
-import statistics
-import time
-from collections.abc import Callable
-
 import numpy as np
-from scipy import fft
+from unit import machine_unit, median_seconds
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.door import quantize
@@ -31,23 +27,6 @@ METHODS: dict[str, Synthesizer] = {
 }
 
 
-def median_seconds(work: Callable[[], object], repeats: int = 7) -> float:
-    """Return the median wall time of ``work``, after one run that does not count."""
-    work()
-    seconds = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
-
-
-def unit() -> float:
-    """Return u: seconds of a forward and inverse real FFT of a 1024 x 1024 float32 array."""
-    array = np.random.default_rng(0).random((1024, 1024), np.float32)
-    return median_seconds(lambda: fft.irfft2(fft.rfft2(array), s=array.shape))
-
-
 def seconds(method: Synthesizer, sample: int, output: int, repeats: int = 7) -> float:
     """Return the seconds that a method takes from a square brick sample to a square output of these sides."""
     texture = Brick().render((sample, sample), np.random.default_rng(0))
@@ -62,7 +41,7 @@ def seconds(method: Synthesizer, sample: int, output: int, repeats: int = 7) -> 
 def main() -> None:
     """Print the tables."""
     load_kernels()
-    u = unit()
+    u = machine_unit()
     print(f"u = {u * 1e3:.2f} ms")
     print("\n256 x 256 from 128 x 128")
     for name, method in METHODS.items():

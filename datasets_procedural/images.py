@@ -50,7 +50,9 @@ class Images:
         self._lattice((0, 0, 0, 0))
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
-        """Return a random crop of ``shape``; along an axis on which the picture is smaller, all of it.
+        """Return a random crop of ``shape`` at a border of the picture; where the picture is smaller, all of it.
+
+        At a border, so that a strip as wide as can be is left beside it for the oracle.
 
         Raises
         ------
@@ -60,8 +62,11 @@ class Images:
         check(min(shape) >= 1, f"shape {shape[1]}x{shape[0]} px has no pixels; give at least 1 a side")
         image = self._read()
         height, width = (min(wanted, side) for wanted, side in zip(shape, image.shape, strict=False))
-        x0 = int(rng.integers(image.shape[1] - width + 1))
-        y0 = int(rng.integers(image.shape[0] - height + 1))
+        room = np.array([image.shape[1] - width, image.shape[0] - height])
+        corner = rng.integers(room + 1)
+        side = rng.integers(2)
+        corner[side] = room[side] * rng.integers(2)
+        x0, y0 = map(int, corner)
         return self._cut(image, (x0, y0, x0 + width, y0 + height))
 
     def again(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture | None:

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image
-from nrbench.imaging.registration import Template, cut_windows, peaks
+from nrbench.imaging.registration import cut_windows, peaks
 from nrbench.lattice.geometry import Lattice, Points
 
-from .yardstick import Periodic, tile_box
+from .periodic import Periodic
 
-WINDOW_TILES = 1.75
+_FOLLOWS = 0.06
 _BANDWIDTH = 0.04
 _CANDIDATES = 64
 
@@ -56,7 +56,7 @@ class Placement:
         """``(n, 2)``: displacement from the consensus, modulo the lattice, in px."""
         return self.lattice.wrap(self.displacement - self.phase)
 
-    @property
+    @cached_property
     def misplacement(self) -> NDArray[np.float64]:
         """``(n,)``: length of :attr:`offsets` over the shortest lattice vector."""
         return np.asarray(np.hypot(*self.offsets.T) / self.lattice.s)
@@ -67,34 +67,39 @@ class Placement:
         return self.corners + (np.array(self.window[::-1]) - 1) / 2
 
     def neighborhoods(self, size: int = 3) -> NDArray[np.float64]:
-        """Return, for each block of ``size`` x ``size`` windows, the length of their median offset over s."""
+        """Return, for each block of ``size`` x ``size`` windows, the length of their median offset over s, ``(m,)``.
+
+        A wrong peak of one window does not reach the median; content that moved together does.
+        """
+        if not len(self.corners):
+            return np.zeros(0)
         rows, columns = (min(size, side) for side in self.grid)
         field = self.offsets.reshape(*self.grid, 2)
         blocks = np.lib.stride_tricks.sliding_window_view(field, (rows, columns), axis=(0, 1))
-        middle = np.median(blocks, axis=(-2, -1))
-        return np.asarray(np.hypot(middle[..., 0], middle[..., 1]) / self.lattice.s)
+        middle = np.median(blocks, axis=(-2, -1)).reshape(-1, 2)
+        return np.asarray(np.hypot(*middle.T) / self.lattice.s)
 
-
-def window_shape(lattice: Lattice, tiles: float) -> tuple[int, int]:
-    """Return height and width in px of a window that is ``tiles`` tiles wide."""
-    width, height = np.maximum(np.rint(tiles * tile_box(lattice)), 3).astype(int)
-    return int(height), int(width)
+    def nearest(self, points: Points) -> NDArray[np.intp]:
+        """Return the index of the window whose middle is nearest to each point (x, y), along each axis."""
+        centers = self.centers.reshape(*self.grid, 2)
+        column = np.abs(points[:, :1] - centers[0, :, 0]).argmin(1)
+        row = np.abs(points[:, 1:] - centers[:, 0, 1]).argmin(1)
+        return np.asarray(row * self.grid[1] + column)
 
 
 def place(image: Image, periodic: Periodic) -> Placement:
-    """Register windows 1.75 tiles wide, half a window apart, over one cell of displacements.
+    """Register windows 2 tiles wide, half a window apart, over one cell of displacements.
 
     Content that the window at p shows and the periodic image has at q has moved by p - q, so every window is looked
     for in one patch of the periodic image that holds a whole cell of q.
     """
-    lattice = periodic.lattice
-    window = window_shape(lattice, WINDOW_TILES)
-    grid, corners = _grid(image.shape[:2], window)
-    cell = np.ceil(np.abs(lattice.matrix).sum(0)).astype(int) + 2
-    patch, weights = periodic.patch((window[0] + int(cell[1]), window[1] + int(cell[0])))
-    surfaces = Template(patch, weights, window).surfaces(cut_windows(image, corners, window))
-    at, height = peaks(surfaces)
-    return Placement(lattice, window, grid, corners, lattice.wrap(corners - at), height)
+    template = periodic.windows
+    grid, corners = _grid(image.shape[:2], template.window)
+    if not len(corners):
+        return Placement(periodic.lattice, template.window, grid, corners, np.zeros((0, 2)), np.zeros(0))
+    at, height = peaks(template.surfaces(cut_windows(image, corners, template.window)))
+    displacement = periodic.lattice.wrap(corners - at)
+    return Placement(periodic.lattice, template.window, grid, corners, displacement, height)
 
 
 def _grid(shape: tuple[int, int], window: tuple[int, int]) -> tuple[tuple[int, int], NDArray[np.intp]]:
@@ -129,15 +134,15 @@ def affine_part(placement: Placement) -> Points:
     """Return the 2 x 2 matrix A of the affine part of the displacement: ``d = A (x, y) + constant``.
 
     Starts from the median step between neighboring windows, modulo the lattice, so that a drift over many cells is
-    unwrapped; then least squares over the windows that follow it.
+    unwrapped; then least squares over the windows that follow it. Zero where there are fewer than 3 x 3 windows.
     """
-    lattice, rows_columns = placement.lattice, (*placement.grid, 2)
-    field, centers = placement.displacement.reshape(rows_columns), placement.centers.reshape(rows_columns)
     matrix = np.zeros((2, 2))
+    if min(placement.grid) < 3:
+        return matrix
+    field = placement.displacement.reshape(*placement.grid, 2)
+    centers = placement.centers.reshape(*placement.grid, 2)
     for axis, along in ((1, 0), (0, 1)):
-        if field.shape[axis] < 3:
-            continue
-        steps = lattice.wrap(np.diff(field, axis=axis)).reshape(-1, 2)
+        steps = placement.lattice.wrap(np.diff(field, axis=axis)).reshape(-1, 2)
         length = np.diff(centers, axis=axis).reshape(-1, 2)[:, along]
         matrix[:, along] = np.median(steps / length[:, np.newaxis], 0)
     return _refined(placement, matrix)
@@ -148,8 +153,8 @@ def _refined(placement: Placement, matrix: Points) -> Points:
     for _ in range(3):
         rest = lattice.wrap(placement.displacement - centers @ matrix.T)
         offsets = lattice.wrap(rest - consensus(rest, lattice))
-        inside = np.hypot(*offsets.T) < 0.15 * lattice.s
-        if inside.sum() < 6 or min(placement.grid) < 3:
+        inside = np.hypot(*offsets.T) < _FOLLOWS * lattice.s
+        if inside.sum() < 6:
             break
         design = np.column_stack([centers[inside], np.ones(inside.sum())])
         matrix = matrix + np.linalg.lstsq(design, offsets[inside], rcond=None)[0][:2].T

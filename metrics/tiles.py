@@ -8,14 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image
-from nrbench.imaging.registration import Template, cut_windows
+from nrbench.imaging.registration import cut_windows, peaks
 from nrbench.lattice.geometry import Lattice, Points
 
-from .placement import window_shape
-from .yardstick import Periodic
-
-TOLERANCE = 0.1
-"""How far from its place a tile may be, in units of s (and never less than 1 px)."""
+from .periodic import Periodic, Search
 
 
 @dataclass(frozen=True)
@@ -27,17 +23,31 @@ class Tiles:
     lattice
         Reduced, moved to the consensus phase.
     centers
-        ``(n, 2)``: middles (x, y) in px.
+        ``(n, 2)``: middles (x, y) in px where the tiles belong.
+    offsets
+        ``(n, 2)``: (x, y) px from there to the best match within the tolerance.
     here
         ``(n,)``: best weighted NCC within the tolerance of the tile's place.
     elsewhere
         ``(n,)``: best weighted NCC in the rest of the cell.
+    slope
+        ``(n,)``: how much of the periodic image's contrast the tile shows here.
+    whole
+        ``(n,)``: whether the window's middle is a lattice point (one window a cell).
     """
 
     lattice: Lattice
     centers: Points
+    offsets: Points
     here: NDArray[np.float64]
     elsewhere: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    whole: NDArray[np.bool_]
+
+    @property
+    def gain(self) -> NDArray[np.float64]:
+        """``(n,)``: how much better a tile fits elsewhere than here: high where it is displaced."""
+        return self.elsewhere - self.here
 
 
 def inspect(image: Image, periodic: Periodic, phase: Points) -> Tiles:
@@ -53,56 +63,24 @@ def inspect(image: Image, periodic: Periodic, phase: Points) -> Tiles:
         (x, y) px by which the image's content has moved as a whole.
     """
     lattice = periodic.lattice.shifted((float(phase[0]), float(phase[1])))
-    window = window_shape(lattice, 1.0)
-    near, far, reach = _search(lattice)
-    parts = [_inspect_class(image, periodic, lattice, window, half, (near, far, reach)) for half in _HALVES]
-    centers, here, elsewhere = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Tiles(lattice, centers, here, elsewhere)
+    parts = [_inspect(image, lattice, search) for search in periodic.searches]
+    centers, offsets, here, elsewhere, slope = (np.concatenate(column) for column in zip(*parts, strict=True))
+    whole = np.repeat([search.half == (0.0, 0.0) for search in periodic.searches], [len(part[0]) for part in parts])
+    return Tiles(lattice, centers, offsets, here, elsewhere, slope, whole)
 
 
-_HALVES = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))
-
-
-def _inspect_class(
-    image: Image,
-    periodic: Periodic,
-    lattice: Lattice,
-    window: tuple[int, int],
-    half: tuple[float, float],
-    search: tuple[NDArray[np.bool_], NDArray[np.bool_], int],
-) -> tuple[Points, NDArray[np.float64], NDArray[np.float64]]:
-    """Compare the tiles at one phase of the cell: all are looked for in the same patch."""
-    near, far, reach = search
-    size = np.array(window[::-1])
-    places = Lattice(lattice.t1, lattice.t2, _pair(lattice.from_cell(half))).points(image.shape[:2])
-    corners = np.rint(places - (size - 1) / 2).astype(np.intp)
+def _inspect(image: Image, lattice: Lattice, search: Search) -> tuple[NDArray[np.float64], ...]:
+    """Return middles, offsets, NCC here and elsewhere, and slope of the tiles at one place of the cell."""
+    size = np.array(search.template.window[::-1])
+    first = lattice.from_cell(search.half)
+    centers = Lattice(lattice.t1, lattice.t2, (float(first[0]), float(first[1]))).points(image.shape[:2])
+    corners = np.rint(centers - (size - 1) / 2).astype(np.intp)
     fits = (corners >= 0).all(1) & (corners + size <= image.shape[1::-1]).all(1)
-    patch, weights = _patch(periodic, periodic.lattice.from_cell(half) - (size - 1) / 2 - reach, size + 2 * reach)
-    surfaces = Template(patch, weights, window).surfaces(cut_windows(image, corners[fits], window))
-    here, elsewhere = (surfaces[:, mask].max(1, initial=-1).astype(np.float64) for mask in (near, far))
-    return places[fits], here, elsewhere
-
-
-def _patch(periodic: Periodic, corner: Points, size: NDArray[np.intp]) -> tuple[NDArray[np.float32], ...]:
-    """Return image and weights of a patch of the periodic image near ``corner`` modulo the lattice."""
-    cell = np.ceil(np.abs(periodic.lattice.matrix).sum(0)).astype(int)
-    middle = cell / 2 + 1
-    at = np.rint(middle + periodic.lattice.wrap(corner - middle)).astype(int)
-    at = np.maximum(at, 0)
-    image, weights = periodic.patch((int(at[1] + size[1]), int(at[0] + size[0])))
-    return image[at[1] :, at[0] :], weights[at[1] :, at[0] :]
-
-
-def _search(lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
-    """Return masks of the offsets within the tolerance and in the rest of the Voronoi cell, and their reach in px."""
-    reach = int(np.ceil(np.hypot(*lattice.reduced().matrix.sum(0)) / 2))
-    y, x = np.indices((2 * reach + 1, 2 * reach + 1)) - reach
-    offsets = np.stack([x, y], -1).astype(np.float64)
-    length = np.hypot(x, y)
-    cell = np.abs(lattice.wrap(offsets) - offsets).max(-1) < 1e-6
-    near = length <= max(TOLERANCE * lattice.s, 1.0)
-    return near, cell & ~near, reach
-
-
-def _pair(point: Points) -> tuple[float, float]:
-    return float(point[0]), float(point[1])
+    centers, corners = centers[fits], corners[fits]
+    if not len(corners):
+        return centers, centers, np.zeros(0), np.zeros(0), np.zeros(0)
+    surfaces, slopes = search.template.surfaces_and_slopes(cut_windows(image, corners, search.template.window))
+    at, here = peaks(surfaces, search.near)
+    offsets = corners - (centers - (size - 1) / 2) + search.place - at
+    slope = slopes[np.arange(len(at)), *np.rint(at).astype(int).T[::-1]].astype(np.float64)
+    return centers, offsets, here, surfaces[:, search.far].max(1).astype(np.float64), slope

@@ -2,54 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.door import Image
-from nrbench.imaging.fold import Tile, Values, fold
+from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.fold import Values, fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.synthesis import Again, Observation
 from nrbench.texture import Shape, Texture
 
+from .periodic import Periodic, tile_box
+from .placement import Placement, affine_part, place
+
 FIRST_DRAW = 1 << 16
 """Fresh draws from here on are the judge's own: the oracle and the planted defects use others."""
 DRAWS = 4
-_TILES_A_SIDE = 9
-_SIDES = (160, 384)
-_VARIANCE_FLOOR = 0.1
-
-
-@dataclass(frozen=True)
-class Periodic:
-    """The periodic image that a texture follows, and how much each of its pixels varies from tile to tile.
-
-    Parameters
-    ----------
-    lattice
-        Reduced, in the pixel coordinates of ``ideal``.
-    ideal
-        From a shape to the periodic image of that shape, its first pixel at (0, 0).
-    variance
-        Mean tile of the squared departures, one channel.
-    """
-
-    lattice: Lattice
-    ideal: Callable[[Shape], Values]
-    variance: Tile
-
-    def patch(self, shape: Shape) -> tuple[Values, NDArray[np.float32]]:
-        """Return the periodic image and the weight of each pixel: the inverse of its variance across tiles.
-
-        A tenth of the mean variance (and that of rounding to 8 bits) is added to every pixel's, so that no few pixels
-        carry all the weight. The weights' mean is 1.
-        """
-        variance = self.variance.unfold(shape)[..., 0]
-        weights = 1 / (variance + _VARIANCE_FLOOR * self.variance.values.mean() + 1 / 255**2)
-        return self.ideal(shape), np.asarray(weights / weights.mean(), np.float32)
+LATTICE_UNCERTAINTY = 0.02
+"""How far a lattice that was given for a photograph may be off, as a fraction of its vectors."""
+_TILES_A_SIDE = 8
+_SIDES = (160, 320)
 
 
 @dataclass(frozen=True)
@@ -88,14 +62,6 @@ class Yardstick:
         return self.periodic.lattice
 
 
-def tile_box(lattice: Lattice) -> NDArray[np.float64]:
-    """Return width and height of the upright box that stands for one cell.
-
-    It has the spread of the cell along x and y: sqrt(t1^2 + t2^2) componentwise, with the reduced basis.
-    """
-    return np.asarray(np.sqrt((lattice.reduced().matrix ** 2).sum(0)))
-
-
 def yardstick(observation: Observation) -> Yardstick | None:
     """Return what the output is to be measured against; None where the truth has no lattice."""
     truth = observation.truth
@@ -116,52 +82,56 @@ def model_yardstick(truth: Texture, lattice: Lattice, again: Again) -> Yardstick
     periodic = Periodic(lattice, lambda wanted: _ideal(_draw(again, wanted, FIRST_DRAW)), variance)
     share = truth.regular_share
     if share is None:
-        share = regular_share(_ideal(draws[0]), float(departures.mean()))
-    return Yardstick("model", periodic, tuple(Reference(draw.image, periodic) for draw in draws), share)
+        share = _share(_ideal(draws[0]), float(departures.mean()))
+    return Yardstick("model", periodic, tuple(Reference(quantize(draw.image), periodic) for draw in draws), share)
 
 
 def sample_yardstick(sample: Image, lattice: Lattice) -> Yardstick:
-    """Return the yardstick of a sample of which only the lattice is known."""
-    x, y = np.arange(sample.shape[1]) < sample.shape[1] // 2, np.arange(sample.shape[0]) < sample.shape[0] // 2
-    first = np.broadcast_to(x, sample.shape[:2]) if sample.shape[1] >= sample.shape[0] else _rows(y, sample)
-    whole = _folded(sample, lattice, np.ones(sample.shape[:2], np.bool_))
-    references = tuple(_crossed(sample, lattice, half) for half in (first, ~first))
-    share = regular_share(whole.ideal(sample.shape[:2]), float(whole.variance.values.mean()))
-    return Yardstick("sample", whole, references, share)
+    """Return the yardstick of a sample of which only the lattice is known.
+
+    The lattice is first fitted to the sample, as far as its uncertainty allows.
+    """
+    everywhere = np.ones(sample.shape[:2], np.bool_)
+    periodic = _folded(sample, lattice, everywhere)
+    periodic = _folded(sample, followed(place(sample, periodic), periodic).lattice, everywhere)
+    half = np.zeros(sample.shape[:2], np.bool_)
+    height, width = sample.shape[:2]
+    if width >= height:
+        half[:, : width // 2] = True
+    else:
+        half[: height // 2] = True
+    references = tuple(_crossed(sample, periodic.lattice, part) for part in (half, ~half))
+    share = _share(periodic.image(sample.shape[:2]), float(periodic.variance.values.mean()))
+    return Yardstick("sample", periodic, references, share)
 
 
-def regular_share(ideal: Values, departures: float) -> float:
-    """Return the variance of the periodic image (mean over channels) over that plus the departures'."""
-    regular = float(ideal.var((0, 1), dtype=np.float64).mean())
-    return regular / max(regular + departures, 1e-12)
+def followed(placement: Placement, periodic: Periodic) -> Periodic:
+    """Return the periodic image stretched to follow an image's drift, where the lattice's uncertainty allows it."""
+    drift = affine_part(placement)
+    return periodic.stretched(drift) if 0 < np.linalg.norm(drift, 2) <= LATTICE_UNCERTAINTY else periodic
 
 
-def _rows(mask: NDArray[np.bool_], image: Image) -> NDArray[np.bool_]:
-    return np.broadcast_to(mask[:, np.newaxis], image.shape[:2])
-
-
-def _crossed(sample: Image, lattice: Lattice, half: NDArray[np.bool_]) -> Reference:
-    """Return one half of the sample, to be judged by the mean tile of the other half."""
-    rows, columns = np.flatnonzero(half.any(1)), np.flatnonzero(half.any(0))
+def _crossed(sample: Image, lattice: Lattice, part: NDArray[np.bool_]) -> Reference:
+    """Return one part of the sample, to be judged by the mean tile of the rest."""
+    rows, columns = np.flatnonzero(part.any(1)), np.flatnonzero(part.any(0))
     crop = sample[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    other = _folded(sample, lattice, ~half)
-    x, y = float(columns[0]), float(rows[0])
-    shifted = lattice.shifted((-x, -y))
-
-    def ideal(shape: Shape) -> Values:
-        return other.ideal((shape[0] + int(y), shape[1] + int(x)))[int(y) :, int(x) :]
-
-    variance = Tile(other.variance.values, other.variance.counts, shifted)
-    return Reference(crop, Periodic(shifted, ideal, variance))
+    rest = _folded(sample, lattice, ~part)
+    shifted = lattice.shifted((-float(columns[0]), -float(rows[0])))
+    return Reference(crop, rest.on(shifted))
 
 
 def _folded(sample: Image, lattice: Lattice, mask: NDArray[np.bool_]) -> Periodic:
+    """Return the sample's mean tile, and its variance across tiles: a mean of n tiles takes 1/n of it."""
     tile = fold(sample, lattice, mask)
     cells = max(float(mask.sum()) / lattice.area, 1.5)
-    departures = ((sample - tile.unfold(sample.shape[:2])) ** 2).mean(-1, keepdims=True) * np.float32(
-        cells / (cells - 1)
-    )
-    return Periodic(lattice, tile.unfold, fold(departures, lattice, mask))
+    departures = ((sample - tile.unfold(sample.shape[:2])) ** 2).mean(-1, keepdims=True)
+    return Periodic(lattice, tile, fold(departures * np.float32(cells / (cells - 1)), lattice, mask))
+
+
+def _share(ideal: Values, departures: float) -> float:
+    """Return the variance of the periodic image (mean over channels) over that plus the departures'."""
+    regular = float(ideal.var((0, 1), dtype=np.float64).mean())
+    return regular / max(regular + departures, 1e-12)
 
 
 def _draw(again: Again, shape: Shape, k: int) -> Texture:

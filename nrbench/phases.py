@@ -70,7 +70,7 @@ def _task(where: CellFolder, cell: Cell) -> Task:
 
 def _again_of_method(where: CellFolder, cell: Cell) -> Again | None:
     if cell.procedural:
-        return cell.recipe.again(cell.recipe.render())
+        return lambda shape, k: cell.recipe.again(cell.recipe.render())(shape, k)
     if not where.again.is_file():
         return None
     region = read_image(where.again)

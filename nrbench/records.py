@@ -19,6 +19,11 @@ from nrbench.synthesis import Column
 
 FAILED = ("error", "timeout", "memory", "crash", "invalid")
 """Statuses of a cell that should have worked."""
+HEAD = (
+    *("suite", "texture", "family", "kind", "regular_share", "method", "parameters", "lattice_source", "replicate"),
+    *("reference", "status", "phase", "message", "note", "seconds", "peak_mib", "key"),
+)
+"""The table's columns before the scores."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +192,8 @@ class Run:
 
     def table(self) -> pd.DataFrame:
         """Return the tidy table: one row a cell, one column a score."""
-        return pd.DataFrame([_row(record, self.columns) for record in self.cells])
+        rows = [_row(record, self.columns) for record in self.cells]
+        return pd.DataFrame(rows, columns=list(rows[0]) if rows else [*HEAD, *self.columns])
 
 
 def _record(where: CellFolder, entry: dict[str, Any], metrics: list[str]) -> CellRecord:
@@ -208,10 +214,6 @@ def _record(where: CellFolder, entry: dict[str, Any], metrics: list[str]) -> Cel
 
 
 def _row(record: CellRecord, columns: Mapping[str, Column]) -> dict[str, Any]:
-    names = ("suite", "texture", "family", "kind", "regular_share", "method")
-    more = ("lattice_source", "replicate", "reference", "status", "phase", "message", "note", "seconds", "peak_mib")
-    row = {name: getattr(record, name) for name in names}
+    row = {name: getattr(record, name) for name in HEAD}
     row["parameters"] = json.dumps(dict(record.parameters), sort_keys=True)
-    row.update({name: getattr(record, name) for name in more})
-    row["key"] = record.key
     return {**row, **{name: record.values.get(name) for name in columns}}

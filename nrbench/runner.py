@@ -10,6 +10,7 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -229,13 +230,15 @@ def _prepare(where: CellFolder, cell: Cell, sample: Sample) -> None:
 def _write_info(directory: RunDirectory, plan: Plan, options: Options) -> None:
     suite = plan.suite
     shown = {"name": suite.name, "version": suite.version, "hash": suite.hash, "description": suite.description}
+    known = read_json(directory.root / RUN_FILE) or {}
     content = {
+        "created": known.get("created", datetime.now(UTC).isoformat(timespec="seconds")),
         "suite": {**shown, "seed": suite.seed, "content": suite.model_dump(mode="json")},
         **provenance(options.argv),
         "plugin_files": plugins.files(),
         "cells": [cell.as_dict() for cell, _ in plan.cells],
     }
-    if read_json(directory.root / RUN_FILE) != json.loads(json.dumps(content)):
+    if known != json.loads(json.dumps(content)):
         write_json(directory.root / RUN_FILE, content)
 
 

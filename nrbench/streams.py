@@ -16,7 +16,7 @@ def stream(role: str, *entropy: str | int) -> np.random.Generator:
     Parameters
     ----------
     role
-        What the numbers are for: ``"render"``, ``"again"``, ``"synthesis"`` or ``"metric"``.
+        What the numbers are for: ``"render"``, ``"again"``, ``"synthesis"``, ``"metric"`` or ``"detection"``.
     entropy
         What tells this stream from the role's others. The method is never part of it: methods are paired.
 

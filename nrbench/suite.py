@@ -24,6 +24,9 @@ LARGEST_SIDE = 16384
 DEFAULT = "default"
 """The suite that runs where none is named; a directory of pictures takes its methods."""
 
+PICTURE_SIZES = {"sample": "256x256", "size": "256x256"}
+"""Of a directory of pictures: samples that hold some periods of a wall, outputs for which there is room beside them."""
+
 
 def parse_size(text: Any) -> Shape:
     """Read ``"WIDTHxHEIGHT"`` into the shape (height, width).
@@ -141,7 +144,7 @@ def validated_suite(content: dict[str, Any], where: str) -> Suite:
 
 
 def _first(error: ValidationError) -> str:
-    first = error.errors()[0]
+    first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
     place = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         model = TextureRow if first["loc"][0] == "texture" else Suite
@@ -199,8 +202,8 @@ def directory_suite(directory: Path) -> Suite:
         if lister is not None:
             rows = [{"dataset": plugin.name, **row} for row in lister(directory)]
             title = directory.resolve().name or "pictures"
-            methods = load_suite(DEFAULT).methods
-            content = {"name": title, "texture": rows, "methods": methods, "seed": _common_seed(rows)}
+            content = {"name": title, "texture": rows, "methods": load_suite(DEFAULT).methods, **PICTURE_SIZES}
+            content["seed"] = _common_seed(rows)
             return validated_suite(content, str(directory))
     raise BadInput(f"{directory}: no dataset plugin reads a directory; see `nrbench list datasets`")
 

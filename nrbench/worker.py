@@ -17,6 +17,7 @@ from typing import Any
 import psutil
 
 from nrbench import guard, plugins
+from nrbench.imaging.jit import load_kernels
 
 Request = dict[str, Any]
 """``phase`` (synthesize, score or detect), ``folder``, ``metrics``, ``seconds``, ``mib``."""
@@ -59,11 +60,8 @@ def warm() -> None:
 
     assert phases and scoring
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
-        for plugin in plugins.inventory(kind):
-            load = getattr(plugin.cls, "warm", None)
-            if load is not None:
-                with contextlib.suppress(Exception):
-                    load()
+        plugins.inventory(kind)
+    load_kernels()
 
 
 def may_fork() -> bool:

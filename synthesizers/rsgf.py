@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -9,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
-from nrbench.imaging.blocks import BlockGrid, compose, wedges
-from nrbench.imaging.jit import load_kernels
+from nrbench.imaging.blocks import BlockGrid, Wedges, compose, wedges
 from nrbench.imaging.matching import FrameMatcher, Match
 from nrbench.imaging.sampling import Positions, Room, around, equivalent_positions, nearest_pixels
 from nrbench.lattice.geometry import Lattice
@@ -18,9 +18,6 @@ from nrbench.lattice.gncc import Gncc
 from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
 
 from .room import check_border, room_with_border
-
-STOCHASTIC = Lattice((1.0, 0.0), (0.0, 1.0))
-"""The lattice that makes every position a candidate (section 5, irregular textures)."""
 
 
 @dataclass(frozen=True)
@@ -77,11 +74,6 @@ class Rsgf:
         if self.tolerance is not None and not self.tolerance >= 0:
             raise BadInput(f"tolerance {self.tolerance}; choose 0 px or more, or leave it out")
 
-    @staticmethod
-    def warm() -> None:
-        """Load the compiled kernels."""
-        load_kernels()
-
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`Rsgf`.
 
@@ -96,8 +88,9 @@ class Rsgf:
         filling.sample_placed(room)
         filling.fill_gaps()
         image, source = compose(task.sample, filling.grid, filling.places)
+        task.progress(1.0)
         note = (
-            "" if found.lattice else f"no lattice found ({found.reason}); stochastic mode: every position a candidate"
+            "" if found.lattice else f"stochastic mode, every position a candidate: no lattice found ({found.reason})"
         )
         return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=note)
 
@@ -106,58 +99,65 @@ class _Filling:
     """The places found so far: ``(rows, columns, 2)``, the (x, y) in the sample of every block's first pixel."""
 
     def __init__(self, method: Rsgf, task: Task, lattice: Lattice | None) -> None:
-        self.method, self.task = method, task
-        self.lattice = lattice or STOCHASTIC
-        self.free = lattice is None or method.search == "everywhere"
-        self.tolerance = min(3.0, 0.1 * self.lattice.s) if method.tolerance is None else method.tolerance
+        self.method, self.task, self.lattice = method, task, lattice
         self.grid = BlockGrid(task.shape, method.block, method.border)
         self.places = np.zeros((*self.grid.counts, 2), np.int64)
         self.matcher = FrameMatcher(task.sample, method.block, method.match)
 
     def sample_placed(self, room: Room) -> None:
         """Section 4.1: fill every second block with a patch drawn from those equal to it."""
-        border = self.method.border
         for row, column in self.grid.placed():
-            candidates = nearest_pixels(self._equivalent(row, column, -border, room, 0.0), room)
-            self._require(len(candidates), row, column, self.method.block + 2 * border)
-            self.places[row, column] = candidates[self.task.rng.integers(len(candidates))] + border
+            self.places[row, column] = self._drawn(row, column, room) + self.method.border
 
     def fill_gaps(self) -> None:
         """Section 4.2: fill the rest with the patches that agree best with the borders around."""
         gaps = list(self.grid.gaps())
         for done, (row, column) in enumerate(gaps):
-            self.places[row, column] = self._best_patch(row, column)
+            self.places[row, column] = self._best(row, column)
             self.task.progress((done + 1) / len(gaps))
 
-    def _best_patch(self, row: int, column: int) -> Positions:
-        """Return the (x, y) of the best patch for a gap."""
+    def _drawn(self, row: int, column: int, room: Room) -> Positions:
+        """Draw the (x, y) of a block with its borders; without a lattice v1 = (1, 0), v2 = (0, 1): from anywhere."""
+        if self.lattice is None:
+            return self.task.rng.integers(room[::-1])
+        border, block = self.method.border, self.method.block
+        corner = (column * block - border, row * block - border)
+        candidates = nearest_pixels(equivalent_positions(self.lattice, corner, room), room)
+        self._require(candidates, row, column, block + 2 * border)
+        return self._any_of(candidates)
+
+    def _best(self, row: int, column: int) -> Positions:
+        """Return the (x, y) of the patch that agrees best with the border around a gap."""
         border = wedges(self.method.block, self.method.border, self.grid.sides(row, column))
-        origins = self.grid.origins(self.places, row, column)[border.owner]
-        template = np.zeros((self.method.block, self.method.block, self.task.sample.shape[2]), np.float32)
-        x, y = origins[:, 0] + border.columns, origins[:, 1] + border.rows
-        template[border.rows, border.columns] = self.matcher.values[y, x]
-        if self.free:
+        template = self._full_border(border, row, column)
+        if self.lattice is None or self.method.search == "everywhere":
             ratings = self.matcher.everywhere(template, border.hole)
-            ties = np.argwhere(ratings == ratings.max())[:, ::-1]
-        else:
-            positions = self._near_equivalent(row, column)
-            ratings = self.matcher.at(template, border.hole, positions)
-            ties = positions[ratings == ratings.max()]
-        return np.asarray(ties[self.task.rng.integers(len(ties))])
+            return self._any_of(np.argwhere(ratings == ratings.max())[:, ::-1])
+        candidates = self._near_equal(self.lattice, row, column)
+        ratings = self.matcher.at(template, border.hole, candidates)
+        return self._any_of(candidates[ratings == ratings.max()])
 
-    def _near_equivalent(self, row: int, column: int) -> Positions:
-        room = self.matcher.room
-        margin = max(self.tolerance, 0.5)
-        positions = around(self._equivalent(row, column, 0, room, margin), self.tolerance, room)
-        self._require(len(positions), row, column, self.method.block)
-        return positions
+    def _full_border(self, border: Wedges, row: int, column: int) -> NDArray[np.float32]:
+        """Compose the neighbours' wedges, around a hole of zeros."""
+        x, y = (self.grid.origins(self.places, row, column)[border.owner] + border.pixels).T
+        template = np.zeros((self.method.block, self.method.block, self.task.sample.shape[2]), np.float32)
+        template[border.pixels[:, 1], border.pixels[:, 0]] = self.matcher.values[y, x]
+        return template
 
-    def _equivalent(self, row: int, column: int, shift: int, room: Room, margin: float) -> NDArray[np.float64]:
-        x, y = column * self.method.block + shift, row * self.method.block + shift
-        return equivalent_positions(self.lattice, (float(x), float(y)), room, margin)
+    def _near_equal(self, lattice: Lattice, row: int, column: int) -> Positions:
+        """Return the places near those that the lattice calls equal to a gap's."""
+        tolerance = min(3.0, 0.1 * lattice.s) if self.method.tolerance is None else self.method.tolerance
+        room, corner = self.matcher.room, (column * self.method.block, row * self.method.block)
+        reach = min(max(tolerance, 0.5), math.hypot(*lattice.reduced().t2))
+        candidates = around(equivalent_positions(lattice, corner, room, reach), reach, room)
+        self._require(candidates, row, column, self.method.block)
+        return candidates
 
-    def _require(self, candidates: int, row: int, column: int, side: int) -> None:
-        if candidates:
+    def _any_of(self, candidates: Positions) -> Positions:
+        return np.asarray(candidates[self.task.rng.integers(len(candidates))])
+
+    def _require(self, candidates: Positions, row: int, column: int, side: int) -> None:
+        if len(candidates):
             return
         height, width, _ = self.task.sample.shape
         raise Refused(

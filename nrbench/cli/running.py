@@ -84,19 +84,20 @@ def run_command(**given: Any) -> int:
 
     with live() as progress:
         run = execute(plan, root, options, progress)
-    written = _write_reports(run, "csv,text" if given["no_report"] else None)
+    written = _write_reports(run, None, tables_only=given["no_report"])
     return _conclude(run, written, given["as_json"])
 
 
-def _write_reports(run: Any, formats: str | None) -> list[Path]:
+def _write_reports(run: Any, formats: str | None, tables_only: bool = False) -> list[Path]:
     """Write the reports asked for (all that work, where None is), and return the paths."""
     from nrbench import plugins
 
     wanted = formats.split(",") if formats else [p.name for p in plugins.inventory("reports") if p.cls is not None]
     written: list[Path] = []
-    for name in wanted:
-        report = plugins.build("reports", name)
-        written += report.write(run, run.root / getattr(report, "folder", "report"))
+    for report in [plugins.build("reports", name) for name in wanted]:
+        folder = getattr(report, "folder", "report")
+        if folder == "tables" or not tables_only:
+            written += report.write(run, run.root / folder)
     return written
 
 
@@ -116,11 +117,15 @@ def _conclude(run: Any, written: list[Path], as_json: bool) -> int:
 
 
 def _print_terminal_report(run: Any) -> None:
+    """Print each report that declares itself made for the terminal (``terminal``: it has ``width`` and ``render``)."""
+    import shutil
+
     from nrbench import plugins
 
+    width = max(40, shutil.get_terminal_size((120, 40)).columns)
     for plugin in plugins.inventory("reports"):
-        if plugin.cls is not None and hasattr(plugin.cls, "render"):
-            print(plugins.build("reports", plugin.name).render(run))
+        if getattr(plugin.cls, "terminal", False):
+            print(plugins.build("reports", plugin.name, {"width": width}).render(run), end="")
 
 
 @click.command("plan")

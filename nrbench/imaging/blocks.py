@@ -95,8 +95,8 @@ class Wedges:
 
     Parameters
     ----------
-    rows, columns
-        ``(n,)``: the pixels, in the gap's coordinates.
+    pixels
+        ``(n, 2)``: their (x, y) in the gap.
     owner
         ``(n,)``: the side whose wedge the pixel lies in: the nearest one.
     layers
@@ -107,8 +107,7 @@ class Wedges:
         The rest of the gap.
     """
 
-    rows: NDArray[np.int64]
-    columns: NDArray[np.int64]
+    pixels: NDArray[np.int64]
     owner: NDArray[np.int64]
     layers: NDArray[np.int64]
     weights: NDArray[np.float32]
@@ -130,8 +129,7 @@ def wedges(block: int, border: int, sides: Sides) -> Wedges:
     p, q = depth[[0, 2]].min(0), depth[[1, 3]].min(0)
     layers, weights = np.stack([np.full_like(beside, OWN), beside, above]), _weights(p, q)
     return Wedges(
-        rows=rows,
-        columns=columns,
+        pixels=np.stack([columns, rows], -1),
         owner=np.where(p <= q, beside, above),
         layers=np.where(weights > 0, layers, OWN),
         weights=weights,
@@ -197,9 +195,9 @@ def _blend(
     sample: Image, border: Wedges, origins: NDArray[np.int64], image: Image, source: NDArray[np.float32]
 ) -> None:
     """Blend the border of one gap into its part of the output, in place."""
-    x = origins[border.layers, 0] + border.columns
-    y = origins[border.layers, 1] + border.rows
-    image[border.rows, border.columns] = np.einsum("ln,lnc->nc", border.weights, sample[y, x])
-    main = border.weights.argmax(0)[np.newaxis]
-    chosen = (np.take_along_axis(part, main, 0)[0] for part in (x, y, border.weights))
-    source[border.rows, border.columns] = np.stack(list(chosen), -1)
+    columns, rows = border.pixels.T
+    origin = origins[border.layers] + border.pixels
+    image[rows, columns] = np.einsum("ln,lnc->nc", border.weights, sample[origin[..., 1], origin[..., 0]])
+    main = border.weights.argmax(0), np.arange(len(rows))
+    source[rows, columns, :2] = origin[main]
+    source[rows, columns, 2] = border.weights[main]

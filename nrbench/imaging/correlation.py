@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 import scipy.fft
@@ -50,54 +51,68 @@ def half_autocorrelation(image: Image) -> Correlation:
     RSGF (2011), section 3.1, equations 3 to 6, and section 3.2, equations 7 and 8. One transform for each channel and
     one back; the sums over overlaps are cumulative sums from the corners.
     """
-    height = image.shape[0]
-    channels = np.moveaxis(image - image.mean((0, 1), dtype=np.float64), 2, 0)
-    covariance, scale = _products(channels.astype(np.float32)), np.float32(0)
+    height, width = image.shape[:2]
+    channels = np.ascontiguousarray(np.moveaxis(image, 2, 0))
+    channels = channels - channels.mean((1, 2), np.float64, keepdims=True).astype(np.float32)
+    covariance = _products(channels)
+    scale = np.zeros_like(covariance)
+    counts = np.outer(np.arange(height, 0, -1), np.arange(width, 0, -1)).astype(np.float32)
     for channel in channels:
-        means, deviations = _moments(channel)
+        means, deviations = _moments(channel, counts)
         covariance -= means
-        scale = scale + deviations
+        scale += deviations
     structured = scale > FLAT * scale[0, 0, 0]
-    gamma = np.clip(np.divide(covariance, scale, out=np.zeros_like(scale), where=structured), -1, 1)
+    gamma = np.divide(covariance, scale, out=np.zeros_like(scale), where=structured)
+    np.clip(gamma, -1, 1, out=gamma)
     return np.concatenate([gamma[1, :0:-1], gamma[0]])
 
 
 def _products(channels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the sums of products over the overlaps, pooled over channels.
+    """Return the sums of products over the overlaps, pooled over channels ``(C, H, W)``.
 
-    At ``[0, dy, dx]`` for the lag (dx, dy), at ``[1, dy, dx]`` for (dx, -dy), both >= 0: ``(2, H, W)``.
+    At ``[0, dy, dx]`` for the lag (dx, dy), at ``[1, dy, dx]`` for (dx, -dy), both >= 0: ``(2, H, W)``. The spectrum's
+    power is real and even, so half of one transform back gives both.
     """
     height, width = channels.shape[1:]
     rows, columns = (scipy.fft.next_fast_len(2 * n - 1, real=True) for n in (height, width))
     spectra = scipy.fft.fft(scipy.fft.rfft(channels, columns, axis=2), rows, axis=1, overwrite_x=True)
-    power = (spectra.real**2 + spectra.imag**2).sum(0)
-    lags = np.arange(height)
-    return np.asarray(scipy.fft.irfft(scipy.fft.ifft(power, axis=0)[[lags, -lags]], columns, axis=2)[..., :width])
+    parts = spectra.view(np.float32)
+    squares = np.einsum("cij,cij->ij", parts, parts)
+    power = squares[:, ::2] + squares[:, 1::2]
+    below = scipy.fft.ihfft(power, axis=0)[:height]
+    cyclic = scipy.fft.irfft(below, columns, axis=1, overwrite_x=True)
+    return np.stack([cyclic[:, :width], np.concatenate([cyclic[:, :1], cyclic[:, :-width:-1]], 1)])
 
 
-def _moments(channel: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return count times the product of the overlaps' means, and the product of the roots of their sums of squares.
+def _moments(channel: NDArray[np.float32], counts: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+    """Return count times the product of the overlaps' means, and the product of their deviations, ``(2, H, W)`` each.
 
-    ``(2, H, W)`` each, lags as in :func:`_products`; squares are taken from the overlap's own mean.
+    Lags as in :func:`_products`. A deviation is the root of the sum of squares from the overlap's own mean.
     """
-    height, width = channel.shape
-    count = np.outer(np.arange(height, 0, -1), np.arange(width, 0, -1)).astype(np.float32)
-    one, other = _corner_sums(channel)
-    one_squared, other_squared = _corner_sums(channel**2)
-    variances = np.maximum(one_squared - one**2 / count, 0) * np.maximum(other_squared - other**2 / count, 0)
-    return one * other / count, np.sqrt(variances, out=variances)
+    means, deviations = np.empty((2, 2, *counts.shape), np.float32)
+    for half, (one, other), (squares, others) in zip(
+        (0, 1), _corner_sums(channel), _corner_sums(np.square(channel)), strict=True
+    ):
+        np.multiply(one, other, out=means[half])
+        variance = np.multiply(one, one, out=deviations[half])
+        variance -= counts * squares
+        variance *= np.square(other) - counts * others
+    means /= counts
+    np.sqrt(np.maximum(deviations, 0, out=deviations), out=deviations)
+    deviations /= counts
+    return means, deviations
 
 
-def _corner_sums(values: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the sums over the h x w pixels in opposite corners at ``[:, H - h, W - w]``, ``(2, H, W)`` each.
+def _corner_sums(values: NDArray[np.float32]) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """Yield the sums over the h x w pixels in opposite corners at ``[H - h, W - w]``: what a lag overlaps.
 
-    First top left and bottom left, second bottom right and top right: what a lag overlaps.
+    First those of the top left and the bottom right, then those of the bottom left and the top right.
     """
     integral = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
-    integral[1:, 1:] = values.cumsum(1)
+    np.cumsum(values, 1, out=integral[1:, 1:])
     for above, row in itertools.pairwise(integral):
         row += above
-    top, bottom = integral, integral[-1] - integral[::-1]
-    left = np.stack([top[:0:-1, :0:-1], bottom[:0:-1, :0:-1]]).astype(np.float32)
-    right = np.stack([(half[:, -1:] - half[:, :-1])[:0:-1] for half in (bottom, top)]).astype(np.float32)
-    return left, right
+    top = integral.astype(np.float32)
+    bottom = top[-1] - top[::-1]
+    for left, right in ((top, bottom), (bottom, top)):
+        yield left[:0:-1, :0:-1], (right[:, -1:] - right[:, :-1])[:0:-1]

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 
 Values = NDArray[np.float32]
 """``float32 (H, W, C)``: like an image, but of any range (a square, a difference)."""
@@ -74,7 +75,7 @@ def fold(image: Values, lattice: Lattice, mask: NDArray[np.bool_] | None = None)
         uv, pixels = uv[mask.ravel()], pixels[mask.ravel()]
     rows, columns = tile_grid(lattice)
     index, share = _neighbors(uv, rows, columns)
-    counts = np.bincount(index.ravel(), share.ravel(), rows * columns)
+    counts = np.asarray(np.bincount(index.ravel(), share.ravel(), rows * columns), np.float64)
     sums = [np.bincount(index.ravel(), (share * channel).ravel(), rows * columns) for channel in pixels.T]
     values = np.stack(sums, -1) / np.maximum(counts, 1e-12)[:, np.newaxis]
     values[counts <= 1e-9] = values[counts > 1e-9].mean(0)
@@ -88,6 +89,36 @@ def sample_tile(values: Values, uv: NDArray[np.float64]) -> Values:
     flat = values.reshape(-1, channels)
     mixed = sum(flat[i] * w[:, np.newaxis] for i, w in zip(index, share.astype(np.float32), strict=True))
     return np.asarray(mixed, np.float32).reshape(*uv.shape[:-1], channels)
+
+
+def cut_tiles(image: Values, lattice: Lattice, middles: Points) -> tuple[Values, NDArray[np.bool_]]:
+    """Return the image's cells around ``middles`` (x, y), each resampled on the grid of a tile by cubic splines.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    lattice
+        Its vectors span the cells; its origin does not matter.
+    middles
+        ``(n, 2)`` px, real-valued.
+
+    Returns
+    -------
+    tiles
+        ``(m, V, U, C)``, for those m cells that lie within the image.
+    inside
+        ``bool (n,)``: which they are.
+    """
+    rows, columns = tile_grid(lattice)
+    v, u = np.meshgrid((np.arange(rows) + 0.5) / rows - 0.5, (np.arange(columns) + 0.5) / columns - 0.5, indexing="ij")
+    around = np.stack([u, v], -1) @ lattice.matrix
+    reach = np.abs(around).reshape(-1, 2).max(0)
+    inside = (middles >= reach).all(1) & (middles <= np.array(image.shape[1::-1]) - 1 - reach).all(1)
+    at = np.moveaxis(middles[inside, np.newaxis, np.newaxis] + around, -1, 0)[::-1]
+    planes = [ndimage.spline_filter(plane, 3, np.float32, "mirror") for plane in np.moveaxis(image, -1, 0)]
+    cut = [ndimage.map_coordinates(plane, at, np.float32, 3, "mirror", prefilter=False) for plane in planes]
+    return np.stack(cut, -1), inside
 
 
 def _neighbors(uv: NDArray[np.float64], rows: int, columns: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:

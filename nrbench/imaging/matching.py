@@ -98,7 +98,7 @@ class FrameMatcher:
         return np.asarray(np.divide(covariance, both, out=np.zeros_like(covariance), where=both > 0))
 
     def _summary(self, sums: Array, squares: Array, n: int) -> tuple[Array, Array]:
-        """Return the sums ``(..., C)``, and what the match needs of the squares: their total, or n standard deviations."""
+        """Return the sums, and what the match needs of the squares: their total, or n standard deviations."""
         if self.match == "color":
             return sums, np.asarray(squares.sum(-1))
         return sums, np.sqrt(np.maximum(n * squares - sums**2, 0))

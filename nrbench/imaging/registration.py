@@ -70,17 +70,26 @@ class Template:
         All channels share one correlation; each channel's mean over the window is taken out first, so that lighting
         does not count. A window or template without variance gives 0.
         """
-        if not len(windows):
-            height, width = self._sums[0].shape
-            return np.zeros((0, height, width), np.float32)
-        return np.concatenate([self._batch(batch) for batch in self._batches(windows)])
+        return self.surfaces_and_slopes(windows)[0]
+
+    def surfaces_and_slopes(self, windows: Values) -> tuple[Map, Map]:
+        """Return the NCC, and the slope: how much of the template's contrast the window shows at every offset.
+
+        The slope is that of the weighted regression of the window on the template: 1 for a window that equals it, 0
+        for one that has nothing of it, whatever else it shows.
+        """
+        height, width = self._sums[0].shape
+        empty = np.zeros((0, height, width), np.float32)
+        parts = [self._batch(batch) for batch in self._batches(windows)] or [(empty, empty)]
+        ncc, slope = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return ncc, slope
 
     def _batches(self, windows: Values) -> Iterator[Values]:
         count = max(1, _BATCH_PIXELS // (self._size[0] * self._size[1] * (1 + windows.shape[-1])))
         for start in range(0, len(windows), count):
             yield windows[start : start + count]
 
-    def _batch(self, windows: Values) -> Map:
+    def _batch(self, windows: Values) -> tuple[Map, Map]:
         weights, sums, energy = self._sums
         planes = np.moveaxis(windows - self.mean, -1, 1)
         spectra = np.conj(scipy.fft.rfft2(planes, self._size))
@@ -91,7 +100,9 @@ class Template:
         cross -= (means * sums).sum(1) / weights
         floor = 1e-6 * weights
         good = (power > floor) & (energy > floor)
-        return np.where(good, cross / np.sqrt(np.maximum(power, floor) * np.maximum(energy, floor)), np.float32(0))
+        cross *= good
+        energy = np.maximum(energy, floor)
+        return cross / np.sqrt(np.maximum(power, floor) * energy), cross / energy
 
     def _valid(self, spectrum: NDArray[np.complex64]) -> Map:
         rows, columns = self._sums[0].shape
@@ -112,15 +123,24 @@ def cut_windows(image: Values, corners: NDArray[np.intp], window: tuple[int, int
     return np.moveaxis(views[corners[:, 1], corners[:, 0]], 1, -1)
 
 
-def peaks(surfaces: Map) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def peaks(surfaces: Map, where: NDArray[np.bool_] | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return each surface's highest point, ``(n, 2)`` as (x, y), sub-pixel, and its height ``(n,)``.
 
-    A parabola through three points along each axis; the surface's outermost ring is left out of the search.
+    A parabola through three points along each axis.
+
+    Parameters
+    ----------
+    surfaces
+        ``(n, height, width)``.
+    where
+        ``bool (height, width)``: where to look; the outermost ring is always left out. None: everywhere else.
     """
-    inner = surfaces[:, 1:-1, 1:-1]
-    best = inner.reshape(len(inner), -1).argmax(1)
-    rows, columns = best // inner.shape[2] + 1, best % inner.shape[2] + 1
-    each = np.arange(len(inner))
+    height, width = surfaces.shape[1:]
+    inner = np.zeros((height, width), np.bool_)
+    inner[1:-1, 1:-1] = True
+    rows, columns = np.nonzero(inner if where is None else inner & where)
+    best = surfaces[:, rows, columns].argmax(1)
+    rows, columns, each = rows[best], columns[best], np.arange(len(surfaces))
     at = surfaces[each, rows, columns].astype(np.float64)
     x, gain_x = _vertex(surfaces[each, rows, columns - 1], at, surfaces[each, rows, columns + 1])
     y, gain_y = _vertex(surfaces[each, rows - 1, columns], at, surfaces[each, rows + 1, columns])

@@ -55,7 +55,7 @@ def around(positions: Points, tolerance: float, room: Room) -> Positions:
 
     Each once, row by row. The nearest pixel always counts, however small the tolerance (RSGF, section 4.2: 3 px).
     """
-    reach = min(max(tolerance, 0.5), max(room)) + 1e-9
+    reach = max(tolerance, 0.5) + 1e-9
     steps = np.arange(-math.floor(reach + 0.5), math.floor(reach + 0.5) + 1)
     offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
     near = _round(positions)[:, np.newaxis] + offsets

@@ -101,7 +101,7 @@ def _nested(found: Points, true: Points) -> tuple[int, Points]:
     apart = np.hypot(*(coarse - change @ fine).T).max()
     if k == 0 or apart > CHANCE_RADIUS * np.hypot(*fine[0]):
         return 0, true
-    return k, change @ found if finer else np.linalg.solve(change, found)
+    return k, np.asarray(change @ found if finer else np.linalg.solve(change, found), np.float64)
 
 
 def _nearest_basis(found: Points, true: Points) -> Points:

@@ -7,29 +7,26 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.jit import kernel
 
-UNIT = 1 << 24
-"""Correlations enter the kernel as whole multiples of 1 / UNIT, so that no order of summing changes a bit."""
-
 
 @kernel("float64[::1](int32[:, ::1], float64[:, ::1], float64, float64, float64)")
 def best_pair(
-    surface: NDArray[np.int32], candidates: NDArray[np.float64], alpha: float, overlap: float, shortest: float
+    surface: NDArray[np.int32], candidates: NDArray[np.float64], unit: float, alpha: float, overlap: float
 ) -> NDArray[np.float64]:
     """Return the pair of generating vectors of the highest goodness.
 
     Parameters
     ----------
     surface
-        ``(2H-1, W)``: normalized autocorrelation of an image ``(H, W)`` times :data:`UNIT`, lag (dx, dy) at
-        ``[H-1+dy, dx]``.
+        ``(2H-1, W)``: normalized autocorrelation of an image ``(H, W)`` in whole multiples of 1 / ``unit``, lag
+        (dx, dy) at ``[H-1+dy, dx]``.
     candidates
         ``(n, 2)``: vectors (x, y) px in ascending length, on the right half-plane.
+    unit
+        What 1 is in ``surface``; sums of whole numbers do not depend on their order.
     alpha
         Exponent of the sum.
     overlap
         Share of the candidate tile's bounding box that a valid multiple's overlap must cover.
-    shortest
-        Shortest vector in px.
 
     Returns
     -------
@@ -45,8 +42,6 @@ def best_pair(
     for i in range(candidates.shape[0]):
         x1, y1 = candidates[i]
         square = x1 * x1 + y1 * y1
-        if square < shortest * shortest:
-            continue
         for j in range(i + 1, candidates.shape[0]):
             x2, y2 = candidates[j]
             times = np.rint((x2 * x1 + y2 * y1) / square)
@@ -84,7 +79,7 @@ def best_pair(
                     count += 1
             if total <= 0:
                 continue
-            goodness = (total / UNIT) ** alpha / count
+            goodness = (total / unit) ** alpha / count
             if goodness > best[0]:
                 best = np.array((goodness, x1, y1, x2, y2, float(count)))
     return best

@@ -40,10 +40,12 @@ def test_render_is_a_crop(picture: Path) -> None:
 
 
 def test_crops_are_drawn(picture: Path) -> None:
-    """Equal streams cut equal crops; over streams every corner place is reached, the outermost too."""
+    """Equal streams cut equal crops; over streams every place along the border is reached, and no other."""
     cut = [Images(picture).render((57, 88), np.random.default_rng(seed)).region for seed in [0, 0, *range(120)]]
     assert cut[0] == cut[1]
-    assert {region[:2] for region in cut if region} == {(x, y) for x in range(3) for y in range(4)}
+    assert {region[:2] for region in cut if region} == {
+        (x, y) for x in range(3) for y in range(4) if x in (0, 2) or y in (0, 3)
+    }
 
 
 @pytest.mark.parametrize(("shape", "region"), [((100, 100), (0, 0, 90, 60)), ((60, 90), (0, 0, 90, 60))])

@@ -30,19 +30,21 @@ def test_the_border_is_what_lies_near_a_neighbour(there: Sides) -> None:
     distances = np.stack([columns, rows, 39 - columns, 39 - rows])
     near = (distances[np.array(there)] < 10).any(0) if any(there) else np.zeros((40, 40), bool)
     marked = np.zeros((40, 40), bool)
-    marked[border.rows, border.columns] = True
+    marked[border.pixels[:, 1], border.pixels[:, 0]] = True
     np.testing.assert_array_equal(marked, near)
     y0, y1, x0, x1 = border.hole
     marked[y0:y1, x0:x1] = True
     assert marked.all()
-    assert len(border.rows) + (y1 - y0) * (x1 - x0) == 1600
+    assert len(border.pixels[:, 1]) + (y1 - y0) * (x1 - x0) == 1600
 
 
 @given(sides)
 def test_each_wedge_belongs_to_the_nearest_neighbour(there: Sides) -> None:
     """The owner of a border pixel is the nearest side that has a neighbour: the corners' diagonals divide."""
     border = wedges(40, 10, there)
-    distances = np.stack([border.columns, border.rows, 39 - border.columns, 39 - border.rows]).astype(float)
+    distances = np.stack(
+        [border.pixels[:, 0], border.pixels[:, 1], 39 - border.pixels[:, 0], 39 - border.pixels[:, 1]]
+    ).astype(float)
     distances[~np.array(there)] = np.inf
     np.testing.assert_array_equal(distances[border.owner, np.arange(len(border.owner))], distances.min(0))
 
@@ -68,14 +70,14 @@ def test_weights_sum_to_one_and_draw_on_neighbours_that_are_there(there: Sides) 
 def test_the_gaps_own_patch_fades_in_linearly() -> None:
     """Along the middle of a side the alpha rises by one tenth a pixel over a 10 px border."""
     border = wedges(40, 10, ALL)
-    middle = (border.rows == 20) & (border.columns < 10)
+    middle = (border.pixels[:, 1] == 20) & (border.pixels[:, 0] < 10)
     np.testing.assert_allclose(border.weights[0, middle], (np.arange(10) + 0.5) / 10, atol=1e-6)
 
 
 def test_at_the_gaps_edge_each_neighbour_is_nearly_whole() -> None:
     """No edge of a placed block shows: the pixel inside the gap is at least 9/10 its neighbour's, corners aside."""
     border = wedges(40, 10, ALL)
-    edge = (border.columns == 0) & (border.rows >= 10) & (border.rows < 30)
+    edge = (border.pixels[:, 0] == 0) & (border.pixels[:, 1] >= 10) & (border.pixels[:, 1] < 30)
     assert (border.weights[1, edge] > 0.9).all()
     assert (border.layers[1, edge] == 0).all()
 

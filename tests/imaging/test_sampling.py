@@ -45,8 +45,3 @@ def test_around_equals_brute_force(x: float, y: float, tolerance: float) -> None
     everywhere = np.stack([columns, rows], -1).reshape(-1, 1, 2)
     near = (np.abs(everywhere - centres) <= max(tolerance, 0.5) + 1e-9).all(-1).any(1)
     assert sorted(map(tuple, found.tolist())) == sorted(map(tuple, everywhere[near, 0].tolist()))
-
-
-def test_an_infinite_tolerance_takes_the_whole_room() -> None:
-    """With no limit every place counts, once."""
-    assert len(around(np.array([[3.2, 4.9]]), np.inf, (11, 13))) == 11 * 13

@@ -121,7 +121,9 @@ def naive_rating(patch: NDArray[np.float64], border: NDArray[np.float64], match:
 
 
 @pytest.mark.parametrize("match", ["ncc", "color"])
-@pytest.mark.parametrize(("search", "tolerance"), [("lattice", 1.0), ("lattice", 3.0), ("everywhere", None)])
+@pytest.mark.parametrize(
+    ("search", "tolerance"), [("lattice", 1.0), ("lattice", 3.0), ("lattice", math.inf), ("everywhere", None)]
+)
 def test_gaps_take_the_best_of_the_patches_allowed(match: Any, search: Any, tolerance: float | None) -> None:
     """By brute force over a border composed naively of wedges, no allowed patch matches a gap better."""
     sample, lattice = noise(40, 44), Lattice((9.3, 1.2), (-2.1, 10.4))

@@ -67,14 +67,6 @@ def test_the_map_points_at_what_was_copied() -> None:
     assert len(np.unique(made.source[..., :2].reshape(-1, 2), axis=0)) == lattice.area
 
 
-def test_the_tile_is_drawn_from_the_stream() -> None:
-    """The same stream gives the same tile, others give others."""
-    sample = quantize(np.random.default_rng(0).random((70, 80, 1), np.float32))
-    drawn = [tile(sample, (40, 40), OBLIQUE, seed).image.tobytes() for seed in (0, 0, 1, 2)]
-    assert drawn[0] == drawn[1]
-    assert len(set(drawn)) == 3
-
-
 def test_the_reach_is_that_of_the_voronoi_cell() -> None:
     """Rectangles reach half their sides; a running bond of squares, half its longer vector."""
     assert reach(Lattice((30, 0), (0, 24))) == pytest.approx((15, 12))
@@ -110,3 +102,23 @@ def test_where_none_is_found_it_refuses(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr("nrbench.synthesizers.tiling.Gncc", FindsNone)
     with pytest.raises(Refused, match="nothing repeats"):
         tile(waves((90, 90), OBLIQUE), (64, 64), None)
+
+
+def test_the_typical_tile_is_the_one_nearest_to_the_mean() -> None:
+    """Of tiles of which all but one are odd, the one that is like the mean tile is repeated, at any seed."""
+    rng = np.random.default_rng(4)
+    motif = rng.random((20, 20, 3), np.float32) * 0.4 + 0.3
+    sample = np.tile(motif, (5, 5, 1)) + 0.2 * rng.choice([-1.0, 1.0], (100, 100, 1)).astype(np.float32)
+    sample[38:62, 38:62] = np.tile(motif, (5, 5, 1))[38:62, 38:62]
+    made = [tile(quantize(sample), (60, 60), Lattice((20, 0), (0, 20)), seed) for seed in (0, 1)]
+    np.testing.assert_array_equal(made[0].image, made[1].image)
+    assert np.abs(made[0].image - np.tile(motif, (3, 3, 1))).max() < 1 / 255
+
+
+def test_a_random_tile_is_drawn_from_the_stream() -> None:
+    """With ``tile="random"`` another seed repeats another tile."""
+    sample = quantize(np.random.default_rng(0).random((70, 80, 3), np.float32))
+    lattice = Lattice((20, 0), (0, 20))
+    tasks = [Task(sample, (40, 40), lattice, np.random.default_rng(seed)) for seed in (0, 1)]
+    first, second = (Tiling(tile="random").synthesize(task).image for task in tasks)
+    assert not np.array_equal(first, second)

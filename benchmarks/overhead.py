@@ -1,0 +1,50 @@
+"""What a cell costs beyond its method and metrics: `python benchmarks/overhead.py` prints it in ms and in u.
+
+A warm worker forks one child that runs the cheapest method on a 64 x 64 texture and one that reads its folder for the
+`cost` metric; what the method itself takes is subtracted. Encoding and decoding of the small pictures is included.
+"""
+
+from __future__ import annotations
+
+import shutil
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+from unit import machine_unit
+
+from nrbench import jobs
+from nrbench.api import run
+from nrbench.runner import Options
+from nrbench.store import CellFolder
+from nrbench.suite import Suite, TextureRow
+from nrbench.supervisor import Supervisor
+
+REPEATS = 41
+
+
+def main() -> None:
+    """Print the median overhead of a cell."""
+    wall = TextureRow(name="wall", dataset="brick")
+    suite = Suite(name="overhead", sample=(64, 64), size=(64, 64), methods=("scatter",), texture=(wall,))
+    with tempfile.TemporaryDirectory() as place, Supervisor() as supervisor:
+        first = run(suite, out=Path(place) / "run", options=Options(jobs=0)).cells[0]
+        where = CellFolder(first.folder)
+        job = {"kind": "cell", "folder": str(where.path), "metrics": ["cost"], "seconds": 20, "mib": 1024}
+        taken = [_once(where, {**job, "side_by_side": 0.0}, supervisor) for _ in range(REPEATS)][3:]
+    unit = machine_unit()
+    median = statistics.median(taken)
+    print(f"overhead of a cell, warm: {1000 * median:.1f} ms = {median / unit:.2f} u (u = {1000 * unit:.2f} ms)")
+
+
+def _once(where: CellFolder, job: dict[str, object], supervisor: Supervisor) -> float:
+    where.result_file.unlink()
+    shutil.rmtree(where.scores)
+    start = time.perf_counter()
+    result = jobs.run(job, supervisor)
+    return time.perf_counter() - start - float(result["seconds"])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,247 @@
+"""The verdict: whether an output kept its lattice, from its windows and tiles and those of references."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.door import Image
+from nrbench.lattice.geometry import Points
+from nrbench.synthesis import Observation
+
+from . import limits
+from .periodic import TOLERANCE, Periodic
+from .placement import Placement, affine_part, place
+from .surprise import Tail
+from .tiles import Tiles, inspect
+from .yardstick import Yardstick, followed, yardstick
+
+Flags = NDArray[np.bool_]
+Ratios = NDArray[np.float64]
+_OVERLAP = 0.55
+"""Tiles whose distance times this stays within the Voronoi cell overlap: 0.5 would be tiles that touch."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """An image as the judge sees it: its windows and its tiles."""
+
+    image: Image
+    placement: Placement
+    tiles: Tiles
+
+    @classmethod
+    def at(cls, image: Image, periodic: Periodic) -> Look:
+        """Register the windows of ``image``, then inspect its tiles at the phase that most windows share."""
+        placement = place(image, periodic)
+        return cls(image, placement, inspect(image, periodic, placement.phase))
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """An output beside its references.
+
+    Parameters
+    ----------
+    yardstick
+        What it is measured against.
+    output
+        The output.
+    references
+        Images that are right.
+    drift
+        2 x 2 matrix: the affine part of the output's displacement.
+    """
+
+    yardstick: Yardstick
+    output: Look
+    references: tuple[Look, ...]
+    drift: Points
+
+    @cached_property
+    def limit(self) -> float:
+        """How far (in s) a window may be from its place: the tolerance, or twice what most references' windows are."""
+        own = np.concatenate([look.placement.misplacement for look in self.references])
+        return max(TOLERANCE, 2 * float(np.quantile(own, 0.95))) if len(own) else TOLERANCE
+
+    @cached_property
+    def misplaced(self) -> Flags:
+        """Which windows of the output are out of place."""
+        return self.output.placement.misplacement > self.limit
+
+    @cached_property
+    def reference_misplaced(self) -> float:
+        """Share of windows out of place in the references."""
+        own = np.concatenate([look.placement.misplacement for look in self.references])
+        return float((own > self.limit).mean()) if len(own) else 1.0
+
+    @cached_property
+    def structure(self) -> float:
+        """Median NCC of the output's windows over that of the references'."""
+        own = np.concatenate([look.placement.structure for look in self.references])
+        return float(np.median(self.output.placement.structure) / max(np.median(own), 1e-6))
+
+    @cached_property
+    def displacement_suspicion(self) -> Ratios:
+        """For each tile, how far it exceeds the limits of fitting better elsewhere: above 1 it is displaced."""
+        tail = Tail.fit(np.concatenate([look.tiles.gain for look in self.references]), overlap=2)
+        sure = self.yardstick.regular_share >= limits.SINGLE_TILE_SHARE
+        limit = limits.TILE_SURPRISE if sure else limits.FAINT_TILE_SURPRISE
+        gain = self.output.tiles.gain
+        return np.minimum(tail.surprise(gain) / limit, gain / limits.GAIN_FLOOR)
+
+    @cached_property
+    def breakage_suspicion(self) -> Ratios:
+        """For each tile, how far it exceeds the limits of fitting badly in its place: above 1 it is broken.
+
+        Its correlation with the periodic image, or the contrast that it shows of it, is too low.
+        """
+        tiles, own = self.output.tiles, [look.tiles for look in self.references]
+        return np.maximum(
+            _lack(tiles.here, np.concatenate([other.here for other in own])),
+            _lack(tiles.slope, np.concatenate([other.slope for other in own])),
+        )
+
+    @property
+    def displaced(self) -> Flags:
+        """Which tiles fit better elsewhere than chance allows."""
+        return self.displacement_suspicion > 1
+
+    @property
+    def broken(self) -> Flags:
+        """Which tiles fit worse in their place than chance allows."""
+        return self.breakage_suspicion > 1
+
+    @cached_property
+    def moved(self) -> Flags:
+        """Which tiles lie in a window that is out of place."""
+        return np.asarray(self.misplaced[self.output.placement.nearest(self.output.tiles.centers)])
+
+    @property
+    def bad(self) -> Flags:
+        """Which tiles are displaced or broken by themselves."""
+        return self.displaced | self.broken
+
+    @property
+    def score(self) -> float:
+        """Share of tiles in place and intact."""
+        return float(1 - (self.bad | self.moved).mean())
+
+    @cached_property
+    def suspicions(self) -> dict[str, float]:
+        """Each fault in words, and how far it exceeds its limit: above 1 regularity is lost."""
+        tiles = np.maximum(self.displacement_suspicion, self.breakage_suspicion)
+        most = limits.MISPLACED_SHARE + 2 * self.reference_misplaced
+        return {
+            f"{self.misplaced.mean():.0%} of the windows are out of place": float(self.misplaced.mean()) / most,
+            f"a neighborhood is off by {self.worst_neighborhood:.2f} s": self._neighborhood_suspicion(),
+            f"the structure is {self.structure:.2f} of the references'": (1 - self.structure) / (1 - limits.STRUCTURE),
+            f"{len(self.bad_places)} tile(s) displaced or broken": float(tiles.max(initial=0.0)),
+        }
+
+    @property
+    def suspicion(self) -> float:
+        """How far the worst fault exceeds its limit."""
+        return max(self.suspicions.values())
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Why regularity is lost; empty where nothing is wrong."""
+        return tuple(fault for fault, suspicion in self.suspicions.items() if suspicion > 1)
+
+    @cached_property
+    def blindness(self) -> str:
+        """Why the judge would not have seen a fault; empty where it would."""
+        rows, columns = self.output.placement.grid
+        if min(rows, columns) < limits.LEAST_WINDOWS:
+            least = limits.LEAST_WINDOWS
+            return f"the output holds {columns} x {rows} windows of 2 tiles, at least {least} x {least} are needed"
+        if self.yardstick.regular_share < limits.LEAST_SHARE:
+            return f"the regular share {self.yardstick.regular_share:.2f} is under {limits.LEAST_SHARE:g}"
+        if self.limit > limits.REFERENCE_SCATTER:
+            return f"windows of the {self._reference_name} are themselves off by up to {self.limit / 2:.2f} s"
+        if self.reference_misplaced > limits.REFERENCE_MISPLACED:
+            return (
+                f"{self.reference_misplaced:.0%} of the windows of the {self._reference_name} lock onto a wrong place"
+            )
+        return ""
+
+    @property
+    def preserved(self) -> bool | None:
+        """The verdict: True, False, or None where nothing is seen and nothing would be."""
+        if min(self.output.placement.grid) < limits.LEAST_WINDOWS:
+            return None
+        if self.blindness:
+            return False if self.misplaced.mean() > limits.GROSS_SHARE + 2 * self.reference_misplaced else None
+        return not self.faults
+
+    @cached_property
+    def worst_neighborhood(self) -> float:
+        """Largest median offset of 3 x 3 windows, in s."""
+        return float(self.output.placement.neighborhoods().max(initial=0.0))
+
+    @cached_property
+    def bad_places(self) -> Points:
+        """``(n, 2)``: middles (x, y) px of the bad tiles, worst first; those of one tile are counted once."""
+        tiles = self.output.tiles
+        index = np.flatnonzero(self.bad)
+        index = index[np.argsort(tiles.here[index], kind="stable")]
+        places: list[Points] = []
+        for center in tiles.centers[index]:
+            apart = _OVERLAP * (np.array(places).reshape(-1, 2) - center)
+            if (np.abs(tiles.lattice.wrap(apart) - apart).max(1) > 1e-6).all():
+                places.append(center)
+        return np.array(places).reshape(-1, 2)
+
+    @property
+    def _reference_name(self) -> str:
+        return "fresh draws" if self.yardstick.source == "model" else "sample"
+
+    def _neighborhood_suspicion(self) -> float:
+        far = self.worst_neighborhood / self.limit
+        if self.yardstick.source == "sample":
+            return far
+        own = np.concatenate([look.placement.neighborhoods() for look in self.references])
+        surprise = Tail.fit(own, quantile=0.9, overlap=4).surprise(self.output.placement.neighborhoods())
+        return min(far, float(surprise.max(initial=0.0)) / limits.NEIGHBORHOOD_SURPRISE)
+
+
+def _lack(values: Ratios, own: Ratios) -> Ratios:
+    """Return how far values fall short of the references' own, in units of both limits of a broken tile."""
+    surprise = Tail.fit(-own, overlap=2).surprise(-values) / limits.TILE_SURPRISE
+    short = (1 - values / max(float(np.median(own)), 1e-6)) / (1 - limits.FIT_FLOOR)
+    return np.minimum(surprise, short)
+
+
+_LAST: list[tuple[Observation, Judgement | None]] = []
+
+
+def judge(observation: Observation) -> Judgement | None:
+    """Return the output beside its references; None where the truth has no lattice.
+
+    The last judgement is kept: metrics that need the same one, one after the other, share it.
+    """
+    for seen, judgement in _LAST:
+        if all(getattr(seen, name) is getattr(observation, name) for name in ("sample", "output", "truth", "again")):
+            return judgement
+    measure = yardstick(observation)
+    found = None if measure is None else compare(observation.output, measure, look_at_references(measure))
+    _LAST[:] = [(observation, found)]
+    return found
+
+
+def look_at_references(measure: Yardstick) -> tuple[Look, ...]:
+    """Return the yardstick's references as the judge sees them."""
+    return tuple(Look.at(reference.image, reference.periodic) for reference in measure.references)
+
+
+def compare(output: Image, measure: Yardstick, references: tuple[Look, ...]) -> Judgement:
+    """Return an output beside its references."""
+    first = place(output, measure.periodic)
+    periodic = followed(first, measure.periodic) if measure.source == "sample" else measure.periodic
+    placement = first if periodic is measure.periodic else place(output, periodic)
+    look = Look(output, placement, inspect(output, periodic, placement.phase))
+    return Judgement(measure, look, references, affine_part(first))

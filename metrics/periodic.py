@@ -1,0 +1,143 @@
+"""The periodic image that a texture follows, and the templates that are cut from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.fold import Tile, Values
+from nrbench.imaging.registration import Template
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.texture import Shape
+
+WINDOW_TILES = 2.0
+"""Width of the windows whose place is registered, in tiles."""
+TOLERANCE = 0.1
+"""How far from its place content may be and still count as in place, in units of s."""
+HALVES = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))
+"""Cell coordinates of the middles of the one-tile windows."""
+_VARIANCE_FLOOR = 0.1
+
+
+@dataclass(frozen=True)
+class Search:
+    """One-tile windows at one place of the cell, all looked for in one patch.
+
+    Parameters
+    ----------
+    half
+        Cell coordinates of the windows' middles.
+    template
+        The patch.
+    place
+        (x, y) px in the patch where the window's corner belongs.
+    near, far
+        Offsets within the tolerance of that place, and in the rest of the cell.
+    """
+
+    half: tuple[float, float]
+    template: Template
+    place: Points
+    near: NDArray[np.bool_]
+    far: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Periodic:
+    """The periodic image that a texture follows, and how much each of its pixels varies from tile to tile.
+
+    Parameters
+    ----------
+    lattice
+        Reduced.
+    ideal
+        The periodic image: from a shape to the image of that shape whose first pixel is at (0, 0); or one tile of it.
+    variance
+        Mean tile of the squared departures, one channel.
+    """
+
+    lattice: Lattice
+    ideal: Callable[[Shape], Values] | Tile
+    variance: Tile
+
+    def image(self, shape: Shape) -> Values:
+        """Return the periodic image of ``shape``, its first pixel at (0, 0)."""
+        return self.ideal.unfold(shape) if isinstance(self.ideal, Tile) else self.ideal(shape)
+
+    def weights(self, shape: Shape) -> NDArray[np.float32]:
+        """Return what each pixel counts for: the inverse of its variance across tiles, of mean 1.
+
+        A tenth of the mean variance (and that of rounding to 8 bits) is added to every pixel's, so that no few pixels
+        carry all the weight.
+        """
+        variance = self.variance.unfold(shape)[..., 0]
+        weights = 1 / (variance + _VARIANCE_FLOOR * self.variance.values.mean() + 1 / 255**2)
+        return np.asarray(weights / weights.mean(), np.float32)
+
+    def stretched(self, matrix: Points) -> Periodic:
+        """Return the same tile on the lattice that the affine displacement ``matrix @ (x, y)`` moves this one to."""
+        moved = np.vstack([self.lattice.matrix, self.lattice.origin]) @ (np.eye(2) + matrix).T
+        return self.on(Lattice(_pair(moved[0]), _pair(moved[1]), _pair(moved[2])))
+
+    def on(self, lattice: Lattice) -> Periodic:
+        """Return the same tile on another lattice."""
+        if not isinstance(self.ideal, Tile):
+            raise TypeError("only a periodic image that is held as a tile can be put on another lattice")
+        ideal, variance = (Tile(tile.values, tile.counts, lattice) for tile in (self.ideal, self.variance))
+        return Periodic(lattice, ideal, variance)
+
+    @cached_property
+    def windows(self) -> Template:
+        """A patch that holds every displacement of a cell at least once, for windows of 2 tiles."""
+        window = window_shape(self.lattice, WINDOW_TILES)
+        cell = np.ceil(np.abs(self.lattice.matrix).sum(0)).astype(int) + 2
+        shape = (window[0] + int(cell[1]), window[1] + int(cell[0]))
+        return Template(self.image(shape), self.weights(shape), window)
+
+    @cached_property
+    def searches(self) -> tuple[Search, ...]:
+        """Patches for one-tile windows, half a cell apart along both vectors."""
+        return tuple(self._search(half) for half in HALVES)
+
+    def _search(self, half: tuple[float, float]) -> Search:
+        window = window_shape(self.lattice, 1.0)
+        size = np.array(window[::-1])
+        near, far, reach = _offsets(self.lattice)
+        wanted = self.lattice.from_cell(half) - (size - 1) / 2
+        wanted = reach + 1 + self.lattice.wrap(wanted - 2 * reach - 1)
+        x, y = (int(value) for value in np.rint(wanted))
+        width, height = (int(value) for value in size + 2 * reach)
+        image, weights = (plane((y + height, x + width))[y:, x:] for plane in (self.image, self.weights))
+        return Search(half, Template(image, weights, window), reach + wanted - (x, y), near, far)
+
+
+def tile_box(lattice: Lattice) -> NDArray[np.float64]:
+    """Return width and height in px of the upright box that stands for one cell.
+
+    It has the spread of the cell along x and y: sqrt(t1^2 + t2^2) in each coordinate, with the reduced basis.
+    """
+    return np.asarray(np.sqrt((lattice.reduced().matrix ** 2).sum(0)))
+
+
+def window_shape(lattice: Lattice, tiles: float) -> tuple[int, int]:
+    """Return height and width in px of a window that is ``tiles`` tiles wide."""
+    width, height = np.maximum(np.rint(tiles * tile_box(lattice)), 3).astype(int)
+    return int(height), int(width)
+
+
+def _offsets(lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
+    """Return masks of the offsets within the tolerance and in the rest of the Voronoi cell, and their reach in px."""
+    reach = int(np.ceil(np.hypot(*lattice.reduced().matrix.sum(0)) / 2)) + 1
+    y, x = np.indices((2 * reach + 1, 2 * reach + 1)) - reach
+    offsets = np.stack([x, y], -1).astype(np.float64)
+    cell = np.abs(lattice.wrap(offsets) - offsets).max(-1) < 1e-6
+    near = np.hypot(x, y) <= max(TOLERANCE * lattice.s, 1.0)
+    return near, cell & ~near, reach
+
+
+def _pair(point: Points) -> tuple[float, float]:
+    return float(point[0]), float(point[1])

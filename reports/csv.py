@@ -1,0 +1,103 @@
+"""Tables as CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pandas as pd
+
+from nrbench.records import Run
+from nrbench.store import write_aside
+
+from .comparison import Comparison, comparison
+from .statistics import Estimate
+from .summary import Summary
+
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
+
+@dataclass(frozen=True)
+class CsvTables:
+    """Tables as CSV, UTF-8, one header line; floats are written so that they read back to the same bits.
+
+    ``cells.csv`` has one row a cell and one column a score; ``comparison.csv`` the textures by methods; ``summary.csv``
+    each method's counts, success rate, means and ranks, with 95 % intervals over textures; ``differences.csv`` the
+    paired differences between methods. Text that a spreadsheet would run as a formula gets an apostrophe in front.
+    """
+
+    version: ClassVar[str] = "1"
+    folder: ClassVar[str] = "tables"
+
+    def write(self, run: Run, directory: Path) -> list[Path]:
+        """Write the tables and return their paths."""
+        found = comparison(run)
+        tables = {
+            "cells": run.table(),
+            "comparison": comparison_table(found),
+            "summary": summary_table(found),
+            "differences": differences_table(found),
+        }
+        return [_write(table, directory / f"{name}.csv") for name, table in tables.items()]
+
+
+def comparison_table(found: Comparison) -> pd.DataFrame:
+    """Return textures by methods: verdict and mean score of each."""
+    places = [(head, part) for head in found.heads for part in ("verdict", "score")]
+    names = ["texture", "family", "kind", "regular_share", *(f"{head.label} {part}" for head, part in places)]
+    rows = [
+        [row.texture, row.family, row.kind, row.regular_share]
+        + [getattr(entry, part, None) for entry in row.entries for part in ("verdict", "score")]
+        for row in found.rows
+    ]
+    return pd.DataFrame(rows, columns=names)
+
+
+def summary_table(found: Comparison) -> pd.DataFrame:
+    """Return one row a method and lattice source: counts, success rates, means and ranks with their intervals."""
+    rows = [dict(_summary_items(one)) for one in found.summaries]
+    empty = ["method", "lattice_source", "reference", "cells", "ok", "refused", "failed", "missing"]
+    return pd.DataFrame(rows) if rows else pd.DataFrame(columns=empty)
+
+
+def _summary_items(one: Summary) -> Iterator[tuple[str, Any]]:
+    yield "method", one.head.method
+    yield "lattice_source", one.head.lattice_source
+    yield "reference", one.head.reference
+    yield from one.counts.items()
+    yield from _items("preserved", one.success)
+    yield from _items("preserved_refusals_left_out", one.success_answered)
+    for prefix, estimates in (("", one.means), ("rank.", one.ranks), ("rank_refusals_left_out.", one.ranks_answered)):
+        for name, estimate in estimates.items():
+            yield from _items(prefix + name, estimate)
+
+
+def _items(name: str, estimate: Estimate) -> Iterator[tuple[str, Any]]:
+    parts: Mapping[str, Any] = {"": estimate.value, "_low": estimate.low, "_high": estimate.high}
+    yield from ((name + part, value) for part, value in parts.items())
+    yield f"{name}_n", estimate.n
+    yield f"{name}_of", estimate.of
+
+
+def differences_table(found: Comparison) -> pd.DataFrame:
+    """Return one row a headline and pair of methods: the mean of first minus second, with its interval."""
+    names = ["score", "first", "second", "difference", "low", "high", "n", "of", "excludes_zero"]
+    rows = []
+    for one in found.differences:
+        shown = one.estimate
+        values = [shown.value, shown.low, shown.high, shown.n, shown.of, shown.excludes_zero]
+        rows.append([one.score, one.first.label, one.second.label, *values])
+    return pd.DataFrame(rows, columns=names)
+
+
+def _write(table: pd.DataFrame, path: Path) -> Path:
+    text = table.map(_guarded).rename(columns=_guarded).to_csv(index=False, lineterminator="\n")
+    write_aside(path, lambda aside: aside.write_bytes(text.encode("utf-8", "backslashreplace")))
+    return path
+
+
+def _guarded(value: Any) -> Any:
+    """Return text with an apostrophe in front where a spreadsheet would run it; anything else as it is."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value

@@ -1,0 +1,92 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skimage.registration._masked_phase_cross_correlation import cross_correlate_masked
+
+from nrbench.imaging.correlation import autocorrelation, half_autocorrelation
+
+
+def picture(height: int, width: int, channels: int, seed: int = 0) -> np.ndarray:
+    """Return a smooth random image plus noise, in [0, 1]."""
+    rng = np.random.default_rng(seed)
+    y, x = np.indices((height, width))
+    waves = np.sin(x / rng.uniform(2, 5) + rng.uniform(0, 6)) * np.cos(y / rng.uniform(2, 5)) + 0.01 * x
+    image = 0.5 + 0.1 * waves[..., np.newaxis] * rng.uniform(0.2, 1, channels)
+    return np.clip(image + 0.05 * rng.standard_normal((height, width, channels)), 0, 1).astype(np.float32)
+
+
+def direct(image: np.ndarray, dx: int, dy: int) -> float:
+    """Return one lag by the definition: covariances over products of deviations, summed over channels."""
+    height, width = image.shape[:2]
+    wide = image.astype(np.float64)
+    one = wide[max(-dy, 0) : height - max(dy, 0), max(-dx, 0) : width - max(dx, 0)]
+    other = wide[max(dy, 0) : height - max(-dy, 0), max(dx, 0) : width - max(-dx, 0)]
+    one, other = one - one.mean((0, 1)), other - other.mean((0, 1))
+    deviations = np.sqrt((one**2).sum((0, 1)) * (other**2).sum((0, 1)))
+    return float((one * other).sum() / deviations.sum())
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(9, 40), st.integers(9, 40), st.sampled_from([1, 3]), st.data())
+def test_every_lag_is_that_of_the_definition(height: int, width: int, channels: int, data: st.DataObject) -> None:
+    """Any lag of any image with four rows and columns of overlap agrees with the sums written out."""
+    image = picture(height, width, channels)
+    dx, dy = data.draw(st.integers(5 - width, width - 5)), data.draw(st.integers(5 - height, height - 5))
+    gamma = autocorrelation(image)
+    assert gamma.shape == (2 * height - 1, 2 * width - 1)
+    assert gamma[height - 1 + dy, width - 1 + dx] == pytest.approx(direct(image, dx, dy), abs=1e-4)
+
+
+def test_one_channel_agrees_with_the_masked_correlation_of_scikit_image() -> None:
+    """In the inner half of the lags the difference is below 1e-5."""
+    image = picture(121, 160, 1)
+    mask, plane = np.ones((121, 160), bool), image[..., 0].astype(np.float64)
+    peer = cross_correlate_masked(plane, plane, mask, mask, mode="full", overlap_ratio=0)
+    inner = np.s_[60:181, 80:239]
+    np.testing.assert_allclose(autocorrelation(image)[inner], peer[inner], atol=1e-5)
+
+
+def test_it_is_symmetric_and_1_at_lag_0() -> None:
+    """gamma(-x) = gamma(x), gamma(0) = 1, and nothing exceeds 1."""
+    gamma = autocorrelation(picture(33, 50, 3))
+    np.testing.assert_array_equal(gamma, gamma[::-1, ::-1])
+    assert gamma[32, 49] == pytest.approx(1) and np.abs(gamma).max() <= 1
+
+
+@given(st.floats(0.1, 0.9), st.floats(0.05, 0.5))
+@settings(deadline=None, max_examples=20)
+def test_brightness_and_contrast_do_not_matter(offset: float, gain: float) -> None:
+    """An image made darker and flatter has the same correlation."""
+    image = picture(30, 40, 3)
+    other = (image * gain + offset * (1 - gain)).astype(np.float32)
+    inner = np.s_[15:44, :20]
+    np.testing.assert_allclose(half_autocorrelation(other)[inner], half_autocorrelation(image)[inner], atol=2e-4)
+
+
+def test_channels_weigh_by_their_deviations() -> None:
+    """A channel of hardly any contrast hardly counts; equal channels count as one."""
+    image = picture(40, 40, 1)
+    noise = 0.5 + 0.001 * np.random.default_rng(1).standard_normal((40, 40, 2))
+    with_faint = np.concatenate([image, noise], 2).astype(np.float32)
+    inner = np.s_[20:59, :20]
+    one = half_autocorrelation(image)[inner]
+    np.testing.assert_allclose(half_autocorrelation(with_faint)[inner], one, atol=0.02)
+    np.testing.assert_allclose(half_autocorrelation(np.repeat(image, 3, 2))[inner], one, atol=1e-5)
+
+
+def test_a_translation_of_a_periodic_image_correlates_fully() -> None:
+    """At a whole period of a periodic image the correlation is 1, at half a period of a sine -1."""
+    wave = 0.5 + 0.4 * np.sin(2 * np.pi * np.arange(48) / 12)
+    image = np.repeat(wave[np.newaxis, :, np.newaxis], 30, 0).astype(np.float32)
+    gamma = half_autocorrelation(image)
+    assert gamma[29, 12] == pytest.approx(1, abs=1e-5) and gamma[29, 6] == pytest.approx(-1, abs=1e-5)
+
+
+def test_flat_overlaps_correlate_to_zero() -> None:
+    """Where an overlap holds no structure there is nothing to correlate, and no division by zero."""
+    image = np.full((32, 32, 3), 0.25, np.float32)
+    assert not autocorrelation(image).any()
+    image[12:20, 12:20] = 0.75
+    gamma = autocorrelation(image)
+    assert np.isfinite(gamma).all() and gamma[0, 0] == 0 and gamma[31, 31] == pytest.approx(1)

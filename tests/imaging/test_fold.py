@@ -1,0 +1,63 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nrbench.imaging.fold import cut_tiles, fold
+from nrbench.lattice.geometry import Lattice
+
+OBLIQUE = Lattice((17.3, 2.6), (-3.1, 14.8), (4.2, 1.7))
+
+
+def waves(shape: tuple[int, int], lattice: Lattice) -> np.ndarray:
+    """Return a smooth image with exactly this lattice."""
+    y, x = np.indices(shape)
+    u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
+    first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
+    return np.stack([0.5 + 0.2 * first + 0.2 * second, 0.5 + 0.4 * first * second], -1).astype(np.float32)
+
+
+def test_a_periodic_image_folds_and_unfolds_to_itself() -> None:
+    """The mean tile of a periodic image is its tile, up to the bilinear samples, at any shape."""
+    tile = fold(waves((160, 190), OBLIQUE), OBLIQUE)
+    np.testing.assert_allclose(tile.unfold((70, 90)), waves((70, 90), OBLIQUE), atol=0.04)
+
+
+def test_noise_averages_out() -> None:
+    """Folding n cells leaves 1/n of the noise's variance or less."""
+    image, rng = waves((200, 200), OBLIQUE), np.random.default_rng(0)
+    clean = fold(image, OBLIQUE).values
+    noisy = fold(image + 0.3 * rng.standard_normal(image.shape).astype(np.float32), OBLIQUE).values
+    assert np.var(noisy - clean) < 0.3**2 / (200 * 200 / OBLIQUE.area)
+
+
+def test_every_pixel_is_counted_once() -> None:
+    """The counts add up to the pixels used; a tile that nothing reached is filled by the mean of the rest."""
+    image = waves((50, 60), OBLIQUE)
+    mask = np.zeros((50, 60), np.bool_)
+    mask[:20, :8] = True
+    tile = fold(image, OBLIQUE, mask)
+    assert tile.counts.sum() == pytest.approx(160)
+    assert (tile.counts == 0).any()
+    assert np.isfinite(tile.values).all()
+
+
+@settings(max_examples=15)
+@given(st.floats(-30, 30), st.floats(-30, 30))
+def test_unfolding_with_an_offset_moves_the_content(x: float, y: float) -> None:
+    """An offset moves the periodic image by so many px, modulo the lattice."""
+    tile = fold(waves((120, 120), OBLIQUE), OBLIQUE)
+    moved = tile.unfold((40, 50), (x, y))
+    np.testing.assert_allclose(moved, waves((40, 50), OBLIQUE.shifted((x, y))), atol=0.04)
+
+
+def test_equal_cells_are_cut_alike() -> None:
+    """Cells of a periodic image, cut at lattice points, are one and the same; those that stick out are left out."""
+    image = waves((120, 140), OBLIQUE)
+    points = OBLIQUE.points((120, 140))
+    tiles, inside = cut_tiles(image, OBLIQUE, points)
+    assert 10 < len(tiles) < len(points)
+    assert inside.sum() == len(tiles)
+    np.testing.assert_allclose(tiles, np.broadcast_to(tiles[0], tiles.shape), atol=0.02)

@@ -1,0 +1,160 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from nrbench.errors import BadInput
+from nrbench.lattice.geometry import Lattice
+
+HEXAGONAL = Lattice((20.0, 0.0), (10.0, 10 * math.sqrt(3)))
+
+
+@st.composite
+def lattices(draw: st.DrawFn) -> Lattice:
+    """Draw a lattice of moderate shape, in any direction, with any origin."""
+    length, ratio = draw(st.floats(4, 40)), draw(st.floats(0.4, 2.5))
+    turn, angle = draw(st.floats(0, 2 * math.pi)), draw(st.floats(0.3, math.pi - 0.3))
+    origin = draw(st.tuples(st.floats(-50, 50), st.floats(-50, 50)))
+    t1 = length * math.cos(turn), length * math.sin(turn)
+    t2 = length * ratio * math.cos(turn + angle), length * ratio * math.sin(turn + angle)
+    return Lattice(t1, t2, origin)
+
+
+@st.composite
+def unimodular(draw: st.DrawFn) -> np.ndarray:
+    """Draw an integer matrix of determinant +-1: shears of either vector, and perhaps a swap."""
+    i, j, k = (draw(st.integers(-3, 3)) for _ in range(3))
+    matrix = np.array([[1, i], [0, 1]]) @ np.array([[1, 0], [j, 1]]) @ np.array([[1, k], [0, 1]])
+    return matrix[::-1] if draw(st.booleans()) else matrix
+
+
+def rebased(lattice: Lattice, change: np.ndarray, origin: tuple[float, float] = (0.0, 0.0)) -> Lattice:
+    """Return the lattice of another basis."""
+    t1, t2 = (change @ lattice.matrix).tolist()
+    return Lattice(tuple(t1), tuple(t2), origin)
+
+
+@given(lattices(), unimodular())
+def test_a_change_of_basis_changes_nothing(lattice: Lattice, change: np.ndarray) -> None:
+    """Area, s, kind and equivalence do not depend on the basis or the origin."""
+    other = rebased(lattice, change, (3.0, -1.0))
+    assert other.area == pytest.approx(lattice.area)
+    assert other.s == pytest.approx(lattice.s)
+    assert lattice.is_equivalent(other) and other.is_equivalent(lattice)
+    assert lattice.is_equivalent(lattice.reduced())
+
+
+@given(lattices(), unimodular(), st.sampled_from([((2, 0), (0, 1)), ((1, 1), (1, -1)), ((1, 2), (1, 5))]))
+def test_a_supercell_is_another_lattice(lattice: Lattice, change: np.ndarray, step: object) -> None:
+    """A matrix of determinant 2 or 3 gives no equivalent lattice, seen from either side."""
+    other = rebased(lattice, change @ np.array(step))
+    assert not lattice.is_equivalent(other) and not other.is_equivalent(lattice)
+
+
+def test_equivalence_has_a_tolerance_in_px() -> None:
+    """A vector that is off by 0.5 px is the same within 0.6 px, and another within 0.4 px."""
+    other = Lattice((20.0, 0.5), (10.0, 10 * math.sqrt(3)))
+    assert HEXAGONAL.is_equivalent(other, 0.6) and not HEXAGONAL.is_equivalent(other, 0.4)
+
+
+@given(lattices())
+def test_the_reduced_basis_is_short_and_nearly_orthogonal(lattice: Lattice) -> None:
+    """No integer combination is shorter than t1, and the angle lies between 60 and 90 degrees."""
+    reduced = lattice.reduced()
+    a, b = reduced.matrix
+    steps = np.array([(i, j) for i in range(-3, 4) for j in range(-3, 4) if (i, j) != (0, 0)])
+    assert np.hypot(*(steps @ reduced.matrix).T).min() == pytest.approx(np.hypot(*a))
+    assert np.hypot(*a) <= np.hypot(*b) * (1 + 1e-9)
+    angle = math.degrees(math.acos(np.clip(a @ b / np.hypot(*a) / np.hypot(*b), -1, 1)))
+    assert 60 - 1e-4 <= angle <= 90 + 1e-4
+
+
+@given(lattices(), st.floats(-200, 200), st.floats(-200, 200))
+def test_wrap_lands_in_the_voronoi_cell(lattice: Lattice, x: float, y: float) -> None:
+    """The wrapped displacement differs by a lattice vector, and no lattice point brings it nearer to zero."""
+    wrapped = lattice.wrap((x, y))
+    steps = (np.array([x, y]) - wrapped) @ np.linalg.inv(lattice.matrix)
+    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
+    around = np.array([(i, j) for i in range(-4, 5) for j in range(-4, 5)]) @ lattice.reduced().matrix
+    assert np.hypot(*wrapped) <= np.hypot(*(wrapped + around).T).min() + 1e-9
+
+
+@given(lattices(), st.floats(-100, 100), st.floats(-100, 100))
+def test_cell_coordinates_come_back(lattice: Lattice, x: float, y: float) -> None:
+    """from_cell undoes to_cell, and the origin is cell coordinate (0, 0)."""
+    np.testing.assert_allclose(lattice.from_cell(lattice.to_cell((x, y))), (x, y), atol=1e-8)
+    np.testing.assert_allclose(lattice.to_cell(lattice.origin), 0, atol=1e-12)
+
+
+@given(lattices())
+def test_points_are_all_lattice_points_within_the_image(lattice: Lattice) -> None:
+    """Brute force finds the same points."""
+    assume(lattice.s > 3)
+    shape = (37, 52)
+    steps = np.array([(i, j) for i in range(-60, 61) for j in range(-60, 61)])
+    xy = lattice.reduced().from_cell(steps)
+    depth = np.minimum(xy + 0.5, (51.5, 36.5) - xy).min(1)
+    found = lattice.points(shape)
+    near = np.hypot(*np.moveaxis(found[:, np.newaxis] - xy[depth > -1e-6], -1, 0)) < 1e-6
+    assert near.any(1).all() and (depth > 1e-6).sum() <= len(found) <= (depth > -1e-6).sum()
+
+
+@pytest.mark.parametrize(
+    ("lattice", "kind"),
+    [
+        (Lattice((20, 0), (0, 20)), "square"),
+        (Lattice((20, 0), (0, 30)), "rectangular"),
+        (HEXAGONAL, "hexagonal"),
+        (Lattice((20, 0), (10, 12)), "rhombic"),
+        (Lattice((20, 0), (10, 30)), "rhombic"),
+        (Lattice((20, 0), (6, 19.08)), "rhombic"),
+        (Lattice((20, 0), (4, 30)), "parallelogram"),
+    ],
+)
+@pytest.mark.parametrize("turn", [0.0, 0.3, 1.9])
+def test_the_kind_is_that_of_the_symmetry(lattice: Lattice, kind: str, turn: float) -> None:
+    """Known lattices have their Bravais class, in any basis and direction."""
+    rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    t1, t2 = (np.array([[2, 1], [1, 1]]) @ lattice.matrix @ rotation).tolist()
+    assert Lattice(tuple(t1), tuple(t2)).kind == kind
+
+
+def test_the_kind_has_a_tolerance() -> None:
+    """A square lattice that is off by 2 % is rectangular within 1 %, square within 3 %."""
+    lattice = Lattice((20, 0), (0, 20.4))
+    assert lattice.kind == "rectangular" and lattice.classify(0.03) == "square"
+
+
+def test_a_shift_moves_the_origin_only() -> None:
+    """The shifted lattice is equivalent; its origin has moved."""
+    shifted = HEXAGONAL.shifted((3.0, -2.0))
+    assert shifted.origin == (3.0, -2.0) and shifted.is_equivalent(HEXAGONAL)
+
+
+def test_a_lattice_is_written_and_read() -> None:
+    """from_dict undoes as_dict, and the command line's form is understood."""
+    assert Lattice.from_dict(HEXAGONAL.as_dict()) == HEXAGONAL
+    assert Lattice.parse("32,0,0,24.5") == Lattice((32, 0), (0, 24.5))
+
+
+@pytest.mark.parametrize(
+    ("t1", "t2", "hint"),
+    [
+        ((10, 0), (20, 0), "independent vectors"),
+        ((0, 0), (0, 5), "independent vectors"),
+        ((math.nan, 0), (0, 5), "finite numbers"),
+        ("ab", (0, 5), "two numbers"),
+    ],
+)
+def test_no_lattice_without_two_directions(t1: object, t2: object, hint: str) -> None:
+    """Parallel, zero or unreadable vectors are refused, saying what to give."""
+    with pytest.raises(BadInput, match=hint):
+        Lattice(t1, t2)  # type: ignore[arg-type]
+
+
+def test_the_command_lines_form_is_checked() -> None:
+    """Too few numbers are refused, with an example."""
+    with pytest.raises(BadInput, match="x1,y1,x2,y2"):
+        Lattice.parse("1,2,3")

@@ -1,0 +1,70 @@
+"""Textures with fresh draws, and outputs with known faults, that the tests of the scores share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.hexagon import Hexagon
+from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.weave import Weave
+from nrbench.imaging.door import Image, quantize
+from nrbench.streams import stream
+from nrbench.synthesis import Observation, Task
+from nrbench.synthesizers.planted import Planted
+from nrbench.texture import Shape, Texture
+
+MODELS: dict[str, Model] = {
+    "brick": Brick(color=0.2, noise=0.03, rotation=13.0),
+    "weave": Weave(color=0.2, noise=0.03),
+    "hexagon": Hexagon(color=0.3, noise=0.03, period=21.3),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A texture, its sample and its fresh draws."""
+
+    model: Model
+    texture: Texture
+
+    def again(self, shape: Shape, k: int) -> Texture | None:
+        """Return the k-th fresh draw, rounded to 8 bits."""
+        drawn = self.model.again(self.texture, shape, stream("again", "tests", k))
+        return None if drawn is None else replace(drawn, image=quantize(drawn.image))
+
+    def fresh(self, side: int = 192, k: int = 0) -> Image:
+        """Return the pixels of a fresh draw."""
+        drawn = self.again((side, side), k)
+        assert drawn is not None
+        return drawn.image
+
+    def planted(self, kind: str, size: float, seed: int = 0, side: int = 192) -> tuple[Image, np.ndarray]:
+        """Return a fresh draw with a defect, and its displacement field."""
+        task = Task(self.texture.image, (side, side), None, np.random.default_rng(seed), again=self.again)
+        made = Planted(kind, size).synthesize(task)
+        return quantize(made.image), made.extras["displacement"]
+
+    def seen(self, output: Image, model: bool = True) -> Observation:
+        """Return what a metric gets to see, with or without the model."""
+        truth = self.texture if model else Texture(self.texture.image, self.texture.lattice)
+        again = self.again if model else None
+        return Observation(self.texture.image, output, truth, again=again, rng=np.random.default_rng(0))
+
+
+@cache
+def make_case(name: str) -> Case:
+    """Return the case of a model."""
+    texture = MODELS[name].render((128, 128), np.random.default_rng(5))
+    return Case(MODELS[name], replace(texture, image=quantize(texture.image)))
+
+
+@pytest.fixture
+def case() -> Callable[[str], Case]:
+    """Return cases by the name of their model."""
+    return make_case

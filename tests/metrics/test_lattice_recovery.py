@@ -1,0 +1,67 @@
+import math
+
+import numpy as np
+import pytest
+
+from nrbench.errors import BadInput
+from nrbench.lattice.geometry import Lattice
+from nrbench.metrics.lattice_recovery import LatticeRecovery
+from nrbench.synthesis import Metric, Observation
+from nrbench.texture import Texture
+
+TRUTH = Lattice((20.0, 0.0), (10.0, 12.0))
+SAMPLE, OUTPUT = np.zeros((64, 64, 3), np.float32), np.zeros((200, 300, 3), np.float32)
+
+
+def observed(used: Lattice | None, truth: Lattice | None = TRUTH) -> Observation:
+    """Return an observation of a method that used a lattice."""
+    return Observation(SAMPLE, OUTPUT, Texture(SAMPLE, truth), lattice_used=used)
+
+
+def test_the_true_lattice_is_exact() -> None:
+    """In another basis: exact, index 1, no error."""
+    score = LatticeRecovery().score(observed(Lattice((10.0, 12.0), (-10.0, 12.0))))
+    assert score.values["exact"] is True and score.values["index"] == 1
+    assert score.values["vector_error"] == pytest.approx(0) and score.values["drift"] == pytest.approx(0, abs=1e-9)
+    assert score.records == {"class": "exact"} and not score.reasons
+
+
+def test_a_supercell_tells_its_index() -> None:
+    """Twice the cell: not exact, index and area ratio 2."""
+    score = LatticeRecovery().score(observed(Lattice((20.0, 0.0), (0.0, 24.0))))
+    assert score.values["exact"] is False and score.values["index"] == 2
+    assert score.values["area_ratio"] == pytest.approx(2) and score.records["class"] == "supercell 2"
+
+
+def test_drift_is_over_the_output() -> None:
+    """1 % too wide is 3 px over the output's 300 px, not the sample's 64."""
+    score = LatticeRecovery().score(observed(Lattice((20.2, 0.0), (10.1, 12.0))))
+    assert score.values["drift"] == pytest.approx(3.0)
+
+
+def test_a_wrong_lattice_has_no_index() -> None:
+    """Its index is None with a reason, its error is told."""
+    score = LatticeRecovery().score(observed(Lattice((23.0, 3.0), (-5.0, 15.0))))
+    assert score.values["index"] is None and "wrong" in score.reasons["index"]
+    assert score.values["exact"] is False and score.values["vector_error"] > 1  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(("used", "truth", "reason"), [(TRUTH, None, "truth"), (None, TRUTH, "method")])
+def test_without_a_lattice_nothing_is_scored(used: Lattice | None, truth: Lattice | None, reason: str) -> None:
+    """Every column is None, and says on whose side the lattice is missing."""
+    score = LatticeRecovery().score(observed(used, truth))
+    assert set(score.values) == set(LatticeRecovery.columns) == set(score.reasons)
+    assert set(score.values.values()) == {None} and all(reason in text for text in score.reasons.values())
+
+
+def test_without_a_truth_nothing_is_scored() -> None:
+    """An output of unknown origin has no true lattice."""
+    score = LatticeRecovery().score(Observation(SAMPLE, OUTPUT, lattice_used=TRUTH))
+    assert set(score.values.values()) == {None}
+
+
+def test_it_is_a_metric() -> None:
+    """It has the form, and refuses a tolerance that is none."""
+    assert isinstance(LatticeRecovery(), Metric)
+    with pytest.raises(BadInput, match="above 0"):
+        LatticeRecovery(tolerance=math.nan)

@@ -1,0 +1,128 @@
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from nrbench.datasets_procedural.brick import Brick
+from nrbench.imaging.door import Image, quantize
+from nrbench.metrics.randomness import Randomness, sources
+from nrbench.synthesis import Observation, Score
+from nrbench.texture import Texture
+
+from .conftest import MODELS, Case
+
+Cases = Callable[[str], Case]
+
+
+def randomness(observation: Observation) -> Score:
+    """Score, and check that every None has its reason."""
+    score = Randomness().score(observation)
+    assert set(score.values) == set(Randomness.columns)
+    assert all(score.reasons.get(column) for column, value in score.values.items() if value is None)
+    return score
+
+
+def one_tile_repeated(case: Case, side: int = 192) -> Image:
+    """Continue the sample by the cell around its middle, resampled by splines."""
+    lattice, sample = case.texture.lattice, case.texture.image
+    assert lattice is not None
+    y, x = np.indices((side, side))
+    at = np.array([64.0, 64.0]) + lattice.wrap(np.stack([x, y], -1) - [64.0, 64.0])
+    planes = [ndimage.map_coordinates(sample[..., c], np.moveaxis(at, -1, 0)[::-1], order=5) for c in range(3)]
+    return quantize(np.stack(planes, -1))
+
+
+def copier(case: Case, side: int = 192, seed: int = 0) -> Image:
+    """Fill every cell by a cell of the sample, at random, resampled at the exact place: the best copy."""
+    lattice, sample = case.texture.lattice, case.texture.image
+    assert lattice is not None
+    lattice = lattice.reduced()
+    reach = np.abs(lattice.matrix).sum(0) / 2 + 1
+    places = lattice.points(sample.shape[:2])
+    places = places[((places >= reach) & (places <= np.array(sample.shape[1::-1]) - 1 - reach)).all(1)]
+    y, x = np.indices((side, side))
+    xy = np.stack([x, y], -1).astype(float)
+    cell = np.floor(lattice.to_cell(xy) + 0.5).astype(int)
+    cell_index = cell - cell.reshape(-1, 2).min(0)
+    chosen = np.random.default_rng(seed).integers(len(places), size=cell_index.reshape(-1, 2).max(0) + 1)
+    at = xy - lattice.from_cell(cell) + places[chosen[cell_index[..., 0], cell_index[..., 1]]]
+    planes = [ndimage.map_coordinates(sample[..., c], np.moveaxis(at, -1, 0)[::-1], order=5) for c in range(3)]
+    return quantize(np.stack(planes, -1))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_fresh_draw_varies_like_itself_and_repeats_nothing(case: Cases, name: str) -> None:
+    """Fresh draws read about 1 and about 0."""
+    values = [randomness(case(name).seen(case(name).fresh(k=k))).values for k in range(3)]
+    assert np.mean([one["variation"] for one in values]) == pytest.approx(1, abs=0.12)
+    assert np.mean([one["repetition"] for one in values]) == pytest.approx(0, abs=0.15)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("model", [True, False])
+def test_one_tile_repeated_varies_hardly_and_repeats_all(case: Cases, name: str, model: bool) -> None:
+    """One tile repeated reads about 0, and as many times the copier as the sample has sources."""
+    score = randomness(case(name).seen(one_tile_repeated(case(name)), model))
+    assert score.values["variation"] < 0.1
+    assert score.values["repetition"] > 0.8 * score.records["sources"]
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_best_copier_reads_about_one(case: Cases, name: str) -> None:
+    """A uniform choice among the sample's tiles varies like the texture and repeats as the formula expects."""
+    values = [randomness(case(name).seen(copier(case(name), seed=seed))).values for seed in range(3)]
+    assert 0.6 < np.mean([one["variation"] for one in values]) < 1.3
+    assert 0.5 < np.mean([one["repetition"] for one in values]) < 2
+
+
+def test_variation_measures_how_far_tiles_depart() -> None:
+    """Departures of half the strength have a quarter of the energy."""
+    strong, weak = Brick(color=0.4, intensity=0.0, noise=0.0), Brick(color=0.2, intensity=0.0, noise=0.0)
+    texture = strong.render((128, 128), np.random.default_rng(0))
+    one, other = Case(strong, texture), Case(weak, texture)
+    values = [randomness(one.seen(other.fresh(k=k))).values for k in range(3)]
+    assert np.mean([value["variation"] for value in values]) == pytest.approx(0.25, abs=0.05)
+
+
+def test_a_phase_of_its_own_does_not_matter(case: Cases) -> None:
+    """Cutting the output elsewhere leaves both scores."""
+    wide = case("hexagon").fresh(230)
+    values = [randomness(case("hexagon").seen(wide[y : y + 200, x : x + 200])).values for x, y in ((0, 0), (9, 5))]
+    assert values[0]["variation"] == pytest.approx(values[1]["variation"], abs=0.1)
+
+
+def test_lost_regularity_is_not_scored(case: Cases) -> None:
+    """Where the lattice is lost both are None and say so."""
+    image, _ = case("weave").planted("off-lattice", 0.3)
+    score = randomness(case("weave").seen(image))
+    assert set(score.values.values()) == {None}
+    assert all(reason.startswith("not scored: regularity is lost") for reason in score.reasons.values())
+
+
+def test_a_texture_that_does_not_vary_is_not_applicable() -> None:
+    """On a perfectly regular texture there is no randomness to keep."""
+    model = Brick(color=0.0, intensity=0.0, noise=0.0)
+    exact = Case(model, model.render((128, 128), np.random.default_rng(0)))
+    score = randomness(exact.seen(exact.fresh()))
+    assert set(score.values.values()) == {None}
+    assert all(reason.startswith("not applicable") for reason in score.reasons.values())
+
+
+def test_no_lattice_and_no_room_say_so(case: Cases) -> None:
+    """Without a lattice: not applicable; with hardly a tile: undecided."""
+    seen = case("brick").seen(case("brick").fresh())
+    bare = randomness(replace(seen, truth=Texture(seen.sample)))
+    assert set(bare.reasons.values()) == {"not applicable: no lattice in the truth"}
+    small = randomness(case("brick").seen(case("brick").fresh()[:30, :30]))
+    assert all(reason.startswith("undecided") for reason in small.reasons.values())
+
+
+def test_sources_count_the_equal_places(case: Cases) -> None:
+    """A sample has about as many sources as its area has cells, never fewer than one."""
+    lattice = case("brick").texture.lattice
+    assert lattice is not None
+    sample = case("brick").texture.image
+    assert 0.6 < sources(sample, lattice) * lattice.area / 128**2 < 1
+    assert sources(sample[:9, :9], lattice) == 1

@@ -1,0 +1,192 @@
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nrbench.imaging.door import Image
+from nrbench.lattice.geometry import Lattice
+from nrbench.metrics.judgement import judge
+from nrbench.metrics.regularity import Regularity
+from nrbench.synthesis import Observation, Score
+from nrbench.texture import Texture
+
+from .conftest import MODELS, Case
+
+Cases = Callable[[str], Case]
+
+
+def regularity(observation: Observation) -> Score:
+    """Score, and check that every None has its reason."""
+    score = Regularity().score(observation)
+    assert set(score.values) == set(Regularity.columns)
+    assert all(score.reasons.get(column) for column, value in score.values.items() if value is None)
+    return score
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("model", [True, False])
+def test_a_fresh_draw_is_preserved(case: Cases, name: str, model: bool) -> None:
+    """A fresh draw is preserved, all its tiles in place, with the model's truth and with the lattice alone."""
+    values = regularity(case(name).seen(case(name).fresh(), model)).values
+    assert values["preserved"] is True
+    assert values["score"] == 1
+    assert values["bad_tiles"] == 0
+    assert values["misplacement_p95"] < 0.04
+    assert values["structure"] == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("kind", ["phase-step", "off-lattice", "displaced-tile", "missing-tile"])
+def test_planted_defects_are_lost(case: Cases, name: str, kind: str) -> None:
+    """Each planted defect of 0.3 s (a covered tile: opaque) is lost, and lowers the score."""
+    image, _ = case(name).planted(kind, 1.0 if kind == "missing-tile" else 0.3)
+    score = regularity(case(name).seen(image))
+    assert score.values["preserved"] is False
+    assert score.values["score"] < 1
+    assert score.records["faults"]
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(("size", "model"), [(0.1, True), (0.2, True), (0.2, False), (0.35, True), (0.35, False)])
+def test_a_phase_step_of_k_px_reads_k_px(case: Cases, name: str, size: float, model: bool) -> None:
+    """Half the windows read the displacement that was planted, to half a pixel."""
+    image, field = case(name).planted("phase-step", size)
+    placement = judge(case(name).seen(image, model)).output.placement  # type: ignore[union-attr]
+    planted = np.hypot(*np.moveaxis(field, -1, 0)).max()
+    assert np.quantile(placement.misplacement, 0.9) * placement.lattice.s == pytest.approx(planted, abs=0.5)
+    assert np.quantile(placement.misplacement, 0.3) < 0.03
+
+
+@pytest.mark.parametrize("kind", ["phase-step", "off-lattice"])
+def test_the_response_grows_with_the_defect(case: Cases, kind: str) -> None:
+    """Larger spread defects read larger, and cost the score once they exceed the tolerance."""
+    sizes = (0.0, 0.06, 0.12, 0.2, 0.3)
+    seen = [regularity(case("brick").seen(case("brick").planted(kind, size)[0])).values for size in sizes]
+    for column in ("misplacement_p95", "worst_neighborhood"):
+        assert np.all(np.diff([values[column] for values in seen]) > 0), column
+    scores = [values["score"] for values in seen]
+    assert scores[0] == 1
+    assert max(scores[2:]) < 0.6
+
+
+def test_one_displaced_tile_is_found_where_it_is(case: Cases) -> None:
+    """One displaced tile is one bad tile, marked on the defect map within a tile of its place and nowhere else."""
+    image, field = case("hexagon").planted("displaced-tile", 0.35, seed=3)
+    score = regularity(case("hexagon").seen(image))
+    assert score.values["bad_tiles"] == 1
+    y, x = np.nonzero(field.any(-1))
+    center, s = np.array([x.mean(), y.mean()]), case("hexagon").texture.lattice.s  # type: ignore[union-attr]
+    assert np.hypot(*(np.array(score.records["bad_places"][0]) - center)) < 0.6 * s
+    marked = np.ptp(score.pictures["defects"], axis=-1) > 0.05
+    y, x = np.nonzero(marked)
+    assert len(x)
+    assert np.hypot(x - center[0], y - center[1]).max() < 1.6 * s
+
+
+def test_content_cut_off_its_phase_is_fine(case: Cases) -> None:
+    """An output that starts at another phase scores like the one that keeps the sample's: the consensus is free."""
+    wide = case("brick").fresh(220)
+    values = [
+        regularity(case("brick").seen(wide[y : y + 192, x : x + 192])).values for x, y in ((0, 0), (7, 11), (20, 3))
+    ]
+    for one in values:
+        assert one["preserved"] is True
+        assert one["misplacement_median"] == pytest.approx(values[0]["misplacement_median"], abs=0.003)
+
+
+def test_basis_and_origin_do_not_matter(case: Cases) -> None:
+    """Another basis of the same lattice, and another of its points as the origin, change nothing."""
+    image, _ = case("weave").planted("phase-step", 0.2)
+    plain = case("weave").seen(image)
+    lattice = plain.truth.lattice  # type: ignore[union-attr]
+    (a, b), (c, d) = lattice.t1, lattice.t2
+    other = Lattice((a + 2 * c, b + 2 * d), (a + c, b + d), (lattice.origin[0] + 3 * a, lattice.origin[1] + 3 * b))
+    truth = replace(plain.truth, lattice=other)  # type: ignore[type-var]
+    before, after = regularity(plain).values, regularity(replace(plain, truth=truth)).values
+    for column in ("score", "misplacement_p95", "worst_neighborhood", "structure"):
+        assert after[column] == pytest.approx(before[column], abs=0.01), column
+
+
+def test_scattered_patches_are_lost(case: Cases) -> None:
+    """Patches from anywhere leave few tiles in place and little structure."""
+    draw, rng = case("brick").fresh(300), np.random.default_rng(1)
+    output = np.zeros((192, 192, 3), np.float32)
+    for y in range(0, 192, 24):
+        for x in range(0, 192, 24):
+            at = rng.integers(0, 270, 2)
+            output[y : y + 24, x : x + 24] = draw[at[0] : at[0] + 24, at[1] : at[1] + 24]
+    values = regularity(case("brick").seen(output)).values
+    assert values["preserved"] is False
+    assert values["score"] < 0.3
+    assert values["structure"] < 0.8
+
+
+@pytest.mark.parametrize("output", ["constant", "noise"])
+def test_an_output_without_the_texture_is_lost(case: Cases, output: str) -> None:
+    """A flat image and plain noise keep no lattice."""
+    image = np.full((192, 192, 3), 0.5, np.float32)
+    if output == "noise":
+        image = np.random.default_rng(0).random((192, 192, 3), np.float32)
+    values = regularity(case("hexagon").seen(image)).values
+    assert values["preserved"] is False
+    assert values["score"] < 0.3
+
+
+def test_drift_of_a_photograph_is_reported_and_left_out(case: Cases) -> None:
+    """With the lattice alone, a stretch of 1 % is drift, not misplacement; with the model it is a fault."""
+    from scipy import ndimage
+
+    wide = case("brick").fresh(240)
+    at = np.indices((192, 192)) / 1.01
+    stretched = np.stack([ndimage.map_coordinates(wide[..., c], at, order=3) for c in range(3)], -1)
+    image: Image = np.clip(stretched, 0, 1).astype(np.float32)
+    free, held = (regularity(case("brick").seen(image, model)).values for model in (False, True))
+    assert free["drift"] == pytest.approx(1, abs=0.15)
+    assert free["preserved"] is True
+    assert free["misplacement_p95"] < 0.05
+    assert held["misplacement_p95"] > 2 * free["misplacement_p95"]
+
+
+def test_no_lattice_is_not_applicable(case: Cases) -> None:
+    """Without a lattice in the truth every column is None, with that reason."""
+    observation = replace(case("brick").seen(case("brick").fresh()), truth=Texture(case("brick").texture.image))
+    score = regularity(observation)
+    assert set(score.values.values()) == {None}
+    assert set(score.reasons.values()) == {"not applicable: no lattice in the truth"}
+
+
+@pytest.mark.parametrize("side", [8, 24, 60])
+def test_a_small_output_is_undecided(case: Cases, side: int) -> None:
+    """An output of few windows is undecided, never preserved."""
+    score = regularity(case("brick").seen(case("brick").fresh()[:side, :side]))
+    assert score.values["preserved"] is None
+    assert score.reasons["preserved"].startswith("undecided: ")
+
+
+def test_a_texture_of_little_regularity_is_undecided() -> None:
+    """Where departures drown the lattice a fresh draw is undecided, not preserved."""
+    from nrbench.datasets_procedural.weave import Weave
+
+    model = Weave(color=1.0, intensity=1.0, noise=0.3)
+    faint = Case(model, model.render((128, 128), np.random.default_rng(0)))
+    assert model.regular_share < 0.1
+    score = regularity(faint.seen(faint.fresh()))
+    assert score.values["preserved"] is not True
+    assert score.values["preserved"] is False or "undecided" in score.reasons["preserved"]
+
+
+def test_gray_pictures_are_scored(case: Cases) -> None:
+    """One channel is enough."""
+    one = case("brick")
+    sample, output = one.texture.image[..., :1], one.fresh()[..., :1]
+    truth = Texture(sample, one.texture.lattice)
+    assert regularity(Observation(sample, output, truth)).values["preserved"] is True
+
+
+def test_equal_observations_give_equal_scores(case: Cases) -> None:
+    """Scores are a function of what is seen."""
+    image, _ = case("weave").planted("off-lattice", 0.2)
+    first = regularity(case("weave").seen(image)).values
+    judge(case("brick").seen(case("brick").fresh()))
+    assert regularity(case("weave").seen(image.copy())).values == first

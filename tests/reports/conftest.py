@@ -1,0 +1,133 @@
+"""A run that never ran: real records over tiny pictures, every ending a cell can have."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nrbench.cell import Cell, Recipe
+from nrbench.imaging.files import write_image
+from nrbench.lattice.geometry import Lattice
+from nrbench.records import CellRecord, Run
+from nrbench.synthesis import Column
+
+TRUTH = Lattice((8.5, 0.0), (4.25, 6.1), (1.0, 2.0))
+COLUMNS: dict[str, Column] = {
+    "regularity.preserved": Column("Whether the lattice is preserved.", better="higher"),
+    "regularity.score": Column("Share of tiles in place and intact.", better="higher"),
+    "randomness.variation": Column("Tile-by-tile variation against fresh draws.", "", (0.0, float("inf")), "one"),
+    "randomness.repetition": Column("Excess of near-exact twins <b>over</b> fresh draws.", better="lower"),
+    "cost.note": Column("A number without a better way.", "px"),
+}
+HOSTILE = "<img src=x onerror=\"alert(1)\"> & 'co'"
+STATUSES = ("ok", "refused", "error", "timeout", "memory", "crash", "invalid", "missing")
+
+MakeCell = Callable[..., CellRecord]
+MakeRun = Callable[..., Run]
+
+
+def _picture(path: Path, side: int, seed: int) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return write_image(path, np.random.default_rng(seed).random((side, side, 3), np.float32))
+
+
+@pytest.fixture
+def make_cell(tmp_path: Path) -> MakeCell:
+    """Return a maker of records: ``make_cell(texture, method, preserved=..., score=..., status=..., ...)``."""
+
+    def make(
+        texture: str = "brick",
+        method: str = "rsgf",
+        lattice_source: str = "own",
+        replicate: int = 0,
+        preserved: bool | None = True,
+        score: float | None = 0.9,
+        status: str = "ok",
+        values: Mapping[str, float | bool | None] | None = None,
+        reasons: Mapping[str, str] | None = None,
+        reference: bool = False,
+        lattice_used: Lattice | None = TRUTH,
+        lattice_truth: Lattice | None = TRUTH,
+        log: str = "",
+        side: int = 32,
+        **more: Any,
+    ) -> CellRecord:
+        key = hashlib.sha256(f"{texture}|{method}|{lattice_source}|{replicate}".encode()).hexdigest()[:24]
+        folder = tmp_path / "run" / "cells" / key
+        cell = Cell(
+            suite="tiny",
+            texture=texture,
+            recipe=Recipe("brick", {}, 0, texture, replicate, (side, side)),
+            method=method.partition(":")[0],
+            version="1",
+            parameters=more.pop("parameters", {"block": 40}),
+            label=method,
+            reference=reference,
+            lattice_source=lattice_source,
+            replicate=replicate,
+            seed=0,
+            shape=(side, side),
+            sample_hash=key,
+            family=more.pop("family", "bricks"),
+            kind=more.pop("kind", "I"),
+            regular_share=0.75,
+            lattice_truth=lattice_truth,
+        )
+        result: dict[str, Any] = {} if status == "missing" else {"status": status, "seconds": 0.25, **more}
+        pictures: dict[str, Path] = {}
+        if status != "missing":
+            _picture(folder / "sample.png", 24, 1)
+        if log and status != "missing":
+            (folder / "log.txt").write_text(log, "utf-8")
+        if status != "ok":
+            return CellRecord(cell, folder, result)
+        _picture(folder / "output.png", side, 2)
+        pictures["regularity.defects"] = _picture(folder / "scores" / "regularity-defects.png", side, 3)
+        result["lattice_used"] = lattice_used.as_dict() if lattice_used else None
+        scores = {"regularity.preserved": preserved, "regularity.score": score, **(values or {})}
+        return CellRecord(cell, folder, result, scores, reasons or {}, pictures)
+
+    return make
+
+
+@pytest.fixture
+def make_run(tmp_path: Path) -> MakeRun:
+    """Return a maker of runs: ``make_run(cells, **info)``."""
+
+    def make(cells: list[CellRecord], columns: Mapping[str, Column] = COLUMNS, **info: Any) -> Run:
+        run = Run(tmp_path / "run")
+        known = {"suite": {"name": "tiny", "version": 1, "hash": "abc123", "description": "A tiny suite."}, **info}
+        vars(run).update(info=known, columns=dict(columns), cells=cells)
+        return run
+
+    return make
+
+
+@pytest.fixture
+def every_ending(make_cell: MakeCell, make_run: MakeRun) -> Run:
+    """Return a run with a cell of every status and verdict, a reference, a note, and hostile names."""
+    plain = [
+        make_cell("brick", "oracle", "none", reference=True, values={"randomness.variation": 1.0}),
+        make_cell("brick", "rsgf", "given", values={"randomness.variation": 0.9}, note="a note of its own"),
+        make_cell("brick", "rsgf", "own", preserved=False, score=0.2, lattice_used=Lattice((9.9, 0.0), (0.0, 7.0))),
+    ]
+    why = {"regularity.preserved": "undecided: too little power", "randomness.variation": "not scored"}
+    nothing = {"randomness.variation": None}
+    undecided = make_cell("weave", "rsgf", "given", preserved=None, score=0.6, values=nothing, reasons=why)
+    broken = make_cell(
+        "weave", "rsgf", "own", preserved=None, score=None, reasons={"regularity.preserved": "failed: KeyError: 'x'"}
+    )
+    ended = [
+        make_cell(f"t-{status}", "rsgf", "own", status=status, message=f"{status} because of {HOSTILE}", phase="score",
+                  log=f"\x1b[31mlog of {status}\x1b[0m {HOSTILE}")
+        for status in STATUSES[1:]
+    ]  # fmt: skip
+    hostile = make_cell(HOSTILE, HOSTILE, "own", family=HOSTILE, parameters={HOSTILE: HOSTILE}, note=HOSTILE)
+    info = {"argv": ["nrbench", HOSTILE], "versions": {"numpy": "2.0", HOSTILE: HOSTILE}, "git": None}
+    plugin = {"kind": "metrics", "name": HOSTILE, "distribution": "d", "version": "1", "error": HOSTILE}
+    return make_run([*plain, undecided, broken, *ended, hostile], **info, plugins=[plugin], machine={"cpu": HOSTILE})

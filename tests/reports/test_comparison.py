@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from nrbench.records import Run
+from nrbench.reports.comparison import comparison
+
+Make = Callable[..., Any]
+
+
+def test_every_cell_has_its_place(every_ending: Run) -> None:
+    """Each cell of the run stands in exactly one place: nothing is dropped."""
+    found = comparison(every_ending)
+    placed = [record.key for row in found.rows for entry in row.entries if entry for record in entry.records]
+    assert sorted(placed) == sorted(record.key for record in every_ending.cells)
+
+
+def test_references_come_last_and_are_not_ranked(every_ending: Run) -> None:
+    """Reference columns stand behind the methods, and have no rank."""
+    found = comparison(every_ending)
+    marks = [head.reference for head in found.heads]
+    assert marks == sorted(marks)
+    ranks = [line for line in found.foot if line.name.startswith("rank")]
+    assert ranks
+    assert all(line.estimates[-1] is None and line.values[-1] == "–" for line in ranks)
+
+
+@pytest.mark.parametrize(
+    ("texture", "label", "text"),
+    [
+        ("brick", "rsgf (given)", "✓ 0.90"),
+        ("brick", "rsgf (own)", "✗ 0.20"),
+        ("brick", "oracle", "✓ 0.90"),
+        ("weave", "rsgf (given)", "? 0.60"),
+        ("weave", "rsgf (own)", "(!)"),
+        ("t-timeout", "rsgf (own)", "! timeout"),
+        ("t-refused", "rsgf (own)", "N/A"),
+        ("t-missing", "rsgf (own)", "· missing"),
+    ],
+)
+def test_a_place_shows_mark_and_score(every_ending: Run, texture: str, label: str, text: str) -> None:
+    """A place shows the verdict's mark beside the score, or the status that ended the cell."""
+    found = comparison(every_ending)
+    row = next(row for row in found.rows if row.texture == texture)
+    entry = row.entries[[head.label for head in found.heads].index(label)]
+    assert entry is not None
+    assert entry.text == text
+
+
+def test_replicates_that_disagree_are_mixed(make_cell: Make, make_run: Make) -> None:
+    """Where replicates disagree, the place says how many preserve, and shows their mean score."""
+    cells = [make_cell(replicate=i, preserved=i > 0, score=0.3 * i) for i in range(3)]
+    entry = comparison(make_run(cells)).rows[0].entries[0]
+    assert entry is not None
+    assert (entry.verdict, entry.text) == ("mixed", "~ 2/3 0.30")
+
+
+def test_notes_are_numbered_once(make_cell: Make, make_run: Make) -> None:
+    """Equal notes share a number."""
+    cells = [make_cell("a", note="fell back"), make_cell("b", note="fell back"), make_cell("c", note="other")]
+    found = comparison(make_run(cells))
+    assert list(found.notes) == ["fell back", "other"]
+    assert [list(row.entries[0].notes) for row in found.rows if row.entries[0]] == [[1], [1], [2]]
+
+
+def test_foot_counts_textures(make_cell: Make, make_run: Make) -> None:
+    """The foot's success rate is preserved of N textures, with refusals once counted and once left out."""
+    cells = [make_cell("a"), make_cell("b", preserved=False), make_cell("c", status="refused")]
+    rate, answered = comparison(make_run(cells)).foot[:2]
+    assert (rate.values, rate.counts) == (["33 %"], ["1 of 3"])
+    assert (answered.values, answered.counts) == (["50 %"], ["1 of 2, 1 left out"])
+
+
+def test_columns_differ_by_lattice_source(make_cell: Make, make_run: Make) -> None:
+    """One method with two lattice sources is two columns, and their paired difference is there."""
+    cells = [
+        make_cell(texture, "rsgf", source, score=score)
+        for texture in "ab"
+        for source, score in (("given", 0.9), ("own", 0.5))
+    ]
+    found = comparison(make_run(cells))
+    assert [head.label for head in found.heads] == ["rsgf (given)", "rsgf (own)"]
+    difference = next(one for one in found.differences if one.score == "regularity.score")
+    assert difference.estimate.value == pytest.approx(0.4)
+    assert difference.estimate.excludes_zero
+
+
+def test_a_run_without_cells_has_no_rows(make_run: Make) -> None:
+    """No cells: no heads, no rows, no foot."""
+    found = comparison(make_run([]))
+    assert not [*found.heads, *found.rows, *found.foot, *found.notes, *found.legend]
+
+
+def test_a_run_without_metrics_is_compared_by_time(make_cell: Make, make_run: Make) -> None:
+    """Without any score there still are success counts and seconds."""
+    foot = comparison(make_run([make_cell()], columns={})).foot
+    assert [line.name for line in foot] == ["preserved", "seconds"]

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from nrbench.records import Run
+from nrbench.reports.csv import CsvTables
+
+Make = Callable[..., Any]
+
+
+def _read(path: Path) -> pd.DataFrame:
+    return pd.read_csv(path, keep_default_na=False, na_values=[""])
+
+
+def test_cells_read_back_to_the_same_bits(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Floats survive writing and reading bit by bit."""
+    values = np.random.default_rng(0).random(20) / 3
+    run = make_run([make_cell(f"t{i}", score=float(value)) for i, value in enumerate(values)])
+    with CsvTables().write(run, tmp_path / "tables")[0].open(newline="", encoding="utf-8") as file:
+        assert [float(row["regularity.score"]) for row in csv.DictReader(file)] == values.tolist()
+
+
+def test_every_cell_is_a_row(every_ending: Run, tmp_path: Path) -> None:
+    """One row a cell, whatever its status, quotes and line breaks in messages included."""
+    written = {path.name: path for path in CsvTables().write(every_ending, tmp_path)}
+    assert set(written) == {"cells.csv", "comparison.csv", "summary.csv", "differences.csv"}
+    cells = _read(written["cells.csv"])
+    assert list(cells["status"]) == [record.status for record in every_ending.cells]
+    assert list(cells["texture"]) == [record.texture for record in every_ending.cells]
+
+
+def test_summary_has_one_row_a_column(every_ending: Run, tmp_path: Path) -> None:
+    """Counts add up, and the success rate stands with its interval and n of N."""
+    summary = _read(CsvTables().write(every_ending, tmp_path)[2]).set_index(["method", "lattice_source"])
+    own = summary.loc[("rsgf", "own")]
+    assert own["cells"] == own["ok"] + own["refused"] + own["failed"] + own["missing"] == 9
+    assert own["preserved_low"] <= own["preserved"] <= own["preserved_high"]
+    assert (own["preserved"], own["preserved_n"], own["preserved_of"]) == (0.0, 7, 9)
+    assert own["preserved_refusals_left_out_n"] == 6
+
+
+def test_comparison_has_verdict_and_score(every_ending: Run, tmp_path: Path) -> None:
+    """Each texture is a row; each method gives a verdict and a score."""
+    table = _read(CsvTables().write(every_ending, tmp_path)[1]).set_index("texture")
+    assert table.loc["brick", "rsgf (own) verdict"] == "lost"
+    assert table.loc["brick", "rsgf (own) score"] == 0.2
+    assert table.loc["t-refused", "rsgf (own) verdict"] == "refused"
+
+
+def test_formulas_are_disarmed(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Text that a spreadsheet would run starts with an apostrophe; negative numbers stay numbers."""
+    attack = '=HYPERLINK("http://x","y")'
+    cell = make_cell(attack, "+m", score=-0.5, status="ok", note="@sum(a)\nb", message="-1+2")
+    paths = CsvTables().write(make_run([cell]), tmp_path)
+    with paths[0].open(newline="", encoding="utf-8") as file:
+        row = next(csv.DictReader(file))
+    assert (row["texture"], row["note"], row["message"]) == (f"'{attack}", "'@sum(a)\nb", "'-1+2")
+    assert row["regularity.score"] == "-0.5"
+    for path in paths:
+        with path.open(newline="", encoding="utf-8") as file:
+            assert not [text for line in csv.reader(file) for text in line if text.startswith(("=", "+", "@"))]
+
+
+def test_an_empty_run_gives_headers(make_run: Make, tmp_path: Path) -> None:
+    """Without cells, the tables are there, without rows."""
+    paths = CsvTables().write(make_run([]), tmp_path)
+    assert all(path.is_file() for path in paths)
+    assert [len(_read(path)) for path in paths[1:]] == [0, 0, 0]
+
+
+def test_tables_are_the_same_bytes_again(every_ending: Run, tmp_path: Path) -> None:
+    """Writing twice gives equal bytes, intervals included."""
+    first = [path.read_bytes() for path in CsvTables().write(every_ending, tmp_path / "a")]
+    assert first == [path.read_bytes() for path in CsvTables().write(every_ending, tmp_path / "b")]

@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nrbench.lattice.geometry import Lattice
+from nrbench.records import Run
+from nrbench.reports.comparison import comparison
+from nrbench.reports.figures import shade
+from nrbench.reports.gallery import Section, gallery
+from nrbench.reports.pictures import Picture, Pictures
+
+Make = Callable[..., Any]
+
+
+def _gallery(run: Run, tmp_path: Path) -> list[Section]:
+    return gallery(run, comparison(run), Pictures(tmp_path, embedded=True))
+
+
+def test_every_cell_has_a_figure(every_ending: Run, tmp_path: Path) -> None:
+    """A failed cell has its figure too, without a picture."""
+    figures = [
+        figure for section in _gallery(every_ending, tmp_path) for draw in section.draws for figure in draw.figures
+    ]
+    assert sorted(one.record.key for one in figures) == sorted(record.key for record in every_ending.cells)
+    assert all((one.output is not None) == (one.record.status == "ok") for one in figures)
+
+
+def test_figures_follow_the_comparison(every_ending: Run, tmp_path: Path) -> None:
+    """Outputs stand in the order of the comparison's columns."""
+    figures = _gallery(every_ending, tmp_path)[0].draws[0].figures
+    assert [one.head.label for one in figures] == ["rsgf (given)", "rsgf (own)", "oracle"]
+    assert [head.label for head in comparison(every_ending).heads][:2] == ["rsgf (given)", "rsgf (own)"]
+
+
+def test_equal_lattices_are_drawn_once(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Methods that used the same lattice share a drawing, whatever its basis; the true one is not drawn again."""
+    wrong, same = Lattice((9.9, 0.0), (0.0, 7.0)), Lattice((9.9, 7.0), (9.9, 0.0), (3.0, 3.0))
+    cells = [make_cell(method=name, lattice_used=used) for name, used in (("a", wrong), ("b", same), ("c", None))]
+    run = make_run([*cells, make_cell(method="d")])
+    draw = _gallery(run, tmp_path)[0].draws[0]
+    assert [list(one.labels) for one in draw.found] == [["a (own)", "b (own)"]]
+    assert draw.truth is not None
+    assert list(draw.agreeing) == ["d (own)"]
+
+
+def test_reasons_stand_beside_scores_that_are_missing(every_ending: Run, tmp_path: Path) -> None:
+    """A score without a value says why."""
+    figure = next(s for s in _gallery(every_ending, tmp_path) if s.row.texture == "weave").draws[0].figures[0]
+    line = next(one for one in figure.scores if one.name == "randomness.variation")
+    assert (line.text, line.reason) == ("–", "not scored")
+
+
+@pytest.mark.parametrize(("score", "expected"), [(None, None), (0.0, 0), (1.0, 10), (0.94, 9), (-1.0, 0), (7.0, 10)])
+def test_shades_follow_the_score(score: float | None, expected: int | None) -> None:
+    """Eleven shades from 0 to 1; what lies outside takes the last one."""
+    assert shade(score) == expected
+
+
+@pytest.mark.parametrize(("width", "scale"), [(8, 24), (100, 2), (191, 2), (192, 1), (384, 1), (768, 0.5)])
+def test_small_pictures_are_magnified_by_whole_factors(width: int, scale: float) -> None:
+    """A pixel is shown as a whole number of pixels, so that no moire looks like a defect."""
+    assert Picture("", width, width).scale == scale
+
+
+def test_links_are_escaped(make_cell: Make, tmp_path: Path) -> None:
+    """A file name with odd characters makes a valid relative link."""
+    output = make_cell().folder / "output.png"
+    odd = output.rename(output.with_name('a b"<#?.png'))
+    found = Pictures(tmp_path / "run" / "report", embedded=False).picture(odd)
+    assert found is not None
+    assert found.source.endswith("/a%20b%22%3C%23%3F.png")

@@ -1,0 +1,210 @@
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nrbench.records import Run
+from nrbench.reports.html import HtmlReport
+
+Make = Callable[..., Any]
+VOID = {"meta", "img", "input", "br", "path"}
+
+
+class Page(HTMLParser):
+    """The elements of a page with their attributes, their text, and whether every tag is closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str]]] = []
+        self.open: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Note an element that is opened."""
+        self.elements.append((tag, {name: value or "" for name, value in attrs}))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Note an element without content."""
+        self.elements.append((tag, {name: value or "" for name, value in attrs}))
+
+    def handle_endtag(self, tag: str) -> None:
+        """Check that what is closed was opened last."""
+        assert self.open.pop() == tag, f"</{tag}> closes another element"
+
+    def handle_data(self, data: str) -> None:
+        """Note text that a reader sees."""
+        if not {"style", "script"} & set(self.open):
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        """All text, on one line."""
+        return " ".join(" ".join(self.words).split())
+
+    def all(self, tag: str) -> list[dict[str, str]]:
+        """Return the attributes of every element of a kind."""
+        return [attributes for name, attributes in self.elements if name == tag]
+
+
+@pytest.fixture
+def page(every_ending: Run, tmp_path: Path) -> Page:
+    """Return the page of a run with every ending."""
+    (path,) = HtmlReport().write(every_ending, tmp_path / "run" / "report")
+    assert path.name == "report.html"
+    return Page(path.read_text("utf-8"))
+
+
+def test_it_is_well_formed(page: Page) -> None:
+    """Every element is closed in order, and every id occurs once."""
+    assert page.open == []
+    ids = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
+    assert len(ids) == len(set(ids))
+
+
+def test_it_asks_no_network(page: Page) -> None:
+    """Nothing on the page is fetched from anywhere: pictures are in it, links stay on it."""
+    for tag, attributes in page.elements:
+        for name in ("src", "href", "srcset", "action", "data", "poster", "xlink:href"):
+            assert attributes.get(name, "#").startswith(("#", "data:image/png;base64,")), (tag, name)
+    assert not {"link", "iframe", "object", "embed", "base", "form"} & {tag for tag, _ in page.elements}
+
+
+def test_style_and_script_fetch_nothing(every_ending: Run, tmp_path: Path) -> None:
+    """Without the pictures' bytes, the page holds no address and no import."""
+    text = HtmlReport().render(every_ending, tmp_path)
+    bare = re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", text)
+    assert not re.search(r"https?:|@import|url\((?!#)|src=\"//|href=\"//", bare)
+
+
+def test_nothing_but_its_own_script_can_run(page: Page) -> None:
+    """The content policy names the style and the script by hash, and there is one of each."""
+    policy = next(one["content"] for one in page.all("meta") if one.get("http-equiv"))
+    assert policy.startswith("default-src 'none'")
+    assert len(re.findall(r"'sha256-[A-Za-z0-9+/=]{44}'", policy)) == 2
+    assert len(page.all("script")) == len(page.all("style")) == 1
+    assert not [attributes for _, attributes in page.elements if "style" in attributes]
+
+
+def test_links_within_the_page_lead_somewhere(page: Page) -> None:
+    """Each place of the comparison leads to a picture that is there."""
+    ids = {attributes["id"] for _, attributes in page.elements if "id" in attributes}
+    assert {one["href"].removeprefix("#") for one in page.all("a")} <= ids
+
+
+def test_every_status_is_a_row(page: Page) -> None:
+    """Each status but ok has its line among the failures, and so has a metric that failed."""
+    listed = [attributes["data-status"] for tag, attributes in page.elements if "data-status" in attributes]
+    others = ["error", "timeout", "memory", "crash", "invalid"]
+    assert listed == [*others, "refused", "missing", "unscored"]
+    for status in [*others, "refused"]:
+        assert f"{status} because of" in page.text
+        assert f"log of {status}" in page.text
+    assert "failed: KeyError: 'x'" in page.text
+
+
+def test_hostile_names_stay_text(page: Page) -> None:
+    """Markup in names, messages, notes, logs, versions and plugins is shown, never obeyed."""
+    assert all(one["src"] != "x" for one in page.all("img"))
+    assert not [attributes for _, attributes in page.elements if any(name.startswith("on") for name in attributes)]
+    assert page.text.count("<img src=x onerror=\"alert(1)\"> & 'co'") > 15
+    assert "\x1b" not in page.text
+
+
+def test_it_has_what_a_reader_needs(page: Page) -> None:
+    """Suite, hash, success rate, provenance and glossary are on the page."""
+    for words in ("tiny", "abc123", "A tiny suite.", "preserved", "lattice given", "reference", "numpy 2.0"):
+        assert words in page.text
+    for words in ("undecided: too little power", "a note of its own", "Whether the lattice is preserved.", "block=40"):
+        assert words in page.text
+
+
+def test_verdicts_are_read_aloud(page: Page) -> None:
+    """Each mark is hidden from screen readers and has its word beside it; each picture has a text."""
+    marks = [one for one in page.all("span") if one.get("class", "").startswith("mark")]
+    assert marks
+    assert all(one["aria-hidden"] == "true" for one in marks)
+    assert all("alt" in one for one in page.all("img"))
+    assert all(one.get("aria-label") for one in page.all("button"))
+
+
+def test_pictures_are_the_runs_own_bytes(every_ending: Run, page: Page) -> None:
+    """An output is embedded as it lies in the run, and drawn without smoothing where magnified."""
+    output = (every_ending.cells[0].folder / "output.png").read_bytes()
+    source = f"data:image/png;base64,{base64.b64encode(output).decode()}"
+    shown = [one for one in page.all("img") if one["src"] == source]
+    assert shown
+    assert all("magnified" in one["class"] and one["loading"] == "lazy" for one in shown)
+
+
+def test_heavy_pages_link_the_runs_files(every_ending: Run, tmp_path: Path) -> None:
+    """Beyond the limit, pictures are relative links to files that exist."""
+    directory = tmp_path / "run" / "report"
+    (path,) = HtmlReport(embed_mib=0.001).write(every_ending, directory)
+    sources = {one["src"] for one in Page(path.read_text("utf-8")).all("img")}
+    assert sources
+    assert all(source.startswith("../cells/") and (directory / source).is_file() for source in sources)
+
+
+def test_an_empty_run_is_a_page(make_run: Make, tmp_path: Path) -> None:
+    """Without cells the page says so, and still has its provenance."""
+    page = Page(HtmlReport().render(make_run([]), tmp_path))
+    assert "This run has no cells." in page.text
+    assert "Provenance" in page.text
+
+
+def test_a_bare_run_record_is_enough(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """A page can be made where run.json holds nothing at all."""
+    run = make_run([make_cell()])
+    vars(run)["info"] = {}
+    assert "not recorded" in Page(HtmlReport().render(run, tmp_path)).text
+
+
+def test_a_single_failed_cell_is_a_page(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """One failed cell: its row, its place, no picture of an output."""
+    run = make_run([make_cell(status="error", message="boom", phase="synthesize")])
+    page = Page(HtmlReport().render(run, tmp_path))
+    assert "boom" in page.text
+    assert "error in synthesize: boom" in page.text
+    assert not page.all("button")
+
+
+def test_a_missing_picture_is_no_error(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Pictures that were deleted or cut short leave a placeholder."""
+    first, second = make_cell("a"), make_cell("b")
+    (first.folder / "output.png").unlink()
+    (second.folder / "output.png").write_bytes(b"")
+    (second.folder / "sample.png").write_bytes(b"not a picture")
+    page = Page(HtmlReport().render(make_run([first, second]), tmp_path))
+    assert page.text.count("picture missing") == 2
+
+
+def test_lattices_are_drawn_over_the_sample(page: Page) -> None:
+    """The true lattice is drawn, and one that a method used instead beside it."""
+    classes = [one.get("class", "") for one in page.all("path")]
+    assert "truth" in classes
+    assert classes.count("found") == 1
+    assert "lattice used by rsgf (own)" in page.text
+
+
+def test_replicates_have_their_own_pictures(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Each replicate's sample and outputs are shown under its number."""
+    run = make_run([make_cell(replicate=i, method=m) for i in range(2) for m in ("a", "b")])
+    page = Page(HtmlReport().render(run, tmp_path))
+    assert "replicate 0" in page.text
+    assert "replicate 1" in page.text
+    assert len(page.all("button")) == 4
+
+
+def test_the_page_is_the_same_again(every_ending: Run, tmp_path: Path) -> None:
+    """Rendering twice gives the same page."""
+    assert HtmlReport().render(every_ending, tmp_path) == HtmlReport().render(every_ending, tmp_path)

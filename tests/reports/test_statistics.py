@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nrbench.reports import statistics
+from nrbench.reports.statistics import Estimate
+
+
+def _cells(**columns: list[object]) -> pd.DataFrame:
+    """Return a frame of cells, one column of the comparison, replicate 0 unless given."""
+    size = len(next(iter(columns.values())))
+    return pd.DataFrame({"replicate": [0] * size, "column": ["m"] * size, "applicable": [True] * size, **columns})
+
+
+@pytest.mark.parametrize(
+    ("successes", "n", "low", "high"),
+    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)],
+)
+def test_wilson_gives_the_published_intervals(successes: int, n: int, low: float, high: float) -> None:
+    """Wilson's interval agrees with Newcombe (1998), table I, method 3."""
+    assert statistics.wilson(successes, n) == pytest.approx((low, high), abs=6e-5)
+
+
+def test_wilson_of_nothing_is_none() -> None:
+    """No trials, no interval."""
+    assert statistics.wilson(0, 0) is None
+
+
+@given(st.integers(1, 50), st.floats(0, 1))
+def test_wilson_holds_the_share_inside_zero_and_one(n: int, share: float) -> None:
+    """Wilson's interval lies in [0, 1] and holds the share, whole or not."""
+    found = statistics.wilson(share * n, n)
+    assert found is not None
+    assert 0 <= found[0] <= share * n / n <= found[1] <= 1
+
+
+def test_wilson_is_mirrored() -> None:
+    """Counting failures instead of successes mirrors the interval."""
+    low, high = statistics.wilson(2.5, 9) or (0, 0)
+    assert statistics.wilson(6.5, 9) == pytest.approx((1 - high, 1 - low))
+
+
+def test_bootstrap_is_deterministic_and_ignores_order() -> None:
+    """Equal values give an equal interval, whatever their order."""
+    values = np.random.default_rng(0).random(12)
+    assert statistics.bootstrap_mean(values) == statistics.bootstrap_mean(values[::-1])
+
+
+def test_bootstrap_agrees_with_students_interval() -> None:
+    """On normal values, the widened bootstrap interval is Student's within a tenth of its width."""
+    values = np.random.default_rng(1).normal(5, 2, 30)
+    half = 2.0452 * values.std(ddof=1) / np.sqrt(30)
+    low, high = statistics.bootstrap_mean(values) or (0, 0)
+    assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=0.2 * half)
+
+
+def test_bootstrap_covers_the_mean_of_few_values() -> None:
+    """On five normal values the interval holds the true mean about as often as it says (plain percentiles: 83 %)."""
+    draws = np.random.default_rng(3).normal(0, 1, (300, 5))
+    ends = np.array([statistics.bootstrap_mean(draw) for draw in draws])
+    assert ((ends[:, 0] <= 0) & (ends[:, 1] >= 0)).mean() > 0.88
+
+
+def test_bootstrap_of_one_value_is_none_and_of_equal_values_a_point() -> None:
+    """One value says nothing of its scatter; equal ones have none."""
+    assert statistics.bootstrap_mean([0.5]) is None
+    assert statistics.bootstrap_mean([0.5] * 6) == (0.5, 0.5)
+
+
+@settings(max_examples=20)
+@given(st.lists(st.floats(-10, 10), min_size=2, max_size=12))
+def test_bootstrap_stays_between_the_extremes(values: list[float]) -> None:
+    """A mean of resamples lies between the smallest and the largest value."""
+    low, high = statistics.bootstrap_mean(values) or (0, 0)
+    assert min(values) - 1e-9 <= low <= high <= max(values) + 1e-9
+
+
+def test_mean_averages_replicates_before_textures() -> None:
+    """A texture counts once, however many replicates it has; one without a value is not counted."""
+    cells = _cells(texture=["a", "a", "a", "b", "c"], replicate=[0, 1, 2, 0, 0], score=[0.0, 0.0, 0.0, 1.0, np.nan])
+    found = statistics.mean(cells, "score")
+    assert (found.value, found.n, found.of) == (0.5, 2, 3)
+
+
+def test_mean_of_nothing_has_no_value() -> None:
+    """No value anywhere: None, and 0 of N."""
+    assert statistics.mean(_cells(texture=["a"], score=[np.nan]), "score") == Estimate(None, n=0, of=1)
+
+
+def test_paired_difference_uses_common_samples_only() -> None:
+    """Differences are taken sample by sample; a sample that one side lacks is left out."""
+    first = _cells(texture=["a", "b", "c"], score=[1.0, 3.0, np.nan])
+    second = _cells(texture=["b", "a", "c"], score=[2.0, 0.5, 9.0])
+    found = statistics.paired_difference(first, second, "score")
+    assert (found.value, found.n, found.of) == (0.75, 2, 3)
+    assert found.excludes_zero
+
+
+def test_paired_difference_is_antisymmetric() -> None:
+    """Swapping the sides changes the sign."""
+    rng = np.random.default_rng(2)
+    first = _cells(texture=list("abcdefgh"), score=list(rng.random(8)))
+    second = _cells(texture=list("abcdefgh"), score=list(rng.random(8)))
+    there, back = (statistics.paired_difference(*pair, "score") for pair in ((first, second), (second, first)))
+    assert there.value == pytest.approx(-(back.value or 0))
+
+
+def test_success_rate_counts_failures_against_the_method() -> None:
+    """Failed and refused cells count as not preserved; undecided, unscored and missing ones do not count."""
+    verdicts = ["preserved", "lost", "failed", "refused", "undecided", "unscored", "missing"]
+    found = statistics.success_rate(_cells(texture=list("abcdefg"), verdict=verdicts))
+    assert (found.value, found.n, found.of) == (0.25, 4, 7)
+    assert (found.low, found.high) == pytest.approx(statistics.wilson(1, 4))
+
+
+def test_success_rate_can_leave_refusals_out() -> None:
+    """With refusals left out, failures still count."""
+    cells = _cells(texture=list("abc"), verdict=["preserved", "failed", "refused"])
+    assert statistics.success_rate(cells, leave_refusals_out=True).value == 0.5
+
+
+def test_success_rate_takes_the_mean_over_replicates() -> None:
+    """A texture whose replicates disagree counts with their share."""
+    cells = _cells(texture=["a", "a", "b"], replicate=[0, 1, 0], verdict=["preserved", "lost", "preserved"])
+    assert statistics.success_rate(cells).value == 0.75
+
+
+def test_success_rate_skips_textures_without_a_lattice() -> None:
+    """Where there is no lattice to preserve, a texture is not in N, even if the method failed on it."""
+    cells = _cells(texture=["a", "b"], verdict=["preserved", "failed"], applicable=[True, False])
+    found = statistics.success_rate(cells)
+    assert (found.value, found.n, found.of) == (1.0, 1, 1)
+
+
+def _ranked(
+    values: dict[str, float], verdicts: dict[str, str], better: str, leave_out: bool = False
+) -> dict[str, float]:
+    cells = _cells(
+        texture=["a"] * len(values), column=list(values), score=list(values.values()),
+        verdict=[verdicts.get(name, "preserved") for name in values],
+    )  # fmt: skip
+    return {
+        str(name): float(rank) for name, rank in statistics.ranks(cells, "score", better, leave_out).loc["a"].items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("better", "ranks"),
+    [
+        ("higher", {"x": 3, "y": 2, "z": 1}),
+        ("lower", {"x": 1, "y": 2, "z": 3}),
+        ("one", {"x": 2, "y": 1, "z": 3}),
+    ],
+)
+def test_ranks_follow_the_better_way(better: str, ranks: dict[str, float]) -> None:
+    """Rank 1 goes to the highest, the lowest, or the one nearest to 1."""
+    assert _ranked({"x": 0.4, "y": 0.9, "z": 1.9}, {}, better) == ranks
+
+
+def test_ranks_share_ties() -> None:
+    """Equal scores share their mean rank."""
+    assert _ranked({"x": 0.5, "y": 0.5, "z": 0.1}, {}, "higher") == {"x": 1.5, "y": 1.5, "z": 3}
+
+
+def test_failures_refusals_and_lost_lattices_rank_worst() -> None:
+    """Whoever failed, refused, or has no score because the lattice is lost gets the last rank."""
+    values = {"good": 0.9, "bad": 0.1, "crash": np.nan, "no": np.nan, "lost": np.nan}
+    verdicts = {"crash": "failed", "no": "refused", "lost": "lost"}
+    assert _ranked(values, verdicts, "higher") == {"good": 1, "bad": 2, "crash": 5, "no": 5, "lost": 5}
+
+
+def test_ranks_can_leave_refusals_out() -> None:
+    """Left out, a refusal has no rank, and the worst rank is that of those who answered."""
+    found = _ranked({"x": 0.9, "c": np.nan, "r": np.nan}, {"c": "failed", "r": "refused"}, "higher", leave_out=True)
+    assert (found["x"], found["c"]) == (1, 2)
+    assert np.isnan(found["r"])
+
+
+def test_mean_ranks_average_over_textures() -> None:
+    """The mean rank says on how many textures it rests."""
+    cells = _cells(
+        texture=["a", "a", "b", "b"], column=["x", "y", "x", "y"], score=[1.0, 0.0, 0.0, np.nan],
+        verdict=["preserved", "preserved", "preserved", "undecided"],
+    )  # fmt: skip
+    found = statistics.mean_ranks(cells, "score", "higher")
+    assert (found["x"].value, found["x"].n) == (1.0, 2)
+    assert (found["y"].value, found["y"].n, found["y"].of) == (2.0, 1, 2)
+
+
+def test_ranks_of_no_cells_are_empty() -> None:
+    """An empty table gives no ranks."""
+    empty = _cells(texture=["a"], score=[1.0], verdict=["preserved"]).iloc[:0]
+    assert statistics.mean_ranks(empty, "score", "higher") == {}

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nrbench.errors import BadInput
+from nrbench.records import Run
+from nrbench.reports.text import TextTable
+
+Make = Callable[..., Any]
+
+
+def test_it_names_every_texture_method_and_mark(every_ending: Run) -> None:
+    """The text has every texture, every method, the marks and the success rate."""
+    text = TextTable(200).render(every_ending)
+    for word in ("brick", "weave", "t-crash", "rsgf", "oracle", "reference", "✓ 0.90", "✗ 0.20", "N/A", "preserved"):
+        assert word in text
+
+
+@pytest.mark.parametrize("width", [40, 60, 120])
+def test_no_line_is_wider_than_asked(every_ending: Run, width: int) -> None:
+    """Lines keep to the width; methods that do not fit follow below."""
+    text = TextTable(width).render(every_ending)
+    assert max(map(len, text.splitlines())) <= width
+    assert text.count("given") >= 1
+
+
+def test_it_has_no_escapes_and_no_markup(make_cell: Make, make_run: Make) -> None:
+    """Names are printed as they are: no markup, no colors, no terminal escapes from a method's note."""
+    run = make_run([make_cell("[bold]b[/bold]:smile:", note="\x1b[31mred\x1b[0m\x07")])
+    text = TextTable().render(run)
+    assert "[bold]b[/bold]:smile:" in text
+    assert "¹ red" in text
+    assert not {"\x1b", "\x07"} & set(text)
+
+
+def test_written_file_is_the_rendered_text(every_ending: Run, tmp_path: Path) -> None:
+    """The file holds what the terminal shows."""
+    (path,) = TextTable().write(every_ending, tmp_path / "tables")
+    assert path.name == "comparison.txt"
+    assert path.read_text("utf-8") == TextTable().render(every_ending)
+
+
+def test_an_empty_run_says_so(make_run: Make) -> None:
+    """Without cells there is one sentence."""
+    assert "There are no cells." in TextTable().render(make_run([]))
+
+
+def test_a_single_failed_cell_is_a_table(make_cell: Make, make_run: Make) -> None:
+    """A run of one failed cell still is a table with its status."""
+    text = TextTable().render(make_run([make_cell(status="crash", message="signal 11")]))
+    assert "! crash" in text
+    assert "0 % (0/1)" in text
+
+
+def test_a_width_too_small_is_refused() -> None:
+    """The error says what to give."""
+    with pytest.raises(BadInput, match="at least 40"):
+        TextTable(10)

@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import pytest
+
+from nrbench.reports import wording
+from nrbench.reports.statistics import Estimate
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"), (float("nan"), "–"), (True, "yes"), (False, "no"), (0.0, "0.00"), (0.876, "0.88"), (1, "1.00"),
+        (0.0123, "0.012"), (-0.5, "−0.50"), (12.34, "12.3"), (1234.5, "1234"), (3.2e7, "3.20e+07"), (2e-5, "2.0e−05"),
+    ],
+)  # fmt: skip
+def test_numbers_read_well(value: float | None, text: str) -> None:
+    """Numbers are short at every size."""
+    assert wording.number(value) == text
+
+
+def test_counts_say_what_was_left_out() -> None:
+    """A success rate says k of n, and how many textures it leaves out."""
+    assert wording.successes(Estimate(0.875, 0.5, 1.0, 8, 8)) == "7 of 8"
+    assert wording.successes(Estimate(0.875, 0.5, 1.0, 8, 9)) == "7 of 8, 1 left out"
+
+
+def test_plain_drops_escapes_and_keeps_lines() -> None:
+    """Terminal colors, bells and NUL go; line breaks and tabs stay."""
+    assert wording.plain("\x1b[1;31mred\x1b[0m\x00\x07\r\n\tb") == "red\n\tb"
