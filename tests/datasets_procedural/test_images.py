@@ -181,7 +181,7 @@ def test_mixed_sizes(tmp_path: Path) -> None:
     (tmp_path / "truth.csv").write_text("file,t1x,t1y,t2x,t2y\nbig.png,10,0,0,10\n")
     drawings = {sample.row.name: sample for sample in drawn(load_suite(tmp_path))}
     shapes = {name: each.texture.image.shape for name, each in drawings.items() if each.texture}
-    assert shapes == {"big": (128, 128, 3), "small": (30, 40, 1), "long": (20, 128, 3)}
+    assert shapes == {"big": (256, 200, 3), "small": (30, 40, 1), "long": (20, 256, 3)}
     assert "broken.png" in drawings["broken"].fault
     assert {name for name, each in drawings.items() if each.texture and each.texture.lattice} == {"big"}
 
