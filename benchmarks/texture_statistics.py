@@ -11,7 +11,8 @@ Run it by ``OMP_NUM_THREADS=1 python benchmarks/texture_statistics.py [MODEL ...
     Mean of those deviations, in standard errors.
 ``jitter``, ``bend``
     Mean displacement (in standard errors) and its standard deviation over the documented one, of elements (jitter
-    0.3) and of pixels (bend 0.3).
+    0.3) and of pixels (bend 0.3). At the border only elements that came into the picture are counted, so that means of
+    up to 3 standard errors are common.
 ``share``
     Regular share measured over the renders, minus the one stated.
 """

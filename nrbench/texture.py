@@ -37,15 +37,16 @@ class Texture:
         ``"0"`` perfectly regular, ``"I"`` regular geometry with varying color, ``"II"`` varying geometry with regular
         color, ``"III"`` both vary, ``"stochastic"`` no lattice; None where it is not known (photographs).
     ideal
-        The periodic image: the mean over the model's draws at this lattice and phase, shape of ``image``; None unless
-        the model is known.
+        The periodic image, shape of ``image``: the mean over the model's draws at this lattice and phase, of undamaged
+        elements in their places; None unless the model is known.
     displacement
         ``float32 (H, W, 2)``: how far, (x, y) px, the content at each pixel has moved
         from its ideal place; None: not at all.
     elements
         Departures of each element (brick, thread, tile) by name, one array each whose first axis counts elements.
     regular_share
-        Variance of the ideal image over mean total variance, in [0, 1]; None where it is not known.
+        Variance of the mean over draws (the ideal image, but for damage and displacements) over mean total variance,
+        in [0, 1]; None where it is not known.
     region
         Where a photograph's crop was cut; None for models.
     """

@@ -43,7 +43,7 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     where = f"picture {path}"
     _check_file(Path(path), where)
     try:
-        # Opened here, because Pillow maps some TIFF files that it opens itself, and then garbles those that lie sideways.
+        # Opened here, because Pillow maps some TIFF files that it opens itself, and garbles those that lie sideways.
         with warnings.catch_warnings(action="ignore"), Path(path).open("rb") as file, PIL.Image.open(file) as opened:
             return as_image(_pixels(PIL.ImageOps.exif_transpose(opened), where), where, smallest)
     except PIL.UnidentifiedImageError:
