@@ -202,8 +202,8 @@ def directory_suite(directory: Path) -> Suite:
         if lister is not None:
             rows = [{"dataset": plugin.name, **row} for row in lister(directory)]
             title = directory.resolve().name or "pictures"
-            content = {"name": title, "texture": rows, "methods": load_suite(DEFAULT).methods, **PICTURE_SIZES}
-            content["seed"] = _common_seed(rows)
+            content: dict[str, Any] = {"name": title, "texture": rows, "seed": _common_seed(rows), **PICTURE_SIZES}
+            content["methods"] = load_suite(DEFAULT).methods
             return validated_suite(content, str(directory))
     raise BadInput(f"{directory}: no dataset plugin reads a directory; see `nrbench list datasets`")
 
