@@ -18,15 +18,18 @@ _DIM = 0.5
 
 
 def defect_map(judgement: Judgement) -> Image:
-    """Return the output in faint gray, the quarter cells around bad tile middles tinted by :data:`COLORS`."""
+    """Return the output in faint gray, the quarter cells around the middles of bad tiles tinted by :data:`COLORS`.
+
+    Of several faults of one tile the last of moved, broken, displaced is shown.
+    """
     output, tiles = judgement.output.image, judgement.output.tiles
     faint = np.repeat((1 - _DIM + _DIM * gray(output))[..., np.newaxis], 3, 2)
     flags = {"moved": judgement.moved, "broken": judgement.broken, "displaced": judgement.displaced}
-    nearest = nearest_tile(tiles, output.shape[:2])
+    tints = np.full((len(tiles.centers) + 1, 3), np.nan, np.float32)
     for name, flag in flags.items():
-        tinted = np.append(flag, False)[nearest]
-        faint[tinted] = (1 - _DIM) * faint[tinted] + _DIM * np.array(COLORS[name], np.float32)
-    return np.asarray(np.clip(faint, 0, 1), np.float32)
+        tints[:-1][flag] = COLORS[name]
+    tint = tints[nearest_tile(tiles, output.shape[:2])]
+    return np.clip(np.where(np.isnan(tint), faint, (1 - _DIM) * faint + _DIM * tint), 0, 1)
 
 
 def nearest_tile(tiles: Tiles, shape: tuple[int, int]) -> NDArray[np.intp]:

@@ -62,10 +62,15 @@ class Judgement:
     drift: Points
 
     @cached_property
-    def limit(self) -> float:
-        """How far (in s) a window may be from its place: the tolerance, or twice what most references' windows are."""
+    def scatter(self) -> float:
+        """How far (in s) 95 % of the references' windows are from their place at most."""
         own = np.concatenate([look.placement.misplacement for look in self.references])
-        return max(TOLERANCE, 2 * float(np.quantile(own, 0.95))) if len(own) else TOLERANCE
+        return float(np.quantile(own, 0.95)) if len(own) else 0.0
+
+    @property
+    def limit(self) -> float:
+        """How far (in s) a window may be from its place: the tolerance, or twice what the references' are."""
+        return float(np.clip(2 * self.scatter, TOLERANCE, 2 * limits.REFERENCE_SCATTER))
 
     @cached_property
     def misplaced(self) -> Flags:
@@ -161,8 +166,8 @@ class Judgement:
             return f"the output holds {columns} x {rows} windows of 2 tiles, at least {least} x {least} are needed"
         if self.yardstick.regular_share < limits.LEAST_SHARE:
             return f"the regular share {self.yardstick.regular_share:.2f} is under {limits.LEAST_SHARE:g}"
-        if self.limit > limits.REFERENCE_SCATTER:
-            return f"windows of the {self._reference_name} are themselves off by up to {self.limit / 2:.2f} s"
+        if self.scatter > limits.REFERENCE_SCATTER:
+            return f"windows of the {self._reference_name} are themselves off by up to {self.scatter:.2f} s"
         if self.reference_misplaced > limits.REFERENCE_MISPLACED:
             return (
                 f"{self.reference_misplaced:.0%} of the windows of the {self._reference_name} lock onto a wrong place"
@@ -214,6 +219,16 @@ def _lack(values: Ratios, own: Ratios) -> Ratios:
     surprise = Tail.fit(-own, overlap=2).surprise(-values) / limits.TILE_SURPRISE
     short = (1 - values / max(float(np.median(own)), 1e-6)) / (1 - limits.FIT_FLOOR)
     return np.minimum(surprise, short)
+
+
+def obstacle(judgement: Judgement | None) -> str:
+    """Return why nothing can be measured; empty where something can."""
+    if judgement is None:
+        return "not applicable: no lattice in the truth"
+    for name, looks in (("output", (judgement.output,)), (judgement.yardstick.source, judgement.references)):
+        if not all(len(look.placement.corners) and look.tiles.whole.any() for look in looks):
+            return f"undecided: the {name} is smaller than a window of 2 tiles"
+    return ""
 
 
 _LAST: list[tuple[Observation, Judgement | None]] = []

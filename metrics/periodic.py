@@ -130,8 +130,12 @@ def window_shape(lattice: Lattice, tiles: float) -> tuple[int, int]:
 
 
 def _offsets(lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
-    """Return masks of the offsets within the tolerance and in the rest of the Voronoi cell, and their reach in px."""
-    reach = int(np.ceil(np.hypot(*lattice.reduced().matrix.sum(0)) / 2)) + 1
+    """Return masks of the offsets within the tolerance and in the rest of the Voronoi cell, and their reach in px.
+
+    The cell reaches as far as the circumradius of the triangle of the reduced basis.
+    """
+    a, b = lattice.reduced().matrix
+    reach = int(np.hypot(*a) * np.hypot(*b) * np.hypot(*(a - b)) / (2 * lattice.area)) + 2
     y, x = np.indices((2 * reach + 1, 2 * reach + 1)) - reach
     offsets = np.stack([x, y], -1).astype(np.float64)
     cell = np.abs(lattice.wrap(offsets) - offsets).max(-1) < 1e-6

@@ -14,9 +14,11 @@ from nrbench.lattice.geometry import Lattice, Points
 
 from .periodic import Periodic
 
-_FOLLOWS = 0.06
+_FOLLOWS = 0.04
+_NEARLY, _NEARLY_ALL = 0.95, 0.8
 _BANDWIDTH = 0.04
 _CANDIDATES = 64
+_AT_ONCE = 256
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,9 @@ def place(image: Image, periodic: Periodic) -> Placement:
     grid, corners = _grid(image.shape[:2], template.window)
     if not len(corners):
         return Placement(periodic.lattice, template.window, grid, corners, np.zeros((0, 2)), np.zeros(0))
-    at, height = peaks(template.surfaces(cut_windows(image, corners, template.window)))
+    few = np.array_split(corners, len(corners) // _AT_ONCE + 1)
+    found = [peaks(template.surfaces(cut_windows(image, some, template.window))) for some in few]
+    at, height = (np.concatenate(column) for column in zip(*found, strict=True))
     displacement = periodic.lattice.wrap(corners - at)
     return Placement(periodic.lattice, template.window, grid, corners, displacement, height)
 
@@ -134,28 +138,44 @@ def affine_part(placement: Placement) -> Points:
     """Return the 2 x 2 matrix A of the affine part of the displacement: ``d = A (x, y) + constant``.
 
     Starts from the median step between neighboring windows, modulo the lattice, so that a drift over many cells is
-    unwrapped; then least squares over the windows that follow it. Zero where there are fewer than 3 x 3 windows.
+    unwrapped; then least squares over the windows that follow it. Of none, the first and the last of these the one that
+    most windows follow is taken, the simpler one where they are nearly equal, and fitted once more where nearly all
+    follow it: two halves that are out of step are no drift. Zero where there are fewer than 3 x 3 windows.
     """
-    matrix = np.zeros((2, 2))
+    none = np.zeros((2, 2))
     if min(placement.grid) < 3:
-        return matrix
+        return none
+    steps = _median_steps(placement)
+    found = [none, steps, _refined(placement, steps)]
+    followed = np.array([_rest(placement, matrix)[1].sum() for matrix in found])
+    best = int(np.argmax(followed >= _NEARLY * followed.max()))
+    return _refined(placement, found[best]) if followed[best] >= _NEARLY_ALL * len(placement.corners) else found[best]
+
+
+def _median_steps(placement: Placement) -> Points:
+    matrix = np.zeros((2, 2))
     field = placement.displacement.reshape(*placement.grid, 2)
     centers = placement.centers.reshape(*placement.grid, 2)
     for axis, along in ((1, 0), (0, 1)):
         steps = placement.lattice.wrap(np.diff(field, axis=axis)).reshape(-1, 2)
         length = np.diff(centers, axis=axis).reshape(-1, 2)[:, along]
         matrix[:, along] = np.median(steps / length[:, np.newaxis], 0)
-    return _refined(placement, matrix)
+    return matrix
 
 
 def _refined(placement: Placement, matrix: Points) -> Points:
-    lattice, centers = placement.lattice, placement.centers
     for _ in range(3):
-        rest = lattice.wrap(placement.displacement - centers @ matrix.T)
-        offsets = lattice.wrap(rest - consensus(rest, lattice))
-        inside = np.hypot(*offsets.T) < _FOLLOWS * lattice.s
+        offsets, inside = _rest(placement, matrix)
         if inside.sum() < 6:
             break
-        design = np.column_stack([centers[inside], np.ones(inside.sum())])
+        design = np.column_stack([placement.centers[inside], np.ones(inside.sum())])
         matrix = matrix + np.linalg.lstsq(design, offsets[inside], rcond=None)[0][:2].T
     return matrix
+
+
+def _rest(placement: Placement, matrix: Points) -> tuple[Points, NDArray[np.bool_]]:
+    """Return what an affine displacement leaves of each window's, and which windows follow it."""
+    lattice = placement.lattice
+    rest = lattice.wrap(placement.displacement - placement.centers @ matrix.T)
+    offsets = lattice.wrap(rest - consensus(rest, lattice))
+    return offsets, np.hypot(*offsets.T) < _FOLLOWS * lattice.s

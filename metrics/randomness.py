@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -12,9 +13,9 @@ from nrbench.imaging.door import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.synthesis import Column, Observation, Score
 
-from .judgement import Judgement, judge
+from .judgement import Judgement, judge, obstacle
 from .periodic import tile_box
-from .regularity import NO_LATTICE, no_score
+from .regularity import no_score
 from .residual import Residual, interior_weights, offset_noise, reference_energy
 
 _LEAST_TILES = 4
@@ -39,11 +40,11 @@ class Randomness:
 
     version: ClassVar[str] = "1"
     columns: ClassVar[Mapping[str, Column]] = {
-        "variation": Column("Tile-by-tile variation over that of fresh draws.", "", (0.0, np.inf), "one"),
+        "variation": Column("Tile-by-tile variation over that of fresh draws.", "", (0.0, math.inf), "one"),
         "repetition": Column(
             "Near-exact twins among tiles: 0 as in fresh draws, 1 as the best possible copier.",
             "",
-            (-1.0, np.inf),
+            (-math.inf, math.inf),
             "lower",
         ),
     }
@@ -51,8 +52,8 @@ class Randomness:
     def score(self, observation: Observation) -> Score:
         """Return the scores."""
         judgement = judge(observation)
-        if judgement is None:
-            return no_score(self.columns, NO_LATTICE)
+        if judgement is None or obstacle(judgement):
+            return no_score(self.columns, obstacle(judgement))
         if judgement.preserved is False:
             return no_score(self.columns, f"not scored: regularity is lost ({judgement.faults[0]})")
         noise = offset_noise(judgement.references)

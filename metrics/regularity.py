@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -11,9 +12,11 @@ import numpy as np
 from nrbench.synthesis import Column, Observation, Score, Value
 
 from .defect_map import defect_map
-from .judgement import Judgement, judge
+from .judgement import Judgement, judge, obstacle
 
-NO_LATTICE = "not applicable: no lattice in the truth"
+
+def _distance(meaning: str) -> Column:
+    return Column(f"{meaning}, over the shortest lattice vector s.", "of s", (0.0, math.inf), "lower")
 
 
 @dataclass(frozen=True)
@@ -27,8 +30,8 @@ class Regularity:
     tile, half a cell apart, are compared with the template at that phase, every pixel weighted by the inverse of its
     variance across tiles, which shows single tiles that are displaced, missing or broken.
 
-    All limits are relative to fresh draws of the model (of a photograph: to the sample itself, each half against the
-    mean tile of the other): see ``nrbench.metrics.limits``. For a photograph the affine part of the displacement, up to
+    All limits are relative to fresh draws of the model (of a photograph: to the sample itself, each part against the
+    mean tile of the rest): see ``nrbench.metrics.limits``. For a photograph the affine part of the displacement, up to
     2 %, is taken for uncertainty of the given lattice: reported as drift, and left out of everything else.
     """
 
@@ -36,24 +39,24 @@ class Regularity:
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),
         "score": Column("Share of tiles that are in place and intact.", better="higher"),
-        "misplacement_median": Column("Median displacement of windows from their place.", "s", (0.0, 1.0), "lower"),
-        "misplacement_p95": Column("95th percentile of the windows' displacement.", "s", (0.0, 1.0), "lower"),
+        "misplacement_median": _distance("Median displacement of windows from their place"),
+        "misplacement_p95": _distance("95th percentile of the windows' displacement from their place"),
         "misplaced_share": Column("Share of windows that are out of place.", better="lower"),
-        "worst_neighborhood": Column("Largest median displacement of 3 x 3 windows.", "s", (0.0, 1.0), "lower"),
+        "worst_neighborhood": _distance("Largest median displacement of 3 x 3 windows"),
         "structure": Column(
-            "Median correlation of windows with the periodic image, over that of fresh draws.", "", (-1.0, 10.0), "one"
+            "Median correlation of windows with the periodic image, over that of fresh draws.",
+            range=(-math.inf, math.inf),
+            better="one",
         ),
-        "bad_tiles": Column("Tiles that are displaced or broken by themselves.", "tiles", (0.0, np.inf), "lower"),
-        "drift": Column("Stretch or turn of the whole output against the true lattice.", "%", (0.0, np.inf), "lower"),
+        "bad_tiles": Column("Tiles that are displaced or broken by themselves.", "tiles", (0.0, math.inf), "lower"),
+        "drift": Column("Stretch or turn of the whole output against the true lattice.", "%", (0.0, math.inf), "lower"),
     }
 
     def score(self, observation: Observation) -> Score:
         """Return the scores, and the picture ``defects``: the output dimmed, bad tiles in color."""
         judgement = judge(observation)
-        if judgement is None:
-            return no_score(self.columns, NO_LATTICE)
-        if not len(judgement.output.placement.corners) or not len(judgement.output.tiles.centers):
-            return no_score(self.columns, "undecided: the output is smaller than a window of 2 tiles")
+        if judgement is None or obstacle(judgement):
+            return no_score(self.columns, obstacle(judgement))
         values = _values(judgement)
         reasons = {} if values["preserved"] is not None else {"preserved": f"undecided: {judgement.blindness}"}
         return Score(values, reasons, {"defects": defect_map(judgement)}, _records(judgement))

@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image
+from nrbench.imaging.fold import Values
 from nrbench.imaging.registration import cut_windows, peaks
 from nrbench.lattice.geometry import Lattice, Points
 
 from .periodic import Periodic, Search
+
+_AT_ONCE = 256
 
 
 @dataclass(frozen=True)
@@ -79,8 +82,15 @@ def _inspect(image: Image, lattice: Lattice, search: Search) -> tuple[NDArray[np
     centers, corners = centers[fits], corners[fits]
     if not len(corners):
         return centers, centers, np.zeros(0), np.zeros(0), np.zeros(0)
-    surfaces, slopes = search.template.surfaces_and_slopes(cut_windows(image, corners, search.template.window))
+    few = np.array_split(corners, len(corners) // _AT_ONCE + 1)
+    parts = [_compare(cut_windows(image, some, search.template.window), search) for some in few]
+    at, *fits = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return centers, corners - (centers - (size - 1) / 2) + search.place - at, *fits
+
+
+def _compare(windows: Values, search: Search) -> tuple[NDArray[np.float64], ...]:
+    """Return where each window fits best within the tolerance, NCC here and elsewhere, and slope."""
+    surfaces, slopes = search.template.surfaces_and_slopes(windows)
     at, here = peaks(surfaces, search.near)
-    offsets = corners - (centers - (size - 1) / 2) + search.place - at
     slope = slopes[np.arange(len(at)), *np.rint(at).astype(int).T[::-1]].astype(np.float64)
-    return centers, offsets, here, surfaces[:, search.far].max(1).astype(np.float64), slope
+    return at, here, surfaces[:, search.far].max(1).astype(np.float64), slope

@@ -14,7 +14,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.synthesis import Again, Observation
 from nrbench.texture import Shape, Texture
 
-from .periodic import Periodic, tile_box
+from .periodic import WINDOW_TILES, Periodic, tile_box, window_shape
 from .placement import Placement, affine_part, place
 
 FIRST_DRAW = 1 << 16
@@ -22,8 +22,10 @@ FIRST_DRAW = 1 << 16
 DRAWS = 4
 LATTICE_UNCERTAINTY = 0.02
 """How far a lattice that was given for a photograph may be off, as a fraction of its vectors."""
-_TILES_A_SIDE = 8
+_TILES_A_SIDE, _LEAST_TILES_A_SIDE = 8, 5
 _SIDES = (160, 320)
+_WINDOWS, _MOST = 1.5, 0.7
+"""A part of the sample is this many windows long, but no more than that share of the sample."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Yardstick:
     ----------
     source
         ``"model"``: ideal image and fresh draws of the texture's model; ``"sample"``: mean tile of the sample, and
-        the sample itself, each half judged by the mean tile of the other.
+        the sample itself, each part judged by the mean tile of the rest.
     periodic
         What the output should follow.
     references
@@ -74,7 +76,8 @@ def yardstick(observation: Observation) -> Yardstick | None:
 
 def model_yardstick(truth: Texture, lattice: Lattice, again: Again) -> Yardstick:
     """Return the yardstick of a texture whose model is known."""
-    side = np.clip(np.ceil(_TILES_A_SIDE * tile_box(lattice)), *_SIDES).astype(int)
+    box = tile_box(lattice)
+    side = np.ceil(np.maximum(np.clip(_TILES_A_SIDE * box, *_SIDES), _LEAST_TILES_A_SIDE * box)).astype(int)
     shape = (int(side[1]), int(side[0]))
     draws = [_draw(again, shape, FIRST_DRAW + k) for k in range(DRAWS)]
     departures = np.mean([(draw.image - _ideal(draw)) ** 2 for draw in draws], 0).mean(-1, keepdims=True)
@@ -94,13 +97,7 @@ def sample_yardstick(sample: Image, lattice: Lattice) -> Yardstick:
     everywhere = np.ones(sample.shape[:2], np.bool_)
     periodic = _folded(sample, lattice, everywhere)
     periodic = _folded(sample, followed(place(sample, periodic), periodic).lattice, everywhere)
-    half = np.zeros(sample.shape[:2], np.bool_)
-    height, width = sample.shape[:2]
-    if width >= height:
-        half[:, : width // 2] = True
-    else:
-        half[: height // 2] = True
-    references = tuple(_crossed(sample, periodic.lattice, part) for part in (half, ~half))
+    references = tuple(_crossed(sample, periodic.lattice, part) for part in _parts(sample.shape[:2], periodic.lattice))
     share = _share(periodic.image(sample.shape[:2]), float(periodic.variance.values.mean()))
     return Yardstick("sample", periodic, references, share)
 
@@ -111,8 +108,18 @@ def followed(placement: Placement, periodic: Periodic) -> Periodic:
     return periodic.stretched(drift) if 0 < np.linalg.norm(drift, 2) <= LATTICE_UNCERTAINTY else periodic
 
 
+def _parts(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks of two ends of the sample's longer side: halves, or more where windows would not fit."""
+    axis = int(shape[1] >= shape[0])
+    length = int(np.clip(_WINDOWS * window_shape(lattice, WINDOW_TILES)[axis], shape[axis] / 2, _MOST * shape[axis]))
+    along = np.arange(shape[axis])
+    along = along[np.newaxis] if axis else along[:, np.newaxis]
+    first, last = (np.broadcast_to(end, shape) for end in (along < length, along >= shape[axis] - length))
+    return first, last
+
+
 def _crossed(sample: Image, lattice: Lattice, part: NDArray[np.bool_]) -> Reference:
-    """Return one part of the sample, to be judged by the mean tile of the rest."""
+    """Return one part of the sample, to be judged by the mean tile of the rest, however little it is."""
     rows, columns = np.flatnonzero(part.any(1)), np.flatnonzero(part.any(0))
     crop = sample[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     rest = _folded(sample, lattice, ~part)

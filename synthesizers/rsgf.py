@@ -60,14 +60,7 @@ class Rsgf:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     version: ClassVar[str] = "1"
-    paper: ClassVar[str] = """@inproceedings{recas2011rsgf,
-  author    = {Lopez Recas, Diego and Hilsmann, Anna and Eisert, Peter},
-  title     = {Near-Regular Texture Synthesis by Random Sampling and Gap Filling},
-  booktitle = {Vision, Modeling, and Visualization (VMV 2011)},
-  editor    = {Eisert, Peter and Polthier, Konrad and Hornegger, Joachim},
-  publisher = {The Eurographics Association},
-  year      = {2011},
-}"""
+    paper: ClassVar[str] = Gncc.paper
 
     def __post_init__(self) -> None:
         check_border(self.block, self.border)

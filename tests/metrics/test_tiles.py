@@ -1,0 +1,62 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from nrbench.metrics.tiles import inspect
+from nrbench.metrics.yardstick import Yardstick, model_yardstick
+
+from .conftest import MODELS, Case
+
+Cases = Callable[[str], Case]
+
+
+def measure(case: Case) -> Yardstick:
+    """Return the yardstick of a case."""
+    assert case.texture.lattice is not None
+    return model_yardstick(case.texture, case.texture.lattice.reduced(), case.again)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_tiles_of_a_fresh_draw_fit_here_and_not_elsewhere(case: Cases, name: str) -> None:
+    """Every tile correlates where it belongs, shows the whole contrast, and fits nowhere else as well."""
+    tiles = inspect(case(name).fresh(), measure(case(name)).periodic, np.zeros(2))
+    assert tiles.here.min() > 0.6
+    assert np.median(tiles.slope) == pytest.approx(1, abs=0.1)
+    assert tiles.gain.max() < 0.05
+
+
+@pytest.mark.parametrize("phase", [(0.0, 0.0), (3.4, -2.7)])
+def test_tiles_are_found_to_a_fraction_of_a_pixel(case: Cases, phase: tuple[float, float]) -> None:
+    """Offsets of a fresh draw are zero on average; at a phase that is off by half a pixel they say so."""
+    periodic = measure(case("hexagon")).periodic
+    image = case("hexagon").fresh()
+    assert np.hypot(*inspect(image, periodic, np.zeros(2)).offsets.mean(0)) < 0.1
+    off = inspect(image, periodic, np.array([0.5, -0.3])).offsets.mean(0)
+    np.testing.assert_allclose(off, (-0.5, 0.3), atol=0.1)
+
+
+def test_there_are_four_windows_a_cell(case: Cases) -> None:
+    """Windows stand half a cell apart; a quarter of them at lattice points."""
+    tiles = inspect(case("brick").fresh(240), measure(case("brick")).periodic, np.zeros(2))
+    assert tiles.whole.mean() == pytest.approx(0.25, abs=0.03)
+    at = tiles.lattice.to_cell(tiles.centers)
+    np.testing.assert_allclose(2 * at, np.rint(2 * at), atol=1e-9)
+    np.testing.assert_allclose(at[tiles.whole], np.rint(at[tiles.whole]), atol=1e-9)
+
+
+def test_a_cover_takes_the_contrast(case: Cases) -> None:
+    """The more opaque a tile's cover, the less of the contrast it shows: the lowest slope falls in step."""
+    periodic = measure(case("brick")).periodic
+    slopes = [
+        inspect(case("brick").planted("missing-tile", size)[0], periodic, np.zeros(2)).slope.min()
+        for size in (0.0, 0.3, 0.6, 1.0)
+    ]
+    assert np.all(np.diff(slopes) < -0.05)
+    assert slopes[-1] < 0.5
+
+
+def test_nothing_fits_into_a_tiny_image(case: Cases) -> None:
+    """An image smaller than a tile has no tiles."""
+    tiles = inspect(case("brick").fresh()[:8, :8], measure(case("brick")).periodic, np.zeros(2))
+    assert len(tiles.here) == len(tiles.centers) == 0
