@@ -1,23 +1,58 @@
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.hexagon import Hexagon
+from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.weave import Weave
 from nrbench.errors import BadInput
+from nrbench.imaging.door import Image
 from nrbench.streams import stream
 from nrbench.synthesis import Again, Refused, Synthesis, Task
 from nrbench.synthesizers.planted import FAULTS, Planted
 from nrbench.texture import Shape, Texture
 
-MODEL = Brick(color=0.2, noise=0.02)
-TEXTURE = MODEL.render((128, 128), np.random.default_rng(0))
+MODELS: Mapping[str, Model] = {
+    "brick": Brick(color=0.2, noise=0.02),
+    "weave": Weave(rotation=20.0, color=0.2),
+    "hexagon": Hexagon(period=23.3, color=0.2, noise=0.02),
+    "plain": Brick(width=30, height=12, phase=(0.2, 0.3)),
+}
+TEXTURES = {name: model.render((128, 128), np.random.default_rng(0)) for name, model in MODELS.items()}
+TEXTURE = TEXTURES["brick"]
 S = TEXTURE.lattice.s  # type: ignore[union-attr]
+NEEDS_NO_LATTICE = ("none", "stretch", "blurred-band", "seam", "color-mean")
+LARGEST = {
+    **dict.fromkeys(("phase-step", "displaced-tile", "off-lattice", "doubled-tile", "slipped-course", "warp"), 0.5),
+    **dict.fromkeys(("dropped-row", "doubled-row", "verbatim"), 0.5),
+    **{"stretch": 0.02, "blurred-band": 0.6, "color-mean": 0.4},
+}
 
 
-def draws(shape: Shape, k: int) -> Texture | None:
-    """Return fresh draws of the texture."""
-    return MODEL.again(TEXTURE, shape, stream("again", k))
+class Draws:
+    """Fresh draws of a texture, the last of which can be asked for."""
+
+    def __init__(self, name: str = "brick") -> None:
+        self.model, self.texture = MODELS[name], TEXTURES[name]
+
+    def __call__(self, shape: Shape, k: int) -> Texture | None:
+        """Return the k-th draw."""
+        drawn = self.model.again(self.texture, shape, stream("again", k))
+        assert drawn is not None
+        self.seen = (*getattr(self, "seen", ()), drawn.image)
+        return drawn
+
+    def fresh(self, shape: Shape, draw: int = -1) -> Image:
+        """Return what the output would be without its defect: the middle of a draw."""
+        image = self.seen[draw]
+        margin = (image.shape[0] - shape[0]) // 2
+        return image[margin : margin + shape[0], margin : margin + shape[1]]
+
+
+draws = Draws()
 
 
 def plant(kind: str, size: float, seed: int = 0, again: Again | None = draws, shape: Shape = (150, 180)) -> Synthesis:
@@ -25,11 +60,25 @@ def plant(kind: str, size: float, seed: int = 0, again: Again | None = draws, sh
     return Planted(kind, size).synthesize(Task(TEXTURE.image, shape, None, np.random.default_rng(seed), again=again))
 
 
+Case = tuple[Image, np.ndarray, np.ndarray, Image, Draws]
+
+
+def planted(kind: str, size: float, name: str = "brick", shape: Shape = (150, 180), seed: int = 0) -> Case:
+    """Return image, displacement, mask, the draw without its defect, and all draws."""
+    again = Draws(name)
+    made = plant(kind, size, seed, again, shape)
+    fresh = again.fresh(shape, -2 if kind == "two-tone" else -1)
+    return made.image, made.extras["displacement"], made.extras["covered"] > 0, fresh, again
+
+
 @pytest.mark.parametrize("kind", FAULTS)
-@pytest.mark.parametrize("shape", [(150, 180), (40, 33), (8, 8)])
-def test_every_kind_fits_every_shape(kind: str, shape: Shape) -> None:
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("shape", [(64, 48), (101, 77), (40, 33), (8, 8)])
+def test_every_kind_fits_every_shape(kind: str, name: str, shape: Shape) -> None:
     """The output has the shape asked for, its values are an image's, and its note names the defect."""
-    made = plant(kind, 0.4, shape=shape)
+    made = plant(kind, 0.4, again=Draws(name), shape=shape)
+    assert made.extras["displacement"].shape == (*shape, 2)
+    assert made.extras["covered"].shape == shape
     assert made.image.shape == (*shape, 3)
     assert made.image.dtype == np.float32
     assert 0 <= made.image.min() <= made.image.max() <= 1
@@ -46,20 +95,152 @@ def test_content_moves_as_far_as_told(kind: str, size: float) -> None:
     assert f"({distance:.1f} px)" in made.note
 
 
-def test_moved_content_is_the_draw_itself() -> None:
+@pytest.mark.parametrize("name", ["brick", "weave", "hexagon"])
+@pytest.mark.parametrize("kind", ["off-lattice", "slipped-course", "dropped-row", "doubled-row", "doubled-tile"])
+def test_moved_content_is_the_draw_itself(kind: str, name: str) -> None:
     """Each pixel is, to the bit, the pixel of one wider fresh draw that its displacement points at."""
-    seen = []
-
-    def watched(shape: Shape, k: int) -> Texture | None:
-        drawn = draws(shape, k)
-        seen.append(drawn)
-        return drawn
-
-    made = plant("off-lattice", 0.3, again=watched)
-    field = made.extras["displacement"].astype(int)
-    margin = (seen[-1].image.shape[0] - 150) // 2
+    image, field, _, _, again = planted(kind, 0.3, name)
+    margin = (again.seen[-1].shape[0] - 150) // 2
     y, x = np.indices((150, 180)) + margin
-    np.testing.assert_array_equal(made.image, seen[-1].image[y - field[..., 1], x - field[..., 0]])
+    assert field.any()
+    np.testing.assert_array_equal(field, np.rint(field))
+    dx, dy = np.moveaxis(field.astype(int), -1, 0)
+    np.testing.assert_array_equal(image, again.seen[-1][y - dy, x - dx])
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("kind", FAULTS)
+def test_size_zero_is_the_fresh_draw(kind: str, name: str) -> None:
+    """At size 0 the output is the draw, to the bit, and nothing has moved."""
+    image, field, _, fresh, _ = planted(kind, 0.0, name)
+    np.testing.assert_array_equal(image, fresh)
+    assert not field.any()
+
+
+@pytest.mark.parametrize("name", ["brick", "weave", "hexagon"])
+@pytest.mark.parametrize("kind", [kind for kind in FAULTS if kind != "none"])
+def test_the_difference_grows_with_the_size(kind: str, name: str) -> None:
+    """Up to where it saturates, a larger defect differs more from the draw, on the average of some seeds."""
+    sizes = LARGEST.get(kind, 1.0) * np.array([0, 0.25, 0.5, 1])
+    cases = [[planted(kind, float(size), name, (150, 150), seed) for seed in range(4)] for size in sizes]
+    change = [np.mean([np.abs(image - fresh).mean() for image, _, _, fresh, _ in case]) for case in cases]
+    assert change[0] == 0
+    assert (np.diff(change) > 0).all(), change
+
+
+@pytest.mark.parametrize("name", ["brick", "weave", "hexagon"])
+@pytest.mark.parametrize("kind", FAULTS)
+def test_the_mask_holds_all_that_differs(kind: str, name: str) -> None:
+    """Outside of the mask the output is the draw; inside it differs somewhere."""
+    image, _, covered, fresh, _ = planted(kind, 0.4, name)
+    np.testing.assert_array_equal(image[~covered], fresh[~covered])
+    assert (kind == "none") != (image != fresh).any()
+
+
+def test_a_course_slides_along_itself() -> None:
+    """Between two joints, and nowhere else, bricks move along t1 by what was asked for, half a brick at most."""
+    _, field, covered, *_ = planted("slipped-course", 0.5, "plain")
+    s = TEXTURES["plain"].lattice.s  # type: ignore[union-attr]
+    assert np.unique(np.abs(field[covered]), axis=0).tolist() == [[round(s / 2), 0]]
+    assert covered.all(1).sum() == covered.any(1).sum() == 12
+    assert np.abs(planted("slipped-course", 1.0, "plain")[1]).max() == 15
+
+
+@pytest.mark.parametrize(("kind", "step"), [("dropped-row", -3), ("doubled-row", 3)])
+def test_rows_close_up_or_make_room(kind: str, step: int) -> None:
+    """All beyond a joint moves by a quarter of a course of 12 px, and at the most by half of it."""
+    image, field, covered, fresh, _ = planted(kind, 0.25, "plain")
+    first = int(np.argmax(covered[:, 0]))
+    assert (covered == (np.arange(150) >= first)[:, np.newaxis]).all()
+    assert np.unique(field[covered], axis=0).tolist() == [[0, step]]
+    np.testing.assert_array_equal(image[first : first + 9], fresh[first - step : first - step + 9])
+    assert np.abs(planted(kind, 1.0, "plain")[1]).max() == 6
+
+
+def test_a_doubled_tile_leaves_its_original() -> None:
+    """The copy shows, next to it, pixels that the output still holds where it does not hide them."""
+    image, field, covered, fresh, _ = planted("doubled-tile", 0.5)
+    step = np.unique(field[covered], axis=0).astype(int)
+    assert len(step) == 1
+    assert covered.sum() == pytest.approx(TEXTURE.lattice.area, rel=0.1)  # type: ignore[union-attr]
+    moved = np.roll(fresh, step[0, ::-1], (0, 1))
+    np.testing.assert_array_equal(image, np.where(covered[..., np.newaxis], moved, fresh))
+
+
+def test_a_warp_is_smooth_and_as_large_as_told() -> None:
+    """Its largest displacement is the size, its steps between pixels are small, its correlation falls to 1/e at 2 s."""
+    fields = [planted("warp", 0.4, shape=(200, 200), seed=seed)[1] for seed in range(3)]
+    assert [np.hypot(*np.moveaxis(field, -1, 0)).max() for field in fields] == pytest.approx([0.4 * S] * 3, rel=1e-5)
+    assert max(np.abs(np.diff(field, axis=0)).max() for field in fields) < 0.4
+    lag = round(2 * S)
+    pairs = [(field[:, lag:] * field[:, :-lag]).mean() / (field**2).mean() for field in fields]
+    assert np.mean(pairs) == pytest.approx(np.exp(-1), abs=0.2)
+
+
+def test_a_stretch_is_the_fraction_asked_for() -> None:
+    """Along one axis content moves in proportion to its distance from the middle, across it not at all."""
+    field = planted("stretch", 0.02, shape=(101, 101))[1]
+    y, x = np.indices((101, 101)) - 50
+    slopes = np.linalg.lstsq(np.stack([x.ravel(), y.ravel()], 1), field.reshape(-1, 2), rcond=None)[0]
+    assert np.linalg.eigvalsh(slopes) == pytest.approx([0, 0.02 / 1.02], abs=1e-6)
+    assert not field[50, 50].any()
+
+
+def test_a_seam_steps_by_its_contrast() -> None:
+    """Brightness jumps by the size at the line, and nothing changes 16 px away from it."""
+    image, _, covered, fresh, _ = planted("seam", 0.1)
+    change = (image - fresh)[..., 0]
+    assert change.max() - change.min() == pytest.approx(0.1, abs=0.01)
+    assert np.abs(change[covered]).min() < 0.002
+
+
+@pytest.mark.parametrize("size", [0.02, 0.1, 0.2])
+def test_the_mean_color_moves_by_the_size(size: float) -> None:
+    """The means of draw and output are as far apart as told, where nothing is clipped."""
+    image, _, _, fresh, _ = planted("color-mean", size)
+    assert np.linalg.norm((image - fresh).mean((0, 1), np.float64)) == pytest.approx(size, rel=0.05)
+
+
+def test_a_blurred_band_loses_detail() -> None:
+    """A quarter of the output loses most of its differences between neighbors."""
+    image, _, covered, fresh, _ = planted("blurred-band", 0.25)
+    inside = covered[1:] & covered[:-1]
+    detail = [np.abs(np.diff(pixels, axis=0))[inside].mean() for pixels in (image, fresh)]
+    assert covered.mean() == pytest.approx(0.25, abs=0.01)
+    assert detail[0] < 0.4 * detail[1]
+
+
+@pytest.mark.parametrize("name", ["brick", "weave", "hexagon"])
+def test_two_tone_joins_two_draws_in_place(name: str) -> None:
+    """Half of each tile affected is another draw's, pixel for pixel; so many tiles are affected as told."""
+    image, _, covered, fresh, again = planted("two-tone", 0.5, name)
+    np.testing.assert_array_equal(image, np.where(covered[..., np.newaxis], again.seen[-1], fresh))
+    assert covered.mean() == pytest.approx(0.25, abs=0.04)
+
+
+@pytest.mark.parametrize("name", ["brick", "weave", "hexagon"])
+def test_over_regular_repeats_one_tile(name: str) -> None:
+    """At full weight every pixel is one of a single tile's; at half weight, half of it is."""
+    image, field, _, fresh, _ = planted("over-regular", 1.0, name)
+    colors = np.unique(image.reshape(-1, 3), axis=0)
+    assert len(colors) < 1.5 * TEXTURES[name].lattice.area  # type: ignore[union-attr]
+    rest = TEXTURES[name].lattice.wrap(field)  # type: ignore[union-attr]
+    assert np.hypot(rest[..., 0], rest[..., 1]).max() < 0.8
+    np.testing.assert_allclose(planted("over-regular", 0.5, name)[0], (image + fresh) / 2, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["brick", "weave", "hexagon"])
+@pytest.mark.parametrize(("size", "share"), [(0.1, 0.1), (0.3, 0.3), (0.9, 0.5)])
+def test_verbatim_copies_lie_elsewhere_in_the_output(name: str, size: float, share: float) -> None:
+    """As much of the area as told is equal, to the bit, to places of the output that the lattice calls equal."""
+    image, field, covered, *_ = planted("verbatim", size, name, (200, 200))
+    assert covered.mean() == pytest.approx(share, abs=1e-4)
+    y, x = np.nonzero(covered)
+    dx, dy = field[covered].astype(int).T
+    np.testing.assert_array_equal(image[y, x], image[y - dy, x - dx])
+    assert not covered[y - dy, x - dx].any()
+    rest = TEXTURES[name].lattice.wrap(field[covered])  # type: ignore[union-attr]
+    assert np.hypot(rest[..., 0], rest[..., 1]).max() < 0.8
 
 
 def test_a_phase_step_moves_one_half() -> None:
@@ -88,29 +269,32 @@ def test_a_covered_tile_is_flat() -> None:
     np.testing.assert_array_equal(full.image[~tile], none.image[~tile])
 
 
-def test_size_zero_is_a_fresh_draw() -> None:
-    """Nothing moves at size 0, nor with kind none at any size."""
-    for kind, size in (("phase-step", 0.0), ("none", 0.7)):
-        assert not plant(kind, size).extras["displacement"].any()
-
-
-def test_equal_seeds_give_equal_bytes() -> None:
+@pytest.mark.parametrize("kind", FAULTS)
+def test_equal_seeds_give_equal_bytes(kind: str) -> None:
     """The task's generator decides everything."""
-    np.testing.assert_array_equal(plant("off-lattice", 0.3, 4).image, plant("off-lattice", 0.3, 4).image)
-    assert (plant("off-lattice", 0.3, 4).image != plant("off-lattice", 0.3, 5).image).any()
+    np.testing.assert_array_equal(plant(kind, 0.3, 4).image, plant(kind, 0.3, 4).image)
+    assert (plant(kind, 0.3, 4).image != plant(kind, 0.3, 5).image).any()
 
 
 def test_wrong_parameters_say_what_to_do() -> None:
     """An unknown kind and a size out of range are bad input."""
-    with pytest.raises(BadInput, match="kind 'crack' is unknown; choose one of none, phase-step"):
-        Planted("crack")
+    with pytest.raises(BadInput, match=r"kind 'dropped-rows' is unknown \(did you mean 'dropped-row'\?\)"):
+        Planted("dropped-rows")
     with pytest.raises(BadInput, match=r"size 1.5 is outside \[0, 1\]"):
         Planted("phase-step", 1.5)
 
 
-def test_without_fresh_draws_or_lattice_it_refuses() -> None:
-    """A photograph, and a texture without a lattice, are refused."""
+@pytest.mark.parametrize("kind", FAULTS)
+def test_without_fresh_draws_or_lattice_it_refuses(kind: str) -> None:
+    """A photograph is refused, and a texture without a lattice where the kind needs one."""
+
+    def chaotic(shape: Shape, k: int) -> Texture:
+        return replace(TEXTURE, image=np.random.default_rng(k).random((*shape, 1), np.float32), lattice=None)
+
     with pytest.raises(Refused, match="no fresh draws"):
-        plant("none", 0, again=None)
-    with pytest.raises(Refused, match="no lattice"):
-        plant("none", 0, again=lambda shape, k: replace(TEXTURE, lattice=None))
+        plant(kind, 0, again=None)
+    if kind in NEEDS_NO_LATTICE:
+        assert kind in plant(kind, 0.3, again=chaotic).note
+    else:
+        with pytest.raises(Refused, match="no lattice"):
+            plant(kind, 0.3, again=chaotic)
