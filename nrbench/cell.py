@@ -143,6 +143,7 @@ class Cell:
             "shape": list(self.shape),
             "seed": [self.seed, self.replicate],
             "recipe": _recipe_dict(self.recipe) if self.procedural else self.again_hash,
+            "dataset": plugins.find("datasets", self.recipe.dataset).version,
         }
         text = json.dumps(decides, sort_keys=True)
         return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()

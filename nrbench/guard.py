@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import sys
@@ -67,6 +68,8 @@ class Watch:
         Process id of the child, leader of its own process group where there are such groups.
     receive
         Where its messages come from.
+    ended
+        Says whether the process itself has ended: what it started may hold its pipe open, or it may close the pipe.
     limits
         What it may use.
     base
@@ -76,20 +79,36 @@ class Watch:
     """
 
     def __init__(
-        self, pid: int, receive: Receive, limits: Limits, base: int = 0, asked: Callable[[], bool] = lambda: True
+        self,
+        pid: int,
+        receive: Receive,
+        ended: Callable[[], bool],
+        limits: Limits,
+        base: int = 0,
+        asked: Callable[[], bool] = lambda: True,
     ) -> None:
-        self.pid, self.receive, self.limits, self.base, self.asked = pid, receive, limits, base, asked
+        self.pid, self.receive, self.ended, self.limits, self.base, self.asked = (
+            pid,
+            receive,
+            ended,
+            limits,
+            base,
+            asked,
+        )
         self.messages: list[dict[str, Any]] = []
+        self._open = True
 
     def broken(self) -> tuple[str, str] | None:
-        """Watch until the child closes (None) or breaks a limit (status and message)."""
+        """Watch until the child ends (None) or breaks a limit (status and message)."""
         deadline = time.monotonic() + self.limits.seconds
         look = time.monotonic() + MEMORY_TICK
-        while (arrived := self.receive(TICK)) is not None:
-            for message in arrived:
-                self.messages.append(message)
-                deadline = time.monotonic() + self.limits.seconds
+        while True:
+            arrived = self._arrived()
+            self.messages += arrived
+            if not arrived and self.ended():
+                return None
             now = time.monotonic()
+            deadline = now + self.limits.seconds if arrived else deadline
             if now > deadline:
                 return "timeout", f"took longer than {self.limits.seconds:g} s; raise --timeout if it may"
             if not self.asked():
@@ -98,7 +117,23 @@ class Watch:
                 look = now + MEMORY_TICK
                 if resident(self.pid) - self.base > self.limits.mib * MIB:
                     return "memory", f"used more than {self.limits.mib:g} MiB; raise --memory if it may"
+
+    def _arrived(self) -> list[dict[str, Any]]:
+        if self._open:
+            arrived = self.receive(TICK)
+            self._open = arrived is not None
+            return list(arrived or ())
+        time.sleep(TICK / 20)
+        return []
+
+
+def parsed(line: str | bytes) -> dict[str, Any] | None:
+    """Return the message on a line; None where the line is none (a child may write anything)."""
+    try:
+        message = json.loads(line)
+    except ValueError:
         return None
+    return message if isinstance(message, dict) else None
 
 
 def resident(pid: int) -> int:
@@ -123,6 +158,33 @@ def sweep(pid: int) -> None:
             os.killpg(pid, signal.SIGKILL)
     with contextlib.suppress(psutil.Error):
         psutil.Process(pid).kill()
+
+
+def adopt_orphans() -> None:
+    """Become the parent of whatever a descendant leaves behind, so that :func:`sweep_orphans` finds it (Linux)."""
+    _prctl(36, 1)
+
+
+def sweep_orphans() -> None:
+    """Kill and reap every child of the calling process: what a finished job left running, in whatever session."""
+    for _ in range(1000):
+        children = _children()
+        if not children:
+            return
+        for pid in children:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, signal.SIGKILL)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(-1, 0)
+
+
+def _children() -> list[int]:
+    pid = os.getpid()
+    try:
+        with open(f"/proc/{pid}/task/{pid}/children", encoding="ascii") as children:  # noqa: PTH123
+            return [int(child) for child in children.read().split()]
+    except OSError:
+        return [child.pid for child in psutil.Process().children()]
 
 
 def explain_exit(code: int) -> str:
@@ -158,10 +220,14 @@ def _data_bytes() -> int:
 
 def die_with_parent() -> None:
     """Ask the kernel to kill the calling process when its parent dies (Linux)."""
+    _prctl(1, signal.SIGKILL)
+
+
+def _prctl(option: int, value: int) -> None:
     if sys.platform.startswith("linux"):
         import ctypes
 
-        ctypes.CDLL(None, use_errno=True).prctl(1, signal.SIGKILL)
+        ctypes.CDLL(None, use_errno=True).prctl(option, value)
 
 
 def peak_bytes() -> int:

@@ -27,7 +27,15 @@ def run(job: Mapping[str, Any], asker: Asker) -> dict[str, Any]:
     dict
         The result, as written to ``result.json``.
     """
-    where = CellFolder(Path(job["folder"]))
+    try:
+        return _run(job, CellFolder(Path(job["folder"])), asker)
+    except OSError:
+        raise
+    except Exception as error:
+        return {"status": "crash", "message": f"{type(error).__name__}: {error}"}
+
+
+def _run(job: Mapping[str, Any], where: CellFolder, asker: Asker) -> dict[str, Any]:
     if job["kind"] == "detect":
         return _detect(job, where, asker)
     result = where.result() or _synthesize(job, where, asker)

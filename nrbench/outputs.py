@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image, quantize
+from nrbench.lattice.geometry import Lattice
 from nrbench.synthesis import SourceMap, Synthesis
 from nrbench.texture import Shape
 
@@ -25,14 +28,41 @@ def checked_synthesis(made: Any, sample: Image, shape: Shape) -> Synthesis:
     Raises
     ------
     InvalidOutput
-        When it is no :class:`Synthesis`, its image is not finite or of another shape, or its source map is not true.
+        When it is no :class:`Synthesis`, its image is not finite or of another shape, its source map is not true, or
+        anything else in it is not of its declared type.
     """
     if not isinstance(made, Synthesis):
         raise InvalidOutput(f"returned {type(made).__name__} instead of a Synthesis")
     image = _checked_image(made.image, (*shape, sample.shape[2]))
-    if made.source is not None:
-        check_source(made.source, image, sample)
-    return dataclasses.replace(made, image=image)
+    source = None if made.source is None else _numbers(made.source, "source map").astype(np.float32)
+    if source is not None:
+        check_source(source, image, sample)
+    if not (made.lattice is None or isinstance(made.lattice, Lattice)):
+        raise InvalidOutput(f"returned a lattice of type {type(made.lattice).__name__}; a Lattice or None is due")
+    extras = {_checked_name(name): _numbers(array, f"extra {name!r}") for name, array in made.extras.items()}
+    seconds = _checked_seconds(made.detection_seconds)
+    return dataclasses.replace(
+        made, image=image, source=source, extras=extras, detection_seconds=seconds, note=str(made.note or "")
+    )
+
+
+def _numbers(value: Any, what: str) -> NDArray[Any]:
+    array = np.asarray(value)
+    if array.dtype.kind not in "biufc":
+        raise InvalidOutput(f"returned a {what} of dtype {array.dtype}; an array of numbers is due")
+    return array
+
+
+def _checked_name(name: Any) -> str:
+    if not (isinstance(name, str) and re.fullmatch(r"\w[\w.-]{0,79}", name)):
+        raise InvalidOutput(f"returned an extra called {name!r}; use letters, digits, '.', '-' and '_'")
+    return name
+
+
+def _checked_seconds(value: Any) -> float:
+    if not (isinstance(value, int | float | np.number) and np.isfinite(value) and value >= 0):
+        raise InvalidOutput(f"returned detection_seconds {value!r}; a number of seconds is due")
+    return float(value)
 
 
 def _checked_image(image: Any, wanted: tuple[int, int, int]) -> Image:

@@ -37,7 +37,7 @@ def synthesize(folder: Path, send: Send) -> None:
         send({"status": "invalid", "message": str(invalid)})
     except MemoryError:
         send({"status": "memory", "message": "ran out of the memory it may use"})
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         traceback.print_exc()
         send({"status": "error", "message": f"{type(error).__name__}: {error}"})
 
@@ -63,6 +63,7 @@ def _synthesize(where: CellFolder, cell: Cell) -> dict[str, Any]:
 
 def _task(where: CellFolder, cell: Cell) -> Task:
     sample = read_image(where.sample)
+    sample.setflags(write=False)
     rng = stream("synthesis", cell.seed, pixels_hash(sample), cell.replicate)
     again = _again_of_method(where, cell) if cell.reference else None
     return Task(sample, cell.shape, cell.lattice_given, rng, again=again)
@@ -100,7 +101,7 @@ def detect(folder: Path, send: Send) -> None:
         lattice, reason = detector.detect(read_image(where.sample)).lattice.as_dict(), ""
     except NoLatticeFound as none:
         lattice, reason = None, none.reason
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         traceback.print_exc()
         send({"status": "error", "message": f"{type(error).__name__}: {error}"})
         return

@@ -15,7 +15,8 @@ import numpy as np
 from nrbench import plugins
 from nrbench.cell import Cell, Recipe
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.door import Image, as_image, quantize
+from nrbench.lattice.geometry import Lattice
 from nrbench.parameters import label, parse_spec
 from nrbench.streams import pixels_hash
 from nrbench.suite import Suite, TextureRow
@@ -83,9 +84,16 @@ class Method:
         name, given = parse_spec(spec)
         parameters = plugins.parameters_of(plugins.build("synthesizers", name, given))
         plugin = plugins.find("synthesizers", name)
+        version = f"{plugin.version}{fingerprint(plugins.build('synthesizers', name, given))}"
         shown = label(name, parameters, _defaults(plugin.cls))
         reference = bool(getattr(plugin.cls, "reference", False))
-        return cls(name, plugin.version, parameters, shown, reference, bool(getattr(plugin.cls, "uses_lattice", True)))
+        return cls(name, version, parameters, shown, reference, bool(getattr(plugin.cls, "uses_lattice", True)))
+
+
+def fingerprint(method: Any) -> str:
+    """Return what else decides a method's results, as it says itself (``fingerprint()``): files that it reads."""
+    ask = getattr(method, "fingerprint", None)
+    return f"+{ask()}" if ask is not None else ""
 
 
 def _defaults(cls: Any) -> dict[str, Any]:
@@ -159,6 +167,8 @@ def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
     sources = [Source.parse(text) for text in dict.fromkeys(suite.lattice)]
     if not methods:
         raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
+    if not sources and any(method.uses_lattice for method in methods):
+        raise BadInput(f'suite {suite.name}: names no lattice source; add lattice = ["own"] or pass --lattice own')
     samples = drawn(suite, textures)
     cells = [(cell, sample) for sample in samples for cell in _cells(suite, sample, methods, sources)]
     return Plan(suite, samples, cells)
@@ -181,14 +191,30 @@ def _chosen(suite: Suite, patterns: Sequence[str]) -> list[TextureRow]:
 def _draw(suite: Suite, row: TextureRow, replicate: int) -> Sample:
     recipe, shape = _recipe(suite, row, replicate), row.size or suite.size
     try:
-        texture = recipe.render()
+        texture = _checked(recipe)
         texture = dataclasses.replace(texture, image=quantize(texture.image), name=row.name)
         again = None if recipe.procedural else _region(recipe, texture, shape)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         known = isinstance(error, BadInput)
         fault = str(error) if known else f"{type(error).__name__}: {error} ({_last_line()})"
         return Sample(row, recipe, None, shape, fault=fault)
     return Sample(row, recipe, texture, shape, pixels_hash(again) if again is not None else "")
+
+
+def _checked(recipe: Recipe) -> Texture:
+    """Draw a texture, and refuse what a dataset plugin must not return."""
+    texture = recipe.render()
+    if not isinstance(texture, Texture):
+        raise BadInput(f"dataset {recipe.dataset}: render returned {type(texture).__name__} instead of a Texture")
+    image = as_image(texture.image, f"dataset {recipe.dataset}")
+    if recipe.procedural and image.shape[:2] != recipe.shape:
+        raise BadInput(f"dataset {recipe.dataset}: render returned shape {image.shape}; asked for {recipe.shape}")
+    if not (texture.lattice is None or isinstance(texture.lattice, Lattice)):
+        raise BadInput(f"dataset {recipe.dataset}: lattice is {texture.lattice!r}; a Lattice or None is due")
+    share = texture.regular_share
+    if not (share is None or (isinstance(share, float) and 0 <= share <= 1)):
+        raise BadInput(f"dataset {recipe.dataset}: regular_share is {share!r}; a number from 0 to 1 is due")
+    return dataclasses.replace(texture, image=image)
 
 
 def _recipe(suite: Suite, row: TextureRow, replicate: int) -> Recipe:

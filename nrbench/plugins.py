@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import importlib.util
 import inspect
+import re
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
@@ -185,7 +186,7 @@ def _load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
     try:
         cls = point.load()
         error = fault(kind, cls)
-    except Exception:
+    except (Exception, SystemExit):
         return Plugin(kind, point.name, None, distribution, version, traceback.format_exc())
     return Plugin(kind, point.name, None if error else cls, distribution, getattr(cls, "version", version), error)
 
@@ -205,6 +206,9 @@ def _form_fault(kind: str, cls: Any) -> str:
     missing = [field.name for field in dataclasses.fields(cls) if not _has_default(field)]
     if missing and kind in ("detectors", "metrics", "reports"):
         return f"{label}: parameter {missing[0]!r} has no default; give it one"
+    name = str(getattr(cls, "name", "x"))
+    if not re.fullmatch(r"[\w.-]+", name):
+        return f"{label}: its name {name!r} cannot be called; use letters, digits, '.', '-' and '_'"
     own_page = cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
     return "" if own_page else f"{label} has no docstring; write one, it is the plugin's page"
 
@@ -238,14 +242,15 @@ def _column_fault(kind: str, cls: Any) -> str:
 def _import_file(file: Path) -> Any:
     if not file.is_file():
         raise BadInput(f"plugin {file}: there is no such file")
-    spec = importlib.util.spec_from_file_location(f"nrbench_plugin_{file.stem}", file)
+    path_hash = hashlib.blake2b(str(file).encode(), digest_size=4).hexdigest()
+    spec = importlib.util.spec_from_file_location(f"nrbench_plugin_{file.stem}_{path_hash}", file)
     if spec is None or spec.loader is None:
         raise BadInput(f"plugin {file}: is no Python file; its name must end in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[module.__name__] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise BadInput(f"plugin {file}: does not import: {type(error).__name__}: {error}") from error
     return module
 

@@ -23,7 +23,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plan import Plan, Sample
 from nrbench.provenance import provenance
 from nrbench.records import FAILED, Run
-from nrbench.scoring import score_file
+from nrbench.scoring import failed_scores, score_file
 from nrbench.store import RUN_FILE, CellFolder, RunDirectory, read_json, write_json
 
 Progress = Callable[[int, int, str], None]
@@ -71,7 +71,9 @@ def is_cached(directory: RunDirectory, cell: Cell, metrics: Iterable[str], retry
     result = where.result()
     if result is None or (retry_failed and result["status"] in FAILED):
         return False
-    return result["status"] != "ok" or all(score_file(where, name).is_file() for name in metrics)
+    names = list(metrics)
+    missing = [name for name in names if not score_file(where, name).is_file()]
+    return result["status"] != "ok" or not (missing or (retry_failed and failed_scores(where, names)))
 
 
 def working_metrics() -> list[str]:
@@ -100,6 +102,8 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     """
     options = options or Options()
     directory = RunDirectory(root)
+    if options.reuse is not None:
+        RunDirectory(options.reuse).info()
     directory.claim()
     with _locked(directory):
         _write_info(directory, plan, options)
@@ -155,6 +159,9 @@ class _Placed:
         result = where.result()
         if result is None or (self.options.retry_failed and result["status"] in FAILED):
             _prepare(where, cell, sample)
+        elif self.options.retry_failed:
+            for file in failed_scores(where, self.metrics):
+                file.unlink()
         if cell.fault:
             phase = "detect" if sample.texture and cell.detector else "render" if not sample.texture else "given"
             write_json(where.result_file, {"status": cell.fault_status, "message": cell.fault, "phase": phase})

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from nrbench.imaging.door import Image, quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.phases import Send, read_cell
-from nrbench.store import CellFolder, read_arrays, write_json
+from nrbench.store import CellFolder, read_arrays, read_json, write_json
 from nrbench.streams import pixels_hash, stream
 from nrbench.synthesis import Again, Observation, Score
 from nrbench.texture import Texture
@@ -36,7 +36,7 @@ def score(folder: Path, metrics: list[str], send: Send) -> None:
     for name in metrics:
         try:
             _score_one(where, observation, name)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             traceback.print_exc()
             record_failure(where, name, f"failed: {type(error).__name__}: {error}")
         send({"scored": name})
@@ -62,10 +62,10 @@ def _checked_values(found: Score, columns: Mapping[str, Any]) -> dict[str, Any]:
         raise ValueError(f"values and declared columns differ in {odd}")
     values = {key: value.item() if isinstance(value, np.generic) else value for key, value in found.values.items()}
     for key, value in values.items():
-        if value is None and not found.reasons.get(key):
+        if value is None and not isinstance(found.reasons.get(key), str):
             raise ValueError(f"column {key!r} is None without a reason")
-        if isinstance(value, float) and not np.isfinite(value):
-            raise ValueError(f"column {key!r} is {value}; a score is finite or None")
+        if not (value is None or (isinstance(value, bool | int | float) and np.isfinite(float(value)))):
+            raise ValueError(f"column {key!r} is {value!r}; a score is a finite number, a truth value, or None")
     return values
 
 
@@ -77,8 +77,8 @@ def observe(where: CellFolder, cell: Cell) -> Observation:
         key: result[key] for key in ("cpu_seconds", "detection_seconds", "peak_mib") if result.get(key) is not None
     }
     return Observation(
-        sample=sample,
-        output=read_image(where.output, smallest=1),
+        sample=_frozen(sample),
+        output=_frozen(read_image(where.output, smallest=1)),
         truth=truth,
         lattice_given=cell.lattice_given,
         lattice_used=_lattice(result.get("lattice_used")),
@@ -88,6 +88,22 @@ def observe(where: CellFolder, cell: Cell) -> Observation:
         again=again,
         cost={**costs, "side_by_side": float(result.get("side_by_side", 0))},
     )
+
+
+def _frozen(image: Image) -> Image:
+    """Return an image that no metric can change under the next one."""
+    image.setflags(write=False)
+    return image
+
+
+def failed_scores(where: CellFolder, metrics: Iterable[str]) -> list[Path]:
+    """Return the files of those scores that failed."""
+    files = [score_file(where, name) for name in metrics]
+    return [file for file in files if _failed(read_json(file) or {})]
+
+
+def _failed(score: Mapping[str, Any]) -> bool:
+    return any(str(reason).startswith("failed:") for reason in score.get("reasons", {}).values())
 
 
 def _lattice(mapping: dict[str, Any] | None) -> Lattice | None:

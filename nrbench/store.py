@@ -185,7 +185,7 @@ class RunDirectory:
             When the directory is no run.
         """
         content = read_json(self.root / RUN_FILE)
-        if content is None:
+        if content is None or not {"suite", "cells"} <= set(content):
             raise BadInput(
                 f"{self.root}: is no run (it has no {RUN_FILE}); pass the directory that `nrbench run` printed"
             )

@@ -52,7 +52,7 @@ def size_text(shape: Shape) -> str:
 
 
 Size = Annotated[Shape, BeforeValidator(parse_size), PlainSerializer(size_text)]
-_Name = Annotated[str, Field(pattern=r"^[^/\\\x00-\x1f]+$", max_length=200)]
+_Name = Annotated[str, Field(pattern=r"^[^/\\\x00-\x1f]*[^/\\\x00-\x1f.][^/\\\x00-\x1f]*$", max_length=200)]
 
 
 class Drawing(BaseModel):

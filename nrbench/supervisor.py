@@ -34,6 +34,10 @@ START = 120.0
 """Seconds that a worker may take to start."""
 
 
+class Closed(BaseException):
+    """The run is being ended: the job that was under way has no result."""
+
+
 class Supervisor:
     """Owns one warm worker, and restarts it when it dies.
 
@@ -43,10 +47,13 @@ class Supervisor:
     def __init__(self) -> None:
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
+        self._pump: threading.Thread | None = None
         self._forks = True
+        self._closed = False
 
     def ask(self, request: Request) -> Reply:
-        """Run one request under its limits; never raises for what the plugin does."""
+        """Run one request under its limits; raises nothing for what the plugin does, :class:`Closed` once ended."""
+        self._check_open()
         if self._forks and self._worker is None:
             self._forks = self._start()
         if not self._forks:
@@ -56,18 +63,23 @@ class Supervisor:
             self._worker.stdin.write(json.dumps(request) + "\n")
             self._worker.stdin.flush()
         except OSError:
-            self.close()
-            return {"status": "crash", "message": "the worker process was gone", "scored": []}
+            return self._crash("the worker process was gone")
         return self._answer(request)
 
     def _answer(self, request: Request) -> Reply:
         parts = max(1, len(request.get("metrics", ())))
         line = self._line(request["seconds"] * parts + GRACE)
-        if line is None:
-            self.close()
-            return {"status": "crash", "message": "the worker process itself died", "scored": []}
-        reply: Reply = json.loads(line)
-        return reply
+        reply = guard.parsed(line) if line is not None else None
+        return reply if reply is not None and "status" in reply else self._crash("the worker process itself died")
+
+    def _crash(self, message: str) -> Reply:
+        self._check_open()
+        self.close()
+        return {"status": "crash", "message": message, "scored": []}
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise Closed
 
     def _start(self) -> bool:
         """Start the worker; return whether it can fork."""
@@ -81,9 +93,10 @@ class Supervisor:
             start_new_session=True,
         )
         self._lines = queue.Queue()
-        threading.Thread(target=_pump, args=(self._worker.stdout, self._lines), daemon=True).start()
-        hello = self._line(START)
-        forks = bool(hello and json.loads(hello)["fork"])
+        self._pump = threading.Thread(target=_pump, args=(self._worker.stdout, self._lines), daemon=True)
+        self._pump.start()
+        hello = guard.parsed(self._line(START) or "")
+        forks = bool(hello and hello.get("fork"))
         if not forks:
             self.close()
         return forks
@@ -98,10 +111,21 @@ class Supervisor:
         if self._worker is not None:
             guard.sweep(self._worker.pid)
             self._worker.wait()
-            for pipe in (self._worker.stdin, self._worker.stdout):
+            for pipe in (self._worker.stdin, self._worker.stdout if self._drained() else None):
                 with contextlib.suppress(OSError):
                     pipe.close() if pipe else None
             self._worker = None
+
+    def end(self) -> None:
+        """Kill the worker for good: a job under way raises :class:`Closed`, and no further one starts."""
+        self._closed = True
+        self.close()
+
+    def _drained(self) -> bool:
+        """Wait a little for the reader to see the pipe's end: something that escaped may hold it open."""
+        if self._pump is not None:
+            self._pump.join(1.0)
+        return self._pump is None or not self._pump.is_alive()
 
     def __enter__(self) -> Supervisor:
         return self
@@ -123,6 +147,7 @@ def _pump(stream: IO[str], lines: queue.Queue[str | None]) -> None:
     with contextlib.suppress(ValueError, OSError):
         for line in stream:
             lines.put(line)
+        stream.close()
     lines.put(None)
 
 
@@ -144,12 +169,12 @@ def _fresh(request: Request) -> Reply:
     with contextlib.suppress(OSError):
         child.stdin.write(json.dumps(request) + "\n")
         child.stdin.close()
-    watch = guard.Watch(child.pid, lambda seconds: _from_queue(lines, seconds), _with_start(request), 0)
+    watch = guard.Watch(
+        child.pid, lambda seconds: _from_queue(lines, seconds), lambda: child.poll() is not None, _with_start(request)
+    )
     broken = watch.broken()
-    guard.sweep(child.pid) if broken else None
-    code = child.wait()
     guard.sweep(child.pid)
-    child.stdout.close()
+    code = child.wait()
     if broken:
         return summarize(guard.Ending(watch.messages, *broken))
     ending = (
@@ -168,7 +193,8 @@ def _from_queue(lines: queue.Queue[str | None], seconds: float) -> list[dict[str
         line = lines.get(timeout=seconds)
     except queue.Empty:
         return []
-    return None if line is None else [json.loads(line)]
+    message = guard.parsed(line) if line is not None else None
+    return None if line is None else [message] if message is not None else []
 
 
 class Local:
@@ -195,7 +221,8 @@ def run_job(job: Mapping[str, Any]) -> dict[str, Any]:
     if not hasattr(_own, "supervisor"):
         _own.supervisor = Supervisor()
         _all.append(_own.supervisor)
-    return run(job, _own.supervisor)
+    supervisor: Supervisor = _own.supervisor
+    return run(job, supervisor)
 
 
 def run_job_here(job: Mapping[str, Any]) -> dict[str, Any]:
@@ -206,4 +233,4 @@ def run_job_here(job: Mapping[str, Any]) -> dict[str, Any]:
 def close_all() -> None:
     """End every worker that this process started."""
     while _all:
-        _all.pop().close()
+        _all.pop().end()

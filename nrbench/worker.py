@@ -87,13 +87,20 @@ def fork_and_watch(request: Request) -> Reply:
         _child(request, writable, limits)
     os.close(writable)
     parent = os.getppid()
-    watch = guard.Watch(pid, _pipe_receiver(readable), limits, base, lambda: os.getppid() == parent)
+    watch = guard.Watch(
+        pid, _pipe_receiver(readable), lambda: _has_ended(pid), limits, base, lambda: os.getppid() == parent
+    )
     broken = watch.broken()
     guard.sweep(pid) if broken else None
     code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     guard.sweep(pid)
+    guard.sweep_orphans()
     os.close(readable)
     return summarize(_ending(watch, broken, code))
+
+
+def _has_ended(pid: int) -> bool:
+    return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
 
 
 def _ending(watch: guard.Watch, broken: tuple[str, str] | None, code: int) -> guard.Ending:
@@ -111,6 +118,9 @@ def _child(request: Request, writable: int, limits: guard.Limits) -> None:
         os.setsid()
         guard.die_with_parent()
         _redirect(Path(request["folder"]) / "log.txt")
+        os.dup2(writable, 3)
+        os.closerange(4, 1 << 16)
+        writable = 3
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         guard.confine(limits)
         perform(request, lambda message: _send(writable, message))
@@ -132,7 +142,7 @@ def _redirect(log: Path) -> None:
 
 
 def _send(writable: int, message: dict[str, Any]) -> None:
-    data = (json.dumps(message) + "\n").encode()
+    data = (json.dumps(message, allow_nan=False) + "\n").encode()
     while data:
         data = data[os.write(writable, data) :]
 
@@ -149,7 +159,7 @@ def _pipe_receiver(readable: int) -> guard.Receive:
         if not data:
             return None
         *lines, pending = (pending + data).split(b"\n")
-        return [json.loads(line) for line in lines]
+        return [message for line in lines if (message := guard.parsed(line)) is not None]
 
     return receive
 
@@ -169,10 +179,13 @@ def main() -> None:
     for file in [argument for argument in arguments if not argument.startswith("--")]:
         plugins.add_file(file)
     if "--once" in arguments:
+        guard.die_with_parent()
         request = json.loads(sys.stdin.readline())
         guard.confine(guard.Limits(request["seconds"], request["mib"]))
         perform(request, reply)
-        return
+        sys.stderr.flush()
+        os._exit(0)
+    guard.adopt_orphans()
     warm()
     reply({"fork": may_fork()})
     serve(sys.stdin, reply)

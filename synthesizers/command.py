@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import shlex
+import shutil
 import string
 import subprocess
 import tempfile
@@ -66,6 +68,15 @@ class Command:
             words = self._words(task, sample, output)
             _execute(words, Path(folder, "work"))
             return Synthesis(_read(output, words[0], task.sample.shape[2]))
+
+    def fingerprint(self) -> str:
+        """Return a hash of the files that the command names, the program included: a changed one is another method."""
+        digest = hashlib.blake2b(digest_size=8)
+        for word in shlex.split(self.run):
+            file = shutil.which(word) or word
+            if Path(file).is_file():
+                digest.update(Path(file).read_bytes())
+        return digest.hexdigest()
 
     def _words(self, task: Task, sample: Path, output: Path) -> list[str]:
         height, width = task.shape

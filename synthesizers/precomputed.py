@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,11 +46,7 @@ class Precomputed:
         BadInput
             When there is no such folder, or its table is not one.
         """
-        folder = Path(self.directory)
-        if not folder.is_dir():
-            raise BadInput(
-                f"precomputed: directory {self.directory!r} is no folder; give the one that holds the outputs"
-            )
+        folder = self._folder()
         named = folder / name_for(task.sample, task.shape)
         if named.exists():
             return Synthesis(read_image(named))
@@ -57,6 +54,21 @@ class Precomputed:
             if output.shape[:2] == task.shape:
                 return Synthesis(output)
         raise Refused(f"no {named}, and no row of index.csv with this sample and an output of that size")
+
+    def fingerprint(self) -> str:
+        """Return a hash of the folder's files (names, sizes, times): other outputs are another result."""
+        folder = self._folder()
+        files = [(str(path.relative_to(folder)), path.stat()) for path in sorted(folder.rglob("*")) if path.is_file()]
+        listed = repr([(name, stat.st_size, stat.st_mtime_ns) for name, stat in files])
+        return hashlib.blake2b(listed.encode(), digest_size=8).hexdigest()
+
+    def _folder(self) -> Path:
+        folder = Path(self.directory).resolve()
+        if not folder.is_dir():
+            raise BadInput(
+                f"precomputed: directory {self.directory!r} is no folder; give the one that holds the outputs"
+            )
+        return folder
 
 
 def name_for(sample: Image, shape: Shape) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 from collections.abc import Mapping
 from typing import Any
@@ -64,6 +65,9 @@ def nrbench(debug: bool, plugin_files: tuple[str, ...]) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line: exit code 0 fine, 1 some cells failed, 2 usage or bad input, 130 interrupted."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     given = hoisted(list(sys.argv[1:] if arguments is None else arguments))
     try:
         code = nrbench.main(args=given, prog_name="nrbench", standalone_mode=False)
@@ -71,6 +75,9 @@ def main(arguments: list[str] | None = None) -> None:
         code = _complain("interrupted; the same command goes on where this one stopped", 130)
     except click.Abort:
         code = _complain("interrupted; the same command goes on where this one stopped", 130)
+    except click.exceptions.NoArgsIsHelpError as help_text:
+        print(help_text.format_message())
+        code = 0
     except click.ClickException as error:
         code = _complain(f"{error.format_message()}; see `{_path(error)} --help`", 2)
     except Exception as error:
@@ -102,6 +109,7 @@ def _path(error: click.ClickException) -> str:
 
 def _failure(error: Exception, debug: bool) -> int:
     from nrbench.errors import BadInput
+    from nrbench.outputs import InvalidOutput
     from nrbench.synthesis import Refused
 
     if debug:
@@ -110,6 +118,8 @@ def _failure(error: Exception, debug: bool) -> int:
         traceback.print_exc()
     if isinstance(error, BadInput | Refused):
         return _complain(str(error), 2)
+    if isinstance(error, InvalidOutput):
+        return _complain(f"the method {error}", 1)
     if isinstance(error, OSError):
         return _complain(f"{error.filename or 'file'}: {error.strerror or error}", 2)
     return _complain(f"internal error: {type(error).__name__}: {error}; run with --debug for the traceback", 1)

@@ -52,7 +52,7 @@ def _planned(given: dict[str, Any]) -> tuple[Any, Path]:
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Place the cells on a Dask cluster.")
 @click.option(
     "--timeout",
-    type=click.FloatRange(0, min_open=True),
+    type=click.FloatRange(0, 1e7, min_open=True),
     default=120.0,
     show_default=True,
     metavar="S",
@@ -60,7 +60,7 @@ def _planned(given: dict[str, Any]) -> tuple[Any, Path]:
 )
 @click.option(
     "--memory",
-    type=click.FloatRange(1),
+    type=click.FloatRange(1, 1e7),
     default=4096.0,
     show_default=True,
     metavar="MiB",
@@ -84,21 +84,26 @@ def run_command(**given: Any) -> int:
 
     with live() as progress:
         run = execute(plan, root, options, progress)
-    written = _write_reports(run, None, tables_only=given["no_report"])
-    return _conclude(run, written, given["as_json"])
+    written, broken = _write_reports(run, None, tables_only=given["no_report"])
+    return max(_conclude(run, written, given["as_json"]), int(broken))
 
 
-def _write_reports(run: Any, formats: str | None, tables_only: bool = False) -> list[Path]:
-    """Write the reports asked for (all that work, where None is), and return the paths."""
+def _write_reports(run: Any, formats: str | None, tables_only: bool = False) -> tuple[list[Path], bool]:
+    """Write the reports asked for (all that work, where None is); return the paths, and whether any report failed."""
     from nrbench import plugins
 
     wanted = formats.split(",") if formats else [p.name for p in plugins.inventory("reports") if p.cls is not None]
     written: list[Path] = []
-    for report in [plugins.build("reports", name) for name in wanted]:
+    broken = False
+    for name, report in [(name, plugins.build("reports", name)) for name in wanted]:
         folder = getattr(report, "folder", "report")
         if folder == "tables" or not tables_only:
-            written += report.write(run, run.root / folder)
-    return written
+            try:
+                written += [Path(path) for path in report.write(run, run.root / folder)]
+            except (Exception, SystemExit) as error:
+                broken = True
+                print(f"nrbench: report {name} failed: {type(error).__name__}: {error}", file=sys.stderr)
+    return written, broken
 
 
 def _conclude(run: Any, written: list[Path], as_json: bool) -> int:
@@ -142,14 +147,15 @@ def plan_command(**given: Any) -> None:
 @click.command("report")
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--format", "formats", metavar="html,csv,...", help="Which reports.  [default: all]")
-def report_command(run: Path, formats: str | None) -> None:
+def report_command(run: Path, formats: str | None) -> int:
     """Write the reports of RUN again, from what is on disk; nothing is computed."""
     from nrbench.records import Run
 
     found = Run(run)
-    assert found.info
-    for path in _write_reports(found, formats):
+    written, broken = _write_reports(found, formats) if found.info else ([], False)
+    for path in written:
         print(path)
+    return int(broken)
 
 
 @click.command("status")

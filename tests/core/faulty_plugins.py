@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import time
@@ -66,6 +67,48 @@ class Faulty:
 
 
 @dataclass(frozen=True)
+class Odd:
+    """Return something that is of no declared type, as ``how`` says."""
+
+    how: str = "seconds"
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return it."""
+        good = np.full((*task.shape, task.sample.shape[2]), 0.5, np.float32)
+        odd = {
+            "seconds": {"detection_seconds": float("nan")},
+            "text": {"detection_seconds": "long"},
+            "lattice": {"lattice": "32,0,0,32"},
+            "pickle": {"extras": {"x": np.array([object()])}},
+            "path": {"extras": {"../x": good}},
+            "source": {"source": "nowhere"},
+        }
+        return Synthesis(good, **odd[self.how])  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Escaper:
+    """Leave a process of its own session behind, and a forged message in every open file."""
+
+    mark: str = "mark"
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Start it, write rubbish, and answer well."""
+        if os.fork() == 0:
+            os.setsid()
+            time.sleep(3)
+            with open(self.mark, "w") as late:  # noqa: PTH123
+                late.write("alive")
+            os._exit(0)
+        for handle in range(3, 64):
+            with contextlib.suppress(OSError):
+                os.write(handle, b"[1]\n{\n")
+        return Synthesis(np.full((*task.shape, task.sample.shape[2]), 0.25, np.float32))
+
+
+@dataclass(frozen=True)
 class Spawner:
     """Leave a process behind that would outlive the cell."""
 
@@ -94,3 +137,14 @@ class Deadly:
         if float(np.ptp(observation.output)) == 0:
             os.kill(os.getpid(), signal.SIGKILL)
         return Score({"value": 1.0})
+
+
+@dataclass(frozen=True)
+class Wordy:
+    """A metric that answers with words when the output is gray."""
+
+    columns: ClassVar = {"value": Column("Never there.")}
+
+    def score(self, observation: Observation) -> Score:
+        """Answer."""
+        return Score({"value": "good" if float(np.ptp(observation.output)) == 0 else 1.0})  # type: ignore[dict-item]

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +20,7 @@ from nrbench.runner import Options
 from nrbench.suite import Suite, validated_suite
 from nrbench.supervisor import Supervisor
 
+FAULTS = Path(__file__).with_name("faulty_plugins.py")
 HOWS = {
     "raise": ("error", "RuntimeError: planted failure"),
     "refuse": ("refused", "planted refusal"),
@@ -58,6 +63,57 @@ def test_every_fault_is_a_row(faulty: Path, tmp_path: Path) -> None:
         assert message in record.message
     assert by_label["fine"].status == "ok"
     assert "planted failure" in by_label["faulty"].log_tail
+
+
+@pytest.mark.parametrize("how", ["seconds", "text", "lattice", "pickle", "path", "source"])
+def test_an_answer_of_no_declared_type_is_invalid(how: str, faulty: Path, tmp_path: Path) -> None:
+    """Whatever a method hands back beside its image is checked before anything is written."""
+    found = run(small_suite([f"odd:how={how}", "fine"]), out=tmp_path / "run", options=Options(jobs=0))
+    odd, fine = found.cells
+    assert (odd.status, fine.status) == ("invalid", "ok")
+    assert not (odd.folder / "output.png").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
+def test_an_interrupted_cell_has_no_result(tmp_path: Path) -> None:
+    """Ctrl-C ends with exit code 130 and leaves the cells in flight unanswered, to be run again."""
+    suite = tmp_path / "s.toml"
+    suite.write_text(
+        'name = "s"\nsample = "64x64"\nsize = "64x64"\nmethods = ["faulty:how=loop", "spawner"]\n'
+        'texture = [{ name = "wall", dataset = "brick" }]\n'
+    )
+    program = "import sys; from nrbench.cli.main import main; main(sys.argv[1:])"
+    words = ["--plugin", str(FAULTS), "run", str(suite), "--jobs", "2", "--memory", "1e6", "--out", "run"]
+    started = subprocess.Popen([sys.executable, "-c", program, *words], cwd=tmp_path, stderr=subprocess.DEVNULL)
+    cells = tmp_path / "run" / "cells"
+    while started.poll() is None and len(list(cells.glob("*/log.txt"))) < 1:
+        time.sleep(0.02)
+    time.sleep(0.5)
+    started.send_signal(signal.SIGINT)
+    assert started.wait(30) == 130
+    assert list(cells.glob("*/result.json")) == []
+
+
+def test_nothing_escapes(faulty: Path, tmp_path: Path, way: str) -> None:
+    """A process of another session is killed with its cell, and forged messages reach no other cell."""
+    mark = tmp_path / "mark"
+    found = run(small_suite([f"escaper:mark={mark}", "fine"]), out=tmp_path / "run", options=Options(timeout=20))
+    assert [record.status for record in found.cells] == ["ok", "ok"]
+    assert found.cells[1].values["cost.seconds"] is not None
+    if way == "fork":
+        time.sleep(3.5)
+        assert not mark.exists()
+
+
+def test_a_metric_of_no_declared_type_is_none_and_tried_again(faulty: Path, tmp_path: Path) -> None:
+    """A score that is no number is None with the reason, and `retry_failed` asks for it again."""
+    options = Options(timeout=20, retry_failed=True)
+    found = run(small_suite(["faulty:how=gray"]), out=tmp_path / "run", options=Options(timeout=20))
+    assert "a score is a finite number" in found.cells[0].reasons["wordy.value"]
+    file = next((found.cells[0].folder / "scores").glob("wordy-*.json"))
+    before = file.stat().st_mtime_ns
+    run(small_suite(["faulty:how=gray"]), out=tmp_path / "run", options=options)
+    assert file.stat().st_mtime_ns > before
 
 
 def test_a_metric_that_dies_spares_the_others(faulty: Path, tmp_path: Path) -> None:
