@@ -36,5 +36,5 @@ class Cost:
         values["seconds"] = seconds
         values["px_per_second"] = height * width / seconds if seconds else None
         values["reliable"] = None if seconds is None else not cost.get("side_by_side")
-        reasons = {name: "it was not measured" for name, value in values.items() if value is None}
+        reasons = {name: "it was not measured, or took no time" for name, value in values.items() if value is None}
         return Score({name: values[name] for name in self.columns}, reasons)

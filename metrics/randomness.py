@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from nrbench.imaging.door import Image
+from nrbench.imaging.fold import tile_grid
 from nrbench.lattice.geometry import Lattice
 from nrbench.synthesis import Column, Observation, Score
 
@@ -57,8 +58,9 @@ class Randomness:
         if judgement.preserved is False:
             return no_score(self.columns, f"not scored: regularity is lost ({judgement.faults[0]})")
         noise = offset_noise(judgement.references)
-        references = [Residual.of(look, noise, observation.rng) for look in judgement.references]
-        output = Residual.of(judgement.output, noise, observation.rng)
+        grid = tile_grid(judgement.yardstick.lattice)
+        references = [Residual.of(look, noise, observation.rng, grid) for look in judgement.references]
+        output = Residual.of(judgement.output, noise, observation.rng, grid)
         if min(len(residual.departures) for residual in (output, *references)) < _LEAST_TILES:
             return no_score(self.columns, f"undecided: fewer than {_LEAST_TILES} whole tiles to compare")
         return _scored(self.columns, observation.sample, judgement, output, references)

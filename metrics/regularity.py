@@ -32,7 +32,8 @@ class Regularity:
 
     All limits are relative to fresh draws of the model (of a photograph: to the sample itself, each part against the
     mean tile of the rest): see ``nrbench.metrics.limits``. For a photograph the affine part of the displacement, up to
-    2 %, is taken for uncertainty of the given lattice: reported as drift, and left out of everything else.
+    2 %, is taken for uncertainty of the given lattice: reported as drift, and left out of everything else. That is
+    allowed once to the sample, whose lattice is fitted, and once more to the output.
     """
 
     version: ClassVar[str] = "1"
@@ -59,6 +60,8 @@ class Regularity:
             return no_score(self.columns, obstacle(judgement))
         values = _values(judgement)
         reasons = {} if values["preserved"] is not None else {"preserved": f"undecided: {judgement.blindness}"}
+        if values["drift"] is None:
+            reasons["drift"] = "not measured: fewer than 3 x 3 windows"
         return Score(values, reasons, {"defects": defect_map(judgement)}, _records(judgement))
 
 
@@ -78,7 +81,7 @@ def _values(judgement: Judgement) -> dict[str, Value]:
         "worst_neighborhood": judgement.worst_neighborhood,
         "structure": judgement.structure,
         "bad_tiles": float(len(judgement.bad_places)),
-        "drift": 100 * float(np.linalg.norm(judgement.drift, 2)),
+        "drift": 100 * float(np.linalg.norm(judgement.drift, 2)) if min(judgement.output.placement.grid) >= 3 else None,
     }
 
 

@@ -40,7 +40,7 @@ class Residual:
     departures: Values
 
     @classmethod
-    def of(cls, look: Look, noise: Points, rng: np.random.Generator) -> Residual:
+    def of(cls, look: Look, noise: Points, rng: np.random.Generator, grid: tuple[int, int] | None = None) -> Residual:
         """Cut the tiles where they were found, so that a small misplacement does not count as variation.
 
         Parameters
@@ -51,11 +51,13 @@ class Residual:
             Covariance in px^2 of the places at which tiles are found that are where they should be.
         rng
             Chooses the tiles where there are more than 1500.
+        grid
+            Samples (V, U) of a tile; None: what the image's own lattice needs. Images that are compared share one.
         """
         middles = found_middles(look, noise)
         if len(middles) > MOST_TILES:
             middles = middles[np.sort(rng.choice(len(middles), MOST_TILES, replace=False))]
-        cut, _ = cut_tiles(look.image, look.tiles.lattice, middles)
+        cut, _ = cut_tiles(look.image, look.tiles.lattice, middles, grid)
         mean = cut.mean(0) if len(cut) else np.zeros(cut.shape[1:], np.float32)
         return cls(look.tiles.lattice, mean, cut - mean)
 

@@ -12,10 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
-
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image
+from nrbench.imaging.door import Image, like_sample
 from nrbench.imaging.files import read_image, write_image
 from nrbench.synthesis import Synthesis, Task
 
@@ -67,7 +65,7 @@ class Command:
             write_image(sample, task.sample)
             words = self._words(task, sample, output)
             _execute(words, Path(folder, "work"))
-            return Synthesis(_read(output, words[0], task.sample.shape[2]))
+            return Synthesis(_read(output, words[0], task.sample))
 
     def fingerprint(self) -> str:
         """Return a hash of the files that the command names, the program included: a changed one is another method."""
@@ -108,17 +106,11 @@ def _execute(words: list[str], folder: Path) -> None:
         raise RuntimeError(f"{words[0]} ended with exit code {done.returncode}: {said[-TAIL:] or 'it said nothing'}")
 
 
-def _read(output: Path, program: str, channels: int) -> Image:
+def _read(output: Path, program: str, sample: Image) -> Image:
     if not output.exists():
         raise RuntimeError(f"{program} ended well but wrote no {{output}}")
     try:
         image = read_image(output)
     except BadInput as error:
         raise RuntimeError(f"{program} wrote an unusable {{output}}: {error}") from error
-    return _as_gray(image) if channels == 1 else image
-
-
-def _as_gray(image: Image) -> Image:
-    """Return one channel where a program wrote a gray picture as color."""
-    same = np.array_equal(image, np.broadcast_to(image[..., :1], image.shape))
-    return image[..., :1] if same else image
+    return like_sample(image, sample)

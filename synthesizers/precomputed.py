@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image
+from nrbench.imaging.door import Image, like_sample
 from nrbench.imaging.files import read_image
 from nrbench.streams import pixels_hash
 from nrbench.synthesis import Refused, Synthesis, Task
@@ -49,10 +49,10 @@ class Precomputed:
         folder = self._folder()
         named = folder / name_for(task.sample, task.shape)
         if named.exists():
-            return Synthesis(read_image(named))
+            return Synthesis(like_sample(read_image(named), task.sample))
         for output in _listed(folder, task.sample):
             if output.shape[:2] == task.shape:
-                return Synthesis(output)
+                return Synthesis(like_sample(output, task.sample))
         raise Refused(f"no {named}, and no row of index.csv with this sample and an output of that size")
 
     def fingerprint(self) -> str:
@@ -87,5 +87,7 @@ def _listed(folder: Path, sample: Image) -> Iterator[Image]:
         if not {"sample", "output"} <= set(rows.fieldnames or ()):
             raise BadInput(f"{index}: columns {rows.fieldnames}; its first line must be sample,output")
         for row in rows:
+            if not (row["sample"] and row["output"]):
+                raise BadInput(f"{index} line {rows.line_num}: has an empty place; name a sample and an output")
             if pixels_hash(read_image(folder / row["sample"])) == wanted:
                 yield read_image(folder / row["output"])

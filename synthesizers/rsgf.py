@@ -27,8 +27,9 @@ class Rsgf:
     The output is divided into blocks. Every second one, as on a chess-board, takes a patch drawn uniformly from the
     places of the sample that the lattice calls equal to its own and that show it whole, borders included (section 4.1).
     Each gap left takes the patch that agrees best with the border that its neighbours' patches, continued into the gap,
-    compose of their wedges (section 4.2, figure 4). Over that border the patches are blended linearly. Lattice places
-    are computed from the real-valued vectors and rounded to whole pixels once, so that nothing drifts.
+    compose of their wedges (section 4.2, figure 4). The paper leaves open whether that border lies inside the gap or
+    around it; here it lies inside, so that it is also what is blended, linearly, and the sample needs no more room.
+    Lattice places are computed from the real-valued vectors and rounded to whole pixels once, so that nothing drifts.
 
     With no lattice given the method finds one by ``gncc``; where there is none it goes on in the paper's mode for
     irregular textures, in which every position is a candidate, and says so in the note.
@@ -47,7 +48,8 @@ class Rsgf:
         Where a gap's patch may come from: ``"lattice"``, near the places that the lattice calls equal, or
         ``"everywhere"``.
     tolerance
-        How near, in px along x and y; None takes 3 px (the paper's), but not more than a tenth of the shortest lattice
+        How near, in px along x and along y, at least half a pixel; without meaning where every place is searched. None
+        takes 3 px (the paper's), but not more than a tenth of the shortest lattice
         vector.
     """
 

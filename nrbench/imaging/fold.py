@@ -91,7 +91,9 @@ def sample_tile(values: Values, uv: NDArray[np.float64]) -> Values:
     return np.asarray(mixed, np.float32).reshape(*uv.shape[:-1], channels)
 
 
-def cut_tiles(image: Values, lattice: Lattice, middles: Points) -> tuple[Values, NDArray[np.bool_]]:
+def cut_tiles(
+    image: Values, lattice: Lattice, middles: Points, grid: tuple[int, int] | None = None
+) -> tuple[Values, NDArray[np.bool_]]:
     """Return the image's cells around ``middles`` (x, y), each resampled on the grid of a tile by cubic splines.
 
     Parameters
@@ -102,6 +104,8 @@ def cut_tiles(image: Values, lattice: Lattice, middles: Points) -> tuple[Values,
         Its vectors span the cells; its origin does not matter.
     middles
         ``(n, 2)`` px, real-valued.
+    grid
+        Samples (V, U); None: what the lattice needs. Tiles that are to be compared share one.
 
     Returns
     -------
@@ -110,7 +114,7 @@ def cut_tiles(image: Values, lattice: Lattice, middles: Points) -> tuple[Values,
     inside
         ``bool (n,)``: which they are.
     """
-    rows, columns = tile_grid(lattice)
+    rows, columns = grid or tile_grid(lattice)
     v, u = np.meshgrid((np.arange(rows) + 0.5) / rows - 0.5, (np.arange(columns) + 0.5) / columns - 0.5, indexing="ij")
     around = np.stack([u, v], -1) @ lattice.matrix
     reach = np.abs(around).reshape(-1, 2).max(0)

@@ -7,6 +7,7 @@ from scipy import ndimage
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.door import Image, quantize
+from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.randomness import Randomness, sources
 from nrbench.synthesis import Observation, Score
 from nrbench.texture import Texture
@@ -126,3 +127,14 @@ def test_sources_count_the_equal_places(case: Cases) -> None:
     sample = case("brick").texture.image
     assert 0.6 < sources(sample, lattice) * lattice.area / 128**2 < 1
     assert sources(sample[:9, :9], lattice) == 1
+
+
+def test_a_picture_with_a_lattice_of_whole_pixels_is_scored() -> None:
+    """Where the lattice fitted to the output needs another grid than the given one, tiles are still compared."""
+    rng = np.random.default_rng(5)
+    motif = rng.random((20, 20, 1)).astype(np.float32)
+    sample, output = (np.tile(motif, (9, 9, 1)) * 0.8 + 0.2 * rng.random((180, 180, 1), np.float32) for _ in range(2))
+    given = Lattice((20, 0), (0, 20))
+    truth = Texture(sample, given, (given,))
+    score = Randomness().score(Observation(sample, output, truth=truth, lattice_given=given))
+    assert score.values["variation"] == pytest.approx(1, abs=0.1)
