@@ -127,3 +127,30 @@ def test_two_files_of_one_name(names: tuple[str, str]) -> None:
     suite = _suite(texture=[{"name": name, "dataset": "brick"} for name in names])
     with pytest.raises(BadInput, match="name of two pictures; rename the texture"):
         write_textures(drawn(suite), Path("out"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ([1, 2], "recipe: "),
+        ({"seed": 3}, "recipe.dataset: "),
+        ({"seed": "three"}, "recipe.seed: "),
+        ({"seed": [3]}, "recipe.seed: "),
+        ({"shape": 7}, "size 7"),
+    ],
+)
+def test_a_malformed_recipe(folder: Path, change: object, message: str) -> None:
+    """A recipe that cannot be read is refused, by file and picture."""
+    truth = json.loads((folder / "truth.json").read_text("utf-8"))
+    whole = {**truth["textures"]["wall.png"]["recipe"], **change} if isinstance(change, dict) else change
+    truth["textures"]["wall.png"]["recipe"] = change if message == "recipe.dataset: " else whole
+    (folder / "truth.json").write_text(json.dumps(truth), "utf-8")
+    with pytest.raises(BadInput, match=r"truth\.json: picture 'wall': .*" + message.replace(".", r"\.")):
+        load_suite(folder)
+
+
+def test_no_table_of_a_picture(folder: Path) -> None:
+    """What is said of a picture must be a table."""
+    (folder / "truth.json").write_text('{"textures": {"wall.png": 3}}', "utf-8")
+    with pytest.raises(BadInput, match=r"truth\.json: picture 'wall\.png': 3 is no table"):
+        load_suite(folder)
