@@ -93,7 +93,7 @@ def read_rendered(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
     Raises
     ------
     BadInput
-        When ``truth.json`` is no JSON.
+        When ``truth.json`` is no JSON, or what it says of a picture is no table.
     """
     path = folder / "truth.json"
     try:
@@ -103,8 +103,12 @@ def read_rendered(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
     textures = content.get("textures") if isinstance(content, dict) else None
     if not isinstance(textures, dict):
         return "", {}
-    rows = {name: known for name, known in textures.items() if isinstance(known, dict)}
-    kept = {name: {key: known[key] for key in _ROW if known.get(key)} for name, known in rows.items()}
+    for name, known in textures.items():
+        if not isinstance(known, dict):
+            raise BadInput(f"{path}: picture {name!r}: {known!r} is no table; render the textures again, or delete it")
+    kept = {
+        name: {key: known[key] for key in _ROW if known.get(key) not in (None, "")} for name, known in textures.items()
+    }
     return str(content.get("sheet", "")), {name: row | _whole(row) for name, row in kept.items()}
 
 

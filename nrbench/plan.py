@@ -228,13 +228,21 @@ def _recipe(suite: Suite, row: TextureRow, replicate: int) -> Recipe:
     first = Recipe(known.dataset, known.parameters, known.seed, known.texture, known.replicate, known.shape)
     try:
         parameters = plugins.parameters_of(first.plugin())
-        same = pixels_hash(first.render().image) == pixels_hash(
-            dataclasses.replace(own, shape=known.shape).render().image
-        )
+        drawn_then, picture = first.render(), dataclasses.replace(own, shape=known.shape).render()
+        same = pixels_hash(drawn_then.image) == pixels_hash(picture.image) and _as_told(drawn_then, picture)
     except Exception:  # of another version, or of a plugin that is not installed here: a picture like any other
         return own
     there = dataclasses.replace(first, parameters=parameters, replicate=known.replicate + replicate, shape=shape)
     return there if same else own
+
+
+def _as_told(texture: Texture, picture: Texture) -> bool:
+    """Return whether the lattice told of a picture, if any, is the texture's own: vectors and origin to 1e-9 px."""
+    own, told = texture.lattice, picture.lattice
+    if own is None or told is None:
+        return told is None
+    pairs = ((own.t1, told.t1), (own.t2, told.t2), (own.origin, told.origin))
+    return all(np.allclose(*pair, rtol=0, atol=1e-9) for pair in pairs)
 
 
 def _region(recipe: Recipe, texture: Texture, shape: Shape) -> Image | None:

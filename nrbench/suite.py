@@ -202,14 +202,24 @@ def directory_suite(directory: Path) -> Suite:
         if lister is not None:
             rows = [{"dataset": plugin.name, **row} for row in lister(directory)]
             title = directory.resolve().name or "pictures"
-            content: dict[str, Any] = {"name": title, "texture": rows, "seed": _common_seed(rows), **PICTURE_SIZES}
+            seed = _common_seed([_validated_row(row, directory) for row in rows])
+            content: dict[str, Any] = {"name": title, "texture": rows, "seed": seed, **PICTURE_SIZES}
             content["methods"] = load_suite(DEFAULT).methods
             return validated_suite(content, str(directory))
     raise BadInput(f"{directory}: no dataset plugin reads a directory; see `nrbench list datasets`")
 
 
-def _common_seed(rows: Sequence[Mapping[str, Any]]) -> int:
+def _validated_row(row: Mapping[str, Any], directory: Path) -> TextureRow:
+    try:
+        return TextureRow.model_validate(row)
+    except ValidationError as error:
+        told = error.errors()[0]["loc"][0] not in ("name", "dataset", "parameters")
+        where = directory / "truth.json" if told else directory
+        remedy = "; render the textures again, or delete the file" if told else ""
+        raise BadInput(f"{where}: picture {row.get('name')!r}: {_first(error)}{remedy}") from None
+
+
+def _common_seed(rows: Sequence[TextureRow]) -> int:
     """Return the seed of the suite that all pictures were rendered from; 0 where they were not, or from several."""
-    seeds = {row["recipe"]["seed"] if row.get("recipe") else None for row in rows}
-    seed = seeds.pop() if len(seeds) == 1 else None
-    return seed if isinstance(seed, int) else 0
+    seeds = {row.recipe.seed if row.recipe else None for row in rows}
+    return (seeds.pop() or 0) if len(seeds) == 1 else 0

@@ -66,23 +66,42 @@ def test_a_run_on_the_directory_is_the_run_of_the_suite(folder: Path) -> None:
 
 def test_outputs_and_scores_are_identical(folder: Path, tmp_path: Path) -> None:
     """Run on the directory, methods give the same bytes as run on the suite, and metrics the same numbers."""
-    names = {"wall.png", "cloth-1.png"}
-    for path in folder.glob("*.png"):
-        path.unlink() if path.name not in names else None
-    (folder / "truth.csv").unlink()
+    methods = ["tiling", "rsgf:block=16,border=4"]
+    there = load_suite(folder).with_changes(methods=methods, lattice=["given"])
     found = [
-        run(suite, textures=["wall", "cloth*"], out=tmp_path / f"run{i}", options=Options(jobs=0))
-        for i, suite in enumerate((_suite(), load_suite(folder).with_changes(methods=["scatter"], lattice=["given"])))
+        run(suite, textures=names, out=tmp_path / f"run{i}", options=Options(jobs=0))
+        for i, (suite, names) in enumerate(((_suite(methods=methods), ["wall", "cloth"]), (there, ["wall", "cloth-1"])))
     ]
     suite, directory = ({record.key: record for record in each.cells} for each in found)
-    assert set(directory) <= set(suite) and len(directory) == 2
+    assert set(directory) <= set(suite) and len(directory) == 4
     for key, record in directory.items():
         assert record.status == suite[key].status == "ok"
+        given, due = record.cell.lattice_given, suite[key].cell.lattice_given
+        assert given is not None and due is not None
+        np.testing.assert_allclose(given.matrix, due.matrix, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(given.origin, due.origin, rtol=0, atol=1e-9)
         assert (record.folder / "output.png").read_bytes() == (suite[key].folder / "output.png").read_bytes()
         scores = [
             {name: value for name, value in one.values.items() if "cost" not in name} for one in (record, suite[key])
         ]
         assert scores[0] == scores[1] and scores[0]
+
+
+def test_an_edited_truth_counts(folder: Path) -> None:
+    """Where truth.csv was given another lattice, the picture is one like any other, with that lattice."""
+    with (folder / "truth.csv").open(encoding="utf-8", newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    next(row for row in rows if row["file"] == "wall.png")["originx"] = "2.5"
+    with (folder / "truth.csv").open("w", encoding="utf-8", newline="") as lines:
+        writer = csv.DictWriter(lines, rows[0].keys())
+        writer.writeheader()
+        writer.writerows(rows)
+    samples = {sample.row.name: sample for sample in drawn(load_suite(folder))}
+    wall = samples["wall"].texture
+    assert samples["wall"].recipe.dataset == "images" and samples["cloth"].recipe.dataset == "weave"
+    assert wall and wall.lattice and wall.lattice.origin[0] == 2.5
+    (folder / "truth.csv").unlink()
+    assert next(iter(drawn(load_suite(folder), ["wall"]))).recipe.dataset == "brick"
 
 
 def test_an_edited_picture_is_a_photograph(folder: Path) -> None:
@@ -127,3 +146,30 @@ def test_two_files_of_one_name(names: tuple[str, str]) -> None:
     suite = _suite(texture=[{"name": name, "dataset": "brick"} for name in names])
     with pytest.raises(BadInput, match="name of two pictures; rename the texture"):
         write_textures(drawn(suite), Path("out"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ([1, 2], "recipe: "),
+        ({"seed": 3}, "recipe.dataset: "),
+        ({"seed": "three"}, "recipe.seed: "),
+        ({"seed": [3]}, "recipe.seed: "),
+        ({"shape": 7}, "size 7"),
+    ],
+)
+def test_a_malformed_recipe(folder: Path, change: object, message: str) -> None:
+    """A recipe that cannot be read is refused, by file and picture."""
+    truth = json.loads((folder / "truth.json").read_text("utf-8"))
+    whole = {**truth["textures"]["wall.png"]["recipe"], **change} if isinstance(change, dict) else change
+    truth["textures"]["wall.png"]["recipe"] = change if message == "recipe.dataset: " else whole
+    (folder / "truth.json").write_text(json.dumps(truth), "utf-8")
+    with pytest.raises(BadInput, match=r"truth\.json: picture 'wall': .*" + message.replace(".", r"\.")):
+        load_suite(folder)
+
+
+def test_no_table_of_a_picture(folder: Path) -> None:
+    """What is said of a picture must be a table."""
+    (folder / "truth.json").write_text('{"textures": {"wall.png": 3}}', "utf-8")
+    with pytest.raises(BadInput, match=r"truth\.json: picture 'wall\.png': 3 is no table"):
+        load_suite(folder)
