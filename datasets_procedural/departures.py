@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,7 +55,7 @@ class Departures:
 
     @property
     def spread(self) -> float:
-        """Standard deviation in px, along each axis, of how far the content of a pixel moves."""
+        """Standard deviation in px, along each axis, of displacements: of elements by jitter, of pixels by bend."""
         return 0.25 * self.s * math.hypot(self.jitter, self.bend)
 
     @property
@@ -175,6 +175,29 @@ class Departures:
         regular = mean.var((0, 1), dtype=np.float64).mean()
         kept = self._unblurred(mean, lattice) if self.spread else 1.0
         return float(kept * regular / (regular + variance.mean()))
+
+    def measured_share(self, draws: Iterable[Pattern]) -> float:
+        """Return the regular share over some draws of the displacements, colors and losses integrated out.
+
+        How far a pixel moves under jitter depends on how many elements the seams around it blend.
+
+        Parameters
+        ----------
+        draws
+            The displaced patterns on one grid ``(n, m)``, at least two, some periods wide.
+        """
+        moments = [self._moments(draw) for draw in draws]
+        means = np.stack([mean for mean, _ in moments])
+        height, width = means.shape[1:3]
+        # a window that fades out counts broken periods at the border for little
+        window = np.outer(np.hanning(height + 2)[1:-1], np.hanning(width + 2)[1:-1])[..., np.newaxis]
+        window /= window.sum() * means.shape[-1]
+        moved = float((window * means.var(0, ddof=1)).sum())
+        mean = means.mean(0)
+        flat = (window * mean).sum((0, 1)) * means.shape[-1]
+        regular = max(float((window * (mean - flat) ** 2).sum()) - moved / len(means), 0.0)
+        own = float(np.mean([(window * variance).sum() for _, variance in moments]))
+        return regular / (regular + moved + own)
 
     def _moments(self, cell: Pattern) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return mean and variance over draws at each point, displacements left out."""

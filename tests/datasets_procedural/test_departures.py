@@ -158,6 +158,17 @@ def test_regular_share_counts_every_departure(strengths: dict[str, float]) -> No
     assert made.regular_share == pytest.approx(regular / (regular + within.mean()), abs=0.08)
 
 
+@pytest.mark.parametrize("model", MODELS)
+def test_regular_share_under_jitter(model: type[Model]) -> None:
+    """The share stated is that of draws of other seeds, though seams move less than elements do."""
+    made = model(phase=(0.0, 0.0), jitter=0.5, **NONE)
+    side = int(np.clip(3 * np.abs(made.vectors).max(), 96, 192))
+    draws = np.stack([_render(made, seed, side).image for seed in range(100, 130)]).astype(np.float64)
+    within = draws.var(0, ddof=1).mean()
+    regular = draws.mean(0).var((0, 1)).mean() - within / len(draws)
+    assert made.regular_share == pytest.approx(regular / (regular + within), abs=0.05)
+
+
 def test_a_window_of_a_draw_is_the_same_draw() -> None:
     """With every departure at once, a smaller picture is the corner of a larger one, to the byte."""
     made = Hexagon(rotation=5.0, light=0.3, damage=0.2, missing=0.1, jitter=0.3, bend=0.3)
