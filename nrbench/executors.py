@@ -69,7 +69,8 @@ def _cluster(address: str) -> Iterator[Executor]:
     except ImportError:
         raise BadInput("--scheduler: needs distributed; install it with `pip install nrbench[distributed]`") from None
     try:
-        client = Client(address, timeout="10s")
+        connect: Any = Client
+        client = connect(address, timeout="10s")
     except (OSError, TimeoutError, ValueError) as error:
         raise BadInput(f"--scheduler {address}: cannot be reached ({error}); start `dask scheduler` there") from None
     try:
