@@ -18,7 +18,7 @@ def missing_tile(plot: Plot) -> Planting:
     covered, image = plot.cell(), plot.fresh()
     image = np.array(image)
     image[covered] += np.float32(plot.size) * (image[covered].mean(0) - image[covered])
-    return Planting(image, plot.still(), covered, f"opacity {plot.size:g}")
+    return Planting(image, plot.still(), covered & (plot.size > 0), f"opacity {plot.size:g}")
 
 
 def blurred_band(plot: Plot) -> Planting:
@@ -31,7 +31,7 @@ def blurred_band(plot: Plot) -> Planting:
     image, deviation = np.array(plot.fresh()), _BLUR * plot.size
     if deviation:
         image[covered] = gaussian_filter(image, (deviation, deviation, 0), mode="mirror")[covered]
-    return Planting(image, plot.still(), covered, f"standard deviation {deviation:g} px")
+    return Planting(image, plot.still(), covered & (plot.size > 0), f"standard deviation {deviation:g} px")
 
 
 def seam(plot: Plot) -> Planting:
@@ -41,7 +41,7 @@ def seam(plot: Plot) -> Planting:
     weight = np.maximum(1 - np.abs(beyond) / _SEAM_REACH, 0)
     change = plot.size / 2 * np.where(beyond >= 0, weight, -weight)
     image = np.clip(plot.fresh() + change[..., np.newaxis].astype(np.float32), 0, 1)
-    return Planting(image, plot.still(), weight > 0, f"contrast {plot.size:g}")
+    return Planting(image, plot.still(), (weight > 0) & (plot.size > 0), f"contrast {plot.size:g}")
 
 
 def color_mean(plot: Plot) -> Planting:

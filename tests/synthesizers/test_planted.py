@@ -298,3 +298,9 @@ def test_without_fresh_draws_or_lattice_it_refuses(kind: str) -> None:
     else:
         with pytest.raises(Refused, match="no lattice"):
             plant(kind, 0.3, again=chaotic)
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_of_size_zero_nothing_is_covered(kind: str) -> None:
+    """A defect of size 0 lies nowhere."""
+    assert not plant(kind, 0).extras["covered"].any()
