@@ -127,10 +127,11 @@ def hats(u: Field, v: Field) -> list[tuple[tuple[Index, Index], Field]]:
 
     In each of the four, i and j have a parity of their own, so that no two ever name the same point.
     """
-    found = []
-    for row in range(2):
-        for column in range(2):
-            i = 2 * np.rint((u - column) / 2).astype(np.int64) + column
-            j = 2 * np.rint((v - row) / 2).astype(np.int64) + row
-            found.append(((i, j), np.maximum(1 - np.abs(u - i), 0) * np.maximum(1 - np.abs(v - j), 0)))
-    return found
+    columns, rows = ([_hat(part, parity) for parity in range(2)] for part in (u, v))
+    return [((i, j), right * down) for j, down in rows for i, right in columns]
+
+
+def _hat(u: Field, parity: int) -> tuple[Index, Field]:
+    """Return the nearest even or odd number, and its linear weight."""
+    i = 2 * np.rint((u - parity) / 2).astype(np.int64) + parity
+    return i, np.maximum(1 - np.abs(u - i), 0)

@@ -1,10 +1,16 @@
-"""Departures: how a draw differs from its ideal image, element by element and as a whole."""
+"""Departures: how a draw differs from its ideal image, element by element and as a whole.
+
+Jitter moves elements by a quarter of s, however small they are. Neighbors that move farther apart than they are broad
+would fold the picture over, so small elements move by themselves only as far as their breadth allows, and make the rest
+of the standard deviation together, in waves whose length is in proportion to how far they move.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +24,11 @@ from .coordinates import Displacement, Field
 from .fields import factor_variance, factors, grain, role_seed, uniform, unit
 from .pattern import Layer, Pattern
 from .waves import waves
+
+_ALONE = 0.27
+"""Standard deviation, as a share of an element's breadth, up to which jitter moves small elements by themselves."""
+_STRETCH = 22.0
+"""Length of the waves of the rest of the jitter, over its standard deviation: its gradients then have one of 0.2."""
 
 Elements = dict[str, NDArray[np.float64]]
 """``NAME.index`` ``(n, k)``, ``NAME.factor`` ``(n, 3)``, ... of the n elements in the picture, for each kind."""
@@ -64,6 +75,21 @@ class Departures:
         return math.ceil(4 * self._seam) if self.jitter else 0
 
     @property
+    def _alone(self) -> float:
+        """Standard deviation in px by which jitter moves each element by itself: more would fold the picture over.
+
+        Elements half as broad as s, with few seams, move alone up to a strength of 0.8.
+        """
+        share = max(_ALONE, 0.8 * self.element_size / self.s)
+        return min(0.25 * self.s * self.jitter, share * self.element_size)
+
+    @property
+    def _together(self) -> float:
+        """Standard deviation in px by which jitter moves elements with their neighbors: the rest of it."""
+        rest = (0.25 * self.s * self.jitter) ** 2 - self._alone**2
+        return math.sqrt(rest) if rest > 1e-9 * self.s**2 else 0.0
+
+    @property
     def _seam(self) -> float:
         """Standard deviation in px of the Gaussian across seams: as wide as elements move, else they fold over."""
         size = self.element_size
@@ -75,36 +101,44 @@ class Departures:
         Parameters
         ----------
         around
-            The pattern on the picture and :attr:`margin` px around it: an element moves as one, and what lies between
-            two is stretched.
+            The pattern on the picture and :attr:`margin` px around it: an element moves as one (but for the waves), and
+            what lies between two is stretched.
         shape, seed
             The picture's, and the draw's.
         """
         moved = np.zeros((*shape, 2))
         if self.bend:
-            for axis in range(2):
-                moved[..., axis] += (
-                    0.25 * self.s * self.bend * waves(role_seed(seed, f"bend.{axis}"), shape, 5 * self.s)
-                )
+            moved += self._waves("bend", 0.25 * self.s * self.bend, 5 * self.s, shape, seed)
         if self.jitter:
             moved += self._jitter(around, seed)
+        if self._together:
+            moved += self._drift(shape, seed)
         return moved
+
+    def _waves(self, role: str, spread: float, period: float, shape: Shape, seed: int) -> Displacement:
+        return np.stack([spread * waves(role_seed(seed, f"{role}.{axis}"), shape, period) for axis in range(2)], -1)
+
+    def _drift(self, shape: Shape, seed: int) -> Displacement:
+        """Return what jitter moves together, in waves so long that the map of the picture stays one to one."""
+        return self._waves("drift", self._together, _STRETCH * self._together, shape, seed)
 
     def _jitter(self, around: Pattern, seed: int) -> Displacement:
         """Return the displacement of the element at each pixel, smoothed across the seams by a Gaussian."""
-        weight = np.sum([layer.coverage for layer in around.layers], 0) + 1e-3
-        total = np.sum([layer.coverage[..., np.newaxis] * self._moves(layer, seed) for layer in around.layers], 0)
-        smooth = [self._smoothed(field) for field in (total[..., 0], total[..., 1], weight)]
+        weight = self._smoothed(around.covered() + 1e-3)
+        moves = [self._moves(layer, seed) for layer in around.layers]
         inside = slice(self.margin, -self.margin)
-        return np.stack([(part / smooth[2])[inside, inside] for part in smooth[:2]], -1)
+        fields = (reduce(np.add, axis) for axis in zip(*moves, strict=True))
+        return np.stack([(self._smoothed(field) / weight)[inside, inside] for field in fields], -1)
 
-    def _moves(self, layer: Layer, seed: int) -> Displacement:
+    def _moves(self, layer: Layer, seed: int) -> list[Field]:
+        """Return how far each element moves by itself along x and y, times its coverage, at each point."""
         census = layer.census()
-        return self._move_table(layer.name, census.index, seed)[census.place]
+        table = self._move_table(layer.name, census.index, seed)
+        return [layer.coverage * column.take(census.place) for column in np.ascontiguousarray(table.T)]
 
     def _move_table(self, name: str, index: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
         parts = [column[:, np.newaxis] for column in index.T]
-        return 0.25 * self.s * self.jitter * uniform(role_seed(seed, f"{name}.jitter"), *parts, np.arange(2))
+        return self._alone * uniform(role_seed(seed, f"{name}.jitter"), *parts, np.arange(2))
 
     def _smoothed(self, field: Field) -> Field:
         kernel = np.exp(-(np.arange(-self.margin, self.margin + 1) ** 2) / (2 * self._seam**2))
@@ -126,7 +160,9 @@ class Departures:
 
     def _departed(self, pattern: Pattern, seed: int) -> Iterator[tuple[Layer, Image, Elements]]:
         """Yield each layer as worn, with its factor at each pixel and the truth about its elements."""
-        holes = self._holes(pattern.layers[0].coverage.shape, seed) if self.damage else 0.0
+        shape = pattern.layers[0].coverage.shape
+        holes = self._holes(shape, seed) if self.damage else 0.0
+        drift = self._drift(shape, seed) if self._together else None
         for layer in pattern.layers:
             census = layer.census()
             seen = census.seen(layer.coverage)
@@ -134,13 +170,15 @@ class Departures:
             truth = {"index": census.index.astype(np.float64), "factor": table}
             if self.damage or self.missing:
                 truth["damage"] = self._losses(layer.name, census.index, seed)
-                loss = truth["damage"][census.place]
+                loss = truth["damage"].take(census.place)
                 lost = np.where(loss < 1, (loss > 0) * holes, 1.0)
                 layer = replace(layer, coverage=layer.coverage * (1 - lost))
             if self.jitter:
                 truth["displacement"] = self._move_table(layer.name, census.index, seed)
+            if drift is not None:
+                truth["displacement"] += census.means(drift)
             named = {f"{layer.name}.{part}": rows[seen] for part, rows in truth.items()}
-            yield layer, table.astype(np.float32)[census.place], named
+            yield layer, table.astype(np.float32).take(census.place, 0), named
 
     def _losses(self, name: str, index: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
         """Return the share that each element has lost: 0, 0.5 (holes in it) or 1 (missing)."""

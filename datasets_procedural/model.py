@@ -6,7 +6,7 @@ import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -59,7 +59,7 @@ class Model(ABC):
         The same by one factor common to the channels.
     noise
         Strength in [0, 1]: standard deviation of the grain added to every pixel, all channels alike. Up to 0.05 it
-        clips less than 0.1 % of the pixels of most models; above, visibly more.
+        clips less than 0.1 % of the pixels; above, visibly more.
     light
         Strength in [0, 1] of a lighting gradient: everything is multiplied by a wave of random direction, about 16 s
         long (s: the shortest vector of any of its lattices), of mean 1 and standard deviation ``light / 4``.
@@ -68,8 +68,10 @@ class Model(ABC):
     missing
         Probability that an element is lost whole, before any is worn.
     jitter
-        Strength in [0, 1]: each element is displaced as one, by uniform numbers of standard deviation
-        ``jitter * s / 4`` along x and y; what lies between two elements is stretched.
+        Strength in [0, 1]: each element is displaced as one, by numbers of mean 0 and standard deviation
+        ``jitter * s / 4`` along x and y; what lies between two elements is stretched. Elements move by themselves, by
+        uniform numbers, as far as their breadth allows; small ones make the rest of it with their neighbors, in waves
+        (:mod:`~.departures`), so that the picture folds over at about 3 % of the pixels at most up to 0.6.
     bend
         Strength in [0, 1] of a smooth warp: nearly normal displacements of standard deviation ``bend * s / 4`` along x
         and y, in waves about 5 s long.
@@ -186,25 +188,26 @@ class Model(ABC):
         """Return a draw on the lattice of that origin: all of it is a function of one number from ``rng``."""
         check_shape(shape)
         seed = int(rng.integers(2**63))
-        frame, departures = Frame(origin, self.rotation), self.departures
-        around = self._tinted(*frame.grid(shape, departures.margin))
-        pattern = around.cropped(departures.margin)
+        around = self._tinted(*Frame(origin, self.rotation).grid(shape, self.departures.margin))
+        pattern = around.cropped(self.departures.margin)
         ideal, moved = pattern.ideal(), None
-        if departures.spread:
-            moved = departures.displacement(around, shape, seed)
-            pattern = self._tinted(*frame.grid(shape, moved=moved))
-        image, elements = departures.painted(pattern, seed)
+        if self.departures.spread:
+            moved = self.departures.displacement(around, shape, seed)
+            pattern = self._tinted(*Frame(origin, self.rotation).grid(shape, moved=moved))
+        image, elements = self.departures.painted(pattern, seed)
+        drawn = Texture(np.clip(image, 0, 1), ideal=ideal, elements=elements)
+        return self._told(drawn if moved is None else replace(drawn, displacement=moved.astype(np.float32)), origin)
+
+    def _told(self, drawn: Texture, origin: Vector) -> Texture:
+        """Return a draw with what is true of every draw on the lattice of that origin."""
         name = type(self).__name__.lower()
-        parts = [self._lattice(origin, vectors) for vectors in self.sublattices()]
-        return Texture(
-            image=np.clip(image, 0, 1),
-            lattice=self._lattice(origin),
-            lattices=(self._lattice(origin), *parts),
+        lattices = tuple(self._lattice(origin, vectors) for vectors in (self.vectors, *self.sublattices()))
+        return replace(
+            drawn,
+            lattice=lattices[0],
+            lattices=lattices,
             name=name,
             family=name,
             kind=self.kind,
-            ideal=ideal,
-            displacement=None if moved is None else moved.astype(np.float32),
-            elements=elements,
             regular_share=self.regular_share,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,13 @@ class Census:
         """Return which elements cover a part of any pixel, ``(n,)``."""
         return np.bincount(self.place[coverage > 0], minlength=len(self.index)) > 0
 
+    def means(self, field: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the mean of ``(H, W, k)`` over the points of each element, ``(n, k)``; 0 where it has none."""
+        count = np.maximum(np.bincount(self.place.ravel(), minlength=len(self.index)), 1)
+        axes = np.moveaxis(field, -1, 0)
+        sums = [np.bincount(self.place.ravel(), axis.ravel(), len(self.index)) for axis in axes]
+        return np.stack(sums, -1) / count[:, np.newaxis]
+
 
 @dataclass(frozen=True)
 class Pattern:
@@ -85,10 +93,13 @@ class Pattern:
     ground: ArrayLike
     layers: tuple[Layer, ...]
 
+    def covered(self) -> Field:
+        """Return the share of each pixel that elements cover."""
+        return reduce(np.add, (layer.coverage for layer in self.layers))
+
     def bare(self) -> Image:
         """Return the ground where no element covers it."""
-        covered = np.sum([layer.coverage for layer in self.layers], 0)
-        return np.asarray((1 - covered)[..., np.newaxis] * np.asarray(self.ground), np.float32)
+        return np.asarray((1 - self.covered())[..., np.newaxis] * np.asarray(self.ground), np.float32)
 
     def ideal(self) -> Image:
         """Return the pattern as it is without departures."""

@@ -24,6 +24,9 @@ HEXAGONAL = ("p3", "p3m1", "p31m", "p6", "p6m")
 Operation = tuple[int, int, int, int, float, float]
 """(a, b, c, d, e, f): the cell coordinates (u, v) go to (a u + b v + e, c u + d v + f)."""
 
+_BLOCK = 4096
+"""Points whose waves are added at a time: few enough to stay in the processor's cache."""
+
 _TWO: Operation = (-1, 0, 0, -1, 0, 0)
 _THREE: Operation = (0, -1, 1, -1, 0, 0)
 _FOUR: Operation = (0, -1, 1, 0, 0, 0)
@@ -85,13 +88,21 @@ class Motif:
 
     def __call__(self, u: Field, v: Field) -> Field:
         """Return the functions' values, ``(count, ...)``."""
+        u, v = np.broadcast_arrays(u, v)
+        total = np.zeros((self.terms.shape[1], u.size))
+        for start in range(0, u.size, _BLOCK):
+            block = slice(start, start + _BLOCK)
+            self._add(total[:, block], u.reshape(-1)[block], v.reshape(-1)[block])
+        return total.reshape(-1, *u.shape)
+
+    def _add(self, total: Field, u: Field, v: Field) -> None:
+        """Add the functions' values at the points (u, v), ``(n,)``, to ``(count, n)``."""
         along, across = (_powers(part, int(np.abs(self.orders).max())) for part in (u, v))
-        total = np.zeros((self.terms.shape[1], *np.broadcast_shapes(u.shape, v.shape)))
         for (k, m), terms in zip(self.orders, self.terms, strict=True):
             wave = along[k] * across[m]
+            real, imag = wave.real.copy(), wave.imag.copy()
             for sum_, term in zip(total, terms, strict=True):
-                sum_ += term.real * wave.real - term.imag * wave.imag
-        return total
+                sum_ += term.real * real - term.imag * imag
 
 
 def _powers(u: Field, most: int) -> dict[int, NDArray[np.complex128]]:

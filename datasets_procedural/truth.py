@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 from typing import Any
 
 from nrbench.errors import BadInput
-from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.lattice.geometry import Vector
+from nrbench.truth import TruthTable
 
 ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
 """Endings of the files that count as pictures."""
-_NUMBERS = ("t1x", "t1y", "t2x", "t2y")
-_ORIGIN = ("originx", "originy")
-_HEADER = ",".join(("file", *_NUMBERS))
-_ROW = ("family", "description", "figure", "size", "recipe")
+_ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
 """What a suite's row takes from ``truth.json``."""
 
 
@@ -32,54 +29,13 @@ def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:
     Raises
     ------
     BadInput
-        When a column is missing, a line has no four numbers or parallel vectors, names no file in the folder, or
-        names one a second time.
+        When the table is malformed (see :class:`~nrbench.truth.TruthTable`), or a line names no file in the folder.
     """
-    path = folder / "truth.csv"
-    if not path.is_file():
-        return {}
-    known: dict[str, dict[str, Vector]] = {}
-    for line, row in _rows(path):
-        name = row["file"].strip()
-        if name in known:
-            raise BadInput(f"{path} line {line}: {name!r} stands a second time; leave one")
+    rows = TruthTable.read(folder).rows
+    for name, row in rows.items():
         if not (folder / name).is_file():
-            raise BadInput(
-                f"{path} line {line}: there is no file {name!r} beside it; correct the name, or drop the line"
-            )
-        known[name] = _vectors(row, f"{path} line {line}")
-    return known
-
-
-def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as lines:
-            reader = csv.DictReader(lines, restval="")
-            missing = {"file", *_NUMBERS}.difference(reader.fieldnames or ())
-            if missing:
-                raise BadInput(
-                    f"{path} line 1: lacks column {sorted(missing)[0]!r}; the first line must have {_HEADER}"
-                )
-            return [(reader.line_num, row) for row in reader]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"{path}: is no CSV text ({error}); save it as UTF-8 with the columns {_HEADER}") from None
-
-
-def _vectors(row: dict[str, str], where: str) -> dict[str, Vector]:
-    texts = [row[name].strip() for name in _NUMBERS]
-    if not any(texts):
-        return {}
-    origin = [row.get(name, "").strip() for name in _ORIGIN]
-    try:
-        x1, y1, x2, y2, *start = map(float, texts + origin * all(origin))
-        lattice = Lattice((x1, y1), (x2, y2), (start[0], start[1]) if start else (0.0, 0.0))
-    except BadInput as error:
-        raise BadInput(f"{where}: {error}") from None
-    except ValueError:
-        raise BadInput(
-            f"{where}: {','.join(texts)!r} are not four numbers; give {','.join(_NUMBERS)}, or none"
-        ) from None
-    return {"t1": lattice.t1, "t2": lattice.t2} | ({"origin": lattice.origin} if start else {})
+            raise BadInput(f"{row.where}: there is no file {name!r} beside it; correct the name, or drop the line")
+    return {name: dict(row.vectors) for name, row in rows.items()}
 
 
 def read_rendered(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import operator
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from nrbench.plan import make_plan
 from nrbench.records import Run
 from nrbench.runner import Options, Progress, execute, working_metrics
 from nrbench.streams import pixels_hash, stream
-from nrbench.suite import DEFAULT, Suite, load_suite
+from nrbench.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
 from nrbench.synthesis import Observation, Refused, Synthesis, Task, Value
 from nrbench.texture import Shape, Texture
 
@@ -43,13 +44,19 @@ def texture(model: str, shape: Shape = (128, 128), seed: int = 0, **parameters: 
     parameters
         The model's parameters.
 
+    Raises
+    ------
+    BadInput
+        For a model, a parameter or a shape that is not known or not valid.
+
     Examples
     --------
     >>> brick = texture("brick", shape=(64, 96), seed=3, color=0.3)
     >>> brick.image.shape
     (64, 96, 3)
     """
-    drawn: Texture = plugins.build("datasets", model, parameters).render(shape, stream("render", seed, model, 0))
+    rng = stream("render", seed, model, 0)
+    drawn: Texture = plugins.build("datasets", model, parameters).render(_checked_shape(shape), rng)
     return drawn
 
 
@@ -123,9 +130,12 @@ def synthesize(
 
 
 def _checked_shape(shape: Shape) -> Shape:
-    height, width = (int(side) for side in shape)
-    if min(height, width) < 1:
-        raise BadInput(f"shape {shape}: give (height, width) in px, each at least 1")
+    try:
+        height, width = map(operator.index, shape)
+    except (TypeError, ValueError):
+        raise BadInput(f"shape {shape!r}: give (height, width) in px, two whole numbers") from None
+    if min(height, width) < 1 or max(height, width) > LARGEST_SIDE:
+        raise BadInput(f"shape {shape}: give (height, width) in px, each at least 1 and at most {LARGEST_SIDE}")
     return height, width
 
 

@@ -8,16 +8,15 @@ import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from nrbench import plugins
+from nrbench.axes import Method, Source
 from nrbench.cell import Cell, Recipe
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image, as_image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.parameters import label, parse_spec
+from nrbench.origin import Origin
 from nrbench.streams import pixels_hash
 from nrbench.suite import Suite, TextureRow
 from nrbench.texture import Shape, Texture
@@ -60,76 +59,6 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Method:
-    """A synthesizer as a suite names it, checked.
-
-    Parameters
-    ----------
-    name, version, parameters, label
-        As in :class:`~nrbench.cell.Cell`.
-    reference, uses_lattice
-        What the plugin declares.
-    """
-
-    name: str
-    version: str
-    parameters: dict[str, Any]
-    label: str
-    reference: bool
-    uses_lattice: bool
-
-    @classmethod
-    def parse(cls, spec: str) -> Method:
-        """Read ``name:param=value,...``; raises BadInput for what is not known or not valid."""
-        name, given = parse_spec(spec)
-        parameters = plugins.parameters_of(plugins.build("synthesizers", name, given))
-        plugin = plugins.find("synthesizers", name)
-        version = f"{plugin.version}{fingerprint(plugins.build('synthesizers', name, given))}"
-        shown = label(name, parameters, _defaults(plugin.cls))
-        reference = bool(getattr(plugin.cls, "reference", False))
-        return cls(name, version, parameters, shown, reference, bool(getattr(plugin.cls, "uses_lattice", True)))
-
-
-def fingerprint(method: Any) -> str:
-    """Return what else decides a method's results, as it says itself (``fingerprint()``): files that it reads."""
-    ask = getattr(method, "fingerprint", None)
-    return f"+{ask()}" if ask is not None else ""
-
-
-def _defaults(cls: Any) -> dict[str, Any]:
-    made = {item.name: item.default_factory() for item in dataclasses.fields(cls) if callable(item.default_factory)}
-    return {**{item.name: item.default for item in dataclasses.fields(cls)}, **made}
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where a method's lattice comes from: ``given``, ``own``, ``none``, or a detector.
-
-    Parameters
-    ----------
-    name
-        What the tables print.
-    detector
-        Name, version and parameters, where it is one.
-    """
-
-    name: str
-    detector: tuple[str, str, dict[str, Any]] | None = None
-
-    @classmethod
-    def parse(cls, text: str) -> Source:
-        """Read an entry of the lattice axis; raises BadInput where it is neither a word of the axis nor a detector."""
-        if text in ("given", "own", "none"):
-            return cls(text)
-        name, given = parse_spec(text)
-        if name not in plugins.names("detectors"):
-            known = ", ".join(["given", "own", *plugins.names("detectors")])
-            raise BadInput(f"--lattice {text!r}: is not known; use one of: {known}")
-        parameters = plugins.parameters_of(plugins.build("detectors", name, given))
-        return cls(text, (name, plugins.find("detectors", name).version, parameters))
-
-
-@dataclass(frozen=True)
 class Plan:
     """All cells of a suite.
 
@@ -164,7 +93,7 @@ def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
         For unknown methods, parameters or lattice sources, or patterns that match no texture.
     """
     methods = [Method.parse(spec) for spec in dict.fromkeys(suite.methods)]
-    sources = [Source.parse(text) for text in dict.fromkeys(suite.lattice)]
+    sources = list({source.name: source for source in map(Source.parse, suite.lattice)}.values())
     if not methods:
         raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
     if not sources and any(method.uses_lattice for method in methods):
@@ -176,8 +105,7 @@ def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
 
 def drawn(suite: Suite, textures: Sequence[str] = ()) -> list[Sample]:
     """Draw every sample of a suite (of the textures whose names match a pattern)."""
-    rows = _chosen(suite, textures)
-    return [_draw(suite, row, replicate) for row in rows for replicate in range(suite.replicates)]
+    return [sample for row in _chosen(suite, textures) for sample in _of_row(suite, row)]
 
 
 def _chosen(suite: Suite, patterns: Sequence[str]) -> list[TextureRow]:
@@ -188,10 +116,18 @@ def _chosen(suite: Suite, patterns: Sequence[str]) -> list[TextureRow]:
     return rows
 
 
-def _draw(suite: Suite, row: TextureRow, replicate: int) -> Sample:
-    recipe, shape = _recipe(suite, row, replicate), row.size or suite.size
+def _of_row(suite: Suite, row: TextureRow) -> Iterator[Sample]:
     try:
-        texture = _checked(recipe)
+        origin = Origin.of(suite, row)
+    except BadInput as error:
+        raise BadInput(f"suite {suite.name}, texture {row.name!r}: {error}") from None
+    return (_draw(suite, row, origin, replicate) for replicate in range(suite.replicates))
+
+
+def _draw(suite: Suite, row: TextureRow, origin: Origin, replicate: int) -> Sample:
+    recipe, shape = origin.recipe(replicate), row.size or suite.size
+    try:
+        texture = _checked(recipe, origin.render(recipe))
         texture = dataclasses.replace(texture, image=quantize(texture.image), name=row.name)
         again = None if recipe.procedural else _region(recipe, texture, shape)
     except (Exception, SystemExit) as error:
@@ -201,9 +137,8 @@ def _draw(suite: Suite, row: TextureRow, replicate: int) -> Sample:
     return Sample(row, recipe, texture, shape, pixels_hash(again) if again is not None else "")
 
 
-def _checked(recipe: Recipe) -> Texture:
-    """Draw a texture, and refuse what a dataset plugin must not return."""
-    texture = recipe.render()
+def _checked(recipe: Recipe, texture: object) -> Texture:
+    """Refuse what a dataset plugin must not return."""
     if not isinstance(texture, Texture):
         raise BadInput(f"dataset {recipe.dataset}: render returned {type(texture).__name__} instead of a Texture")
     image = as_image(texture.image, f"dataset {recipe.dataset}")
@@ -215,34 +150,6 @@ def _checked(recipe: Recipe) -> Texture:
     if not (share is None or (isinstance(share, float) and 0 <= share <= 1)):
         raise BadInput(f"dataset {recipe.dataset}: regular_share is {share!r}; a number from 0 to 1 is due")
     return dataclasses.replace(texture, image=image)
-
-
-def _recipe(suite: Suite, row: TextureRow, replicate: int) -> Recipe:
-    """Return how a row's sample is drawn: for a picture that a model rendered, as that model did."""
-    plugin = plugins.build("datasets", row.dataset, row.parameters)
-    shape = row.sample or suite.sample
-    own = Recipe(row.dataset, plugins.parameters_of(plugin), suite.seed, row.name, replicate, shape)
-    known = row.recipe
-    if known is None:
-        return own
-    first = Recipe(known.dataset, known.parameters, known.seed, known.texture, known.replicate, known.shape)
-    try:
-        parameters = plugins.parameters_of(first.plugin())
-        drawn_then, picture = first.render(), dataclasses.replace(own, shape=known.shape).render()
-        same = pixels_hash(drawn_then.image) == pixels_hash(picture.image) and _as_told(drawn_then, picture)
-    except Exception:  # of another version, or of a plugin that is not installed here: a picture like any other
-        return own
-    there = dataclasses.replace(first, parameters=parameters, replicate=known.replicate + replicate, shape=shape)
-    return there if same else own
-
-
-def _as_told(texture: Texture, picture: Texture) -> bool:
-    """Return whether the lattice told of a picture, if any, is the texture's own: vectors and origin to 1e-9 px."""
-    own, told = texture.lattice, picture.lattice
-    if own is None or told is None:
-        return told is None
-    pairs = ((own.t1, told.t1), (own.t2, told.t2), (own.origin, told.origin))
-    return all(np.allclose(*pair, rtol=0, atol=1e-9) for pair in pairs)
 
 
 def _region(recipe: Recipe, texture: Texture, shape: Shape) -> Image | None:
@@ -261,10 +168,9 @@ def _cells(suite: Suite, sample: Sample, methods: list[Method], sources: list[So
 
 
 def _cell(suite: Suite, sample: Sample, method: Method, source: Source) -> Cell:
-    texture, row = sample.texture, sample.row
-    cell = Cell(
+    asked = Cell(
         suite=suite.name,
-        texture=row.name,
+        texture=sample.row.name,
         recipe=sample.recipe,
         method=method.name,
         version=method.version,
@@ -277,28 +183,33 @@ def _cell(suite: Suite, sample: Sample, method: Method, source: Source) -> Cell:
         seed=suite.seed,
         shape=sample.shape,
         sample_hash=sample.hash,
+    )
+    return _handed(_described(asked, sample), sample, source)
+
+
+def _described(cell: Cell, sample: Sample) -> Cell:
+    """Return a cell with what is known of its texture."""
+    texture, row = sample.texture, sample.row
+    share = texture.regular_share if texture else None
+    return dataclasses.replace(
+        cell,
         family=row.family or (texture.family if texture else ""),
         description=row.description,
         procedural=sample.recipe.procedural,
-        again_hash=sample.again_hash if method.reference else "",
-    )
-    return (
-        _with_truth(cell, texture, source)
-        if texture
-        else dataclasses.replace(cell, fault=sample.fault, fault_status="error")
+        again_hash=sample.again_hash if cell.reference else "",
+        kind=texture.kind if texture else None,
+        regular_share=None if share is None else float(np.round(share, 6)),
+        region=texture.region if texture else None,
+        lattice_truth=texture.lattice if texture else None,
     )
 
 
-def _with_truth(cell: Cell, texture: Texture, source: Source) -> Cell:
-    cell = dataclasses.replace(
-        cell,
-        kind=texture.kind,
-        regular_share=None if texture.regular_share is None else float(np.round(texture.regular_share, 6)),
-        region=texture.region,
-        lattice_truth=texture.lattice,
-    )
+def _handed(cell: Cell, sample: Sample, source: Source) -> Cell:
+    """Return a cell with the lattice that is given, or why it cannot be run."""
+    if sample.texture is None:
+        return dataclasses.replace(cell, fault=sample.fault, fault_status="error")
     if source.name != "given":
-        return cell
-    if texture.lattice is None:
+        return dataclasses.replace(cell, lattice_given=source.lattice)
+    if sample.texture.lattice is None:
         return dataclasses.replace(cell, fault="no lattice of this texture is known, so none can be given")
-    return dataclasses.replace(cell, lattice_given=texture.lattice)
+    return dataclasses.replace(cell, lattice_given=sample.texture.lattice)

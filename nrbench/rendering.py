@@ -6,33 +6,41 @@ drawn, so that a run on the directory knows as much as a run of the suite that i
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable
+import dataclasses
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from nrbench import plugins
+from nrbench.cell import Recipe
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image
-from nrbench.imaging.files import write_image
+from nrbench.imaging.files import read_image, write_image
 from nrbench.imaging.sheet import contact_sheet
 from nrbench.parameters import parse_spec
 from nrbench.plan import Sample
-from nrbench.store import write_aside, write_json
+from nrbench.rendered import KNOWN_FILE, SHEET, Rendered
 from nrbench.suite import Suite, size_text, validated_suite
 from nrbench.texture import Texture
+from nrbench.truth import TRUTH_FILE
 
-TRUTH_FIELDS = ("file", "t1x", "t1y", "t2x", "t2y", "originx", "originy", "family", "kind", "regular_share")
-SHEET = "contact-sheet.png"
+_Named = dict[str, tuple[Sample, Texture]]
+"""What is to be written, by file name."""
 
 
 def model_suite(spec: str) -> Suite:
-    """Return a suite of a single model: ``name:param=value,...``."""
+    """Return a suite of a single model: ``name:param=value,...``; raises BadInput where it is not valid."""
     name, parameters = parse_spec(spec)
+    plugins.build("datasets", name, parameters)
     return validated_suite({"name": name, "texture": [{"name": name, "dataset": name, "parameters": parameters}]}, spec)
 
 
 def write_textures(samples: Iterable[Sample], directory: Path) -> list[Path]:
     """Write each texture as ``NAME.png`` (``NAME-REPLICATE.png`` from the second on), its truth, and a contact sheet.
+
+    What is known of the other pictures that an earlier render left in ``directory`` is kept, and they stay on the
+    contact sheet; a picture of the same name is replaced if its model can draw it again. All is checked before
+    anything is written.
 
     Returns
     -------
@@ -42,74 +50,81 @@ def write_textures(samples: Iterable[Sample], directory: Path) -> list[Path]:
     Raises
     ------
     BadInput
-        When a texture cannot be drawn, two would have one name, or ``directory`` is a file.
+        When a texture cannot be drawn, two would have one name, ``directory`` is a file, or what is in it would be
+        lost: truth files of another origin, or other pictures of the same names.
     """
-    if directory.exists() and not directory.is_dir():
-        raise BadInput(f"{directory}: is a file; pass a directory as -o")
-    named: dict[str, tuple[Sample, Texture]] = {}
+    there = Rendered.read(directory)
+    named = _named(samples)
+    for name, (_, texture) in named.items():
+        there.check_replaceable(directory / name, texture.image)
+    there.check_sheet(directory)
+    rows = {name: _row(name, *pair) for name, pair in named.items()}
+    after = there.merged(rows, {name: _known(*pair) for name, pair in named.items()})
+    sheet = _sheet(directory, named, after)
+    directory.mkdir(parents=True, exist_ok=True)
+    for name, (_, texture) in named.items():
+        write_image(directory / name, texture.image)
+    after.write(directory)
+    write_image(directory / SHEET, sheet)
+    return [directory / name for name in (*named, SHEET, TRUTH_FILE, KNOWN_FILE)]
+
+
+def _named(samples: Iterable[Sample]) -> _Named:
+    """Return drawn textures by file name; names that differ in case alone are one on some systems."""
+    named: _Named = {}
+    taken = {SHEET}
     for sample in samples:
         if sample.texture is None:
             raise BadInput(f"{sample.row.name}: cannot be drawn: {sample.fault}")
-        name = _file_name(sample)
-        if name in named or name == SHEET:
+        name = f"{sample.row.name}{f'-{sample.recipe.replicate}' if sample.recipe.replicate else ''}.png"
+        if name.casefold() in taken:
             raise BadInput(f"{name}: the name of two pictures; rename the texture {sample.row.name!r}")
+        taken.add(name.casefold())
         named[name] = sample, sample.texture
-        directory.mkdir(parents=True, exist_ok=True)
-        write_image(directory / name, sample.texture.image)
-    write_image(directory / SHEET, _sheet(named))
-    write_aside(directory / "truth.csv", lambda aside: _write_csv(aside, named))
-    textures = {name: _known(sample, texture) for name, (sample, texture) in named.items()}
-    write_json(directory / "truth.json", {"sheet": SHEET, "textures": textures})
-    return [directory / name for name in (*named, SHEET, "truth.csv", "truth.json")]
+    return named
 
 
-def _file_name(sample: Sample) -> str:
-    return f"{sample.row.name}{f'-{sample.recipe.replicate}' if sample.recipe.replicate else ''}.png"
+def _sheet(directory: Path, named: _Named, after: Rendered) -> Image:
+    """Return all pictures of the directory as it will be, each under its caption."""
+    images = [named[name][1].image if name in named else read_image(directory / name) for name in after.textures]
+    captions = [f"{name.removesuffix('.png')}\n{_caption(known)}" for name, known in after.textures.items()]
+    return contact_sheet(images, captions)
 
 
-def _sheet(named: dict[str, tuple[Sample, Texture]]) -> Image:
-    captions = [f"{name.removesuffix('.png')}\n{_caption(*pair)}" for name, pair in named.items()]
-    return contact_sheet([texture.image for _, texture in named.values()], captions)
-
-
-def _caption(sample: Sample, texture: Texture) -> str:
-    kind = f", type {texture.kind}" if texture.kind else ""
-    share = "" if texture.regular_share is None else f", regular share {texture.regular_share:.2f}"
-    return f"{sample.recipe.dataset}{kind}{share}".replace("type stochastic", "stochastic")
+def _caption(known: Mapping[str, Any]) -> str:
+    kind, share, recipe = (known.get(name) for name in ("kind", "regular_share", "recipe"))
+    words = [str((recipe or {}).get("dataset") or known.get("family", ""))]
+    if kind:
+        words.append(kind if kind == "stochastic" else f"type {kind}")
+    if share is not None:
+        words.append(f"regular share {share:.2f}")
+    return ", ".join(words)
 
 
 def _known(sample: Sample, texture: Texture) -> dict[str, Any]:
     """Return all that is known of a picture, JSON-ready; :class:`~nrbench.suite.TextureRow` reads some of it back."""
-    row, shape = sample.row, sample.recipe.shape
-    recipe = {
-        "dataset": sample.recipe.dataset,
-        "parameters": dict(sample.recipe.parameters),
-        "seed": sample.recipe.seed,
-        "texture": sample.recipe.texture,
-        "replicate": sample.recipe.replicate,
-        "shape": size_text(shape),
-    }
     return {
-        "family": row.family or texture.family,
-        "description": row.description,
-        "figure": row.figure,
+        "family": sample.row.family or texture.family,
+        "description": sample.row.description,
+        "figure": sample.row.figure,
+        "departure": sample.row.departure,
+        "level": sample.row.level,
         "kind": texture.kind,
         "regular_share": texture.regular_share,
         "lattice": texture.lattice.as_dict() if texture.lattice else None,
         "lattices": [lattice.as_dict() for lattice in texture.lattices],
         "size": size_text(sample.shape),
-        "recipe": recipe if sample.recipe.procedural else None,
+        "recipe": _drawing(sample.recipe) if sample.recipe.procedural else None,
     }
 
 
-def _write_csv(path: Path, named: dict[str, tuple[Sample, Texture]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, TRUTH_FIELDS, restval="")
-        writer.writeheader()
-        writer.writerows(_csv_row(name, sample, texture) for name, (sample, texture) in named.items())
+def _drawing(recipe: Recipe) -> dict[str, Any]:
+    """Return a recipe as :class:`~nrbench.suite.Drawing` reads it."""
+    return {**dataclasses.asdict(recipe), "shape": size_text(recipe.shape)}
 
 
-def _csv_row(name: str, sample: Sample, texture: Texture) -> dict[str, object]:
+def _row(name: str, sample: Sample, texture: Texture) -> dict[str, object]:
+    """Return a picture's line of ``truth.csv``; its numbers keep every digit."""
     row: dict[str, object] = {"file": name, "family": sample.row.family or texture.family, "kind": texture.kind or ""}
     row["regular_share"] = "" if texture.regular_share is None else texture.regular_share
     if texture.lattice is not None:

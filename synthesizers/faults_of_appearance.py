@@ -15,10 +15,10 @@ _SEAM_REACH = 16.0
 
 def missing_tile(plot: Plot) -> Planting:
     """Cover one cell with its mean color."""
-    covered, image = plot.cell(), plot.fresh()
-    image = np.array(image)
+    covered, fresh = plot.cell(), plot.fresh()
+    image = np.array(fresh)
     image[covered] += np.float32(plot.size) * (image[covered].mean(0) - image[covered])
-    return Planting(image, plot.still(), covered & (plot.size > 0), f"opacity {plot.size:g}")
+    return Planting(image, plot.still(), covered & (image != fresh).any(), f"opacity {plot.size:g}")
 
 
 def blurred_band(plot: Plot) -> Planting:
@@ -28,10 +28,11 @@ def blurred_band(plot: Plot) -> Planting:
     start = int(plot.rng.integers(plot.shape[axis] - width + 1))
     covered = np.zeros(plot.shape, np.bool_)
     np.moveaxis(covered, axis, 0)[start : start + width] = True
-    image, deviation = np.array(plot.fresh()), _BLUR * plot.size
+    fresh, deviation = plot.fresh(), _BLUR * plot.size
+    image = np.array(fresh)
     if deviation:
         image[covered] = gaussian_filter(image, (deviation, deviation, 0), mode="mirror")[covered]
-    return Planting(image, plot.still(), covered & (plot.size > 0), f"standard deviation {deviation:g} px")
+    return Planting(image, plot.still(), covered & (image != fresh).any(), f"standard deviation {deviation:g} px")
 
 
 def seam(plot: Plot) -> Planting:

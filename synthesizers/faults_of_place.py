@@ -100,7 +100,7 @@ def stretch(plot: Plot) -> Planting:
     away = (plot.pixels() - (plot.room - 1) / 2) @ axis
     field = plot.size / (1 + plot.size) * away[..., np.newaxis] * axis
     moved = _bent(plot, field, _SPLINE_MARGIN)
-    return Planting(moved.image, field, np.full(plot.shape, plot.size > 0), f"{100 * plot.size:g} % at {angle:.2f} rad")
+    return Planting(moved.image, field, np.full(plot.shape, field.any()), f"{100 * plot.size:g} % at {angle:.2f} rad")
 
 
 class _Courses:

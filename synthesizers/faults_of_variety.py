@@ -30,7 +30,9 @@ def two_tone(plot: Plot) -> Planting:
 
 def over_regular(plot: Plot) -> Planting:
     """Mix the draw with the periodic repetition of one of its tiles."""
-    margin = math.ceil(max(*plot.box, math.hypot(*plot.lattice.t1)))
+    length = math.hypot(*plot.lattice.t1)
+    diagonal = math.hypot(length, plot.lattice.area / length) + 1
+    margin = math.ceil(max(*plot.box, length, diagonal - plot.reach.min()))
     lattice = plot.lattice.shifted((-margin, -margin))
     tile, _ = _tiles(plot.pixels(), lattice)
     chosen, _ = _tiles(plot.inside(), lattice)

@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from nrbench.errors import BadInput
+from nrbench.imaging.door import MIN_SIDE
 from nrbench.parameters import nearest
 from nrbench.synthesis import Refused, Synthesis, Task
 
@@ -81,7 +82,7 @@ class Planted:
 
     reference: ClassVar[bool] = True
     uses_lattice: ClassVar[bool] = False
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
 
     kind: str = "phase-step"
     size: float = 0.25
@@ -98,10 +99,11 @@ class Planted:
         Raises
         ------
         Refused
-            Where the texture has no further draws, or no lattice and the kind needs one.
+            Where the texture has no further draws, or no lattice and the kind needs one, or where a defect of a size
+            above 0 comes to nothing: less than a pixel, or no room for it in the output.
         """
         plot = self._plot(task)
-        planting = FAULTS[self.kind](plot)
+        planting = self._planted(plot)
         extras = {
             "displacement": planting.displacement.astype(np.float32),
             "covered": planting.where.astype(np.float32),
@@ -109,10 +111,19 @@ class Planted:
         return Synthesis(planting.image, extras=extras, note=f"planted {self.kind}{_amount(plot, planting)}")
 
     def _plot(self, task: Task) -> Plot:
-        first = task.again(task.sample.shape[:2], FIRST_DRAW) if task.again is not None else None
+        """Return the plot; the smallest draw there is tells the lattice, which all draws share."""
+        first = task.again((MIN_SIDE, MIN_SIDE), FIRST_DRAW) if task.again is not None else None
         if task.again is None or first is None:
             raise Refused("planted: this texture has no fresh draws")
         return Plot(task.shape, first.lattice, self.size, task.rng, task.again)
+
+    def _planted(self, plot: Plot) -> Planting:
+        planting = FAULTS[self.kind](plot)
+        if self.size > 0 and self.kind != "none" and not planting.where.any():
+            height, width = plot.shape
+            what = f"planted: {self.kind} of size {self.size:g} covers no pixel of an output of {width}x{height} px"
+            raise Refused(f"{what}: it is less than a pixel, or has no room; give a larger size or output")
+        return planting
 
 
 def _amount(plot: Plot, planting: Planting) -> str:

@@ -62,6 +62,11 @@ class Plot:
         """Width and height in px of what one tile of the reduced lattice takes."""
         return np.asarray(np.sqrt((self.lattice.reduced().matrix ** 2).sum(0)))
 
+    @property
+    def reach(self) -> Points:
+        """How far, along x and y in px, a point inside lies from the border at least: a tile, where there is room."""
+        return np.asarray(np.minimum(self.box, self.room / 3))
+
     def fresh(self, margin: int = 0) -> Image:
         """Return a fresh draw, ``margin`` px wider than the output on every side."""
         height, width = self.shape
@@ -100,8 +105,7 @@ class Plot:
 
     def inside(self) -> Points:
         """Return a random point (x, y) around which a whole cell fits, where one does."""
-        reach = np.minimum(self.box, self.room / 3)
-        return np.asarray(reach + self.rng.random(2) * (self.room - 1 - 2 * reach))
+        return np.asarray(self.reach + self.rng.random(2) * (self.room - 1 - 2 * self.reach))
 
     def middling(self) -> Points:
         """Return a random point (x, y) of the middle half."""
@@ -139,7 +143,15 @@ Fault = Callable[[Plot], Planting]
 
 
 def read(draw: Image, margin: int, field: Field) -> Image:
-    """Return ``draw``, which has a margin, with each pixel read from where its content came."""
-    height, width = field.shape[:2]
-    y, x = np.indices((height, width)) + margin
-    return np.asarray(draw[y - field[..., 1], x - field[..., 0]])
+    """Return ``draw``, which has a margin, with each pixel read from where its content came.
+
+    Raises
+    ------
+    IndexError
+        Where content came from beyond the draw, on any side: the margin is too small for the displacement.
+    """
+    rows, columns = np.indices(field.shape[:2])
+    y, x = rows + margin - field[..., 1], columns + margin - field[..., 0]
+    if min(y.min(), x.min()) < 0 or y.max() >= draw.shape[0] or x.max() >= draw.shape[1]:
+        raise IndexError(f"a margin of {margin} px is too small for displacements of {np.abs(field).max()} px")
+    return np.asarray(draw[y, x])

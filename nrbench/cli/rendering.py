@@ -11,13 +11,16 @@ import click
 @click.argument("what", metavar="MODEL[:param=value,...]|SUITE")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="DIR")
 @click.option("-t", "textures", multiple=True, metavar="GLOB", help="Only these textures of a suite; repeatable.")
-@click.option("--sample", metavar="WxH", help="Size of the pictures.")
+@click.option("--sample", "--size", "sample", metavar="WxH", help="Size of the pictures.")
 @click.option("--seed", type=click.IntRange(0), help="Seed.")
 @click.option("--replicates", type=click.IntRange(1), help="Draws of each texture.")
 def render_command(
     what: str, output: Path, textures: tuple[str, ...], sample: str | None, seed: int | None, replicates: int | None
 ) -> None:
-    """Write the textures of a model or a suite as PNG, with truth.csv, truth.json and a contact sheet beside them."""
+    """Write the textures of a model or a suite as PNG, with truth.csv, truth.json and a contact sheet beside them.
+
+    What an earlier render left in DIR stays; a picture of the same name is drawn anew.
+    """
     from nrbench.api import changed
     from nrbench.plan import drawn
     from nrbench.rendering import model_suite, write_textures

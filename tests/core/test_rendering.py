@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import csv
 import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from nrbench.api import run
-from nrbench.cell import Cell
+from nrbench.cell import Cell, Recipe
 from nrbench.errors import BadInput
 from nrbench.imaging.files import read_image, write_image
 from nrbench.plan import drawn, make_plan
-from nrbench.rendering import SHEET, model_suite, write_textures
+from nrbench.rendered import SHEET
+from nrbench.rendering import model_suite, write_textures
 from nrbench.runner import Options
 from nrbench.suite import Suite, load_suite, validated_suite
+from nrbench.texture import Texture
 
 ROWS = [
     {"name": "wall", "dataset": "brick", "description": "A wall.", "parameters": {"color": 0.3, "rotation": 7.0}},
     {"name": "cloth", "dataset": "weave", "family": "fabric", "sample": "72x56", "size": "80x96"},
-    {"name": "sand", "dataset": "noise"},
+    {"name": "sand", "dataset": "noise", "departure": "noise", "level": 0.5},
 ]
 
 
@@ -61,6 +64,8 @@ def test_what_is_written(folder: Path) -> None:
 def test_a_run_on_the_directory_is_the_run_of_the_suite(folder: Path) -> None:
     """Every cell of the directory has the key of a cell of the suite: nothing that decides a result differs."""
     there = {(cell.key, cell.family, cell.regular_share) for cell in _cells(load_suite(folder))}
+    rows = {row.name: (row.departure, row.level) for row in load_suite(folder).texture}
+    assert rows["sand"] == rows["sand-1"] == ("noise", 0.5) and rows["wall"] == ("", None)
     assert there == {(cell.key, cell.family, cell.regular_share) for cell in _cells(_suite())}
 
 
@@ -140,7 +145,126 @@ def test_one_model() -> None:
     assert write_textures(drawn(model_suite("brick:color=0.4")), Path("out"))[0] == Path("out/brick.png")
 
 
-@pytest.mark.parametrize("names", [("a-1", "a"), ("contact-sheet", "b")])
+def _rows(directory: Path) -> dict[str, dict[str, str]]:
+    with (directory / "truth.csv").open(encoding="utf-8", newline="") as lines:
+        return {row["file"]: row for row in csv.DictReader(lines)}
+
+
+def _textures(directory: Path) -> dict[str, dict[str, object]]:
+    found: dict[str, dict[str, object]] = json.loads((directory / "truth.json").read_text("utf-8"))["textures"]
+    return found
+
+
+def _contents(directory: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(directory.iterdir())}
+
+
+def test_a_further_render_loses_nothing(folder: Path) -> None:
+    """What another model's render finds there is kept as it stands, and the contact sheet shows all of it."""
+    rows, textures, sheet = _rows(folder), _textures(folder), read_image(folder / SHEET)
+    write_textures(drawn(model_suite("hexagon")), folder)
+    after = {**_rows(folder)}
+    assert after.pop("hexagon.png")["family"] == "hexagon"
+    assert after == rows and list(_rows(folder)) == [*rows, "hexagon.png"]
+    known = _textures(folder)
+    assert known.pop("hexagon.png")["recipe"] and known == textures
+    assert read_image(folder / SHEET).size > sheet.size
+    assert {sample.recipe.dataset for sample in drawn(load_suite(folder))} == {"brick", "weave", "noise", "hexagon"}
+    assert not [path for path in folder.iterdir() if path.name.startswith(".")]
+
+
+def test_rendered_again_a_picture_is_told_anew(folder: Path) -> None:
+    """A picture of the same name is replaced with its truth; of one that is gone nothing is told any more."""
+    before = _contents(folder)
+    (folder / "sand.png").unlink()
+    other = _suite(texture=[{"name": "wall", "dataset": "weave"}], replicates=1)
+    write_textures(drawn(other), folder)
+    rows, textures = _rows(folder), _textures(folder)
+    assert set(rows) == set(textures) == {name for name in before if name.endswith(".png")} - {SHEET, "sand.png"}
+    assert rows["wall.png"]["family"] == textures["wall.png"]["family"] == "weave"
+    assert rows["wall-1.png"]["family"] == "brick"
+    assert (folder / "wall.png").read_bytes() != before["wall.png"]
+    assert (folder / "wall-1.png").read_bytes() == before["wall-1.png"]
+
+
+def test_rendered_twice_nothing_changes(folder: Path) -> None:
+    """The same render gives the same files, to the byte; what a user added to truth.csv stays."""
+    before = _contents(folder)
+    write_textures(drawn(_suite()), folder)
+    assert _contents(folder) == before
+    header, *lines = (folder / "truth.csv").read_text("utf-8").splitlines()
+    (folder / "truth.csv").write_text("\n".join([f"{header},notes", *(f"{line},mine" for line in lines)]), "utf-8")
+    write_textures(drawn(model_suite("hexagon")), folder)
+    assert [row["notes"] for row in _rows(folder).values()] == ["mine"] * 6 + [""]
+
+
+def test_an_interrupted_render_goes_on(folder: Path) -> None:
+    """Pictures that were written before their truth was are no obstacle to the same render."""
+    before = _contents(folder)
+    for name in ("truth.csv", "truth.json", SHEET, "sand.png"):
+        (folder / name).unlink()
+    write_textures(drawn(_suite()), folder)
+    assert _contents(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("truth.csv", "file,t1x,t1y,t2x,t2y\n", r"truth\.csv: was not written by `nrbench render` \(it lacks column"),
+        ("truth.csv", "name,city\nAda,London\n", r"truth\.csv line 1: lacks column 'file'"),
+        ("truth.csv", None, r"line 2: '12,zero,0,9' are not four numbers.*to render here, mend"),
+        ("truth.json", "{", r"truth\.json: is no JSON .*pass another -o, or move it away"),
+        ("truth.json", "[1]", r"truth\.json: was not written by `nrbench render`; pass another -o"),
+        ("truth.json", '{"sheet": "contact-sheet.png", "textures": {"wall.png": 3}}', "was not written by"),
+        ("truth.json", '{"sheet": "contact-sheet.png", "textures": {"wall.png": {"recipe": 3}}}', "was not written by"),
+        ("wall.png", "mine", r"wall\.png: is there, and no model drew it; pass another -o, or move it away, or rename"),
+        ("contact-sheet.png", "mine", r"contact-sheet\.png: is there, and was not written by `nrbench render`"),
+    ],
+)
+def test_what_is_not_of_a_render_is_left_alone(tmp_path: Path, name: str, text: str | None, message: str) -> None:
+    """Files that a render would spoil are named in one error, and nothing is written."""
+    (tmp_path / "a.png").write_bytes(b"another's")
+    header = "file,t1x,t1y,t2x,t2y,originx,originy,family,kind,regular_share"
+    (tmp_path / name).write_text(f"{header}\na.png,12,zero,0,9,,,,,\n" if text is None else text, "utf-8")
+    before = _contents(tmp_path)
+    with pytest.raises(BadInput, match=message):
+        write_textures(drawn(_suite()), tmp_path)
+    assert _contents(tmp_path) == before
+
+
+def test_pictures_of_two_folders(tmp_path: Path) -> None:
+    """Of pictures a/p.png and b/p.png both are kept, under the names of their textures, or the second is refused."""
+    rng = np.random.default_rng(0)
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        write_image(tmp_path / name / "p.png", rng.random((70, 70, 3)).astype(np.float32))
+    rows = [{"name": f"p-{n}", "dataset": "images", "parameters": {"path": str(tmp_path / n / "p.png")}} for n in "ab"]
+    write_textures(drawn(_suite(texture=rows, replicates=1)), tmp_path / "both")
+    first, second = (read_image(tmp_path / "both" / f"p-{name}.png") for name in "ab")
+    assert (first != second).any() and set(_rows(tmp_path / "both")) == {"p-a.png", "p-b.png"}
+    write_textures(drawn(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
+    before = _contents(tmp_path / "one")
+    with pytest.raises(BadInput, match=r"images\.png: is there, and no model drew it"):
+        write_textures(drawn(model_suite(f"images:path={tmp_path / 'b' / 'p.png'}")), tmp_path / "one")
+    write_textures(drawn(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
+    assert _contents(tmp_path / "one") == before
+
+
+def test_a_planned_picture_is_drawn_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan of a rendered directory draws each picture's model a single time, and reads each file once."""
+    renders: list[str] = []
+    render = Recipe.render
+
+    def counted(recipe: Recipe) -> Texture:
+        renders.append(recipe.dataset)
+        return render(recipe)
+
+    monkeypatch.setattr(Recipe, "render", counted)
+    _cells(load_suite(folder))
+    assert Counter(renders) == {"images": 6, "brick": 2, "weave": 2, "noise": 2}
+
+
+@pytest.mark.parametrize("names", [("a-1", "a"), ("contact-sheet", "b"), ("Wall", "wall")])
 def test_two_files_of_one_name(names: tuple[str, str]) -> None:
     """A texture whose file would be another's, or the contact sheet, is refused."""
     suite = _suite(texture=[{"name": name, "dataset": "brick"} for name in names])

@@ -13,6 +13,7 @@ from nrbench.imaging.door import Image
 from nrbench.streams import stream
 from nrbench.synthesis import Again, Refused, Synthesis, Task
 from nrbench.synthesizers.planted import FAULTS, Planted
+from nrbench.synthesizers.planting import read
 from nrbench.texture import Shape, Texture
 
 MODELS: Mapping[str, Model] = {
@@ -74,15 +75,21 @@ def planted(kind: str, size: float, name: str = "brick", shape: Shape = (150, 18
 @pytest.mark.parametrize("kind", FAULTS)
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("shape", [(64, 48), (101, 77), (40, 33), (8, 8)])
-def test_every_kind_fits_every_shape(kind: str, name: str, shape: Shape) -> None:
-    """The output has the shape asked for, its values are an image's, and its note names the defect."""
-    made = plant(kind, 0.4, again=Draws(name), shape=shape)
-    assert made.extras["displacement"].shape == (*shape, 2)
-    assert made.extras["covered"].shape == shape
-    assert made.image.shape == (*shape, 3)
-    assert made.image.dtype == np.float32
-    assert 0 <= made.image.min() <= made.image.max() <= 1
-    assert kind in made.note
+@pytest.mark.parametrize("seed", range(2))
+def test_every_kind_fits_every_shape(kind: str, name: str, shape: Shape, seed: int) -> None:
+    """There is a defect in an image of the shape asked for, under its name; or, on the smallest, it is refused."""
+    try:
+        image, displacement, covered, fresh, _ = planted(kind, 0.4, name, shape, seed)
+    except Refused as refusal:
+        assert shape == (8, 8), refusal
+        assert "covers no pixel" in refusal.reason
+        return
+    assert displacement.shape == (*shape, 2) and covered.shape == shape
+    assert image.shape == (*shape, 3) and image.dtype == np.float32
+    assert 0 <= image.min() <= image.max() <= 1
+    assert kind in plant(kind, 0.4, seed, Draws(name), shape).note
+    np.testing.assert_array_equal(image[~covered], fresh[~covered])
+    assert covered.any() == (image[covered] != fresh[covered]).any() == (kind != "none")
 
 
 @pytest.mark.parametrize("kind", ["phase-step", "displaced-tile", "off-lattice"])
@@ -298,6 +305,41 @@ def test_without_fresh_draws_or_lattice_it_refuses(kind: str) -> None:
     else:
         with pytest.raises(Refused, match="no lattice"):
             plant(kind, 0.3, again=chaotic)
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "shape"),
+    [
+        ("doubled-tile", 0.4, (1, 1)),
+        ("verbatim", 0.4, (8, 8)),
+        ("blurred-band", 1.0, (1, 1)),
+        ("missing-tile", 1.0, (1, 1)),
+        ("stretch", 1.0, (1, 1)),
+        ("phase-step", 0.01, (64, 48)),
+        ("two-tone", 0.001, (64, 48)),
+    ],
+)
+def test_nothing_is_never_passed_off_as_a_defect(kind: str, size: float, shape: Shape) -> None:
+    """Where a defect has no room, or is less than a pixel or a tile, the method says so."""
+    with pytest.raises(Refused, match=rf"planted: {kind} of size .* covers no pixel .* give a larger size or output"):
+        plant(kind, size, shape=shape)
+
+
+@pytest.mark.parametrize("move", [(3, 0), (-3, 0), (0, 3), (0, -3)])
+def test_content_never_comes_from_the_far_side(move: tuple[int, int]) -> None:
+    """A margin as wide as the move is read to its end; one that is a pixel narrower is an error, on every side."""
+    draw = np.random.default_rng(0).random((16, 20, 1)).astype(np.float32)
+    field = np.broadcast_to(np.array(move, np.intp), (10, 14, 2))
+    np.testing.assert_array_equal(read(draw, 3, field), draw[3 - move[1] : 13 - move[1], 3 - move[0] : 17 - move[0]])
+    with pytest.raises(IndexError, match="a margin of 2 px is too small for displacements of 3 px"):
+        read(draw[1:-1, 1:-1], 2, field)
+
+
+def test_the_lattice_costs_no_draw_of_the_sample() -> None:
+    """All that is drawn beside the output is the smallest draw there is."""
+    again = Draws()
+    plant("phase-step", 0.3, again=again)
+    assert [image.shape[:2] for image in again.seen[:-1]] == [(8, 8)]
 
 
 @pytest.mark.parametrize("kind", FAULTS)
