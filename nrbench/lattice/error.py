@@ -29,10 +29,11 @@ class LatticeError:
     k
         Cells in a cell: 1 where exact, 0 where wrong.
     vector
-        The larger error, px, of the two reduced vectors of the truth as the estimate would have them: its basis after
-        the integer change of basis that matches best (in a supercell, fractions of its vectors).
+        The largest error, px, of the reduced vectors of the truth as the estimate would have them: its basis after
+        the integer change of basis that matches best (in a supercell, fractions of its vectors). There are two of them,
+        or three where the second has an equal (rhombic, hexagonal).
     angle
-        The larger angle, degrees in [0, 180], between those vectors and the true ones.
+        The largest angle, degrees in [0, 180], between those vectors and the true ones.
     area_ratio
         Area of the estimate's cell over that of the true cell.
     drift
@@ -58,8 +59,12 @@ class LatticeError:
         return {"exact": 1.0, "supercell": float(self.k), "subcell": 1 / max(self.k, 1)}.get(self.relation)
 
 
-def lattice_error(estimate: Lattice, truth: Lattice, shape: tuple[int, int], tolerance: float = 1.0) -> LatticeError:
+def lattice_error(
+    estimate: Lattice, truth: Lattice, shape: tuple[int, int], tolerance: float = 1.0, share: float = 0.0
+) -> LatticeError:
     """Compare an estimated lattice with the true one.
+
+    The relation is mutual: where the estimate is a supercell of the truth, the truth is a subcell of the estimate.
 
     Parameters
     ----------
@@ -68,22 +73,26 @@ def lattice_error(estimate: Lattice, truth: Lattice, shape: tuple[int, int], tol
     shape
         (height, width) in px of the picture over which ``drift`` accumulates.
     tolerance
-        The largest ``vector`` error, px, that still counts as the same lattice (or as a supercell, a subcell). On small
-        lattices it is also bounded by :data:`CHANCE_RADIUS` times s of the finer of the two.
+        The largest error, px, of the finer one's reduced vectors that still counts as the same lattice (or as a
+        supercell, a subcell). On small lattices it is also bounded: no reduced vector of the coarser one may be further
+        than :data:`CHANCE_RADIUS` times the smaller s from a point of the finer one.
+    share
+        Counts too: an error up to this share of the smaller s, where that is more than ``tolerance``. A lattice
+        measured by hand on a photograph is known to about 1.5 px or 4 % of s, whichever is larger.
 
     Returns
     -------
     LatticeError
         Where the relation is ``wrong``, the numbers compare the two reduced bases, matched vector by vector.
     """
-    found, true = estimate.reduced().matrix, truth.reduced().matrix
-    k, matched = _nested(found, true)
-    error = float(np.hypot(*(matched - true).T).max())
-    if k == 0 or error > tolerance:
-        k, matched = 0, _nearest_basis(found, true)
-        error = float(np.hypot(*(matched - true).T).max())
+    found, true = estimate.canonical().matrix, truth.canonical().matrix
+    allowed = max(tolerance, share * min(np.hypot(*found[0]), np.hypot(*true[0])))
+    nested = _nested(found, true, allowed)
+    k, matched = nested or (0, _nearest_basis(found, true))
+    wanted, had = _equals(true) @ true, _equals(true) @ matched
     ratio = estimate.area / truth.area
-    return LatticeError(_relation(k, ratio), k, error, _angle(matched, true), ratio, _drift(matched, true, shape))
+    drift = _drift(matched, true, shape)
+    return LatticeError(_relation(k, ratio), k, _longest(had - wanted), _angle(had, wanted), ratio, drift)
 
 
 def _relation(k: int, ratio: float) -> Relation:
@@ -92,23 +101,46 @@ def _relation(k: int, ratio: float) -> Relation:
     return "supercell" if ratio > 1 else "subcell"
 
 
-def _nested(found: Points, true: Points) -> tuple[int, Points]:
-    """Return k and the true basis as ``found`` has it, where one lattice holds the other; else 0 and ``true``."""
+def _nested(found: Points, true: Points, tolerance: float) -> tuple[int, Points] | None:
+    """Return k and the true basis as ``found`` has it, where one lattice holds the other; else None."""
     finer = abs(np.linalg.det(found)) < abs(np.linalg.det(true))
     fine, coarse = (found, true) if finer else (true, found)
     change = np.rint(coarse @ np.linalg.inv(fine))
     k = round(abs(float(np.linalg.det(change))))
-    apart = np.hypot(*(coarse - change @ fine).T).max()
-    if k == 0 or apart > CHANCE_RADIUS * np.hypot(*fine[0]):
-        return 0, true
+    off = coarse - change @ fine
+    apart = _longest(_equals(coarse) @ off)
+    if k == 0 or apart > CHANCE_RADIUS * min(np.hypot(*fine[0]), np.hypot(*coarse[0])):
+        return None
+    error = _longest(_equals(fine) @ np.linalg.solve(change, off))
+    if max(error, apart if k == 1 else 0.0) > tolerance:
+        return None
     return k, np.asarray(change @ found if finer else np.linalg.solve(change, found), np.float64)
 
 
+def _equals(basis: Points) -> Points:
+    """Return the integers of a canonical basis's vectors, ``(2, 2)``, and of a third as short as the second: (3, 2)."""
+    a, b = basis
+    third = np.array([-1.0, 1.0])
+    tied = (b - a) @ (b - a) <= b @ b * (1 + 1e-9)
+    return np.vstack([np.eye(2), third]) if tied else np.eye(2)
+
+
 def _nearest_basis(found: Points, true: Points) -> Points:
-    """Return the basis of ``found``, among those near its reduced one, whose vectors are nearest to ``true``."""
+    """Return the basis of ``found``, among those near its reduced one, whose vectors are nearest to ``true``.
+
+    Of bases equally near by the longest error, that of the least sum of squares; of those, the one of the greatest
+    components: what is returned does not depend on the order of the candidates.
+    """
     changes = np.array(list(itertools.product((-1, 0, 1), repeat=4)), np.float64).reshape(-1, 2, 2)
     bases = changes[np.abs(np.abs(np.linalg.det(changes)) - 1) < 0.5] @ found
-    return np.asarray(bases[np.argmin(np.hypot(*np.moveaxis(bases - true, -1, 0)).max(1))])
+    squares = ((_equals(true) @ (bases - true)) ** 2).sum(2)
+    nearness = np.stack([squares.sum(1), squares.max(1)]) / squares.max()
+    keys = np.vstack([-bases.reshape(-1, 4).T / np.abs(bases).max(), nearness])
+    return np.asarray(bases[np.lexsort(np.round(keys, 10))[0]])
+
+
+def _longest(vectors: Points) -> float:
+    return float(np.hypot(*vectors.T).max())
 
 
 def _angle(matched: Points, true: Points) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nrbench.errors import BadInput
+from nrbench.lattice.strips import integers_within
 
 Vector = tuple[float, float]
 LatticeKind = Literal["parallelogram", "rectangular", "rhombic", "square", "hexagonal"]
@@ -69,18 +70,45 @@ class Lattice:
         """Length of the shortest lattice vector in px."""
         return math.hypot(*self.reduced().t1)
 
+    @property
+    def packing_radius(self) -> float:
+        """Half of s, px: what lies within it of a lattice point is nearer to that point than to any other."""
+        return self.s / 2
+
+    @property
+    def covering_radius(self) -> float:
+        """How far from the nearest lattice point one can be, px: a reduced triangle's circumradius."""
+        a, b = self.reduced().matrix
+        return float(np.hypot(*a) * np.hypot(*b) * np.hypot(*(b - a))) / (2 * self.area)
+
     def reduced(self) -> Lattice:
-        """Return the same lattice in its Lagrange-Gauss basis: t1 shortest, t2 next, angle in [60, 90] degrees."""
-        a, b = self.matrix
-        if a @ a > b @ b:
-            a, b = b, a
-        while True:
-            b = b - np.rint((a @ b) / (a @ a)) * a
-            if b @ b >= a @ a * (1 - 1e-12):
-                break
-            a, b = b, a
-        a, b = _right(a), _right(b)
-        return Lattice(_pair(a), _pair(b if a @ b >= 0 or abs(a @ b) < 1e-9 * (a @ a) else -b), self.origin)
+        """Return the same lattice in a Lagrange-Gauss basis: t1 shortest, t2 next, angle in [60, 90] degrees.
+
+        Where vectors are equally short (square, rhombic, hexagonal) several bases are reduced, and which one is
+        returned depends on the basis given; see :meth:`canonical`.
+        """
+        a, b = shortest_pair(self.matrix)
+        a, b = _acute(_right(a), _right(b))
+        return Lattice(_pair(a), _pair(b), self.origin)
+
+    def canonical(self) -> Lattice:
+        """Return the same lattice in the one reduced basis that depends on the lattice alone.
+
+        Of vectors equally short, to 1e-9 of their squares, the first is taken that one meets turning from right (x)
+        towards down (y). t1 points that way, into [0, 180) degrees, and so does t2 unless the angle would be obtuse.
+        """
+        a, b = _settled(*shortest_pair(self.matrix))
+        a, b = _acute(_down(a), _down(b))
+        return Lattice(_pair(a), _pair(b), self.origin)
+
+    def dual(self) -> Lattice:
+        """Return the reciprocal lattice, in cycles per px: vectors d_i with ``d_i . t_j`` = 1 where i = j, else 0.
+
+        Its points are the frequencies that a texture of this lattice can have. The dual of the dual is the lattice
+        (with the origin at (0, 0), for frequencies have none), that of a supercell a finer dual.
+        """
+        first, second = self._inverse.T
+        return Lattice(_pair(first), _pair(second))
 
     @property
     def kind(self) -> LatticeKind:
@@ -93,12 +121,14 @@ class Lattice:
         Parameters
         ----------
         tolerance
-            How far the tip of a reduced vector may be off, as a fraction of that vector's length.
+            How far the tip of a reduced vector may be off, as a fraction of that vector's length. Where that allows
+            both, the longer vector stands above an end of the shorter one (rectangular) or above its middle (rhombic),
+            whichever is nearer.
         """
         a, b = self.reduced().matrix
         short, long = float(np.hypot(*a)), float(np.hypot(*b))
         along, slack = float(a @ b) / short, tolerance * long
-        equal, right, half = long - short <= slack, along <= slack, abs(along - short / 2) <= slack
+        equal, right, half = long - short <= slack, along <= min(slack, short / 4), short / 2 - along <= slack
         if right:
             return "square" if equal else "rectangular"
         if equal and half:
@@ -132,26 +162,39 @@ class Lattice:
     def wrap(self, displacement: ArrayLike) -> Points:
         """Return each displacement (x, y) modulo the lattice, as the representative nearest to zero.
 
-        The nearest lattice vector of a reduced basis is among the nine around the rounded one, so the result lies in
-        the Voronoi cell, not in the parallelogram. Shape ``(..., 2)``, px.
+        The result lies in the Voronoi cell, not in the parallelogram: in a reduced basis the nearest lattice point is
+        one of the four around. Of representatives equally near, to 1e-7 s, the rightmost is taken, then the lowest, so
+        that the result depends on the lattice alone. Shape ``(..., 2)``, px.
         """
-        basis = self.reduced().matrix
-        d = np.asarray(displacement, np.float64)
-        d = d - np.rint(d @ np.linalg.inv(basis)) @ basis
-        steps = np.array([(i, j) for i in (0, -1, 1) for j in (0, -1, 1)], np.float64) @ basis
-        candidates = d[..., np.newaxis, :] + steps
-        nearest = np.argmin((candidates**2).sum(-1), -1)
-        return np.asarray(np.take_along_axis(candidates, nearest[..., np.newaxis, np.newaxis], -2)[..., 0, :])
+        d, basis = np.asarray(displacement, np.float64), self.reduced().matrix
+        first, snap = np.floor(d @ np.linalg.inv(basis)), 1e-7 * np.hypot(*basis[0])
+        candidates = np.stack([d - (first + corner) @ basis for corner in ((0, 0), (0, 1), (1, 0), (1, 1))])
+        x, y = candidates[..., 0], candidates[..., 1]
+        squares = x * x + y * y
+        chosen = squares <= (np.sqrt(squares.min(0)) + snap) ** 2
+        right = np.where(chosen, x, -np.inf)
+        best = np.argmax(np.where(right >= right.max(0) - snap, y, -np.inf), 0)
+        return np.asarray(np.take_along_axis(candidates, best[np.newaxis, ..., np.newaxis], 0)[0])
 
     def points(self, shape: tuple[int, int], margin: float = 0.0) -> Points:
-        """Return all lattice points (x, y) within ``margin`` px of an image of ``shape``, as ``(n, 2)``."""
+        """Return all lattice points (x, y) within ``margin`` px of an image of ``shape``, as ``(n, 2)``.
+
+        Sorted by their cell coordinates. Time grows with their number, whatever the basis.
+        """
         height, width = shape
         low, high = -0.5 - margin, np.array([width, height]) - 0.5 + margin
-        corners = self.to_cell([(low, low), (high[0], low), (low, high[1]), (high[0], high[1])])
-        (u0, v0), (u1, v1) = np.floor(corners.min(0)).astype(int), np.ceil(corners.max(0)).astype(int)
-        grid = np.stack(np.meshgrid(np.arange(u0, u1 + 1), np.arange(v0, v1 + 1), indexing="ij"), -1).reshape(-1, 2)
-        xy = self.from_cell(grid)
+        xy = self.from_cell(self.cell_numbers((low, low), (high[0], high[1])))
         return xy[((xy >= low) & (xy < high)).all(1)]
+
+    def cell_numbers(self, low: Vector, high: Vector) -> NDArray[np.int64]:
+        """Return the whole cell coordinates (u, v) of all lattice points in a box, and of some just outside.
+
+        ``int64 (n, 2)``, sorted; ``low`` and ``high`` are the box's corners (x, y), px.
+        """
+        basis = self.reduced().matrix
+        change = np.rint(basis @ self._inverse).astype(np.int64)
+        found = integers_within(basis, np.subtract(low, self.origin), np.subtract(high, self.origin)) @ change
+        return np.asarray(found[np.lexsort((found[:, 1], found[:, 0]))])
 
     def shifted(self, offset: Vector) -> Lattice:
         """Return the lattice moved by ``offset`` (x, y) px: that of an image cropped at ``-offset``."""
@@ -176,6 +219,42 @@ class Lattice:
         return cls((x1, y1), (x2, y2))
 
 
+def shortest_pair(basis: Points) -> tuple[Points, Points]:
+    """Return a shortest vector of a lattice and a shortest one beside it, by Lagrange and Gauss.
+
+    ``basis`` is ``(2, 2)``, rows (x, y).
+    """
+    a, b = basis
+    if a @ a > b @ b:
+        a, b = b, a
+    while True:
+        b = b - np.rint((a @ b) / (a @ a)) * a
+        if b @ b >= a @ a * (1 - 1e-12):
+            return a, b
+        a, b = b, a
+
+
+def _acute(a: Points, b: Points) -> tuple[Points, Points]:
+    """Return a, and the one of +-b that makes no obtuse angle with it (b where both are right)."""
+    return a, b if a @ b >= 0 or abs(a @ b) < 1e-9 * (a @ a) else -b
+
+
+def _settled(a: Points, b: Points) -> tuple[Points, Points]:
+    """Return the first of the equally short vectors, and the first of the equally short ones beside it."""
+    third = b - a if a @ b >= 0 else b + a
+    short, long = (square * (1 + 1e-9) for square in sorted((a @ a, b @ b)))
+    near = sorted((v for v in (a, b, third) if v @ v <= long), key=_turn)
+    first = next(v for v in near if v @ v <= short)
+    second = next(v for v in near if v is not first)
+    return first, second
+
+
+def _turn(vector: Points) -> float:
+    """Return the angle of a line's direction from right (x) towards down (y), in [0, pi)."""
+    angle = math.atan2(vector[1], vector[0]) % math.pi
+    return angle if angle < math.pi - 1e-9 else 0.0
+
+
 def _vector(value: Any, name: str) -> Vector:
     try:
         x, y = (float(part) for part in value)
@@ -184,6 +263,11 @@ def _vector(value: Any, name: str) -> Vector:
     if not (math.isfinite(x) and math.isfinite(y)):
         raise BadInput(f"lattice: {name} is {(x, y)}; give finite numbers")
     return x, y
+
+
+def _down(vector: Points) -> Points:
+    """Return the one of +-vector whose angle from right towards down is in [0, pi), rounding aside."""
+    return vector if abs(math.atan2(vector[1], vector[0]) - _turn(vector)) < 1 else -vector
 
 
 def _pair(vector: Points) -> Vector:

@@ -71,6 +71,95 @@ def test_the_reduced_basis_is_short_and_nearly_orthogonal(lattice: Lattice) -> N
     assert 60 - 1e-4 <= angle <= 90 + 1e-4
 
 
+TIED = [
+    Lattice((20, 0), (0, 20)),
+    Lattice((20, 0), (0, 30)),
+    HEXAGONAL,
+    Lattice((20, 0), (10, 12)),
+    Lattice((20, 0), (10, 30)),
+]
+
+
+@pytest.mark.parametrize("lattice", TIED)
+@given(unimodular(), st.floats(0, 360))
+def test_the_canonical_basis_is_the_lattices_own(lattice: Lattice, change: np.ndarray, degrees: float) -> None:
+    """Lattices with equally short vectors have one canonical basis, whatever the basis given, and it is reduced."""
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    t1, t2 = (lattice.matrix @ [[c, s], [-s, c]]).tolist()
+    turned = Lattice(tuple(t1), tuple(t2))
+    one, other = turned.canonical(), rebased(turned, change).canonical()
+    np.testing.assert_allclose(one.matrix, other.matrix, atol=1e-9)
+    np.testing.assert_allclose(np.hypot(*one.matrix.T), np.hypot(*turned.reduced().matrix.T), rtol=1e-9)
+    a, b = one.matrix
+    assert one.is_equivalent(turned) and -1e-6 <= a @ b <= a @ a / 2 + 1e-6
+
+
+@pytest.mark.parametrize("lattice", TIED)
+@given(unimodular(), st.integers(-9, 9), st.integers(-9, 9), st.integers(-4, 4), st.integers(-4, 4))
+def test_ties_in_wrapping_are_the_lattices_own(
+    lattice: Lattice, change: np.ndarray, i: int, j: int, a: int, b: int
+) -> None:
+    """Half vectors and centers of triangles wrap to one place, from any basis and from any cell, and stay there."""
+    places = np.array([(0.5, 0), (0, 0.5), (0.5, 0.5), (1 / 3, 1 / 3), (2 / 3, 2 / 3), (a / 6, b / 6)])
+    wrapped = lattice.wrap(places @ lattice.matrix)
+    again = rebased(lattice, change).wrap((places + np.array([i, j])) @ lattice.matrix)
+    np.testing.assert_allclose(again, wrapped, atol=1e-9)
+    np.testing.assert_allclose(lattice.wrap(wrapped), wrapped, atol=1e-9)
+
+
+def test_a_tie_goes_right_then_down() -> None:
+    """The four corners of a square Voronoi cell are one place, at the lower right."""
+    corners = [(10, 10), (-10, 10), (10, -10), (-10, -10)]
+    np.testing.assert_allclose(Lattice((20, 0), (0, 20)).wrap(corners), [(10, 10)] * 4)
+
+
+@pytest.mark.parametrize("lattice", [Lattice((2, 0), (0.7, 1e4)), Lattice((1e4, 3), (1e4 + 1.5, 1e4 + 2))])
+def test_long_lattices_wrap_and_list_their_points(lattice: Lattice) -> None:
+    """A wrapped displacement of 1e5 px is off by whole vectors, and in a 40 x 1000 strip all points are found."""
+    d = np.random.default_rng(0).uniform(-1e5, 1e5, (200, 2))
+    wrapped = lattice.wrap(d)
+    steps = (d - wrapped) @ np.linalg.inv(lattice.matrix)
+    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
+    assert (np.hypot(*wrapped.T) <= lattice.covering_radius * (1 + 1e-9)).all()
+    assert abs(len(lattice.points((40, 1000))) - 40_000 / lattice.area) <= 501
+
+
+def test_points_come_quickly_from_any_basis() -> None:
+    """A sheared basis, whose parallelogram of cells around the image is huge, gives the same points in its order."""
+    lattice = Lattice((7.0, 0.0), (1.0, 6.0))
+    sheared = Lattice((7.0, 0.0), (1.0 + 7.0 * 500, 6.0))
+    few, found = lattice.points((60, 5000)), sheared.points((60, 5000))
+    order = [np.lexsort(np.rint(points * 1000).T) for points in (few, found)]
+    np.testing.assert_allclose(found[order[1]], few[order[0]], atol=1e-6)
+    u, v = np.rint(sheared.to_cell(found)).T
+    assert (np.diff(u) >= 0).all() and (np.diff(v)[np.diff(u) == 0] > 0).all()
+
+
+@given(lattices())
+def test_the_dual_is_reciprocal(lattice: Lattice) -> None:
+    """Its vectors give 1 with their own and 0 with the other, its area is the inverse, its dual the lattice."""
+    dual = lattice.dual()
+    np.testing.assert_allclose(dual.matrix @ lattice.matrix.T, np.eye(2), atol=1e-12)
+    assert dual.area == pytest.approx(1 / lattice.area)
+    np.testing.assert_allclose(dual.dual().matrix, lattice.matrix, rtol=1e-9, atol=1e-9)
+
+
+@given(lattices(), unimodular())
+def test_the_dual_does_not_depend_on_the_basis(lattice: Lattice, change: np.ndarray) -> None:
+    """The duals of two bases are one lattice."""
+    assert rebased(lattice, change).dual().is_equivalent(lattice.dual(), 1e-9)
+
+
+@given(lattices())
+def test_the_covering_radius_is_that_of_the_deepest_hole(lattice: Lattice) -> None:
+    """No place wraps further than it, some do nearly; within the packing radius a place wraps to itself."""
+    u, v = np.mgrid[0:1:0.02, 0:1:0.02]  # type: ignore[misc]
+    away = np.hypot(*np.moveaxis(lattice.wrap(np.stack([u, v], -1) @ lattice.reduced().matrix), -1, 0))
+    assert lattice.covering_radius * 0.93 < away.max() <= lattice.covering_radius * (1 + 1e-9)
+    near = np.array([lattice.packing_radius * 0.99, 0.0])
+    np.testing.assert_allclose(lattice.wrap(near), near, atol=1e-9)
+
+
 @given(lattices(), st.floats(-200, 200), st.floats(-200, 200))
 def test_wrap_lands_in_the_voronoi_cell(lattice: Lattice, x: float, y: float) -> None:
     """The wrapped displacement differs by a lattice vector, and no lattice point brings it nearer to zero."""
@@ -119,6 +208,27 @@ def test_the_kind_is_that_of_the_symmetry(lattice: Lattice, kind: str, turn: flo
     rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
     t1, t2 = (np.array([[2, 1], [1, 1]]) @ lattice.matrix @ rotation).tolist()
     assert Lattice(tuple(t1), tuple(t2)).kind == kind
+
+
+@pytest.mark.parametrize("lattice", TIED)
+@given(unimodular(), st.floats(-0.004, 0.004), st.floats(-0.004, 0.004))
+def test_the_kind_survives_a_basis_and_a_small_move(lattice: Lattice, change: np.ndarray, x: float, y: float) -> None:
+    """Moving one vector's tip by less than half the tolerance changes no kind, seen from any basis."""
+    moved = lattice.matrix + np.array([(0, 0), (x, y)]) * lattice.s
+    assert rebased(Lattice(tuple(moved[0]), tuple(moved[1])), change).kind == lattice.kind
+
+
+@pytest.mark.parametrize("lattice", TIED)
+@given(unimodular())
+def test_the_kind_of_the_dual_is_the_same(lattice: Lattice, change: np.ndarray) -> None:
+    """Square, rectangular, rhombic and hexagonal lattices have duals of their kind."""
+    assert rebased(lattice, change).dual().kind == lattice.kind
+
+
+@pytest.mark.parametrize(("along", "kind"), [(0.3, "rectangular"), (0.99, "rhombic"), (0.49, "rectangular")])
+def test_a_long_lattice_is_of_the_nearer_kind(along: float, kind: str) -> None:
+    """2 px by 300 px: 1 % of the longer vector reaches either kind, and the nearer one is told."""
+    assert Lattice((2.0, 0.0), (along, 300.0)).kind == kind
 
 
 def test_the_kind_has_a_tolerance() -> None:
