@@ -18,11 +18,13 @@ def _column(meaning: str, unit: str, better: Literal["higher", "lower"] = "lower
 class Cost:
     """Time and memory that the synthesis took, as the supervisor measured them."""
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
         "seconds": _column("Wall time of the synthesis, detection included.", "s"),
         "cpu_seconds": _column("Processor time of the synthesis, all threads.", "s"),
-        "detection_seconds": _column("Wall time spent in finding the lattice.", "s"),
+        "detection_seconds": _column(
+            "Wall time spent in finding the lattice, by the method or by the detector that the lattice comes from.", "s"
+        ),
         "peak_mib": _column("Peak memory above that of the idle worker.", "MiB"),
         "px_per_second": _column("Output pixels for each second of wall time.", "px/s", "higher"),
         "reliable": Column("No other cell ran at the same time, so the times are comparable."),

@@ -9,12 +9,15 @@ from typing import ClassVar
 
 from nrbench.errors import BadInput
 from nrbench.lattice.error import LatticeError, lattice_error
-from nrbench.synthesis import Column, Observation, Score, Value
+from nrbench.synthesis import Column, FoundLattice, Observation, Score, Value
 
 
 @dataclass(frozen=True)
 class LatticeRecovery:
     """How well the method's lattice agrees with the true one; see :mod:`nrbench.lattice.error`.
+
+    Where the lattice comes from a detector, ``found`` and ``confidence`` are what it answered. That there is none is an
+    answer: not exact where the texture has a lattice, right where it has none.
 
     Parameters
     ----------
@@ -24,8 +27,10 @@ class LatticeRecovery:
 
     tolerance: float = 1.0
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
+        "found": Column("The detector that the lattice comes from found one."),
+        "confidence": Column("How sure that detector is of it."),
         "exact": Column("The method used the smallest lattice of the texture.", better="higher"),
         "index": Column(
             "True cells in a cell of the method's lattice: 1, k for a supercell, 1/k for a subcell.",
@@ -48,16 +53,35 @@ class LatticeRecovery:
             raise BadInput(f"lattice_recovery: tolerance is {self.tolerance}; give a number of px above 0")
 
     def score(self, observation: Observation) -> Score:
-        """Return the comparison; None throughout where the truth or the method has no lattice."""
+        """Return the comparison; None where the truth has no lattice, or the method none that it was asked for."""
+        answers, why = _answers(observation.detected)
+        compared, why_not, records = self._compared(observation)
+        return Score({**answers, **compared}, {**why, **why_not}, records=records)
+
+    def _compared(self, observation: Observation) -> tuple[dict[str, Value], dict[str, str], dict[str, str]]:
+        """Return values, reasons and records of the comparison with the truth."""
         truth = observation.truth.lattice if observation.truth else None
         used = observation.lattice_used
         if truth is None or used is None:
             reason = "the truth has no lattice" if truth is None else "the method used no lattice"
-            return Score(dict.fromkeys(self.columns), dict.fromkeys(self.columns, reason))
+            missed = truth is not None and observation.detected is not None and observation.detected.lattice is None
+            values: dict[str, Value] = {**dict.fromkeys(_COMPARED), **({"exact": False} if missed else {})}
+            return values, {name: reason for name, value in values.items() if value is None}, {}
         height, width = observation.output.shape[:2]
         error = lattice_error(used, truth, (height, width), self.tolerance)
         reasons = {} if error.index is not None else {"index": "the lattice is wrong, not a multiple of the true one"}
-        return Score(_values(error), reasons, records={"class": error.label})
+        return _values(error), reasons, {"class": error.label}
+
+
+_COMPARED = tuple(name for name in LatticeRecovery.columns if name not in ("found", "confidence"))
+
+
+def _answers(detected: FoundLattice | None) -> tuple[dict[str, Value], dict[str, str]]:
+    """Return what a detector answered, and why there is nothing to say of it."""
+    if detected is None:
+        return {"found": None, "confidence": None}, dict.fromkeys(("found", "confidence"), "no detector was asked")
+    values: dict[str, Value] = {"found": detected.lattice is not None, "confidence": detected.confidence}
+    return values, {} if detected.confidence is not None else {"confidence": f"none found: {detected.reason}"}
 
 
 def _values(error: LatticeError) -> dict[str, Value]:

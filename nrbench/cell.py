@@ -12,7 +12,7 @@ from typing import Any
 from nrbench import plugins
 from nrbench.lattice.geometry import Lattice
 from nrbench.streams import stream
-from nrbench.synthesis import Again
+from nrbench.synthesis import Again, FoundLattice
 from nrbench.texture import Region, Shape, Texture
 
 RESULTS_VERSION = 1
@@ -84,11 +84,14 @@ class Cell:
     reference
         Whether the row calibrates the scores and is never ranked.
     lattice_source
-        ``given``, ``own``, a detector's name, or ``none`` for a method that uses no lattice.
+        ``given``, ``own``, a detector's name, the numbers ``x1,y1,x2,y2``, or ``none`` for a method that uses
+        no lattice.
     detector
         Name, version and parameters of the detector, where ``lattice_source`` is one.
     lattice_given, lattice_truth
         The lattice handed over, and the true one, in the sample's coordinates.
+    detected
+        What the detector answered, "there is none" included, once it was asked.
     replicate, seed
         The draw, and the suite's seed.
     shape
@@ -126,6 +129,7 @@ class Cell:
     detector: tuple[str, str, Mapping[str, Any]] | None = None
     lattice_given: Lattice | None = None
     lattice_truth: Lattice | None = None
+    detected: FoundLattice | None = None
     procedural: bool = True
     again_hash: str = ""
     fault: str = ""
@@ -152,9 +156,9 @@ class Cell:
         """Return the cell, JSON-ready."""
         mapping = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
         mapping["recipe"] = _recipe_dict(self.recipe)
-        for name in ("lattice_given", "lattice_truth"):
-            lattice: Lattice | None = mapping[name]
-            mapping[name] = lattice.as_dict() if lattice else None
+        for name in ("lattice_given", "lattice_truth", "detected"):
+            known: Lattice | FoundLattice | None = mapping[name]
+            mapping[name] = known.as_dict() if known else None
         return {"key": self.key, **mapping}
 
     @classmethod
@@ -164,6 +168,7 @@ class Cell:
         values["recipe"] = Recipe(**{**values["recipe"], "shape": tuple(values["recipe"]["shape"])})
         for name in ("lattice_given", "lattice_truth"):
             values[name] = Lattice.from_dict(values[name]) if values[name] else None
+        values["detected"] = FoundLattice.from_dict(values["detected"]) if values.get("detected") else None
         values["shape"] = tuple(values["shape"])
         values["detector"] = tuple(values["detector"]) if values["detector"] else None
         values["region"] = tuple(values["region"]) if values["region"] else None

@@ -11,11 +11,10 @@ from typing import Any
 from nrbench import plugins
 from nrbench.cell import Cell
 from nrbench.imaging.files import read_image, write_image
-from nrbench.lattice.detection import NoLatticeFound
 from nrbench.outputs import InvalidOutput, checked_synthesis
 from nrbench.store import CellFolder, read_json, write_arrays
 from nrbench.streams import pixels_hash, stream
-from nrbench.synthesis import Again, Refused, Synthesis, Task
+from nrbench.synthesis import Again, Refused, Synthesis, Task, timed_detection
 from nrbench.texture import Shape, Texture
 
 Send = Callable[[dict[str, Any]], None]
@@ -96,17 +95,13 @@ def detect(folder: Path, send: Send) -> None:
     where = CellFolder(folder)
     asked = read_json(where.cell_file) or {}
     detector = plugins.build("detectors", asked["detector"], asked["parameters"])
-    start = time.perf_counter()
     try:
-        lattice, reason = detector.detect(read_image(where.sample)).lattice.as_dict(), ""
-    except NoLatticeFound as none:
-        lattice, reason = None, none.reason
+        found = timed_detection(detector, read_image(where.sample))
     except (Exception, SystemExit) as error:
         traceback.print_exc()
         send({"status": "error", "message": f"{type(error).__name__}: {error}"})
         return
-    seconds = time.perf_counter() - start
-    send({"status": "ok", "message": reason, "lattice": lattice, "seconds": seconds})
+    send({"status": "ok", "message": found.reason, **found.as_dict()})
 
 
 def read_cell(where: CellFolder) -> Cell:

@@ -179,15 +179,21 @@ class Run:
 
     @cached_property
     def columns(self) -> dict[str, Column]:
-        """Every score's column by ``metric.column``."""
+        """Every score's column by ``metric.column``, of the metrics that score this run."""
+        return {f"{p.name}.{name}": column for p in self._metrics for name, column in p.cls.columns.items()}  # type: ignore[union-attr]
+
+    @cached_property
+    def _metrics(self) -> list[plugins.Plugin]:
+        """The metrics that score this run: those that its suite names, else all; only those that load."""
+        named = self.info.get("suite", {}).get("content", {}).get("metrics")
         working = [plugin for plugin in plugins.inventory("metrics") if plugin.cls is not None]
-        return {f"{p.name}.{name}": column for p in working for name, column in p.cls.columns.items()}  # type: ignore[union-attr]
+        return [plugin for plugin in working if not named or plugin.name in named]
 
     @cached_property
     def cells(self) -> list[CellRecord]:
         """Every cell of the run, in the suite's order; those that have not ended included."""
         directory = RunDirectory(self.root)
-        metrics = [plugin.name for plugin in plugins.inventory("metrics") if plugin.cls is not None]
+        metrics = [plugin.name for plugin in self._metrics]
         return [_record(directory.cell(entry["key"]), entry, metrics) for entry in self.info["cells"]]
 
     def table(self) -> pd.DataFrame:
@@ -197,8 +203,8 @@ class Run:
 
 
 def _record(where: CellFolder, entry: dict[str, Any], metrics: list[str]) -> CellRecord:
-    handed = (read_json(where.cell_file) or entry)["lattice_given"]
-    cell = Cell.from_dict({**entry, "lattice_given": handed})
+    begun = read_json(where.cell_file) or entry
+    cell = Cell.from_dict({**entry, **{name: begun.get(name) for name in ("lattice_given", "detected")}})
     result = where.result() or {}
     values: dict[str, float | bool | None] = {}
     reasons: dict[str, str] = {}

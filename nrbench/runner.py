@@ -19,12 +19,13 @@ from nrbench.cell import Cell
 from nrbench.errors import BadInput
 from nrbench.executors import executor
 from nrbench.imaging.files import write_image
-from nrbench.lattice.geometry import Lattice
 from nrbench.plan import Plan, Sample
 from nrbench.provenance import provenance
 from nrbench.records import FAILED, Run
 from nrbench.scoring import failed_scores, score_file
 from nrbench.store import RUN_FILE, CellFolder, RunDirectory, read_json, write_json
+from nrbench.suite import Suite
+from nrbench.synthesis import FoundLattice
 
 Progress = Callable[[int, int, str], None]
 """Called with the number of cells done, of all, and the name of the last one with its status."""
@@ -81,6 +82,17 @@ def working_metrics() -> list[str]:
     return [plugin.name for plugin in plugins.inventory("metrics") if plugin.cls is not None]
 
 
+def metrics_of(suite: Suite) -> list[str]:
+    """Return the names of the metrics that score a suite's cells: those that it names, else all that load.
+
+    Raises
+    ------
+    BadInput
+        When it names one that is not known or does not load.
+    """
+    return [plugins.find("metrics", name).name for name in dict.fromkeys(suite.metrics)] or working_metrics()
+
+
 def execute(plan: Plan, root: Path, options: Options | None = None, progress: Progress = _quiet) -> Run:
     """Run every cell that is not there yet, and return the run.
 
@@ -98,9 +110,9 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     Raises
     ------
     BadInput
-        When ``root`` holds something else, or another process is running in it.
+        When ``root`` holds something else, another process is running in it, or the suite names an unknown metric.
     """
-    options = options or Options()
+    options, metrics = options or Options(), metrics_of(plan.suite)
     directory = RunDirectory(root)
     if options.reuse is not None:
         RunDirectory(options.reuse).info()
@@ -109,7 +121,7 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
         _write_info(directory, plan, options)
         _copy_from(options.reuse, directory, plan)
         with executor(options.jobs, options.scheduler) as (pool, run):
-            placed = _Placed(directory, options, working_metrics(), lambda job: pool.submit(run, job))
+            placed = _Placed(directory, options, metrics, lambda job: pool.submit(run, job))
             cells = placed.with_detected(plan.cells)
             placed.run(cells, progress)
     return Run(root)
@@ -210,13 +222,17 @@ def _detection_key(cell: Cell) -> str:
     return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
 
-def _handed(cell: Cell, detected: dict[str, Any]) -> Cell:
-    if detected.get("lattice"):
-        return dataclasses.replace(cell, lattice_given=Lattice.from_dict(detected["lattice"]))
-    failed = detected["status"] != "ok"
-    why = detected["message"] or "no reason given"
-    fault = f"{cell.lattice_source}: {'failed: ' if failed else 'no lattice: '}{why}"
-    return dataclasses.replace(cell, fault=fault, fault_status="error" if failed else "refused")
+def _handed(cell: Cell, reply: dict[str, Any]) -> Cell:
+    """Return the cell with what its detector answered; without a lattice, only methods that do without go on."""
+    why = reply["message"] or "no reason given"
+    if reply["status"] != "ok":
+        return dataclasses.replace(cell, fault=f"{cell.lattice_source}: failed: {why}", fault_status="error")
+    found = FoundLattice.from_dict(reply)
+    cell = dataclasses.replace(cell, detected=found, lattice_given=found.lattice)
+    needed = getattr(plugins.find("synthesizers", cell.method).cls, "needs_lattice", True)
+    if found.lattice is not None or not needed:
+        return cell
+    return dataclasses.replace(cell, fault=f"{cell.lattice_source}: no lattice: {why}", fault_status="refused")
 
 
 def _made(where: CellFolder) -> CellFolder:

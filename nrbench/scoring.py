@@ -76,6 +76,8 @@ def observe(where: CellFolder, cell: Cell) -> Observation:
     costs = {
         key: result[key] for key in ("cpu_seconds", "detection_seconds", "peak_mib") if result.get(key) is not None
     }
+    if cell.detected is not None:
+        costs["detection_seconds"] = cell.detected.seconds
     return Observation(
         sample=_frozen(sample),
         output=_frozen(read_image(where.output, smallest=1)),
@@ -87,6 +89,7 @@ def observe(where: CellFolder, cell: Cell) -> Observation:
         seconds=result.get("seconds"),
         again=again,
         cost={**costs, "side_by_side": float(result.get("side_by_side", 0))},
+        detected=cell.detected,
     )
 
 

@@ -70,6 +70,8 @@ class Drawing(BaseModel):
 class TextureRow(BaseModel):
     """One texture of a suite: a dataset with its parameters, under a name.
 
+    ``departure`` says which departure the row is about, ``level`` how strong: reports group by them.
+
     A picture that was rendered from a model may say by ``recipe`` how: where the recipe still gives the same pixels,
     the texture is drawn by it, and all of its truth is known.
     """
@@ -84,6 +86,8 @@ class TextureRow(BaseModel):
     sample: Size | None = None
     size: Size | None = None
     recipe: Drawing | None = None
+    departure: str = ""
+    level: float | None = None
 
 
 class Suite(BaseModel):
@@ -94,7 +98,9 @@ class Suite(BaseModel):
     sample, size
         Shapes (height, width) of sample and output; a texture's own go first.
     lattice
-        ``given``, ``own`` or a detector's name (with parameters).
+        ``given``, ``own``, a detector's name (with parameters), or a lattice's numbers ``x1,y1,x2,y2``.
+    metrics
+        The metrics that score the cells; none named: all that there are.
     methods
         Methods as on the command line: ``name:param=value,...``.
     """
@@ -109,13 +115,23 @@ class Suite(BaseModel):
     size: Size = (256, 256)
     lattice: tuple[str, ...] = ("own",)
     methods: tuple[str, ...] = Field(default=(), min_length=0)
+    metrics: tuple[str, ...] = ()
     texture: tuple[TextureRow, ...] = ()
 
     @property
     def hash(self) -> str:
         """Hexadecimal hash of the suite's whole content."""
-        content = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        content = json.dumps(self.model_dump(mode="json", exclude=self._unset), sort_keys=True)
         return hashlib.blake2b(content.encode(), digest_size=8).hexdigest()
+
+    @property
+    def _unset(self) -> dict[str, Any]:
+        """The later keys that this suite does not use: suites without them keep the hash that they had."""
+        rows = {
+            i: {key for key in ("departure", "level") if getattr(row, key) in ("", None)}
+            for i, row in enumerate(self.texture)
+        }
+        return {"texture": rows, **({} if self.metrics else {"metrics": True})}
 
     def with_changes(self, **changes: Any) -> Suite:
         """Return the suite with some fields replaced, checked like the file."""

@@ -93,23 +93,52 @@ class Synthesis:
 
 @dataclass(frozen=True)
 class FoundLattice:
-    """What a method works with: the lattice given or found (or None and why), and what finding it cost."""
+    """What a method works with: the lattice given or found (or None and why), and what finding it cost.
+
+    Parameters
+    ----------
+    lattice
+        In the sample's coordinates; None where there is none.
+    seconds
+        Wall seconds spent in finding it.
+    reason
+        Why there is none.
+    confidence
+        In [0, 1], as the detector makes it; None where none was asked, or it found no lattice.
+    """
 
     lattice: Lattice | None
     seconds: float = 0.0
     reason: str = ""
+    confidence: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the answer, JSON-ready."""
+        return {**vars(self), "lattice": self.lattice.as_dict() if self.lattice else None}
+
+    @classmethod
+    def from_dict(cls, mapping: Mapping[str, Any]) -> FoundLattice:
+        """Rebuild an answer from :meth:`as_dict`; what else stands in the mapping is left out."""
+        names = ("seconds", "reason", "confidence")
+        lattice = Lattice.from_dict(mapping["lattice"]) if mapping.get("lattice") else None
+        return cls(lattice, **{name: mapping[name] for name in names if name in mapping})
 
 
 def find_lattice(task: Task, detector: Detector) -> FoundLattice:
     """Return the task's lattice where it was given one, else what ``detector`` finds in the sample."""
     if task.lattice is not None:
         return FoundLattice(task.lattice)
+    return timed_detection(detector, task.sample)
+
+
+def timed_detection(detector: Detector, image: Image) -> FoundLattice:
+    """Return what a detector answers on an image, "there is none" included, and the wall seconds that it took."""
     start = time.perf_counter()
     try:
-        lattice, reason = detector.detect(task.sample).lattice, ""
+        found = detector.detect(image)
     except NoLatticeFound as none:
-        lattice, reason = None, none.reason
-    return FoundLattice(lattice, time.perf_counter() - start, reason)
+        return FoundLattice(None, time.perf_counter() - start, none.reason)
+    return FoundLattice(found.lattice, time.perf_counter() - start, confidence=float(found.confidence))
 
 
 @runtime_checkable
@@ -117,7 +146,8 @@ class Synthesizer(Protocol):
     """The form of a synthesizer plugin: a frozen dataclass with this method.
 
     Optional class variables: ``reference`` (True: receives ``task.again`` and is never ranked), ``uses_lattice``
-    (False: the lattice axis does not apply), ``paper`` (BibTeX), ``version``.
+    (False: the lattice axis does not apply), ``needs_lattice`` (False: where a detector of the lattice axis finds none,
+    the method runs without one; otherwise the cell is refused), ``paper`` (BibTeX), ``version``.
     """
 
     def synthesize(self, task: Task) -> Synthesis:
@@ -147,6 +177,8 @@ class Observation:
         Fresh draws of the sample's texture at any shape; None for photographs.
     rng
         The metric's own stream.
+    detected
+        What the detector of the lattice axis answered; None where the lattice source is no detector.
     cost
         Further costs by name: ``cpu_seconds``, ``detection_seconds``, ``peak_mib``; ``side_by_side`` is 1 when other
         cells ran at the same time.
@@ -163,6 +195,7 @@ class Observation:
     again: Again | None = None
     rng: np.random.Generator = field(default_factory=np.random.default_rng)
     cost: Mapping[str, float] = field(default_factory=dict)
+    detected: FoundLattice | None = None
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from nrbench.records import Run
 from nrbench.store import write_aside
 
 from .comparison import Comparison, comparison
+from .detections import STOCHASTIC, answers, median, rate
 from .statistics import Estimate
 from .summary import Summary
 
@@ -25,7 +26,11 @@ class CsvTables:
 
     ``cells.csv`` has one row a cell and one column a score; ``comparison.csv`` the textures by methods; ``summary.csv``
     each method's counts, success rate, means and ranks, with 95 % intervals over textures; ``differences.csv`` the
-    paired differences between methods. Text that a spreadsheet would run as a formula gets an apostrophe in front.
+    paired differences between methods. Where detectors found the lattices, ``detections.csv`` has one row an answer
+    and ``detectors.csv`` each detector's share of right answers, with its interval over draws, by family, departure and
+    level; an empty cell there stands for all of them (of the textures that have a lattice).
+
+    Text that a spreadsheet would run as a formula gets an apostrophe in front.
     """
 
     version: ClassVar[str] = "1"
@@ -40,6 +45,9 @@ class CsvTables:
             "summary": summary_table(found),
             "differences": differences_table(found),
         }
+        asked = answers(run)
+        if not asked.empty:
+            tables |= {"detections": asked, "detectors": detectors_table(asked)}
         return [_write(table, directory / f"{name}.csv") for name, table in tables.items()]
 
 
@@ -90,6 +98,36 @@ def differences_table(found: Comparison) -> pd.DataFrame:
         values = [shown.value, shown.low, shown.high, shown.n, shown.of, shown.excludes_zero]
         rows.append([one.score, one.first.label, one.second.label, *values])
     return pd.DataFrame(rows, columns=names)
+
+
+def detectors_table(asked: pd.DataFrame) -> pd.DataFrame:
+    """Return one row a detector and group of textures: shares of right answers, errors, seconds.
+
+    Parameters
+    ----------
+    asked
+        The run's :func:`~nrbench.reports.detections.answers`.
+    """
+    keys = ["family", "departure", "level"]
+    regular = asked[asked["departure"] != STOCHASTIC]
+    rows = [_trust_row(name, {}, part) for name, part in regular.groupby("detector", sort=False)]
+    for depth in (1, 2, 3):
+        table = asked if depth < 3 else asked[asked["level"].notna()]
+        for (name, *group), part in table.groupby(["detector", *keys[:depth]], sort=False):
+            rows.append(_trust_row(name, dict(zip(keys, group, strict=False)), part))
+    return pd.DataFrame(rows)
+
+
+def _trust_row(name: Any, group: Mapping[str, Any], part: pd.DataFrame) -> dict[str, Any]:
+    right = rate(part["right"])
+    return {
+        "detector": name,
+        **{key: group.get(key) for key in ("family", "departure", "level")},
+        **{"n": len(part), "right": int(part["right"].sum()), "found": int(part["found"].sum())},
+        **{"share_right": right.value, "share_right_low": right.low, "share_right_high": right.high},
+        "median_vector_error": median(part[part["right"]]["vector_error"]),
+        "median_seconds": median(part["seconds"]),
+    }
 
 
 def _write(table: pd.DataFrame, path: Path) -> Path:

@@ -19,12 +19,13 @@ from nrbench.store import RUN_FILE, write_aside
 
 from . import wording
 from .comparison import comparison
+from .detections import KINDS, STOCHASTIC, Detectors, detectors
 from .figures import layer_titles, shade
 from .forest import panels
 from .gallery import gallery
 from .pictures import Pictures
 from .summary import headlines, known_columns
-from .verdicts import MEANINGS
+from .verdicts import MEANINGS, PRESERVED
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _KEY_VERSIONS = ("nrbench", "python", "numpy", "scipy", "scikit-image", "numba", "pandas", "pillow")
@@ -34,7 +35,8 @@ _KEY_VERSIONS = ("nrbench", "python", "numpy", "scipy", "scikit-image", "numba",
 class HtmlReport:
     """The whole run on one page, ``report.html``: works from ``file://``, asks no network.
 
-    The comparison with success rates and their intervals, each texture's sample, lattice and outputs side by side, what
+    The comparison with success rates and their intervals, how far to trust each detector of the lattice axis, each
+    texture's sample, lattice and outputs side by side, what
     failed and why, what the run was made with, and what every score means.
 
     Parameters
@@ -59,6 +61,7 @@ class HtmlReport:
         """Return the page; ``directory`` is where it will lie."""
         found = comparison(run)
         pictures = Pictures.of(run.cells, directory, self.embed_mib * 2**20)
+        asked = detectors(run)
         content: dict[str, Any] = {
             "info": run.info,
             "created": _created(run),
@@ -74,6 +77,10 @@ class HtmlReport:
             "columns": known_columns(run),
             "meanings": MEANINGS,
             "embedded": pictures.embedded,
+            "judged": PRESERVED in run.columns,
+            "detectors": asked,
+            "families": _families(asked),
+            "kinds": KINDS,
         }
         return _page(content)
 
@@ -95,9 +102,15 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    words = ("number", "plain", "plural", "interval", "signed", "counted", "successes")
+    words = ("number", "plain", "plural", "interval", "signed", "counted", "successes", "percent")
     env.filters.update({name: getattr(wording, name) for name in words}, shade=shade, end=_end)
     return env
+
+
+def _families(asked: Detectors | None) -> list[str]:
+    """Return the families of the textures that have a lattice to be found."""
+    groups = asked.groups if asked else []
+    return list(dict.fromkeys(group.family for group in groups if group.departure != STOCHASTIC))
 
 
 def _end(value: float) -> str:

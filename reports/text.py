@@ -19,8 +19,10 @@ from nrbench.records import Run
 from nrbench.store import write_aside
 
 from .comparison import Comparison, Entry, comparison
+from .detections import Trust, detectors
 from .statistics import Estimate
 from .summary import Head
+from .verdicts import PRESERVED
 from .wording import number, percent, plain, plural
 
 _SUPERSCRIPT = str.maketrans("0123456789,", "⁰¹²³⁴⁵⁶⁷⁸⁹˒")
@@ -29,6 +31,8 @@ _SUPERSCRIPT = str.maketrans("0123456789,", "⁰¹²³⁴⁵⁶⁷⁸⁹˒")
 @dataclass(frozen=True)
 class TextTable:
     """The comparison as plain text: a verdict and a score for each texture and method, success rates at the foot.
+
+    Where detectors found the lattices, a table below tells how far to trust each.
 
     Parameters
     ----------
@@ -57,10 +61,15 @@ class TextTable:
         found = comparison(run)
         console = Console(file=StringIO(), width=self.width, color_system=None, force_terminal=False, emoji=False)
         console.print(Text(headline(run, found)))
-        for table in _tables(found, console):
-            console.print(table)
-        for line in _below(found):
-            console.print(Text(line))
+        if PRESERVED in run.columns:
+            for table in _tables(found, console):
+                console.print(table)
+            for line in _below(found):
+                console.print(Text(line))
+        asked = detectors(run)
+        if asked:
+            console.print(_trusts(asked.trusts))
+            console.print(Text(_TRUST))
         assert isinstance(console.file, StringIO)
         return "".join(f"{line.rstrip()}\n" for line in console.file.getvalue().splitlines())
 
@@ -126,6 +135,23 @@ def _places(entries: Sequence[Entry | None]) -> Iterator[Text]:
     for entry in entries:
         notes = ",".join(map(str, entry.notes)).translate(_SUPERSCRIPT) if entry else ""
         yield Text(f"{entry.text} {notes}".rstrip() if entry else "")
+
+
+_TRUST = (
+    "Shares over draws, with Wilson's 95 % intervals; no lattice where there is one counts as not exact. "
+    "False: lattices found on stochastic textures. Error: median of the exact answers, px. "
+    "Calibration: expected error of the confidence."
+)
+
+
+def _trusts(trusts: Sequence[Trust]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in ("detector", "exact", "false", "error", "calibration", "seconds"):
+        table.add_column(name, overflow="fold")
+    for one in trusts:
+        numbers = (Text(number(value)) for value in (one.vector_error, one.calibration.error, one.seconds))
+        table.add_row(Text(one.detector), _estimate(one.exact, True), _estimate(one.false, True), *numbers)
+    return table
 
 
 def _below(found: Comparison) -> Iterator[str]:

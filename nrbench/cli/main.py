@@ -18,7 +18,7 @@ VERBS: Mapping[str, str] = {
     "list": "nrbench.cli.listing",
     "show": "nrbench.cli.listing",
     "synth": "nrbench.cli.pictures",
-    "lattice": "nrbench.cli.pictures",
+    "lattice": "nrbench.cli.lattices",
     "score": "nrbench.cli.pictures",
     "render": "nrbench.cli.rendering",
 }

@@ -21,7 +21,12 @@ def _plan_options(command: F) -> F:
                 "-m", "methods", multiple=True, metavar="METHOD[:param=value,...]", help="Method; repeatable."
             ),
             click.option("-t", "textures", multiple=True, metavar="GLOB", help="Only these textures; repeatable."),
-            click.option("--lattice", multiple=True, metavar="given|own|DETECTOR", help="Lattice source; repeatable."),
+            click.option(
+                "--lattice",
+                multiple=True,
+                metavar="given|own|DETECTOR|x1,y1,x2,y2",
+                help="Where methods get the lattice: the true one, their own, a detector's, or yours; repeatable.",
+            ),
             click.option("--sample", metavar="WxH", help="Size of the samples."),
             click.option("--size", metavar="WxH", help="Size of the outputs."),
             click.option("--seed", type=click.IntRange(0), help="Seed of the suite."),

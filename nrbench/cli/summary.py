@@ -9,7 +9,7 @@ from typing import Any
 
 from nrbench.plan import Plan
 from nrbench.records import FAILED, CellRecord, Run
-from nrbench.runner import is_cached, working_metrics
+from nrbench.runner import is_cached, metrics_of
 from nrbench.store import RunDirectory
 
 
@@ -46,7 +46,7 @@ def summary(run: Run, written: list[Path]) -> dict[str, Any]:
 
 def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
     """Return what a run would find cached and what it would start."""
-    directory, metrics = RunDirectory(root), working_metrics()
+    directory, metrics = RunDirectory(root), metrics_of(plan.suite)
     cells = [
         {
             "key": cell.key,

@@ -6,8 +6,53 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nrbench.imaging.door import Image
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A diagnostic that is drawn as a picture: a correlation, a spectrum.
+
+    Parameters
+    ----------
+    values
+        ``(H, W)``.
+    zero
+        (x, y) index of the sample at the coordinates' origin (lag 0, frequency 0).
+    peaks
+        ``(n, 2)``: the candidates, (x, y) in samples from ``zero``.
+    vectors
+        ``(2, 2)``, rows (x, y) in samples from ``zero``: the pair that was chosen; None where there is none.
+    """
+
+    values: NDArray[np.floating[Any]]
+    zero: tuple[int, int]
+    peaks: Points
+    vectors: Points | None = None
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A diagnostic that is drawn as a line: a one-dimensional search.
+
+    Parameters
+    ----------
+    x, y
+        ``(n,)`` each.
+    marks
+        The x that were chosen.
+    label
+        What x is, with its unit.
+    """
+
+    x: NDArray[np.floating[Any]]
+    y: NDArray[np.floating[Any]]
+    marks: tuple[float, ...] = ()
+    label: str = ""
 
 
 @dataclass(frozen=True)
@@ -21,7 +66,7 @@ class Detection:
     confidence
         In [0, 1]; how each detector makes it is in its docstring.
     diagnostics
-        What led to it (correlation surface, peaks, ...), by name.
+        What led to it, by name; each :class:`Surface` and :class:`Curve` can be drawn.
     """
 
     lattice: Lattice

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from nrbench.errors import BadInput
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
 from nrbench.imaging.door import Image
-from nrbench.lattice.detection import Detection, NoLatticeFound
+from nrbench.lattice.detection import Detection, NoLatticeFound, Surface
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.goodness import best_pair
 from nrbench.lattice.peaks import UNIT, dilated, find_peaks, quantized, subpixel
 from nrbench.lattice.refinement import fit_multiples, fit_pair
 from nrbench.lattice.relief import find_ridge, without_stripes
-from nrbench.lattice.surrogates import phase_randomized, upper_limit
+from nrbench.lattice.surrogates import chance, upper_limit
 from nrbench.streams import pixels_hash, stream
 
 JOINED = 0.5
@@ -108,7 +108,7 @@ class Gncc:
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``; its origin is (0, 0), the method finds no phase.
 
-        Diagnostics: ``correlation`` (right half), ``peaks`` (candidates, (x, y) px), ``goodness``, ``multiples`` (their
+        Diagnostics: ``correlation`` (right half, with the candidates and the pair), ``goodness``, ``multiples`` (their
         number); where tested, ``relief``, ``tested_goodness`` (that of the pair, less stripes), ``surrogate_goodness``
         and ``limit``.
 
@@ -155,24 +155,20 @@ class Gncc:
         first, second = fit_pair(gamma, best.vectors, self._reach(gamma)) if self.subpixel else best.vectors
         lattice = Lattice((first[0], first[1]), (second[0], second[1])).reduced()
         mean = (best.goodness * best.multiples) ** (1 / self.alpha) / best.multiples
-        diagnostics = {
-            "correlation": gamma,
-            "peaks": best.candidates,
-            "goodness": best.goodness,
-            "multiples": best.multiples,
-        }
+        surface = Surface(gamma, (0, gamma.shape[0] // 2), best.candidates, np.stack([first, second]))
+        diagnostics = {"correlation": surface, "goodness": best.goodness, "multiples": best.multiples}
         return Detection(lattice, min(mean, 1.0), diagnostics)
 
     def _tested(self, image: Image, found: Detection, best: Pair) -> Detection:
         """Return what was found, with what it was compared with, unless it is a grating or chance."""
-        gamma, rng = found.diagnostics["correlation"], stream("detection", pixels_hash(image))
+        gamma, rng = found.diagnostics["correlation"].values, stream("detection", pixels_hash(image))
         ridge, reached, kind = find_ridge(gamma, found.lattice, self._reach(gamma)), best.goodness, "lattice"
         if ridge.relief < JOINED:
             image, kind = without_stripes(image, ridge.direction), "lattice but for stripes along one direction"
             reached = self._goodness(half_autocorrelation(image), best.vectors)
-        chance = self._chance(image, rng)
-        limit = upper_limit(chance, self.false_alarms)
-        more = {"relief": ridge.relief, "tested_goodness": reached, "surrogate_goodness": chance, "limit": limit}
+        copies = chance(image, self._best_goodness, rng, self.surrogates)
+        limit = upper_limit(copies, self.false_alarms)
+        more = {"relief": ridge.relief, "tested_goodness": reached, "surrogate_goodness": copies, "limit": limit}
         found = replace(found, diagnostics={**found.diagnostics, **more})
         if reached <= limit:
             raise NoLatticeFound(
@@ -184,11 +180,10 @@ class Gncc:
         """Return the goodness of one pair."""
         return float(best_pair(quantized(dilated(gamma, self.tolerance)), vectors, UNIT, self.alpha, self.overlap)[0])
 
-    def _chance(self, image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return the goodness of the best pair of each surrogate; 0 where it has none."""
-        surrogates = phase_randomized(image, rng, self.surrogates)
-        pairs = [self._search(half_autocorrelation(surrogate)) for surrogate in surrogates]
-        return np.array([pair.goodness if pair else 0.0 for pair in pairs])
+    def _best_goodness(self, image: NDArray[np.float32]) -> float:
+        """Return the goodness of an image's best pair; 0 where it has none."""
+        best = self._search(half_autocorrelation(image))
+        return best.goodness if best else 0.0
 
 
 def _check(holds: bool, message: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import scipy.fft
@@ -36,6 +36,16 @@ def phase_randomized(image: NDArray[np.float32], rng: np.random.Generator, count
         turns = noise / np.sqrt(np.maximum(noise.real**2 + noise.imag**2, np.float32(1e-12)))
         planes = scipy.fft.irfft2(spectra * turns, torus, overwrite_x=True)[:, :height, :width]
         yield np.ascontiguousarray(np.moveaxis(planes, 0, 2))
+
+
+def chance(
+    image: NDArray[np.float32],
+    statistic: Callable[[NDArray[np.float32]], float],
+    rng: np.random.Generator,
+    count: int,
+) -> NDArray[np.float64]:
+    """Return a detector's statistic for ``count`` phase-randomized copies of an image, ``(count,)``."""
+    return np.array([statistic(copy) for copy in phase_randomized(image, rng, count)])
 
 
 def upper_limit(values: NDArray[np.float64], exceeded: float) -> float:

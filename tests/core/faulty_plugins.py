@@ -1,4 +1,4 @@
-"""Methods and a metric that misbehave, each in its own way."""
+"""Methods, a metric and a detector that misbehave, each in its own way."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from nrbench.imaging.door import Image
+from nrbench.lattice.detection import Detection
 from nrbench.synthesis import Column, Observation, Refused, Score, Synthesis, Task
 
 
@@ -148,3 +150,14 @@ class Wordy:
     def score(self, observation: Observation) -> Score:
         """Answer."""
         return Score({"value": "good" if float(np.ptp(observation.output)) == 0 else 1.0})  # type: ignore[dict-item]
+
+
+@dataclass(frozen=True)
+class Blind:
+    """A detector that raises."""
+
+    name: ClassVar[str] = "blind"
+
+    def detect(self, image: Image) -> Detection:
+        """Fail."""
+        raise KeyError("gone")

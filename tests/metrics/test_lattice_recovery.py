@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -6,7 +7,7 @@ import pytest
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.lattice_recovery import LatticeRecovery
-from nrbench.synthesis import Metric, Observation
+from nrbench.synthesis import FoundLattice, Metric, Observation
 from nrbench.texture import Texture
 
 TRUTH = Lattice((20.0, 0.0), (10.0, 12.0))
@@ -23,7 +24,7 @@ def test_the_true_lattice_is_exact() -> None:
     score = LatticeRecovery().score(observed(Lattice((10.0, 12.0), (-10.0, 12.0))))
     assert score.values["exact"] is True and score.values["index"] == 1
     assert score.values["vector_error"] == pytest.approx(0) and score.values["drift"] == pytest.approx(0, abs=1e-9)
-    assert score.records == {"class": "exact"} and not score.reasons
+    assert score.records == {"class": "exact"} and set(score.reasons) == {"found", "confidence"}
 
 
 def test_a_supercell_tells_its_index() -> None:
@@ -51,7 +52,26 @@ def test_without_a_lattice_nothing_is_scored(used: Lattice | None, truth: Lattic
     """Every column is None, and says on whose side the lattice is missing."""
     score = LatticeRecovery().score(observed(used, truth))
     assert set(score.values) == set(LatticeRecovery.columns) == set(score.reasons)
-    assert set(score.values.values()) == {None} and all(reason in text for text in score.reasons.values())
+    compared = [text for name, text in score.reasons.items() if name not in ("found", "confidence")]
+    assert set(score.values.values()) == {None} and all(reason in text for text in compared)
+
+
+def test_a_detectors_lattice_comes_with_its_confidence() -> None:
+    """What the detector of the lattice axis answered stands beside the comparison."""
+    seen = dataclasses.replace(observed(TRUTH), detected=FoundLattice(TRUTH, 0.1, confidence=0.75))
+    score = LatticeRecovery().score(seen)
+    assert (score.values["found"], score.values["confidence"], score.values["exact"]) == (True, 0.75, True)
+    assert not score.reasons
+
+
+def test_no_lattice_is_an_answer() -> None:
+    """A detector that found none is not exact where there is one; where there is none nothing speaks against it."""
+    none = FoundLattice(None, 0.1, "no better than chance")
+    missed = LatticeRecovery().score(dataclasses.replace(observed(None), detected=none))
+    assert (missed.values["found"], missed.values["exact"], missed.values["vector_error"]) == (False, False, None)
+    assert "no better than chance" in missed.reasons["confidence"]
+    right = LatticeRecovery().score(dataclasses.replace(observed(None, truth=None), detected=none))
+    assert (right.values["found"], right.values["exact"]) == (False, None)
 
 
 def test_without_a_truth_nothing_is_scored() -> None:

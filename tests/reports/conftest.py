@@ -77,6 +77,8 @@ def make_cell(tmp_path: Path) -> MakeCell:
             kind=more.pop("kind", "I"),
             regular_share=0.75,
             lattice_truth=lattice_truth,
+            detector=more.pop("detector", None),
+            detected=more.pop("detected", None),
         )
         result: dict[str, Any] = {} if status == "missing" else {"status": status, "seconds": 0.25, **more}
         pictures: dict[str, Path] = {}

@@ -1,0 +1,178 @@
+"""Least squares of waves in a picture, in closed form: amplitudes, frequencies, fundamentals of tied frequencies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.dirichlet import Array, Kernel, dirichlet_sum, plane_kernel
+from nrbench.imaging.spectrum import Spectrum, bin_numbers
+
+LONGEST_STEP = 0.25
+"""Bins that a frequency may move in one step: the fit is nearly quadratic within a quarter of the main lobe."""
+RIDGE = 1e-9
+"""Of the number of px, added to the diagonals: waves that coincide then share an amplitude."""
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Waves of given frequencies on a picture, and all inner products that their least squares needs.
+
+    With coordinates from the picture's centre, cosines are orthogonal to sines, whatever the frequencies: two small
+    systems instead of one, every entry a Dirichlet kernel at the difference and at the sum of two frequencies. A wave
+    of frequency 0 stands for the mean. n waves cost O(n^3), whatever the picture's size.
+
+    Parameters
+    ----------
+    spectrum
+        Of the picture.
+    frequencies
+        ``(n, 2)`` cycles/px; 0 is put before the first.
+    """
+
+    spectrum: Spectrum
+    frequencies: Array
+
+    @cached_property
+    def _all(self) -> Array:
+        return np.concatenate([np.zeros((1, 2)), self.frequencies])
+
+    @cached_property
+    def _kernels(self) -> tuple[Kernel, Kernel]:
+        """The kernels at the differences and the sums, each ``(1 + n, 1 + n)``."""
+        f, g = self._all[:, np.newaxis], self._all
+        shape = self.spectrum.shape
+        return plane_kernel(f - g, shape), plane_kernel(f + g, shape)
+
+    @cached_property
+    def _grams(self) -> tuple[Array, Array]:
+        """The inner products of cosines and those of sines, ``(1 + n, 1 + n)`` each."""
+        apart, together = (kernel.value for kernel in self._kernels)
+        ridge = RIDGE * apart[0, 0] * np.eye(len(apart))
+        cosines, sines = (apart + together) / 2 + ridge, (apart - together) / 2 + ridge
+        return cosines, sines
+
+    @cached_property
+    def _transforms(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        return self.spectrum.at(self._all)
+
+    @cached_property
+    def amplitudes(self) -> tuple[Array, Array]:
+        """The best amplitudes of cosines and sines about the centre, ``(1 + n, C)`` each; row 0 is the mean's."""
+        value = self._transforms[0]
+        p, q = np.linalg.solve(self._grams[0], value.real), np.linalg.solve(self._grams[1], -value.imag)
+        return np.asarray(p, np.float64), np.asarray(q, np.float64)
+
+    @cached_property
+    def explained(self) -> Array:
+        """The energy that the waves explain, ``(C,)``."""
+        value, (p, q) = self._transforms[0], self.amplitudes
+        return np.asarray((p * value.real - q * value.imag).sum(0))
+
+    def residual(self, frequencies: Array) -> NDArray[np.complex128]:
+        """Return the transform of what the waves leave, ``(m, C)``, at frequencies ``(m, 2)``."""
+        return np.asarray(self.spectrum.values(frequencies) - self.modelled(frequencies))
+
+    def modelled(self, frequencies: Array) -> NDArray[np.complex128]:
+        """Return the transform of the waves, ``(m, C)``, at frequencies ``(m, 2)``; best on a grid."""
+        (p, q), both = self.amplitudes, np.concatenate([self._all, -self._all])
+        weights, factors = np.concatenate([p - 1j * q, p + 1j * q]) / 2, []
+        for axis, length in enumerate(self.spectrum.shape[::-1]):
+            distinct, which = np.unique(frequencies[:, axis], return_inverse=True)
+            factors.append(dirichlet_sum(distinct[:, np.newaxis] - both[:, axis], length)[which])
+        return np.asarray((factors[0] * factors[1]) @ weights)
+
+    def residual_bins(self) -> NDArray[np.complex128]:
+        """Return the transform of what the waves leave at whole bins, ``(C, H, W // 2 + 1)``: two matrix products."""
+        (p, q), (height, width) = self.amplitudes, self.spectrum.shape
+        ky, kx = (k[:, np.newaxis] / n for k, n in zip(bin_numbers((height, width)), (height, width), strict=True))
+        both = np.concatenate([self._all, -self._all])
+        rows, cols = dirichlet_sum(ky - both[:, 1], height), dirichlet_sum(kx - both[:, 0], width)
+        weights = np.concatenate([p - 1j * q, p + 1j * q]) / 2
+        modelled = [((rows * w.real) @ cols.T) + 1j * ((rows * w.imag) @ cols.T) for w in weights.T]
+        return np.asarray(self.spectrum.bins() - np.stack(modelled))
+
+    @cached_property
+    def normal(self) -> tuple[Array, Array]:
+        """The normal equations of the frequencies with the amplitudes eliminated (variable projection).
+
+        Returns
+        -------
+        tuple
+            The matrix ``(n, 2, n, 2)`` and the right side ``(n, 2)``, for steps in cycles/px.
+        """
+        (p, q), (cosines, sines) = self.amplitudes, self._grams
+        apart, together = self._kernels
+        crossing = (together.slope - apart.slope) / 2, -(together.slope + apart.slope) / 2
+        sine_bend, cosine_bend = (together.curvature - apart.curvature) / 2, -(together.curvature + apart.curvature) / 2
+        matrix = _projected(sine_bend, crossing[0], cosines, p) + _projected(cosine_bend, crossing[1], sines, q)
+        by_sine = -self._transforms[1].imag * 2 * np.pi + np.einsum("ajk,jc->akc", crossing[0], p)
+        by_cosine = self._transforms[1].real * 2 * np.pi - np.einsum("ajk,jc->akc", crossing[1], q)
+        right = (-p * by_sine + q * by_cosine).sum(2)
+        return np.ascontiguousarray(np.transpose(matrix, (2, 0, 3, 1))[1:, :, 1:]), np.ascontiguousarray(right.T[1:])
+
+
+def _projected(bend: Array, crossing: Array, gram: Array, amplitudes: Array) -> Array:
+    """Return the slopes' inner products, weighted by the amplitudes, less what the waves themselves explain of them."""
+    n = len(gram)
+    flat = np.concatenate(list(crossing), 1)
+    shared = (flat.T @ np.linalg.solve(gram, flat)).reshape(2, n, 2, n).transpose(0, 2, 1, 3)
+    return np.asarray((bend - shared) * (amplitudes @ amplitudes.T))
+
+
+class Fit(NamedTuple):
+    """Waves whose frequencies are whole combinations of fundamentals.
+
+    Parameters
+    ----------
+    fundamentals
+        ``(g, 2)`` cycles/px.
+    waves
+        At ``orders @ fundamentals``.
+    """
+
+    fundamentals: Array
+    waves: Waves
+
+
+def refine(spectrum: Spectrum, fundamentals: Array, orders: Array | None = None, steps: int = 20) -> Fit:
+    """Return the joint least-squares fit nearest to a start: Levenberg's method on the variable projection.
+
+    Parameters
+    ----------
+    spectrum
+        Of the picture.
+    fundamentals
+        ``(g, 2)`` cycles/px: where to start; the frequencies should be right within half a bin.
+    orders
+        ``(n, g)`` whole numbers: the frequencies are ``orders @ fundamentals``. None: each is its own fundamental.
+    steps
+        At most so many.
+    """
+    orders = np.eye(len(fundamentals)) if orders is None else orders
+    fit, damping = Fit(fundamentals, Waves(spectrum, orders @ fundamentals)), 1e-6
+    for _ in range(steps if len(fundamentals) else 0):
+        step = _step(fit, orders, damping)
+        longest = float(np.abs(orders @ step * spectrum.size).max())
+        step *= min(1.0, LONGEST_STEP / max(longest, 1e-300))
+        moved = fit.fundamentals + step
+        trial = Fit(moved, Waves(spectrum, orders @ moved))
+        better = trial.waves.explained.sum() >= fit.waves.explained.sum() * (1 - 1e-12)
+        fit, damping = (trial, damping / 10) if better else (fit, max(damping, 1e-6) * 100)
+        if longest < 1e-5 or damping > 1e6:
+            break
+    return fit
+
+
+def _step(fit: Fit, orders: Array, damping: float) -> Array:
+    matrix, right = fit.waves.normal
+    g = orders.shape[1]
+    half = np.tensordot(orders, matrix, (0, 0))
+    small = np.tensordot(half, orders, (2, 0)).transpose(0, 1, 3, 2).reshape(2 * g, 2 * g)
+    diagonal = np.diag(small).copy()
+    small = small + np.diag(damping * diagonal + 1e-12 * max(float(diagonal.max()), 1e-300))
+    return np.asarray(np.linalg.solve(small, (orders.T @ right).ravel()).reshape(g, 2))

@@ -1,0 +1,184 @@
+"""The regular part of a texture as waves of real frequencies: FFTM's analysis, and their evaluation at any size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.errors import BadInput
+from nrbench.imaging.dirichlet import Array
+from nrbench.imaging.harmonic_fit import Waves
+from nrbench.imaging.pursuit import pursue
+from nrbench.imaging.spectrum import Planes, Spectrum
+from nrbench.imaging.tying import tie
+
+Harmonic = Literal["free", "tied"]
+
+
+@dataclass(frozen=True)
+class Harmonics:
+    """A periodic picture: mean + sum of cosine cos(2 pi f r) + sine sin(2 pi f r), r = (x, y) px from pixel (0, 0).
+
+    Parameters
+    ----------
+    frequencies
+        ``(n, 2)``: (f_x, f_y) cycles/px, the strongest first; of each pair f, -f one.
+    cosine, sine
+        ``(n, C)``: amplitudes, units of the planes.
+    mean
+        ``(C,)``.
+    fundamentals
+        ``(g, 2)`` cycles/px; where free, the frequencies themselves.
+    orders
+        ``(n, g)`` whole numbers: ``frequencies = orders @ fundamentals``.
+    groups
+        How many fundamentals, 1 or 2, each group has: two make a lattice of frequencies, one makes stripes. They follow
+        each other in ``fundamentals``.
+    share
+        Share of the planes' variance, all channels together, that the waves explain, in [0, 1].
+    """
+
+    frequencies: Array
+    cosine: Array
+    sine: Array
+    mean: Array
+    fundamentals: Array
+    orders: NDArray[np.int64]
+    groups: tuple[int, ...]
+    share: float
+
+    @property
+    def amplitudes(self) -> Array:
+        """The waves' amplitudes, ``(n, C)``."""
+        return np.hypot(self.cosine, self.sine)
+
+    def evaluate(self, shape: tuple[int, int], offset: tuple[float, float] = (0.0, 0.0)) -> Array:
+        """Return the picture on any window, ``(H, W, C)``, not clipped (equation 6 of the paper).
+
+        Each wave is a product of functions of x and of y: two matrix products a channel, O(n H W) in all.
+
+        Parameters
+        ----------
+        shape
+            (height, width) px.
+        offset
+            (x, y) px of the window's first pixel, any real numbers.
+        """
+        x, y = (
+            2 * np.pi * np.outer(f, np.arange(n) + o)
+            for f, n, o in zip(self.frequencies.T, shape[::-1], offset, strict=True)
+        )
+        rows = np.concatenate([np.cos(y), np.sin(y)]).T
+        cos, sin = np.cos(x), np.sin(x)
+        planes = [
+            rows @ np.concatenate([c * cos + s * sin, s * cos - c * sin]) + mean
+            for c, s, mean in zip(self.cosine.T[..., np.newaxis], self.sine.T[..., np.newaxis], self.mean, strict=True)
+        ]
+        return np.stack(planes, -1)
+
+
+def analyze(
+    planes: Planes,
+    threshold: float | None = None,
+    harmonics: Harmonic = "free",
+    channels: Literal["joint", "each"] = "joint",
+    false_alarms: float = 0.01,
+    most: int = 400,
+) -> Harmonics:
+    """Return the waves of a picture: fractional Fourier texture masks, Nicoll et al. 2005, section 3.
+
+    Candidates are DFT coefficients above a threshold; each is refined within a bin to the maximum of the fractional
+    transform, subtracted, and all are fitted jointly by least squares. Differences from the paper: real waves are
+    fitted as cosine and sine, not by way of an analytic signal, so that a wave and its mirror image do not disturb
+    each other; what is left after a subtraction is known in closed form, not transformed again; all waves are fitted
+    after each round, not only at the end, which also replaces the alternating one-dimensional searches.
+
+    Parameters
+    ----------
+    planes
+        ``(H, W, C)``, any floating dtype; the paper takes YCbCr.
+    threshold
+        Least amplitude of a wave, units of 1/255, in some channel. None: what noise, its floor measured in the
+        spectrum, exceeds anywhere with probability ``false_alarms``.
+    harmonics
+        ``"free"``: every frequency for itself. ``"tied"``: frequencies are whole combinations of few fundamentals,
+        fitted jointly, and the lattices' further waves are looked for at their places; the inexact frequencies that
+        make masks interfere far from the sample (figure 10) are then exact multiples.
+    channels
+        ``"joint"``: a wave has one frequency in all channels. ``"each"``: every channel is analyzed by itself, as in
+        the paper; waves then have amplitude 0 in the other channels.
+    false_alarms
+        Probability in (0, 1) that noise alone yields a wave.
+    most
+        At most so many waves (a channel, where each is analyzed by itself).
+
+    Raises
+    ------
+    BadInput
+        For planes of another form, and parameters out of range.
+    """
+    _check(np.ndim(planes) == 3 and min(np.shape(planes)) >= 1, f"planes of shape {np.shape(planes)}; pass (H, W, C)")
+    _check(bool(np.isfinite(planes).all()), "planes have NaN or infinite values; replace them first")
+    _check(threshold is None or threshold > 0, f"threshold is {threshold}; give an amplitude above 0, units of 1/255")
+    _check(harmonics in ("free", "tied"), f"harmonics is {harmonics!r}; give free or tied")
+    _check(channels in ("joint", "each"), f"channels is {channels!r}; give joint or each")
+    _check(0 < false_alarms < 1, f"false_alarms is {false_alarms}; give a probability, e.g. 0.01")
+    _check(most >= 1, f"most is {most}; give at least 1")
+    if channels == "joint":
+        return _analyze(planes, threshold, harmonics, false_alarms, most)
+    count = planes.shape[2]
+    parts = [_analyze(planes[..., c : c + 1], threshold, harmonics, false_alarms / count, most) for c in range(count)]
+    return _joined(parts, planes)
+
+
+def _analyze(planes: Planes, threshold: float | None, harmonics: Harmonic, false_alarms: float, most: int) -> Harmonics:
+    found = pursue(Spectrum(planes), threshold, false_alarms, most)
+    if harmonics == "free":
+        n = len(found.waves.frequencies)
+        return to_harmonics(found.waves, found.waves.frequencies, np.eye(n), (1,) * n)
+    tied = tie(found, threshold, false_alarms, most)
+    return to_harmonics(tied.fit.waves, tied.fit.fundamentals, tied.orders, tied.groups)
+
+
+def to_harmonics(waves: Waves, fundamentals: Array, orders: Array, groups: tuple[int, ...]) -> Harmonics:
+    """Return fitted waves as seen from pixel (0, 0), the strongest first."""
+    spectrum, (p, q) = waves.spectrum, waves.amplitudes
+    phase = 2 * np.pi * (waves.frequencies @ ((spectrum.size - 1) / 2))[:, np.newaxis]
+    cosine = p[1:] * np.cos(phase) - q[1:] * np.sin(phase)
+    sine = p[1:] * np.sin(phase) + q[1:] * np.cos(phase)
+    order = np.argsort(-(p[1:] ** 2 + q[1:] ** 2).sum(1), kind="stable")
+    total = float(spectrum.energy.sum())
+    share = min(max(float(waves.explained.sum()) / total, 0.0), 1.0) if total > 0 else 0.0
+    whole = np.rint(orders[order]).astype(np.int64)
+    mean = spectrum.mean + p[0]
+    return Harmonics(waves.frequencies[order], cosine[order], sine[order], mean, fundamentals, whole, groups, share)
+
+
+def _joined(parts: list[Harmonics], planes: Planes) -> Harmonics:
+    """Return the waves of single channels as those of one picture."""
+    fundamentals = [part.fundamentals for part in parts]
+    orders = np.zeros((sum(len(p.orders) for p in parts), sum(len(f) for f in fundamentals)), np.int64)
+    amplitudes = np.zeros((2, len(orders), len(parts)))
+    row = column = 0
+    for channel, part in enumerate(parts):
+        n, g = len(part.orders), len(part.fundamentals)
+        orders[row : row + n, column : column + g] = part.orders
+        amplitudes[:, row : row + n, channel] = part.cosine[:, 0], part.sine[:, 0]
+        row, column = row + n, column + g
+    frequencies = np.concatenate([part.frequencies for part in parts])
+    mean, groups = np.concatenate([part.mean for part in parts]), sum((part.groups for part in parts), ())
+    variances = planes.var((0, 1), dtype=np.float64)
+    share = float(variances @ [part.share for part in parts]) / max(float(variances.sum()), 1e-300)
+    strongest = np.argsort(-(amplitudes**2).sum((0, 2)), kind="stable")
+    cosine, sine = amplitudes[:, strongest]
+    return Harmonics(
+        frequencies[strongest], cosine, sine, mean, np.concatenate(fundamentals), orders[strongest], groups, share
+    )
+
+
+def _check(holds: bool, message: str) -> None:
+    if not holds:
+        raise BadInput(f"harmonics: {message}")

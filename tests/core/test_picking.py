@@ -1,0 +1,124 @@
+"""Three clicks make a lattice: driven by the events of a canvas that no window shows."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.backend_bases import KeyEvent, MouseEvent
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from nrbench.cli.picking import Picker, lattice_of, pick
+from nrbench.errors import BadInput
+
+IMAGE = np.random.default_rng(0).random((60, 80, 1), np.float32)
+
+
+class Hand:
+    """A user before a figure."""
+
+    def __init__(self) -> None:
+        self.figure = Figure(figsize=(6, 6))
+        self.canvas = FigureCanvasAgg(self.figure)
+        self.picker = Picker(self.figure, IMAGE)
+        self.canvas.draw()
+
+    def click(self, x: float, y: float, button: int = 1) -> None:
+        """Click on a point of the image, px."""
+        left, top = self.figure.axes[0].transData.transform((x, y))
+        event = MouseEvent("button_press_event", self.canvas, left, top, button=button)
+        self.canvas.callbacks.process("button_press_event", event)
+
+    def press(self, key: str) -> None:
+        """Press a key."""
+        self.canvas.callbacks.process("key_press_event", KeyEvent("key_press_event", self.canvas, key))
+
+    @property
+    def title(self) -> str:
+        """What the figure says."""
+        return self.figure.axes[0].get_title()
+
+
+def test_three_points_are_origin_and_ends() -> None:
+    """The first point is the origin, the others are the ends of t1 and t2."""
+    lattice = lattice_of([(10.0, 5.0), (42.0, 6.0), (11.0, 29.0)])
+    assert (lattice.t1, lattice.t2, lattice.origin) == ((32.0, 1.0), (1.0, 24.0), (10.0, 5.0))
+    with pytest.raises(BadInput, match="parallel"):
+        lattice_of([(0.0, 0.0), (8.0, 8.0), (16.0, 16.0)])
+
+
+def test_clicks_give_the_lattice_and_enter_accepts() -> None:
+    """Three left clicks give the lattice in px of the image, Enter accepts it; a fourth click changes nothing."""
+    hand = Hand()
+    for point in ((10, 10), (30, 12), (12, 35), (70, 50)):
+        hand.click(*point)
+    hand.press("enter")
+    assert hand.picker.lattice is not None and hand.picker.accepted
+    np.testing.assert_allclose(hand.picker.lattice.matrix, [(20, 2), (2, 25)], atol=1e-9)
+
+
+def test_the_title_says_what_to_click() -> None:
+    """Corner, end of t1, end of t2, then what the keys do."""
+    hand, said = Hand(), []
+    for point in ((10, 10), (30, 12), (12, 35)):
+        said.append(hand.title)
+        hand.click(*point)
+    assert [word in text for word, text in zip(("corner", "t1", "t2"), said, strict=True)] == [True] * 3
+    assert "Enter accepts" in hand.title and "Escape cancels" in hand.title
+
+
+def test_the_lattice_is_drawn_over_the_image() -> None:
+    """With the third point the shown picture changes, along the lattice's lines only."""
+    hand = Hand()
+    before = np.asarray(hand.figure.axes[0].images[0].get_array()).copy()
+    for point in ((10, 10), (30, 10), (10, 35)):
+        hand.click(*point)
+    changed = (np.asarray(hand.figure.axes[0].images[0].get_array()) != before).any(-1)
+    assert changed[10, 10] and changed[10, 20] and changed[20, 30] and not changed[20, 20]
+
+
+def test_backspace_takes_a_point_back() -> None:
+    """After Backspace the third point may be clicked again."""
+    hand = Hand()
+    for point in ((10, 10), (30, 12), (12, 35)):
+        hand.click(*point)
+    hand.press("backspace")
+    assert hand.picker.lattice is None and "t2" in hand.title
+    hand.click(14, 40)
+    assert hand.picker.lattice is not None and hand.picker.lattice.t2 == pytest.approx((4, 30))
+
+
+def test_points_on_one_line_are_not_taken() -> None:
+    """A third point on the line of the first two is refused, and the title says why."""
+    hand = Hand()
+    for point in ((10, 10), (20, 10), (40, 10)):
+        hand.click(*point)
+    assert hand.picker.lattice is None and "on one line" in hand.title
+    hand.click(10, 40)
+    assert hand.picker.lattice is not None
+
+
+def test_what_does_not_count() -> None:
+    """Other buttons, clicks beside the image, and Enter before the third point do nothing."""
+    hand = Hand()
+    hand.click(10, 10, button=3)
+    hand.click(-500, 10)
+    hand.press("enter")
+    assert "1 of 3" in hand.title and not hand.picker.accepted
+
+
+def test_escape_cancels() -> None:
+    """Escape after three points leaves nothing accepted."""
+    hand = Hand()
+    for point in ((10, 10), (30, 12), (12, 35)):
+        hand.click(*point)
+    hand.press("escape")
+    assert not hand.picker.accepted
+
+
+def test_without_a_window_it_says_what_to_do() -> None:
+    """On a canvas that cannot be shown it names the way without a window."""
+    plt.switch_backend("Agg")
+    with pytest.raises(BadInput, match=r"no window can be opened.*--lattice x1,y1,x2,y2"):
+        pick(IMAGE)

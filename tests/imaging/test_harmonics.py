@@ -1,0 +1,221 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nrbench.datasets_procedural.brick import Brick
+from nrbench.errors import BadInput
+from nrbench.imaging.dirichlet import dirichlet, dirichlet_sum, plane_kernel
+from nrbench.imaging.harmonic_fit import Waves
+from nrbench.imaging.harmonics import Harmonics, analyze
+from nrbench.imaging.noise_floor import noise_floor
+from nrbench.imaging.pursuit import pursue
+from nrbench.imaging.spectrum import Spectrum
+
+SIDE = 128
+
+
+def draw_waves(n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return frequencies (n, 2) at least two bins apart, amplitudes and phases (n,)."""
+    f = np.zeros((0, 2))
+    while len(f) < n:
+        new = rng.uniform((0.01, -0.48), (0.48, 0.48))
+        if not len(f) or np.abs(f - new).max(1).min() * SIDE > 2:
+            f = np.concatenate([f, new[np.newaxis]])
+    return f, rng.uniform(0.2, 1, n), rng.uniform(0, 2 * np.pi, n)
+
+
+def picture(
+    f: np.ndarray, amplitude: np.ndarray, phase: np.ndarray, shape: tuple[int, int] = (SIDE, SIDE)
+) -> np.ndarray:
+    """Return the sum of the waves, pixel by pixel, (H, W, 1)."""
+    y, x = np.indices(shape)
+    angles = 2 * np.pi * (f[:, 0, None, None] * x + f[:, 1, None, None] * y) + phase[:, None, None]
+    return (amplitude[:, None, None] * np.cos(angles)).sum(0)[..., np.newaxis]
+
+
+def errors(found: Harmonics, f: np.ndarray) -> np.ndarray:
+    """Return how far, bins, each true frequency's nearest found one is, the larger component, (n,)."""
+    apart = [np.abs(f[:, None] - sign * found.frequencies).max(2).min(1) for sign in (1, -1)]
+    return np.asarray(np.minimum(*apart) * SIDE)
+
+
+@pytest.mark.parametrize("n", range(1, 13))
+def test_known_frequencies_are_found(n: int) -> None:
+    """Of 1 to 12 pairs of real frequency, each is found within 1e-3 bin without noise, and nothing else."""
+    for seed in range(2):
+        f, amplitude, phase = draw_waves(n, np.random.default_rng([n, seed]))
+        found = analyze(picture(f, amplitude, phase))
+        assert len(found.frequencies) == n
+        assert errors(found, f).max() < 1e-3
+        assert found.share == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.2])
+def test_noise_costs_no_more_than_it_must(noise: float) -> None:
+    """In noise the median error of a pair is below twice its Cramer-Rao bound."""
+    ratios = []
+    for n in range(1, 13):
+        rng = np.random.default_rng([n, 7])
+        f, amplitude, phase = draw_waves(n, rng)
+        found = analyze(picture(f, amplitude, phase) + noise * rng.standard_normal((SIDE, SIDE, 1)))
+        ratios.extend(errors(found, f) / (np.sqrt(24) / (2 * np.pi) * noise / (amplitude * SIDE)))
+    assert np.median(ratios) < 2
+
+
+def test_amplitudes_and_phases_are_right() -> None:
+    """What is analyzed at one place evaluates to the same picture anywhere, at any size and real offset."""
+    f, amplitude, phase = draw_waves(6, np.random.default_rng(3))
+    found = analyze(picture(f, amplitude, phase, (90, 131)) + 0.4)
+    shift = phase + 2 * np.pi * f @ (-40.5, 200.25)
+    np.testing.assert_allclose(
+        found.evaluate((300, 70), (-40.5, 200.25)), picture(f, amplitude, shift, (300, 70)) + 0.4, atol=1e-4
+    )
+
+
+def test_channels_share_frequencies_or_not() -> None:
+    """Joint waves have amplitudes in all channels; of channels analyzed each by itself, a wave has only its own."""
+    one, two = (draw_waves(3, np.random.default_rng(seed)) for seed in (1, 2))
+    planes = np.concatenate([picture(*one), picture(*two)], 2)
+    joint, each = analyze(planes), analyze(planes, channels="each")
+    for found in (joint, each):
+        assert len(found.frequencies) == 6 and max(errors(found, one[0]).max(), errors(found, two[0]).max()) < 1e-3
+        np.testing.assert_allclose(found.evaluate((SIDE, SIDE)), planes, atol=1e-4)
+    assert ((each.amplitudes > 0).sum(1) == 1).all()
+
+
+def test_the_threshold_sets_how_many_waves() -> None:
+    """A higher threshold, in units of 1/255, leaves fewer waves: exactly those whose amplitude exceeds it."""
+    amplitude = np.array([0.5, 1.5, 3, 6, 12, 24]) / 255
+    f, _, phase = draw_waves(6, np.random.default_rng(0))
+    planes = picture(f, amplitude, phase)
+    assert [len(analyze(planes, threshold=t).frequencies) for t in (0.4, 1, 2, 5, 10, 20, 50)] == [6, 5, 4, 3, 2, 1, 0]
+
+
+def test_noise_has_no_waves() -> None:
+    """White noise yields a wave no more often than the false-alarm rate says (5 % of 40: more than 5 has odds 1 %)."""
+    rng = np.random.default_rng(0)
+    alarms = [len(analyze(rng.standard_normal((64, 64, 3)), false_alarms=0.05).frequencies) > 0 for _ in range(40)]
+    assert sum(alarms) <= 5
+
+
+def test_the_floor_is_the_noise_in_spite_of_waves() -> None:
+    """Under a dozen waves a hundred times as strong, the floor is the noise's own, and so is that of noise alone."""
+    rng = np.random.default_rng(0)
+    noise = 0.01 * rng.standard_normal((SIDE, SIDE, 1))
+    alone = noise_floor(np.abs(Spectrum(noise).bins()) ** 2)
+    under = pursue(Spectrum(noise + picture(*draw_waves(12, rng))), None, 0.01, 50).floor
+    for floor in (alone, under):
+        assert 0.95 < np.median(floor) / (0.01**2 * SIDE**2) < 1.3
+
+
+def test_tied_masks_hold_far_from_the_sample() -> None:
+    """At four times the sample's size a tied mask still fits the ideal brick wall; a free one has drifted."""
+    model = Brick(color=0.3, noise=0.1)
+    whole = model.render((4 * SIDE, 4 * SIDE), np.random.default_rng(0))
+    assert whole.ideal is not None
+    sample = whole.image[:SIDE, :SIDE].astype(np.float64)
+    fits = {}
+    for harmonics in ("free", "tied"):
+        mask = analyze(sample, harmonics=harmonics).evaluate((4 * SIDE, 4 * SIDE))  # type: ignore[arg-type]
+        fits[harmonics] = np.corrcoef(mask.ravel(), whole.ideal.ravel())[0, 1]
+    assert fits["tied"] > 0.95 > fits["free"]
+
+
+def test_two_overlapping_lattices_are_two_groups() -> None:
+    """Harmonics of two incommensurate lattices are tied to two pairs of fundamentals, and all are found."""
+    first, second = np.array([[0.0512, 0.0031], [-0.0107, 0.0733]]), np.array([[0.0431, 0.0411], [0.0383, -0.0571]])
+    orders = np.array([(1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2), (2, 1), (3, 1), (1, 2)])
+    f = np.concatenate([orders @ first, orders @ second])
+    amplitude = np.concatenate([strength / (1 + np.abs(orders).sum(1)) for strength in (1.0, 0.7)])
+    noise = 0.05 * np.random.default_rng(1).standard_normal((SIDE, SIDE, 1))
+    found = analyze(picture(f, amplitude, np.random.default_rng(0).uniform(0, 6, len(f))) + noise, harmonics="tied")
+    assert found.groups[:2] == (2, 2)
+    np.testing.assert_allclose(found.frequencies, found.orders @ found.fundamentals, atol=1e-12)
+    assert errors(found, f).max() < 0.02
+
+
+def test_pinstripes_are_a_group_of_one_fundamental() -> None:
+    """Narrow stripes, many harmonics along one direction, are one group, whose fundamental is their own."""
+    step = np.array([0.0371, 0.0113])
+    f = np.arange(1, 9)[:, None] * step
+    noise = 0.05 * np.random.default_rng(1).standard_normal((SIDE, SIDE, 1))
+    found = analyze(picture(f, np.full(8, 0.1), np.zeros(8)) + noise, harmonics="tied")
+    assert found.groups == (1,) and len(found.frequencies) >= 8
+    np.testing.assert_allclose(np.abs(found.fundamentals), step[np.newaxis], atol=1e-4)
+
+
+def test_a_constant_channel_has_amplitude_zero() -> None:
+    """A constant channel stays constant, and a constant picture has no waves."""
+    f, amplitude, phase = draw_waves(3, np.random.default_rng(0))
+    planes = np.concatenate([picture(f, amplitude, phase), np.full((SIDE, SIDE, 1), 0.5)], 2)
+    found = analyze(planes)
+    np.testing.assert_allclose(found.evaluate((50, 50))[..., 1], 0.5, atol=1e-6)
+    assert len(analyze(np.full((16, 16, 3), 0.3)).frequencies) == 0
+
+
+@pytest.mark.parametrize("shape", [(31, 40), (9, 8), (64, 17)])
+def test_the_spectrum_is_the_sum_over_pixels(shape: tuple[int, int]) -> None:
+    """At any real frequency the transform and its moments equal the sums over all pixels."""
+    rng = np.random.default_rng(0)
+    planes, f = rng.standard_normal((*shape, 2)), rng.uniform(-0.5, 0.5, (30, 2))
+    spectrum = Spectrum(planes)
+    v, u = (np.arange(n) - (n - 1) / 2 for n in shape)
+    turns = np.exp(-2j * np.pi * (f[:, 0, None, None] * u + f[:, 1, None, None] * v[:, None]))
+    sums = [np.einsum("nyx,yxc->nc", turns * w, planes - planes.mean((0, 1))) for w in (1, u, v[:, None])]
+    value, moments = spectrum.at(f)
+    np.testing.assert_allclose(value, sums[0], atol=1e-6)
+    np.testing.assert_allclose(moments, sums[1:], atol=1e-4)
+    np.testing.assert_allclose(spectrum.values(f), value, atol=1e-9)
+
+
+@given(st.floats(-1.2, 1.2), st.integers(2, 300))
+@settings(max_examples=60, deadline=None)
+def test_dirichlet_sums_are_sums(frequency: float, length: int) -> None:
+    """The closed form and its slope equal the sums, near the poles and away from them."""
+    u = np.arange(length) - (length - 1) / 2
+    angles = 2 * np.pi * frequency * u
+    value, slope, _ = dirichlet(np.array([frequency]), length)
+    assert value[0] == pytest.approx(np.cos(angles).sum(), abs=1e-6 * length)
+    assert slope[0] == pytest.approx(-(2 * np.pi * u * np.sin(angles)).sum(), abs=1e-5 * length**2)
+    assert dirichlet_sum(np.array([frequency]), length)[0] == pytest.approx(value[0], abs=1e-6 * length)
+
+
+def test_the_kernel_curves_as_its_slope_changes() -> None:
+    """The kernel's second derivatives are the differences of its first."""
+    f, step = np.random.default_rng(0).uniform(-0.4, 0.4, (20, 2)), 1e-6
+    for a, move in enumerate(np.eye(2) * step):
+        change = (plane_kernel(f + move, (40, 33)).slope - plane_kernel(f - move, (40, 33)).slope) / (2 * step)
+        np.testing.assert_allclose(plane_kernel(f, (40, 33)).curvature[a], change, atol=1e-2)
+
+
+def test_the_normal_equations_hold_the_gradient() -> None:
+    """The right side is half the slope of the explained energy by each frequency."""
+    rng = np.random.default_rng(0)
+    f, amplitude, phase = draw_waves(4, rng)
+    spectrum = Spectrum(picture(f, amplitude, phase) + rng.standard_normal((SIDE, SIDE, 1)))
+    start, step = f + 0.2 / SIDE, 1e-7
+    right = Waves(spectrum, start).normal[1]
+    for k, a in np.ndindex(4, 2):
+        move = np.zeros((4, 2))
+        move[k, a] = step
+        rise = Waves(spectrum, start + move).explained - Waves(spectrum, start - move).explained
+        assert rise.sum() / (4 * step) == pytest.approx(right[k, a], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "hint"),
+    [
+        ({"planes": np.zeros((8, 8))}, "pass \\(H, W, C\\)"),
+        ({"planes": np.full((8, 8, 1), np.nan)}, "replace them"),
+        ({"threshold": 0.0}, "amplitude above 0"),
+        ({"harmonics": "bound"}, "free or tied"),
+        ({"channels": "none"}, "joint or each"),
+        ({"false_alarms": 1.0}, "probability"),
+        ({"most": 0}, "at least 1"),
+    ],
+)
+def test_bad_input_is_refused(change: dict[str, object], hint: str) -> None:
+    """Each error says what it is, and what to give."""
+    with pytest.raises(BadInput, match=hint):
+        analyze(**{"planes": np.zeros((8, 8, 1)), **change})  # type: ignore[arg-type]
