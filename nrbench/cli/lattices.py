@@ -15,7 +15,7 @@ NEXT_LINE = "\n"
 
 @click.command("lattice")
 @click.argument("image", type=click.Path(path_type=Path))
-@click.option("-d", "--detector", metavar="DETECTOR[:param=value,...]", help="The detector.  [default: gncc]")
+@click.option("-d", "--detector", metavar="DETECTOR[:param=value,...]", help="The detector.  [default: consensus]")
 @click.option("--all", "every", is_flag=True, help="Compare all detectors.")
 @click.option("--pick", is_flag=True, help="Click three points in a window: a corner, the ends of t1 and t2.")
 @click.option("--lattice", metavar="x1,y1,x2,y2", help="Take this lattice; with -o, to see it drawn.")
@@ -55,7 +55,7 @@ def lattice_command(
         return _compare(picture, output, as_json)
     if pick or lattice:
         return _by_hand(picture, lattice, output, as_json)
-    return _detect(picture, detector or "gncc", output, diagnostics, as_json)
+    return _detect(picture, detector or "consensus", output, diagnostics, as_json)
 
 
 def _by_hand(picture: Any, numbers: str | None, output: Path | None, as_json: bool) -> int:

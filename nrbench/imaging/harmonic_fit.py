@@ -84,7 +84,8 @@ class Waves:
         for axis, length in enumerate(self.spectrum.shape[::-1]):
             distinct, which = np.unique(frequencies[:, axis], return_inverse=True)
             factors.append(dirichlet_sum(distinct[:, np.newaxis] - both[:, axis], length)[which])
-        return np.asarray((factors[0] * factors[1]) @ weights)
+        real = (factors[0] * factors[1]) @ np.concatenate([weights.real, weights.imag], 1)
+        return np.asarray(real[:, : weights.shape[1]] + 1j * real[:, weights.shape[1] :])
 
     def residual_bins(self) -> NDArray[np.complex128]:
         """Return the transform of what the waves leave at whole bins, ``(C, H, W // 2 + 1)``: two matrix products."""

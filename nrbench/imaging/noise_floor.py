@@ -27,28 +27,36 @@ def noise_floor(power: NDArray[np.float64]) -> NDArray[np.float64]:
     power
         ``(C, H, W // 2 + 1)``: squared magnitudes in the order of ``rfft2``.
     """
-    return np.stack([np.maximum(_by_block(plane), _by_ring(plane)) for plane in power]) / math.log(2)
+    rings = _rings(power.shape[1], power.shape[2])
+    return np.stack([np.maximum(_by_block(plane), _by_ring(plane, rings)) for plane in power]) / math.log(2)
 
 
 def _by_block(power: NDArray[np.float64]) -> NDArray[np.float64]:
-    rows, cols = (max(n // BLOCK, 1) for n in power.shape)
-    row, col = (np.arange(n) * parts // n for n, parts in zip(power.shape, (rows, cols), strict=True))
-    medians = np.empty((rows, cols))
-    for r in range(rows):
-        strip = power[row == r]
-        for c in range(cols):
-            medians[r, c] = np.median(strip[:, col == c])
+    rows, cols = (_blocks(n) for n in power.shape)
+    inside = power[rows[:, np.newaxis, :, np.newaxis], cols[:, np.newaxis, :]]
+    medians = np.median(inside.reshape(len(rows), len(cols), -1), 2)
     smooth = median_filter(np.pad(medians, ((1, 1), (0, 0)), "wrap"), 3, mode="nearest")[1:-1]
+    row, col = (np.arange(n) * len(blocks) // n for n, blocks in zip(power.shape, (rows, cols), strict=True))
     return np.asarray(smooth[row[:, np.newaxis], col])
 
 
-def _by_ring(power: NDArray[np.float64]) -> NDArray[np.float64]:
-    height, half = power.shape
+def _blocks(length: int) -> NDArray[np.intp]:
+    """Return the bins of each block, all of one size: neighbors share a bin where the length does not divide."""
+    parts = max(length // BLOCK, 1)
+    return np.asarray((np.arange(parts) * length // parts)[:, np.newaxis] + np.arange(length // parts))
+
+
+def _by_ring(power: NDArray[np.float64], rings: list[NDArray[np.intp]]) -> NDArray[np.float64]:
+    flat, floor = power.ravel(), np.empty(power.size)
+    for ring in rings:
+        floor[ring] = np.median(flat[ring])
+    return floor.reshape(power.shape)
+
+
+def _rings(height: int, half: int) -> list[NDArray[np.intp]]:
+    """Return the flat numbers of the bins of each ring."""
     y = np.minimum(np.arange(height), height - np.arange(height))[:, np.newaxis] / height
     radius = np.hypot(y, np.arange(half) / (2 * max(half - 1, 1)))
-    ring = np.floor(np.log(np.maximum(radius * height, 1)) / math.log(RATIO)).astype(np.intp)
-    flat = ring.ravel()
-    order = np.lexsort((power.ravel(), flat))
-    edges = np.searchsorted(flat[order], np.arange(flat.max() + 2))
-    middle = np.minimum((edges[:-1] + edges[1:]) // 2, len(flat) - 1)
-    return np.asarray(power.ravel()[order[middle]][ring])
+    ring = np.floor(np.log(np.maximum(radius * height, 1)) / math.log(RATIO)).astype(np.int16).ravel()
+    order = np.argsort(ring, kind="stable")
+    return [part for part in np.split(order, np.flatnonzero(np.diff(ring[order])) + 1) if len(part)]

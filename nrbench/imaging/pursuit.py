@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +28,31 @@ NEAREST = 0.9
 ROUNDS = 20
 TRIES = 2
 """Times a candidate may start a wave."""
-OFFSETS = np.stack(np.meshgrid(np.linspace(-0.75, 0.75, 7), np.linspace(-0.75, 0.75, 7)), -1).reshape(-1, 2)
-"""Bins around a candidate where the magnitude is sampled before it is maximized."""
+OFFSETS = np.linspace(-0.75, 0.75, 7)
+"""Bins from a candidate, along x and along y, at which the magnitude is sampled before it is maximized."""
+GRID = np.stack(np.meshgrid(OFFSETS, OFFSETS), -1).reshape(-1, 2)
+WATCHED = 20
+"""Candidates looked at, for each wave that may be found: the strongest against the limit."""
+
+
+class Effort(NamedTuple):
+    """How hard a search for waves is.
+
+    Parameters
+    ----------
+    passes
+        How often the threshold is set and candidates are looked for, at least 1. One is half the work and misses waves
+        that stronger ones hide.
+    steps
+        Of the final joint fit. Three bring a wave within a hundredth of a bin.
+    """
+
+    passes: int
+    steps: int
+
+
+THOROUGH = Effort(2, 20)
+QUICK = Effort(1, 3)
 
 
 @dataclass(frozen=True)
@@ -71,7 +95,9 @@ def wave_powers(waves: Waves) -> Array:
     return np.asarray((p[1:] ** 2 + q[1:] ** 2) * (height * width / 2) ** 2)
 
 
-def pursue(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> Found:
+def pursue(
+    spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int, effort: Effort = THOROUGH
+) -> Found:
     """Return the waves above a threshold, frequencies and amplitudes fitted jointly.
 
     Candidates are bins of the DFT above the threshold. The strongest start a wave each, at the highest of samples
@@ -89,15 +115,17 @@ def pursue(spectrum: Spectrum, threshold: float | None, false_alarms: float, mos
         Probability that noise alone yields a wave, where automatic.
     most
         At most so many waves.
+    effort
+        How hard to look.
     """
     waves = Waves(spectrum, np.zeros((0, 2)))
-    for _ in range(2):
+    for _ in range(effort.passes):
         left = np.abs(waves.residual_bins()) ** 2
         floor = noise_floor(left)
         limit = power_limit(spectrum, floor, threshold, false_alarms)
         waves = _subtract(waves, left, limit, most)
-    waves = refine(spectrum, waves.frequencies).waves
-    return Found(_significant(waves, limit), floor, limit)
+    waves = refine(spectrum, waves.frequencies, steps=effort.steps).waves
+    return Found(keep_significant(waves, limit, effort.steps), floor, limit)
 
 
 def power_limit(spectrum: Spectrum, floor: Array, threshold: float | None, false_alarms: float) -> Array:
@@ -117,24 +145,33 @@ def power_limit(spectrum: Spectrum, floor: Array, threshold: float | None, false
 def _subtract(waves: Waves, left: Array, limit: Array, most: int) -> Waves:
     """Return the waves with all those added that candidates lead to."""
     spectrum = waves.spectrum
-    bins = _candidates(left, limit, spectrum.shape)
-    limits, tries = _lookup(limit, bins / spectrum.size, spectrum.shape), np.zeros(len(bins), np.intp)
-    values = spectrum.values(bins / spectrum.size)
+    bins = _candidates(left, limit, spectrum.shape, WATCHED * most)
+    bins, limits = _promising(waves, bins, _lookup(limit, bins / spectrum.size, spectrum.shape))
+    values, tries = spectrum.values(bins / spectrum.size), np.zeros(len(bins), np.intp)
     for _ in range(ROUNDS if len(bins) else 0):
         power = np.abs(values - waves.modelled(bins / spectrum.size)) ** 2
         power[((power < SCALLOP * limits).all(1)) | (tries >= TRIES)] = 0
         chosen = _strongest(bins, power.sum(1))[: most - len(waves.frequencies)]
         if not len(chosen):
             break
-        tries[chosen] += 1
         starts, powers = _starts(waves, bins[chosen])
-        starts = starts[(powers >= NEAREST * limits[chosen]).any(1)]
-        if len(starts):
-            waves = _separate(refine(spectrum, np.concatenate([waves.frequencies, starts]), steps=1).waves)
+        enough = (powers >= NEAREST * limits[chosen]).any(1)
+        tries[chosen] += np.where(enough, 1, TRIES)
+        if enough.any():
+            more = np.concatenate([waves.frequencies, starts[enough]])
+            waves = _separate(refine(spectrum, more, steps=1).waves)
     return waves
 
 
-def _candidates(left: Array, limit: Array, shape: tuple[int, int]) -> Array:
+def _promising(waves: Waves, bins: Array, limits: Array) -> tuple[Array, Array]:
+    """Return the candidates, and their limits, near which what the waves leave reaches the limit anywhere."""
+    if not len(bins):
+        return bins, limits
+    enough = (_starts(waves, bins)[1] >= NEAREST * limits).any(1)
+    return bins[enough], limits[enough]
+
+
+def _candidates(left: Array, limit: Array, shape: tuple[int, int], most: int) -> Array:
     """Return the bins (x, y) near which a wave may be left, ``(m, 2)``; of a pair f, -f only one."""
     ky, kx = bin_numbers(shape)
     above = left + np.roll(left, 1, 1)
@@ -145,7 +182,9 @@ def _candidates(left: Array, limit: Array, shape: tuple[int, int]) -> Array:
     watched &= ~((ky[:, np.newaxis] < 0) & ((kx == 0) | (2 * kx == shape[1])))
     watched[0, 0] = False
     rows, cols = np.nonzero(watched)
-    return np.stack([kx[cols], ky[rows]], 1)
+    excess = (gathered[:, rows, cols] / limit[:, rows, cols]).max(0)
+    strongest = np.sort(np.argsort(-excess, kind="stable")[:most])
+    return np.stack([kx[cols], ky[rows]], 1)[strongest]
 
 
 def _strongest(bins: Array, power: Array) -> NDArray[np.intp]:
@@ -161,8 +200,10 @@ def _strongest(bins: Array, power: Array) -> NDArray[np.intp]:
 
 def _starts(waves: Waves, bins: Array) -> tuple[Array, Array]:
     """Return, for each bin, the frequency of the highest residual within a bin of it, and its power ``(m, C)``."""
-    around = (bins[:, np.newaxis] + OFFSETS) / waves.spectrum.size
-    power = (np.abs(waves.residual(around.reshape(-1, 2))) ** 2).reshape(*around.shape[:2], -1)
+    spectrum, size = waves.spectrum, waves.spectrum.size
+    around = (bins[:, np.newaxis] + GRID) / size
+    values = spectrum.around(bins / size, OFFSETS).reshape(-1, spectrum.channels)
+    power = (np.abs(values - waves.modelled(around.reshape(-1, 2))) ** 2).reshape(*around.shape[:2], -1)
     best = np.arange(len(bins)), power.sum(2).argmax(1)
     return np.asarray(around[best]), np.asarray(power[best])
 
@@ -178,14 +219,14 @@ def _separate(waves: Waves) -> Waves:
     return Waves(waves.spectrum, f[~weaker]) if weaker.any() else waves
 
 
-def _significant(waves: Waves, limit: Array) -> Waves:
-    """Return the waves that reach the limit once all are fitted, the rest fitted again."""
+def keep_significant(waves: Waves, limit: Array, steps: int = THOROUGH.steps) -> Waves:
+    """Return the waves that reach the limit ``(C, H, W // 2 + 1)`` once all are fitted, the rest fitted again."""
     waves = _separate(waves)
     while len(waves.frequencies):
         enough = (wave_powers(waves) >= _lookup(limit, waves.frequencies, waves.spectrum.shape)).any(1)
         if enough.all():
             break
-        waves = _separate(refine(waves.spectrum, waves.frequencies[enough]).waves)
+        waves = _separate(refine(waves.spectrum, waves.frequencies[enough], steps=steps).waves)
     return waves
 
 

@@ -104,6 +104,24 @@ class Spectrum:
         value = (np.matmul(near, wx[..., np.newaxis])[..., 0] * wy).sum(2).T * _turn(f, self.shape)
         return np.asarray(np.where(flip, np.conj(value), value))
 
+    def around(self, frequencies: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """Return FT on a small grid about each frequency, ``(n, k, k, C)``, y before x.
+
+        Parameters
+        ----------
+        frequencies
+            ``(n, 2)`` cycles/px, with f_x >= 0.
+        offsets
+            ``(k,)`` bins along either axis, rising, within +-1. The samples that all of them need are read once.
+        """
+        (cols, wx), (rows, wy) = (
+            _fan(frequencies[:, k, np.newaxis] + offsets / self.size[k], self._grid_shape[1 - k], self.shape[1 - k])
+            for k in (0, 1)
+        )
+        near = self._grid[:, rows[:, :, np.newaxis] % self._grid_shape[0], cols[:, np.newaxis, :] + TAPS]
+        values = wy @ (near @ wx.transpose(0, 2, 1))
+        return np.ascontiguousarray(np.moveaxis(values, 0, 3))
+
     def _near(self, f: NDArray[np.float64]) -> tuple[NDArray[Any], Weights, Weights]:
         """Return the samples around frequencies, ``(C, n, TAPS, TAPS)``, and the weights along x and y."""
         (cols, *wx), (rows, *wy) = (_taps(f[:, k], self._grid_shape[1 - k]) for k in (0, 1))
@@ -161,6 +179,18 @@ def _taps(
     root = np.sqrt(np.maximum(1 - t * t, 1e-12))
     slope = -i1(BETA * root) * BETA * t / root * (2 / TAPS)
     return samples, i0(BETA * root), slope * grid
+
+
+def _fan(frequencies: NDArray[np.float64], grid: int, length: int) -> tuple[NDArray[np.intp], NDArray[np.complex128]]:
+    """Return the numbers of the samples that rows of rising frequencies need, and their weights, ``(n, k, taps)``."""
+    place = frequencies * grid
+    first = np.ceil(place[:, 0] - TAPS / 2).astype(np.intp)
+    taps = TAPS + int(np.ceil(float((place[:, -1] - place[:, 0]).max(initial=0)))) + 1
+    samples = first[:, np.newaxis] + np.arange(taps)
+    t = (place[:, :, np.newaxis] - samples[:, np.newaxis]) * (2 / TAPS)
+    weights = np.where(np.abs(t) <= 1, i0(BETA * np.sqrt(np.maximum(1 - t * t, 0))), 0)
+    turn = np.exp(-2j * np.pi * frequencies * (length // 2 - (length - 1) / 2))
+    return samples, weights * turn[:, :, np.newaxis]
 
 
 def _kernel_transform(cycles: NDArray[np.float64]) -> NDArray[np.float64]:

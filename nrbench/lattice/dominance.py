@@ -1,9 +1,8 @@
-"""Lattice detection by regions of dominance: the short pair of vectors on whose multiples the dominant peaks lie."""
+"""Lattice detection by regions of dominance: the shortest pair of vectors that explains the dominant peaks."""
 
 from __future__ import annotations
 
-import itertools
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, NamedTuple
 
@@ -15,9 +14,10 @@ from nrbench.errors import BadInput
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
 from nrbench.imaging.door import Image
 from nrbench.lattice.detection import Detection, NoLatticeFound, Surface
+from nrbench.lattice.dominance_kernels import rate_pairs
 from nrbench.lattice.excerpt import excerpt
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.lattice.peaks import find_peaks, subpixel
+from nrbench.lattice.peaks import UNIT, find_peaks, subpixel
 from nrbench.lattice.refinement import fit_multiples, fit_pair
 from nrbench.lattice.regions import dominance
 from nrbench.lattice.surrogates import chance, upper_limit
@@ -25,6 +25,12 @@ from nrbench.streams import pixels_hash, stream
 
 MULTIPLES = 200
 """So many points of a lattice, the nearest to lag 0, are compared with peaks: enough, however large the image."""
+LEVELS = 5
+"""Thresholds of prominence that are tried, each half the one before."""
+QUANTILE = 2.326
+"""Rates of hits differ where the 1 % and 99 % bounds of a normal law do not overlap."""
+SAME_CELL = 1.5
+"""Cells whose areas differ by less than this factor are as small as each other: the next coarser lattice has twice."""
 
 
 class Ranking(NamedTuple):
@@ -35,14 +41,33 @@ class Ranking(NamedTuple):
     candidates: Points
 
 
-class Pair(NamedTuple):
-    """A reduced pair of vectors (rows, px): how many multiples, hits among them, and support."""
+class Pairs(NamedTuple):
+    """Reduced pairs of vectors ``(m, 2, 2)`` px, one a lattice: the areas of their cells, px^2, and what they explain.
 
-    evidence: float
+    ``evidence``, in nats, is that of ``hits`` among ``multiples``; ``low`` and ``high`` bound the share of hits beyond
+    chance; ``peaks`` are those compared with, the most dominant first.
+    """
+
     vectors: Points
-    multiples: int
-    hits: int
-    support: float
+    areas: NDArray[np.float64]
+    multiples: NDArray[np.float64]
+    hits: NDArray[np.float64]
+    support: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    evidence: NDArray[np.float64]
+    peaks: Points
+
+
+class Choice(NamedTuple):
+    """One of several pairs."""
+
+    pairs: Pairs
+    row: int
+
+    def get(self, name: str) -> float:
+        """Return what there is of that name for the pair."""
+        return float(getattr(self.pairs, name)[self.row])
 
 
 @dataclass(frozen=True)
@@ -53,22 +78,26 @@ class Dominance:
     but by their region of dominance, the largest disk around each that holds no higher peak; the lattice is generated
     by the shortest independent vectors that explain the dominant ones, found by votes as Lin, Wang and Yang (1997) do.
 
-    Inferred: how many peaks are dominant, and what a vote is. A lattice that has n points within reach is compared with
-    the n most dominant peaks there; those within ``tolerance`` of one of its points are hits. Its evidence is how much
-    likelier the hits are at their own rate than by chance (n times the Kullback-Leibler divergence of the rate from the
-    share of the plane that lies within the tolerance, nats). A lattice too fine has points without a peak, one too
-    coarse has dominant peaks elsewhere, and both lose evidence: no number of peaks is to be set. Pairs are made of the
-    ``candidates`` peaks whose regions are largest for their lengths.
+    Inferred: how many peaks are dominant, and what explains them. A lattice that has n points within reach is compared
+    with the n most dominant peaks there; those within ``tolerance`` of one of its points are hits. A lattice too fine
+    has points without a peak, one too coarse has dominant peaks elsewhere: no number of peaks is to be set. Hits must
+    be likelier at their own rate than by chance (n times the Kullback-Leibler divergence of the rate from the share of
+    the plane that lies within the tolerance) by more than the logarithm of the number of pairs tried over
+    ``false_alarms``. Of these, all whose rate is no worse than the best as far as counts can tell (Wilson's 1 % and
+    99 % bounds overlap) explain the peaks, and the smallest cell is taken. Pairs are made of the ``candidates`` peaks
+    whose regions are largest for their lengths.
 
-    The confidence is the share of hits, from what chance would give (0) to all (1).
+    The confidence is the lower bound of the share of hits, from what chance would give (0) to all (1).
 
     It is meant to judge, where a photograph has no given lattice: no synthesizer should find its lattice by it.
 
     Parameters
     ----------
     prominence
-        A peak stands above the highest pass to a higher one by this share of the most prominent peak: else the bumps of
-        noise between the lattice's peaks, which dominate regions too, make it too fine.
+        Only peaks count that stand above the highest pass to a higher one by this share of the most prominent peak's:
+        else the bumps of noise between the lattice's peaks, which dominate regions too, make it too fine. On a ridge
+        (the rows of a wall) only the highest peak stands high above any pass, so smaller shares are tried as well, each
+        half the one before: the largest counts at which a pair explains the peaks as well as at any.
     candidates
         So many peaks are paired.
     tolerance
@@ -127,63 +156,64 @@ class Dominance:
         if np.ptp(image, (0, 1)).max() == 0:
             raise NoLatticeFound("the image is constant: it has no texture")
         gamma = half_autocorrelation(image)
-        reach = _reach(gamma)
-        ranking = self._rank(gamma, reach)
-        best = self._search(ranking, reach)
+        best = self._search(gamma)
         if best is None:
             raise NoLatticeFound("no two peaks of the autocorrelation could generate a lattice")
-        found = self._detection(gamma, ranking, best)
+        found = self._detection(gamma, best)
         return found if self.reject == "none" else self._tested(image, found)
 
-    def _rank(self, gamma: Correlation, reach: tuple[int, int]) -> Ranking:
-        """Return the peaks by their regions of dominance, and the candidates by theirs over their lengths."""
+    def _rankings(self, gamma: Correlation, reach: tuple[int, int]) -> list[Ranking]:
+        """Return the peaks at each threshold of prominence, by their regions of dominance, the highest first."""
         found = find_peaks(gamma, reach)
-        prominent = found.prominences >= self.prominence * found.prominences.max(initial=0)
-        lags, values = found.lags[prominent], found.values[prominent]
-        peaks = subpixel(gamma, lags) if self.subpixel else lags.astype(np.float64)
-        radii = dominance(peaks, values)
-        order = np.lexsort((-values, -radii))
-        relative = np.lexsort((np.hypot(*peaks.T), -radii / np.maximum(np.hypot(*peaks.T), 1e-9)))
-        candidates = peaks[relative[: self.candidates]]
-        return Ranking(
-            peaks[order], values[order], fit_multiples(gamma, candidates, reach) if self.subpixel else candidates
+        spots = subpixel(gamma, found.lags) if self.subpixel else found.lags.astype(np.float64)
+        thresholds = self.prominence * found.prominences.max(initial=0) / 2.0 ** np.arange(LEVELS)
+        kept = [np.flatnonzero(found.prominences >= threshold) for threshold in thresholds]
+        kept = [some for i, some in enumerate(kept) if i == 0 or len(some) > len(kept[i - 1])]
+        orders = [_ranked(spots[some], found.values[some], self.candidates) for some in kept]
+        paired = np.unique(np.concatenate([some[best] for some, (_, best) in zip(kept, orders, strict=True)]))
+        vectors = spots.copy()
+        if self.subpixel:
+            vectors[paired] = fit_multiples(gamma, spots[paired], reach)
+        return [
+            Ranking(spots[some[order]], found.values[some[order]], vectors[some[best]])
+            for some, (order, best) in zip(kept, orders, strict=True)
+        ]
+
+    def _search(self, gamma: Correlation) -> Choice | None:
+        """Return the shortest pair that explains the dominant peaks; None where there is no pair better than chance."""
+        reach = _reach(gamma)
+        levels = [self._rated(ranking, reach) for ranking in self._rankings(gamma, reach)]
+        needed = np.log(max(sum(len(pairs.areas) for pairs in levels), 1) / self.false_alarms)
+        chosen = [choice for pairs in levels if (choice := _smallest(pairs, needed))]
+        lowest = max((choice.get("low") for choice in chosen), default=0.0)
+        explained = next((choice for choice in chosen if choice.get("high") >= lowest), None)
+        return explained or _likeliest(levels)
+
+    def _rated(self, ranking: Ranking, reach: tuple[int, int]) -> Pairs:
+        """Return every pair of candidates with its hits; its own two vectors, peaks by choice, are none."""
+        heights = np.rint(ranking.values * UNIT).astype(np.int64)
+        rows = rate_pairs(
+            ranking.peaks, heights, ranking.candidates, np.array(reach, np.float64), self.tolerance, MULTIPLES
         )
+        vectors, (multiples, hits, sums) = rows[:, :4].reshape(-1, 2, 2), rows[:, 4:].T
+        areas = np.abs(vectors[:, 0, 0] * vectors[:, 1, 1] - vectors[:, 0, 1] * vectors[:, 1, 0])
+        radii = np.maximum(self.tolerance * np.hypot(*vectors[:, 0].T), 1)
+        shares = np.minimum(np.pi * radii**2 / areas, 0.99)
+        trials, found = np.maximum(multiples - 2, 0), np.maximum(hits - 2, 0)
+        low, high = ((bound - shares) / (1 - shares) for bound in _bounds(found, trials))
+        support = sums / UNIT / np.sqrt(np.maximum(multiples, 1))
+        evidence = _divergence(found, trials, shares)
+        return Pairs(vectors, areas, multiples, hits, support, low, high, evidence, ranking.peaks)
 
-    def _search(self, ranking: Ranking, reach: tuple[int, int]) -> Pair | None:
-        """Return the pair of the highest evidence, the shortest among equals; None where there is none."""
-        lattices = dict[tuple[int, ...], Lattice]()
-        for one, other in itertools.combinations(ranking.candidates, 2):
-            area = abs(one[0] * other[1] - one[1] * other[0])
-            if area > 0.1 * np.hypot(*one) * np.hypot(*other) and area >= 4:
-                lattice = Lattice((one[0], one[1]), (other[0], other[1])).reduced()
-                lattices.setdefault(tuple(np.rint(lattice.matrix.ravel() * 2).astype(int)), lattice)
-        pairs = [self._rate(ranking, lattice, reach) for lattice in lattices.values()]
-        best = max(pairs, key=lambda pair: (pair.evidence, -np.abs(pair.vectors).sum()), default=None)
-        return best if best and best.evidence > 0 else None
-
-    def _rate(self, ranking: Ranking, lattice: Lattice, reach: tuple[int, int]) -> Pair:
-        """Return the evidence for a lattice: hits among as many dominant peaks as it has points."""
-        s, area = float(np.hypot(*lattice.matrix[0])), lattice.area
-        shrink = min(1.0, math.sqrt(MULTIPLES * area / (2 * reach[0] * reach[1])))
-        window = np.array(reach) * shrink
-        multiples = _count(lattice, window)
-        dominant = np.flatnonzero((np.abs(ranking.peaks) <= window).all(1))[:multiples]
-        radius = max(self.tolerance * s, 1.0)
-        hits = dominant[np.hypot(*lattice.wrap(ranking.peaks[dominant]).T) <= radius]
-        support = float(ranking.values[hits].sum()) / math.sqrt(max(multiples, 1))
-        # The two vectors themselves are peaks: they were chosen so.
-        share = min(math.pi * radius**2 / area, 1.0)
-        return Pair(_divergence(len(hits) - 2, multiples - 2, share), lattice.matrix, multiples, len(hits), support)
-
-    def _detection(self, gamma: Correlation, ranking: Ranking, best: Pair) -> Detection:
+    def _detection(self, gamma: Correlation, best: Choice) -> Detection:
         """Return the lattice of the best pair, fitted, with what led to it."""
-        first, second = fit_pair(gamma, best.vectors, _reach(gamma)) if self.subpixel else best.vectors
+        pair = best.pairs.vectors[best.row]
+        first, second = fit_pair(gamma, pair, _reach(gamma)) if self.subpixel else pair
         lattice = Lattice((first[0], first[1]), (second[0], second[1])).reduced()
-        share = math.pi * max(self.tolerance * lattice.s, 1.0) ** 2 / lattice.area
-        confidence = (best.hits / best.multiples - share) / max(1 - share, 1e-9)
-        surface = Surface(gamma, (0, gamma.shape[0] // 2), ranking.peaks[: best.multiples], np.stack([first, second]))
-        numbers = {"evidence": best.evidence, "support": best.support, "multiples": best.multiples, "hits": best.hits}
-        return Detection(lattice, min(max(confidence, 0.0), 1.0), {"correlation": surface, **numbers})
+        numbers = {name: best.get(name) for name in ("evidence", "support", "multiples", "hits")}
+        dominant = best.pairs.peaks[: int(numbers["multiples"])]
+        surface = Surface(gamma, (0, gamma.shape[0] // 2), dominant, np.stack([first, second]))
+        return Detection(lattice, min(max(best.get("low"), 0.0), 1.0), {"correlation": surface, **numbers})
 
     def _tested(self, image: Image, found: Detection) -> Detection:
         """Return what was found, with what it was compared with, unless it is chance."""
@@ -202,9 +232,8 @@ class Dominance:
 
     def _support(self, image: NDArray[np.float32]) -> float:
         """Return the support of an image's best pair; 0 where it has none."""
-        gamma = half_autocorrelation(image)
-        best = self._search(self._rank(gamma, _reach(gamma)), _reach(gamma))
-        return best.support if best else 0.0
+        best = self._search(half_autocorrelation(image))
+        return best.get("support") if best else 0.0
 
 
 def _reach(gamma: Correlation) -> tuple[int, int]:
@@ -213,18 +242,44 @@ def _reach(gamma: Correlation) -> tuple[int, int]:
     return min(width * 3 // 4, width - 4), min(height * 3 // 4, height - 4)
 
 
-def _count(lattice: Lattice, window: Points) -> int:
-    """Return how many lattice points other than 0 are within ``window`` of it along x and y, on one half-plane."""
-    shape = (2 * int(window[1]) + 1, 2 * int(window[0]) + 1)
-    return (len(lattice.shifted((shape[1] // 2, shape[0] // 2)).points(shape)) - 1) // 2
+def _ranked(peaks: Points, values: NDArray[np.float64], candidates: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the order of the peaks by their regions of dominance, and the candidates' by theirs over their lengths."""
+    radii, lengths = dominance(peaks, values), np.hypot(*peaks.T)
+    relative = np.lexsort((lengths, -radii / np.maximum(lengths, 1e-9)))
+    return np.lexsort((-values, -radii)), relative[:candidates]
 
 
-def _divergence(hits: int, trials: int, share: float) -> float:
-    """Return how many nats likelier so many hits are at their own rate than at ``share``; 0 where they are fewer."""
-    if trials <= 0 or hits <= share * trials:
-        return 0.0
-    rate = hits / trials
-    return float(trials * (scipy.special.rel_entr(rate, share) + scipy.special.rel_entr(1 - rate, 1 - share)))
+def _smallest(pairs: Pairs, needed: float) -> Choice | None:
+    """Return the pair of the smallest cell of those that explain as much as any, as far as their counts can tell."""
+    possible = pairs.evidence > needed
+    if not possible.any():
+        return None
+    explaining = possible & (pairs.high >= pairs.low[possible].max())
+    equals = explaining & (pairs.areas < SAME_CELL * pairs.areas[explaining].min())
+    return Choice(pairs, int(np.where(equals, pairs.evidence, -1).argmax()))
+
+
+def _likeliest(levels: Sequence[Pairs]) -> Choice | None:
+    """Return the pair of the highest evidence; None where there is none."""
+    best = [Choice(pairs, int(pairs.evidence.argmax())) for pairs in levels if pairs.evidence.max(initial=0) > 0]
+    return max(best, key=lambda choice: choice.get("evidence"), default=None)
+
+
+def _bounds(hits: NDArray[np.float64], trials: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return Wilson's bounds of the rates of hits at :data:`QUANTILE`; 0 and 1 where nothing was tried."""
+    squares = QUANTILE**2 / np.maximum(trials, 1e-9)
+    rates = hits / np.maximum(trials, 1)
+    middle, half = rates + squares / 2, np.sqrt(squares * (rates * (1 - rates) + squares / 4))
+    return (middle - half) / (1 + squares), (middle + half) / (1 + squares)
+
+
+def _divergence(
+    hits: NDArray[np.float64], trials: NDArray[np.float64], shares: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return how many nats likelier so many hits are at their own rate than at ``shares``; 0 where they are fewer."""
+    rates = hits / np.maximum(trials, 1)
+    nats = scipy.special.rel_entr(rates, shares) + scipy.special.rel_entr(1 - rates, 1 - shares)
+    return np.asarray(np.where(rates > shares, trials * nats, 0.0))
 
 
 def _check(holds: bool, message: str) -> None:

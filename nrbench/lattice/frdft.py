@@ -11,17 +11,24 @@ from numpy.typing import NDArray
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image
 from nrbench.imaging.harmonic_fit import Fit, refine
-from nrbench.imaging.pursuit import Found, pursue
+from nrbench.imaging.pursuit import QUICK, THOROUGH, Effort, Found, pursue
 from nrbench.imaging.spectrum import Spectrum
-from nrbench.imaging.tying import waveset
+from nrbench.imaging.tying import waveset as to_waveset
 from nrbench.lattice.detection import Detection, NoLatticeFound, Surface
-from nrbench.lattice.fundamentals import Basis, find_fundamentals
+from nrbench.lattice.fundamentals import FINALISTS, Basis, find_fundamentals
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.lattice.surrogates import chance, upper_limit
 from nrbench.streams import pixels_hash, stream
 
 WINDOW = 1024
 """px a side: of larger images the middle is analyzed, which bounds time and memory."""
+TESTED = 256
+"""px a side: the test against chance looks at the middle of this size, or of :data:`PERIODS` periods where longer."""
+PERIODS = 10.0
+SHORTLIST = 6
+"""Pairs of fundamentals that the test fits."""
+STRONGEST = 24
+"""Waves that the test looks for: the evidence of weaker ones, which count by their energy, is small."""
 
 
 class Answer(NamedTuple):
@@ -71,9 +78,12 @@ class Frdft:
         How far, bins (cycles in the image's side), a wave may lie off its place beside its own standard error.
     reject
         ``"none"``: answer wherever the waves have two directions. ``"surrogate"``: no lattice where the evidence does
-        not exceed what phase-randomized copies of the image reach. The evidence is that of all waves, less the two
-        best, which any two fundamentals explain, less that of all waves on the line that has most, so that a grating,
-        or one and a stray wave, is no lattice. A lattice of two waves without harmonics is refused, too.
+        not exceed what phase-randomized copies of the image reach. The evidence here is a plain log-likelihood, every
+        wave counted alike: energy tells which lattice is the texture's, places whether there is one. It is that of all
+        explained waves, less the two best, which any two fundamentals explain, less that of all waves on the line that
+        has most, so that a grating, or one and a stray wave, is no lattice. A lattice of two waves without harmonics is
+        refused, too. Image and copies are judged alike, by a shorter search: 24 waves, in one pass, of the image's
+        middle (256 px a side or ten periods).
     surrogates
         Number of phase-randomized copies.
     false_alarms
@@ -84,7 +94,7 @@ class Frdft:
     waves: int = 60
     tolerance: float = 0.05
     reject: Literal["none", "surrogate"] = "surrogate"
-    surrogates: int = 20
+    surrogates: int = 12
     false_alarms: float = 0.01
 
     version: ClassVar[str] = "1"
@@ -110,7 +120,8 @@ class Frdft:
 
         Diagnostics: ``spectrum`` (log magnitude; its peaks are the waves, its vectors the fundamentals, in bins),
         ``frequencies`` ``(n, 2)`` cycles/px of all waves, ``explained`` (which of them the lattice explains),
-        ``surplus`` (the evidence); where tested, ``surrogate_surplus`` and ``limit``.
+        ``surplus`` (the evidence); where tested, ``tested_surplus`` (that of the shorter search), ``surrogate_surplus``
+        (the same of the copies) and ``limit``.
 
         Raises
         ------
@@ -120,54 +131,64 @@ class Frdft:
         """
         if np.ptp(image, (0, 1)).max() == 0:
             raise NoLatticeFound("the image is constant: it has no texture")
-        middle, start = _middle(image)
-        answer = self._search(middle)
+        middle, start = _middle(image, WINDOW)
+        answer = self._search(middle, self.waves, THOROUGH, FINALISTS)
         if isinstance(answer, str):
             raise NoLatticeFound(answer)
         found = _detection(answer, start)
-        return found if self.reject == "none" else self._tested(middle, found, answer)
+        return found if self.reject == "none" else self._tested(image, found)
 
-    def _search(self, image: NDArray[np.float32]) -> Answer | str:
+    def _search(self, image: NDArray[np.float32], waves: int, effort: Effort, finalists: int) -> Answer | str:
         """Return what the waves of an image say, or why they say nothing."""
         spectrum = Spectrum(image.astype(np.float64))
-        found = pursue(spectrum, self.threshold or None, self.false_alarms, self.waves)
+        found = pursue(spectrum, self.threshold or None, self.false_alarms, waves, effort)
         order = np.argsort(-found.powers.sum(1), kind="stable")
         if len(order) < 2:
             return f"the image has {len(order)} waves above its noise; a lattice has at least two"
-        basis = find_fundamentals(waveset(found, order, self.tolerance))
+        waveset = to_waveset(found, order, self.tolerance)
+        basis = find_fundamentals(waveset, finalists)
         if basis is None or np.linalg.matrix_rank(basis.orders[basis.explained]) < 2:
             return "the waves of the image have one direction only: a grating has no lattice"
-        return Answer(found, order, basis, _surplus(basis))
+        return Answer(found, order, basis, surplus(basis, waveset.weights))
 
-    def _tested(self, image: NDArray[np.float32], found: Detection, answer: Answer) -> Detection:
+    def _tested(self, image: Image, found: Detection) -> Detection:
         """Return what was found, with what it was compared with, unless it is a grating or chance."""
-        copies = chance(image, self._reached, stream("detection", pixels_hash(image)), self.surrogates)
-        limit = upper_limit(copies, self.false_alarms)
-        more = {"surrogate_surplus": copies, "limit": limit}
+        longest = float(abs(found.lattice.matrix).max())
+        part, _ = _middle(image, max(TESTED, min(round(PERIODS * longest), WINDOW)))
+        copies = chance(part, self._reached, stream("detection", pixels_hash(part)), self.surrogates)
+        reached, limit = self._reached(part), upper_limit(copies, self.false_alarms)
+        more = {"tested_surplus": reached, "surrogate_surplus": copies, "limit": limit}
         found = Detection(found.lattice, found.confidence, {**found.diagnostics, **more})
-        if answer.surplus <= limit:
+        if reached <= limit:
             raise NoLatticeFound(
-                f"the best lattice (evidence {answer.surplus:.2f}) is no better than chance ({limit:.2f})", found
+                f"the best lattice (evidence {reached:.2f}) is no better than chance ({limit:.2f})", found
             )
         return found
 
     def _reached(self, image: NDArray[np.float32]) -> float:
-        """Return the evidence of an image's best lattice; 0 where it has none."""
-        answer = self._search(image)
+        """Return the evidence of an image's best lattice by the shorter search; 0 where it has none."""
+        answer = self._search(image, min(self.waves, STRONGEST), QUICK, SHORTLIST)
         return 0.0 if isinstance(answer, str) else answer.surplus
 
 
-def _middle(image: Image) -> tuple[Image, Vector]:
-    """Return the middle of an image, and the (x, y) of its first pixel."""
-    top, left = (max(n - WINDOW, 0) // 2 for n in image.shape[:2])
-    return image[top : top + WINDOW, left : left + WINDOW], (left, top)
+def _middle(image: Image, side: int) -> tuple[Image, Vector]:
+    """Return the middle of an image, at most ``side`` px a side, and the (x, y) of its first pixel."""
+    top, left = (max(n - side, 0) // 2 for n in image.shape[:2])
+    return image[top : top + side, left : left + side], (left, top)
 
 
-def _surplus(basis: Basis) -> float:
-    """Return the evidence beyond what any two fundamentals explain, and beyond what is on one line."""
-    evidence = np.where(basis.explained, basis.evidence, 0.0)
+def surplus(basis: Basis, weights: NDArray[np.float64]) -> float:
+    """Return the evidence beyond what any two fundamentals explain, and beyond what is on one line.
+
+    Parameters
+    ----------
+    basis
+        Fundamentals of n waves. Waves that they do not explain count nothing, wherever they are.
+    weights
+        ``(n,)``: by which the evidence was multiplied; it is divided by them again.
+    """
+    evidence, orders = (basis.evidence / weights)[basis.explained], basis.orders[basis.explained]
     beyond = evidence.sum() - np.sort(evidence)[-2:].sum()
-    evidence, orders = evidence[basis.explained], basis.orders[basis.explained]
     x, y = orders[:, 0], orders[:, 1]
     collinear = np.outer(x, y) == np.outer(y, x)
     best_line = int(np.argmax(collinear @ evidence))

@@ -16,6 +16,7 @@ LEADERS = 12
 SHORTEST = 1.5
 """Bins: a fundamental below that has fewer than 1.5 periods in the picture, and nothing repeats."""
 FINALISTS = 20
+"""Pairs that are fitted to the waves, the best by their first evidence."""
 
 
 class Waveset(NamedTuple):
@@ -57,7 +58,7 @@ class Basis(NamedTuple):
     evidence: Array
 
 
-def find_fundamentals(waves: Waveset) -> Basis | None:
+def find_fundamentals(waves: Waveset, finalists: int = FINALISTS) -> Basis | None:
     """Return the two fundamentals with the highest evidence; None where no two independent waves are.
 
     A wave of the lattice lies at one of its points, but for its error; any other wave lies anywhere. The ratio of the
@@ -68,6 +69,13 @@ def find_fundamentals(waves: Waveset) -> Basis | None:
 
     Proposed are the strongest waves, their sums and differences, in pairs; the best, fitted to all waves that they
     explain, then compete with their own sublattices and superlattices of index 2 and 3.
+
+    Parameters
+    ----------
+    waves
+        Strongest first.
+    finalists
+        How many pairs are fitted, at least 1.
     """
     steps = _proposals(waves)
     pairs = _pairs(steps)
@@ -75,7 +83,7 @@ def find_fundamentals(waves: Waveset) -> Basis | None:
         return None
     rough = _evidence(pairs, waves, 3.0).sum(1)
     best: tuple[float, Array] | None = None
-    for k in np.argsort(-rough, kind="stable")[:FINALISTS]:
+    for k in np.argsort(-rough, kind="stable")[:finalists]:
         fitted = _fitted(pairs[k], waves)
         score = float(_evidence(fitted[np.newaxis], waves, 1.0).sum())
         if best is None or score > best[0] + 1e-9:
@@ -114,11 +122,16 @@ def _pairs(steps: Array) -> Array:
     """Return the reduced pairs of independent steps, ``(m, 2, 2)``."""
     i, j = np.triu_indices(len(steps), 1)
     a, b = _reduced(steps[i], steps[j])
-    area, short = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.hypot(*a.T)
-    fine = (short >= SHORTEST) & (area > 0.2 * short * np.hypot(*b.T))
+    fine = _are_sound(a, b)
     pairs = np.stack([a, b], 1)[fine]
     _, first = np.unique(np.rint(np.abs(pairs.reshape(-1, 4)) * 8), axis=0, return_index=True)
     return np.asarray(pairs[np.sort(first)])
+
+
+def _are_sound(a: Array, b: Array) -> NDArray[np.bool_]:
+    """Return which reduced pairs are independent and not shorter than is allowed."""
+    area, short = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.hypot(*a.T)
+    return np.asarray((short >= SHORTEST) & (area > 0.2 * short * np.hypot(*b.T)))
 
 
 def _reduced(a: Array, b: Array) -> tuple[Array, Array]:
@@ -126,8 +139,10 @@ def _reduced(a: Array, b: Array) -> tuple[Array, Array]:
     for _ in range(12):
         swap = ((a**2).sum(1) > (b**2).sum(1))[:, np.newaxis]
         a, b = np.where(swap, b, a), np.where(swap, a, b)
-        square = np.maximum((a**2).sum(1), 1e-12)
-        b = b - np.rint((a * b).sum(1) / square)[:, np.newaxis] * a
+        steps = np.rint((a * b).sum(1) / np.maximum((a**2).sum(1), 1e-12))
+        if not steps.any():
+            break
+        b = b - steps[:, np.newaxis] * a
     swap = ((a**2).sum(1) > (b**2).sum(1))[:, np.newaxis]
     return np.where(swap, b, a), np.where(swap, a, b)
 
@@ -174,7 +189,7 @@ def _is_sound(basis: Array) -> bool:
     """Return whether no combination is shorter than is allowed, and two are independent."""
     if len(basis) == 1:
         return bool(np.hypot(*basis[0]) > 0)
-    return len(_pairs(basis)) > 0
+    return bool(_are_sound(*_reduced(basis[:1], basis[1:]))[0])
 
 
 def _descended(score: float, basis: Array, waves: Waveset) -> Array:

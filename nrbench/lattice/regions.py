@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.spatial
 from numpy.typing import NDArray
 
+from nrbench.lattice.dominance_kernels import region_radii
 from nrbench.lattice.geometry import Points
 
 
@@ -21,18 +21,9 @@ def dominance(lags: Points, values: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Notes
     -----
-    Each half of the ranking looks for its nearest among the half above: O(n log(n)^2).
+    O(n log n): see :func:`~nrbench.lattice.dominance_kernels.region_radii`.
     """
     order = np.argsort(-values, kind="stable")
-    ranked = np.asarray(lags, np.float64)[order]
-    radii = np.asarray(np.hypot(*ranked.T), np.float64)
-    pending = [(0, len(ranked))]
-    while pending:
-        start, end = pending.pop()
-        half = (start + end) // 2
-        if half == start:
-            continue
-        tree = scipy.spatial.KDTree(np.concatenate([ranked[start:half], -ranked[start:half]]))
-        radii[half:end] = np.minimum(radii[half:end], tree.query(ranked[half:end])[0])
-        pending += [(start, half), (half, end)]
-    return np.asarray(radii[np.argsort(order)])
+    radii = np.empty(len(values))
+    radii[order] = region_radii(np.ascontiguousarray(np.asarray(lags, np.float64)[order]))
+    return radii

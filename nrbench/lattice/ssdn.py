@@ -16,7 +16,7 @@ from nrbench.lattice.detection import Curve, Detection, NoLatticeFound
 from nrbench.lattice.excerpt import excerpt
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.periods import Period, find_period
-from nrbench.lattice.rectangles import inner_repetition
+from nrbench.lattice.rectangles import SEVERAL, inner_repetition
 from nrbench.lattice.surrogates import chance, upper_limit
 from nrbench.streams import pixels_hash, stream
 
@@ -50,8 +50,8 @@ class Ssdn:
     subpixel
         Minima are vertices of parabolas and the period is fitted to all of them; else it is the paper's x_n / n.
     primitive
-        Refuse rectangles that hold more than one cell: those inside which the image repeats as well as at their
-        corners, by the same ``depth``.
+        Refuse rectangles that hold more than one cell: those inside which the image repeats nearly as well as at their
+        corners (:func:`~nrbench.lattice.rectangles.inner_repetition`).
     reject
         ``"none"``: answer wherever both curves have a minimum. ``"surrogate"``: no lattice where the minima, above
         all the farthest, are no deeper than those of phase-randomized copies of the image (of its middle, where it is
@@ -71,12 +71,10 @@ class Ssdn:
     false_alarms: float = 0.01
 
     version: ClassVar[str] = "1"
-    paper: ClassVar[str] = """@inproceedings{djado2005representative,
-  author    = {Djado, Khalid and Egli, Richard and Desch{\\^e}nes, Fran{\\c{c}}ois},
-  title     = {Extraction of a Representative Tile from a Near-Periodic Texture},
-  booktitle = {GRAPHITE 2005},
-  publisher = {ACM},
-  year      = {2005},
+    paper: ClassVar[str] = """@misc{representativetile,
+  title        = {Extraction of a Representative Tile from a Near-Periodic Texture},
+  howpublished = {Universit{\\'e} de Sherbrooke, Qu{\\'e}bec, Canada},
+  note         = {Title after its abstract; 2005 or later. Authors and venue are not in the text that was implemented},
 }"""
 
     def __post_init__(self) -> None:
@@ -149,7 +147,7 @@ class Ssdn:
         x_end, y_end = (int((1 - self.overlap) * n) for n in image.shape[1::-1])
         inner = inner_repetition(half_autocorrelation(image), width, height, (x_end, y_end))
         found = replace(found, diagnostics={**found.diagnostics, "inner": inner})
-        if inner >= self.depth:
+        if inner >= SEVERAL:
             reason = f"the image repeats inside the rectangle as well as at its corners (ratio {inner:.2f})"
             raise NoLatticeFound(f"{reason}: it holds several cells, and {UPRIGHT}", found)
         return found

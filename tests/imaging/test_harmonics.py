@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.errors import BadInput
+from nrbench.imaging.analytic_signal import analytic_signal, complex_waves
 from nrbench.imaging.dirichlet import dirichlet, dirichlet_sum, plane_kernel
 from nrbench.imaging.harmonic_fit import Waves
 from nrbench.imaging.harmonics import Harmonics, analyze
@@ -154,6 +155,44 @@ def test_a_constant_channel_has_amplitude_zero() -> None:
     assert len(analyze(np.full((16, 16, 3), 0.3)).frequencies) == 0
 
 
+@pytest.mark.parametrize("shape", [(31, 40), (30, 40), (9, 17)])
+def test_the_analytic_signal_has_half_the_plane(shape: tuple[int, int]) -> None:
+    """Its real part is the picture less its mean, and of each pair f, -f below Nyquist one is 0."""
+    planes = np.random.default_rng(0).standard_normal((*shape, 2))
+    signal = analytic_signal(planes)
+    np.testing.assert_allclose(signal.real, planes - planes.mean((0, 1)), atol=1e-12)
+    power = np.abs(np.fft.fft2(signal, axes=(0, 1))) ** 2
+    mirror = power[-np.arange(shape[0]) % shape[0]][:, -np.arange(shape[1]) % shape[1]]
+    y, x = (np.arange(n)[k] for n, k in zip(shape, np.ix_(*map(np.arange, shape)), strict=True))
+    own = (2 * x == shape[1]) | ((2 * y) % shape[0] + x == 0)
+    assert np.minimum(power, mirror)[~own].max() < 1e-15 * power.max()
+
+
+def test_the_analytic_search_finds_known_frequencies() -> None:
+    """In noise, waves away from the border are found by the paper's search as well as by ours."""
+    for n in (1, 8, 12):
+        f, amplitude, phase = draw_waves(n, np.random.default_rng([n, 0]))
+        noise = 0.02 * np.random.default_rng(5).standard_normal((SIDE, SIDE, 1))
+        found = analyze(picture(f, amplitude, phase) + noise, signal="analytic")
+        assert len(found.frequencies) == n and errors(found, f).max() < 2e-3
+
+
+def test_the_analytic_signal_is_inexact_near_its_border() -> None:
+    """One real wave of f_x within a bin of 0 is several complex ones, misplaced; ours, or a joint fit, sees one."""
+    limit = np.full((1, SIDE, SIDE // 2 + 1), (0.05 * SIDE * SIDE / 2) ** 2)
+    misplaced = {}
+    for f_x in (0.3, 30.3):
+        f = np.array([[f_x, 5.4]]) / SIDE
+        planes = picture(f, np.ones(1), np.ones(1))
+        first = complex_waves(Spectrum(planes), limit, 50)
+        misplaced[f_x] = np.abs(first[0] - f[0]).max() * SIDE
+        assert (len(first) > 1) == (f_x < 1)
+        for signal in ("real", "analytic"):
+            found = analyze(planes, 0.05 * 255, signal=signal)  # type: ignore[arg-type]
+            assert len(found.frequencies) == 1 and errors(found, f).max() < 1e-3
+    assert misplaced[0.3] > 0.03 and misplaced[30.3] < 0.005
+
+
 @pytest.mark.parametrize("shape", [(31, 40), (9, 8), (64, 17)])
 def test_the_spectrum_is_the_sum_over_pixels(shape: tuple[int, int]) -> None:
     """At any real frequency the transform and its moments equal the sums over all pixels."""
@@ -167,6 +206,10 @@ def test_the_spectrum_is_the_sum_over_pixels(shape: tuple[int, int]) -> None:
     np.testing.assert_allclose(value, sums[0], atol=1e-6)
     np.testing.assert_allclose(moments, sums[1:], atol=1e-4)
     np.testing.assert_allclose(spectrum.values(f), value, atol=1e-9)
+    f[:, 0], offsets = np.abs(f[:, 0]), np.linspace(-0.75, 0.75, 4)
+    fan = np.stack(np.meshgrid(offsets, offsets), -1) / spectrum.size
+    near = spectrum.values((f[:, None, None] + fan).reshape(-1, 2)).reshape(30, 4, 4, 2)
+    np.testing.assert_allclose(spectrum.around(f, offsets), near, atol=1e-6)
 
 
 @given(st.floats(-1.2, 1.2), st.integers(2, 300))
@@ -211,6 +254,7 @@ def test_the_normal_equations_hold_the_gradient() -> None:
         ({"threshold": 0.0}, "amplitude above 0"),
         ({"harmonics": "bound"}, "free or tied"),
         ({"channels": "none"}, "joint or each"),
+        ({"signal": "complex"}, "real or analytic"),
         ({"false_alarms": 1.0}, "probability"),
         ({"most": 0}, "at least 1"),
     ],

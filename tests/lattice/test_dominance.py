@@ -8,7 +8,9 @@ from nrbench.errors import BadInput
 from nrbench.imaging.door import quantize
 from nrbench.lattice.detection import Detector, NoLatticeFound, Surface
 from nrbench.lattice.dominance import Dominance
+from nrbench.lattice.dominance_kernels import rate_pairs
 from nrbench.lattice.error import lattice_error
+from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.regions import dominance
 
 PERIODIC = {"color": 0.0, "noise": 0.0}
@@ -48,6 +50,49 @@ def test_departures_leave_the_lattice(model: str) -> None:
         found = FAST.detect(quantize(sample.image)).lattice
         exact += lattice_error(found, sample.lattice, (128, 128)).relation == "exact"
     assert exact >= 3
+
+
+@pytest.mark.parametrize("model", ["brick", "weave"])
+@pytest.mark.parametrize("seed", range(3))
+def test_strong_color_makes_no_supercell(model: str, seed: int) -> None:
+    """Where tiles differ much in color the cell is still the smallest that explains the peaks, and surely so."""
+    sample = texture(model, (128, 128), seed, color=0.6, noise=0.1)
+    assert sample.lattice is not None
+    found = FAST.detect(quantize(sample.image))
+    assert lattice_error(found.lattice, sample.lattice, (128, 128)).relation == "exact" and found.confidence > 0.5
+
+
+def test_peaks_on_ridges_count() -> None:
+    """Rows that stand out far more than the joints within them leave the lattice: a peak of each row is not enough."""
+    y, x = np.indices((192, 192))
+    row = y // 16
+    joints = (x + 20 * (row % 2)) % 40 < 3
+    image = 0.5 + 0.3 * (y % 16 < 6) - 0.1 * joints + 0.03 * np.random.default_rng(0).standard_normal(y.shape)
+    found = FAST.detect(quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)))
+    assert found.lattice.is_equivalent(Lattice((40.0, 0.0), (20.0, 16.0)), 0.3) and found.confidence > 0.5
+
+
+def test_few_hits_give_little_confidence() -> None:
+    """White noise, answered all the same, is no surer than a twentieth."""
+    found = FAST.detect(np.random.default_rng(0).random((128, 128, 3)).astype(np.float32))
+    assert found.confidence < 0.05
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(6, 30), st.floats(6, 30), st.floats(0.9, 2.2), st.floats(0, 3), st.integers(0, 2**32 - 1))
+def test_hits_and_points_are_counted(a: float, b: float, angle: float, turn: float, seed: int) -> None:
+    """The kernel's points and hits are those that the lattice's own points and wrapped peaks tell."""
+    lattice = Lattice(
+        (a * np.cos(turn), a * np.sin(turn)), (b * np.cos(turn + angle), b * np.sin(turn + angle))
+    ).reduced()
+    rng, reach = np.random.default_rng(seed), np.array([60.3, 47.7])
+    peaks = rng.uniform((0, -48), (60, 48), (400, 2))
+    row = rate_pairs(peaks, np.ones(400, np.int64), lattice.matrix, reach, 0.15, 10**6)[0]
+    every = lattice.from_cell(lattice.cell_numbers((-61, -48), (61, 48)))
+    points = ((np.abs(every) <= reach).all(1).sum() - 1) // 2
+    hits = np.hypot(*lattice.wrap(peaks[(np.abs(peaks) <= reach).all(1)][:points]).T) <= max(0.15 * lattice.s, 1)
+    assert row[4] == points and row[5] == row[6] == hits.sum()
+    assert Lattice(tuple(row[:2]), tuple(row[2:4])).is_equivalent(lattice)
 
 
 def test_whole_pixels_stay_near() -> None:

@@ -11,8 +11,8 @@ from nrbench.datasets_procedural.weave import Weave
 from nrbench.errors import BadInput
 from nrbench.imaging.door import quantize
 from nrbench.lattice.detection import Detector, NoLatticeFound
-from nrbench.lattice.frdft import Frdft
-from nrbench.lattice.fundamentals import Waveset, find_fundamental, find_fundamentals
+from nrbench.lattice.frdft import Frdft, surplus
+from nrbench.lattice.fundamentals import Basis, Waveset, find_fundamental, find_fundamentals
 from nrbench.lattice.geometry import Lattice
 from nrbench.texture import Texture
 
@@ -69,10 +69,51 @@ def test_one_fundamental_is_the_greatest_common_divisor() -> None:
 def test_lattices_are_told_from_chance() -> None:
     """By default a regular texture is accepted, its evidence above the limit of the copies."""
     sample = texture("hexagon", 1, color=0.3, noise=0.1)
-    found = Frdft(surrogates=8).detect(quantize(sample.image))
+    found = Frdft(surrogates=6).detect(quantize(sample.image))
     assert sample.lattice is not None and found.lattice.is_equivalent(sample.lattice, 0.25)
-    assert found.diagnostics["surplus"] > found.diagnostics["limit"]
-    assert len(found.diagnostics["surrogate_surplus"]) == 8
+    assert found.diagnostics["tested_surplus"] > found.diagnostics["limit"]
+    assert len(found.diagnostics["surrogate_surplus"]) == 6
+
+
+def test_bands_of_noise_are_refused_by_the_test_alone() -> None:
+    """Narrow bands of noise at places of no lattice have waves, an answer without the test and none with it."""
+    rng = np.random.default_rng(2)
+    y, x = np.indices((128, 128))
+    turns = rng.uniform(-0.2, 0.2, (12, 2)) @ np.stack([x.ravel(), y.ravel()]) + rng.random((12, 1))
+    image = 0.5 + 0.03 * np.cos(2 * np.pi * turns).sum(0).reshape(x.shape) + 0.03 * rng.standard_normal(x.shape)
+    picture = np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)
+    assert FAST.detect(picture).lattice.area > 0
+    with pytest.raises(NoLatticeFound, match="chance") as refusal:
+        Frdft(surrogates=6).detect(picture)
+    best = refusal.value.best
+    assert best is not None and best.diagnostics["tested_surplus"] <= best.diagnostics["limit"]
+
+
+def basis(orders: list[tuple[int, int]], evidence: list[float]) -> Basis:
+    """Return a basis with waves of given orders and evidence."""
+    values = np.array(evidence)
+    return Basis(np.eye(2) * 5, np.array(orders, np.float64), values > 0, values)
+
+
+def test_unexplained_waves_do_not_change_the_evidence() -> None:
+    """A wave near frequency 0, of order (0, 0), or anywhere else off the lattice, leaves the surplus as it is."""
+    orders, evidence = [(1, 0), (0, 1), (1, 1), (2, 1)], [4.0, 3.0, 2.0, 5.0]
+    known = surplus(basis(orders, evidence), np.ones(4))
+    for stray in [(0, 0), (3, 0), (1, 1)]:
+        assert surplus(basis([*orders, stray], [*evidence, -2.3]), np.ones(5)) == known == 5.0
+
+
+def test_the_evidence_needs_two_directions() -> None:
+    """A grating has none, however many its harmonics, nor with one stray wave; two waves have none; weights cancel."""
+    line = [(1, 0), (2, 0), (3, 0), (4, 0)]
+    assert surplus(basis(line, [5.0] * 4), np.ones(4)) == 0
+    assert surplus(basis([*line, (1, 1)], [5.0] * 5), np.ones(5)) == 0
+    assert surplus(basis([(1, 0), (0, 1)], [5.0] * 2), np.ones(2)) == 0
+    weights = np.array([1.0, 0.5, 0.25, 0.1, 0.01])
+    assert surplus(basis([*line, (1, 1)][::-1], list(5 * weights)), weights) == 0
+    both = [*line, (0, 1), (1, 1)]
+    weights = np.linspace(1, 0.1, 6)
+    assert surplus(basis(both, list(5 * weights)), weights) == pytest.approx(5)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.6])
@@ -113,6 +154,19 @@ def test_any_shape_works(shape: tuple[int, int]) -> None:
     sample = Hexagon(period=18.4, noise=0.1).render(shape, np.random.default_rng(1))
     found = FAST.detect(quantize(sample.image)[..., 1:2]).lattice
     assert sample.lattice is not None and found.is_equivalent(sample.lattice, 0.3)
+
+
+def test_large_images_are_judged_by_their_middle() -> None:
+    """Of an image of 3000 px a side no more than the window is analyzed, and the origin is still the image's own."""
+    truth = Lattice((31.3, 2.1), (-3.4, 37.9), (5.2, 9.7))
+    y, x = np.indices((3000, 1200), np.float32)
+    u, v = np.moveaxis(truth.to_cell(np.stack([x, y], -1)), -1, 0)
+    waves = sum(0.06 * np.cos(2 * np.pi * (a * u + b * v)) for a, b in ((1, 0), (0, 1), (1, 1), (2, 1)))
+    found = FAST.detect((0.5 + waves)[..., np.newaxis].astype(np.float32))
+    assert found.diagnostics["spectrum"].values.shape == (1024, 1024)
+    assert found.lattice.is_equivalent(truth, 0.01)
+    off = truth.wrap(np.subtract(found.lattice.origin, truth.origin))
+    assert np.abs(off).max() < 0.3
 
 
 def test_the_origin_is_a_crest() -> None:

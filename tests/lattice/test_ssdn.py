@@ -4,12 +4,12 @@ import pytest
 from nrbench.api import texture
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image, quantize
-from nrbench.imaging.ssd import shift_ssdn, ssdn
 from nrbench.lattice.detection import Curve, Detector, NoLatticeFound
 from nrbench.lattice.error import lattice_error
 from nrbench.lattice.excerpt import SIDE, excerpt
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.periods import find_period
+from nrbench.lattice.rectangle_kernels import inner_relief
 from nrbench.lattice.ssdn import Ssdn
 
 PERIODIC = {"color": 0.0, "noise": 0.0}
@@ -22,22 +22,6 @@ def stripes(angle: float) -> Image:
     wave = np.tanh(4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 17.3))
     image = 0.5 + 0.15 * wave + 0.03 * np.random.default_rng(0).standard_normal((128, 128))
     return quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32))
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_the_curve_is_the_papers(axis: int) -> None:
-    """At each lag g is the mean squared difference of the two parts that overlap, channels summed: by brute force."""
-    image = np.random.default_rng(0).random((23, 17, 3)).astype(np.float32)
-    turned = np.moveaxis(image, axis, 0)
-    n = len(turned)
-    expected = [ssdn(turned[: n - k], turned[k:]) for k in range(n)]
-    np.testing.assert_allclose(shift_ssdn(image, axis)[0], expected, atol=1e-6)
-
-
-def test_unrelated_parts_reach_the_expected_level() -> None:
-    """For white noise g is what is expected of unrelated parts, at every lag but 0, where it is 0."""
-    g, unrelated = shift_ssdn(np.random.default_rng(0).random((64, 64, 3)).astype(np.float32), 1)
-    assert g[0] < 1e-9 and np.abs(g[1:48] / unrelated[1:48] - 1).max() < 0.1
 
 
 @pytest.mark.parametrize("model", ["squares", "windows", "card"])
@@ -57,6 +41,30 @@ def test_other_lattices_are_refused_and_say_why(model: str) -> None:
     with pytest.raises(NoLatticeFound, match="only rectangular lattices along the axes") as no:
         Ssdn().detect(quantize(sample.image))
     assert no.value.best is not None and no.value.best.lattice.kind in ("rectangular", "square")
+
+
+@pytest.mark.parametrize("departure", [{"color": 0.3}, {"noise": 0.1}, {"jitter": 0.2}])
+def test_the_rows_of_a_wall_are_no_supercell(departure: dict[str, float]) -> None:
+    """A stacked wall repeats fairly well all along its rows: it is one cell a rectangle all the same, and exact."""
+    sample = texture("brick", (160, 160), 2, bond="stack", **departure)
+    assert sample.lattice is not None
+    found = Ssdn(reject="none").detect(quantize(sample.image))
+    assert lattice_error(found.lattice, sample.lattice, (160, 160)).relation == "exact"
+    assert found.diagnostics["inner"] < 0.5
+
+
+def test_the_inner_peak_is_measured_from_its_pass() -> None:
+    """On a rectangle with a ridge, a bump of a quarter of the corner's height above the pass counts a quarter."""
+    tile = np.zeros((20, 30), np.int32)
+    tile[0], tile[0, 0], tile[0, 15] = 800, 1000, 850
+    inside = np.ones(tile.shape, np.bool_)
+    inside[0, 0] = False
+    for planted, relief in (({}, 0.25), ({(10, 15): 900}, 0.9), ({(0, 15): 1000}, 1.0), ({(10, 15): 0}, 0.25)):
+        changed = tile.copy()
+        for place, height in planted.items():
+            changed[place] = height
+        order = np.argsort(-changed.ravel(), kind="stable")
+        assert inner_relief(changed, inside, order) == pytest.approx(relief)
 
 
 def test_the_papers_choice_tiles_a_weave_by_two_cells() -> None:

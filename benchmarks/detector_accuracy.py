@@ -1,0 +1,125 @@
+"""How often each detector finds the smallest lattice, how precisely and fast, and how often one where none is.
+
+Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/detector_accuracy.py [--count 8] [DETECTOR...]``.
+Brick, weave and hexagon, axis-aligned and rotated, 128 to 256 px a side with at least 4 periods, by regular share; and
+200 stochastic textures: noise of five spectra and crops of scikit-image's grass and gravel.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import skimage.data
+from unit import machine_unit
+
+from nrbench import plugins
+from nrbench.imaging.door import Image, as_image, quantize
+from nrbench.imaging.jit import load_kernels
+from nrbench.lattice.detection import Detector, NoLatticeFound
+from nrbench.lattice.error import lattice_error
+from nrbench.lattice.geometry import Lattice
+from nrbench.parameters import parse_spec
+from nrbench.texture import Texture
+
+DETECTORS = ("consensus", "gncc", "gncc:reject=none", "ssdn", "frdft:reject=none", "dominance", "dominance:reject=none")
+FAMILIES = {"brick": 17.3, "weave": 31.7, "hexagon": 11.9}
+SIDES = (128, 160, 192, 256)
+STRENGTHS = ((0.1, 0.02), (0.14, 0.04), (0.3, 0.05), (0.4, 0.08), (0.5, 0.1), (0.6, 0.1), (0.7, 0.1))
+SPECTRA = ("white", "pink", "brown", "blobs", "grass")
+CLASSES = {"mild": (0.9, 1.01), "middle": (0.6, 0.9), "strong": (0.3, 0.6)}
+
+
+@dataclass
+class Tally:
+    """What a detector made of some textures."""
+
+    labels: list[str] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def add(self, detector: Detector, image: Image, truth: Lattice | None) -> None:
+        """Let the detector look at an image."""
+        start = time.process_time()
+        try:
+            found = detector.detect(image).lattice
+        except NoLatticeFound:
+            found = None
+        self.seconds.append(time.process_time() - start)
+        if found is None or truth is None:
+            self.labels.append("none" if found is None else "found")
+            return
+        error = lattice_error(found, truth, image.shape[:2])
+        self.labels.append(error.label)
+        self.errors += [error.vector] if error.relation == "exact" else []
+
+    def row(self, u: float) -> str:
+        """Return the tally in words."""
+        exact, n = self.labels.count("exact"), len(self.labels)
+        others = sorted({label for label in self.labels if label != "exact"})
+        rest = ", ".join(f"{label} {self.labels.count(label)}" for label in others)
+        error = f"error {np.median(self.errors):.3f} px" if self.errors else ""
+        return f"exact {exact:3}/{n:<3} {error:15} {np.median(self.seconds) / u:7.1f} u   {rest}"
+
+
+def regular(count: int) -> Iterator[tuple[str, Texture]]:
+    """Yield textures with a lattice, and the class of their regular share."""
+    for (family, turn), (color, noise) in itertools.product(FAMILIES.items(), STRENGTHS):
+        for seed, rotation in itertools.product(range(count), (0.0, turn)):
+            parameters = {"color": color, "intensity": color / 2, "noise": noise, "rotation": rotation}
+            side = SIDES[seed % len(SIDES)]
+            drawn = plugins.build("datasets", family, parameters).render(
+                (side, side), np.random.default_rng(7000 + seed)
+            )
+            share = drawn.regular_share or 0.0
+            kind = next((kind for kind, (low, high) in CLASSES.items() if low <= share < high), None)
+            if kind is not None:
+                yield f"{family} {kind}", drawn
+
+
+def stochastic(count: int) -> Iterator[tuple[str, Image]]:
+    """Yield ``count`` textures without a lattice."""
+    rng = np.random.default_rng(9000)
+    pictures = {name: as_image(getattr(skimage.data, name)()) for name in ("grass", "gravel")}
+    kinds = [*SPECTRA, *pictures]
+    for number in range(count):
+        kind, side = kinds[number % len(kinds)], SIDES[number // len(kinds) % len(SIDES)]
+        if kind in pictures and number % 2:
+            whole = pictures[kind]
+            y, x = (int(rng.integers(0, n - side)) for n in whole.shape[:2])
+            yield f"crops of {kind}", whole[y : y + side, x : x + side]
+        else:
+            spectrum = kind if kind in SPECTRA else "blobs"
+            scale = float(rng.choice([5, 12, 20]))
+            noise = plugins.build("datasets", "noise", {"spectrum": spectrum, "scale": scale})
+            yield "noise", noise.render((side, side), rng).image
+
+
+def main() -> None:
+    """Print one table for each detector."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--count", type=int, default=8)
+    parser.add_argument("--stochastic", type=int, default=200)
+    parser.add_argument("detectors", nargs="*", default=DETECTORS)
+    options = parser.parse_args()
+    load_kernels()
+    u = machine_unit()
+    for spec in options.detectors:
+        detector = plugins.build("detectors", *parse_spec(spec))
+        tallies: dict[str, Tally] = defaultdict(Tally)
+        for kind, texture in regular(options.count):
+            tallies[kind].add(detector, quantize(texture.image), texture.lattice)
+        for kind, image in stochastic(options.stochastic):
+            tallies[kind].add(detector, quantize(image), None)
+        print(spec)
+        for kind, tally in tallies.items():
+            print(f"  {kind:16} {tally.row(u)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
