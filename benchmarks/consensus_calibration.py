@@ -1,9 +1,9 @@
 """What the consensus detector's confidence is worth: fitted on one set of draws, reported on another.
 
-Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/consensus_calibration.py [--count 10]``. Draws of 25 models at
-random departures, from none to beyond recognition, 64 to 256 px a side, and of noise of five spectra, which has no
+Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/consensus_calibration.py [--count 10]``. Draws of 25 models
+at random departures, from none to beyond recognition, 64 to 256 px a side, and of noise of five spectra, which has no
 lattice. It prints the weights of the logistic regression, and how often answers of each confidence were right on draws
-that it was not fitted to; the same without any refit for the weights that stand in ``nrbench/lattice/confidence.py``.
+that it was not fitted to; and the same for the weights that stand in ``nrbench/lattice/confidence.py``.
 """
 
 from __future__ import annotations

@@ -67,15 +67,13 @@ class Tally:
         return f"exact {exact:3}/{n:<3} {error:15} {np.median(self.seconds) / u:7.1f} u   {rest}"
 
 
-def regular(count: int) -> Iterator[tuple[str, Texture]]:
+def regular(first: int, count: int) -> Iterator[tuple[str, Texture]]:
     """Yield textures with a lattice, and the class of their regular share."""
     for (family, turn), (color, noise) in itertools.product(FAMILIES.items(), STRENGTHS):
-        for seed, rotation in itertools.product(range(count), (0.0, turn)):
+        for seed, rotation in itertools.product(range(first, first + count), (0.0, turn)):
             parameters = {"color": color, "intensity": color / 2, "noise": noise, "rotation": rotation}
             side = SIDES[seed % len(SIDES)]
-            drawn = plugins.build("datasets", family, parameters).render(
-                (side, side), np.random.default_rng(7000 + seed)
-            )
+            drawn = plugins.build("datasets", family, parameters).render((side, side), np.random.default_rng(seed))
             share = drawn.regular_share or 0.0
             kind = next((kind for kind, (low, high) in CLASSES.items() if low <= share < high), None)
             if kind is not None:
@@ -104,6 +102,7 @@ def main() -> None:
     """Print one table for each detector."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, default=8)
+    parser.add_argument("--first", type=int, default=8000, help="The first seed.")
     parser.add_argument("--stochastic", type=int, default=200)
     parser.add_argument("detectors", nargs="*", default=DETECTORS)
     options = parser.parse_args()
@@ -112,7 +111,7 @@ def main() -> None:
     for spec in options.detectors:
         detector = plugins.build("detectors", *parse_spec(spec))
         tallies: dict[str, Tally] = defaultdict(Tally)
-        for kind, texture in regular(options.count):
+        for kind, texture in regular(options.first, options.count):
             tallies[kind].add(detector, quantize(texture.image), texture.lattice)
         for kind, image in stochastic(options.stochastic):
             tallies[kind].add(detector, quantize(image), None)

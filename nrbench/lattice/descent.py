@@ -23,6 +23,8 @@ SHORTEST = 2.6
 """px; shorter vectors are within one period of any sampled pattern."""
 APART = 0.4
 """A finer lattice stands out from the others where it rises by this share from what they add to the coarse mean."""
+FEW = 10.0
+"""Of so few vectors the scatter is seen half as well, and twice as many standard deviations are no surprise."""
 HARDLY = 0.03
 """A finer lattice that misses the limit by no more than this, before it is fitted, is fitted and asked again."""
 
@@ -133,7 +135,7 @@ class Descent:
         for added, candidate in rated:
             spread = np.sqrt((own.variance + added.variance) / 2)
             above, below = added.mean - usual, own.mean - added.mean
-            near = above > APART * (above + below) and below <= self.scatter * spread
+            near = above > APART * (above + below) and below <= self.scatter * spread * (1 + FEW / max(own.lags, 1))
             if (added.mean >= limit or near) and np.hypot(*candidate[0]) >= SHORTEST:
                 found.append((added, candidate))
         return sorted(found, key=lambda one: -one[0].mean)
