@@ -47,10 +47,11 @@ PENALTY = 0.05
 
 
 class Answer(NamedTuple):
-    """What was found: the logarithms that the regression reads, with a leading 1, and whether it is exact."""
+    """What was found: the logarithms that the regression reads, with a leading 1, whether it is exact, and of noise."""
 
     terms: tuple[float, ...]
     exact: bool
+    stochastic: bool
 
 
 def departures(rng: np.random.Generator) -> dict[str, Any]:
@@ -87,7 +88,7 @@ def answers(seed: int, count: int) -> Iterator[Answer]:
         told, truth = found.diagnostics, texture.lattice
         exact = truth is not None and lattice_error(found.lattice, truth, texture.image.shape[:2]).relation == "exact"
         terms = (max(told["sigmas"], 1e-3), max(told["relief"], 1e-2), max(told["tiles"], 1.0))
-        yield Answer((1.0, *np.log(terms)), exact)
+        yield Answer((1.0, *np.log(terms)), exact, truth is None)
 
 
 def fitted(terms: NDArray[np.float64], signs: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -118,6 +119,8 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=10)
     count = parser.parse_args().count
     first, second = (list(answers(seed, count)) for seed in (11, 12))
+    noise = [np.exp(one.terms[1]) for one in first + second if one.stochastic]
+    print(f"noise: the best lattice reaches {max(noise, default=0):.1f} sigmas in {2 * count * len(SPECTRA)} draws")
     terms, exact = (np.array([getattr(one, name) for one in first]) for name in ("terms", "exact"))
     weights = fitted(terms, 2.0 * exact - 1)
     print("weights", dict(zip(WEIGHTS, weights.round(2).tolist(), strict=True)))

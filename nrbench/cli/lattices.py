@@ -43,7 +43,7 @@ def lattice_command(
     from nrbench.imaging.files import read_image
 
     ways = {"-d": detector, "--all": every, "--pick": pick, "--lattice": lattice}
-    chosen = [name for name, value in ways.items() if value]
+    chosen = [name for name, value in ways.items() if value not in (None, False)]
     if len(chosen) > 1:
         raise BadInput(f"{' and '.join(chosen)}: choose one of them")
     if diagnostics is not None and chosen not in ([], ["-d"]):
@@ -53,7 +53,7 @@ def lattice_command(
     picture = read_image(image)
     if every:
         return _compare(picture, output, as_json)
-    if pick or lattice:
+    if pick or lattice is not None:
         return _by_hand(picture, lattice, output, as_json)
     return _detect(picture, detector or "consensus", output, diagnostics, as_json)
 
@@ -66,7 +66,7 @@ def _by_hand(picture: Any, numbers: str | None, output: Path | None, as_json: bo
         from nrbench.cli.picking import pick
 
         lattice = pick(picture)
-        numbers_then = ",".join(f"{x:.2f}" for x in lattice.matrix.flat)
+        numbers_then = ",".join(repr(round(float(x), 4)) for x in lattice.matrix.flat)
         click.echo(f"for other verbs: --lattice {numbers_then}", err=True)
     else:
         lattice = Lattice.parse(numbers)
@@ -87,6 +87,8 @@ def _detect(picture: Any, spec: str, output: Path | None, diagnostics: Path | No
         found = detect_lattice(picture, name, **parameters)
     except NoLatticeFound as none:
         _explain(none.best.diagnostics if none.best else {}, f"{spec}: no lattice: {none.reason}", diagnostics)
+        if output is not None:
+            click.echo(f"{output}: not written, there is no lattice to draw", err=True)
         print(json.dumps({"lattice": None, "reason": none.reason}) if as_json else f"no lattice: {none.reason}")
         return 0
     answer = {"t1": list(found.lattice.t1), "t2": list(found.lattice.t2), "detector": name}

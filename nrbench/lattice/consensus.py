@@ -3,37 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from nrbench.errors import BadInput
+from nrbench.imaging.correlation import half_autocorrelation
 from nrbench.imaging.door import Image
-from nrbench.lattice.channels import likeness
+from nrbench.lattice.channels import likeness, without_lighting
 from nrbench.lattice.confidence import confidence
-from nrbench.lattice.descent import Descent, Settled, finer_bases
+from nrbench.lattice.descent import Descent, Settled, highest_between
 from nrbench.lattice.detection import Detection, NoLatticeFound, Surface
 from nrbench.lattice.evidence import Evidence
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.proposals import proposals
-from nrbench.lattice.surrogates import chance, upper_limit
-from nrbench.lattice.views import SIDE, View, middle, scale_for, view, views
+from nrbench.lattice.surrogates import chance as copies_of
+from nrbench.lattice.surrogates import upper_limit
+from nrbench.lattice.views import SIDE, middle, scale_for, view, views
 from nrbench.streams import pixels_hash, stream
 
 TESTED = 256
 """px; the test against chance is made on the middle of the image, shrunk as far as the lattice allows, of this side."""
 PRECISE = 2048
-"""px; the vectors are fitted on no more than the middle of the image of this side: it tells them to 1e-3 px."""
-
-
-class Found(NamedTuple):
-    """The lattice of one view, in its pixels: its merit, what settled, and the candidates it was chosen from."""
-
-    merit: float
-    settled: Settled
-    candidates: Points
-    evidence: Evidence
-    factor: int
+"""px; at full detail no more than the middle of the image, of this side, is compared: it holds enough of any period."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +44,9 @@ class Consensus:
        a lattice that lies on a ridge is none (:mod:`nrbench.lattice.descent`).
     4. Of what then stands, the one of the highest merit is the answer.
 
-    Pictures over 640 px a side are looked at in several views, from the middle in full detail to the whole in little:
-    time grows as n log n up to there and as n beyond.
+    Pictures over 640 px a side are looked at in several views, from the middle in full detail to the whole in little.
+    The views propose; which lattice is right is decided at full detail, on the middle 2048 px. Time grows as n log n up
+    to there and as n beyond.
 
     Parameters
     ----------
@@ -75,11 +68,11 @@ class Consensus:
         Only so many pairs, the best, are fitted.
     reject
         ``"none"``: answer wherever a lattice stands. ``"bartlett"``: no lattice where the mean correlation is less than
-        ``sigmas`` standard deviations of what it would be in a texture without one (:meth:`Evidence.sigmas`).
+        ``sigmas`` times its spread by Bartlett's formula (:meth:`Evidence.sigmas`).
         ``"surrogate"``: no lattice where its contrast, by which its
         correlation exceeds that of any finer one, is within reach of phase-randomized copies of the image.
     sigmas
-        With ``"bartlett"``: the best of all lattices that a texture without one proposes reaches 9.
+        With ``"bartlett"``. Of noise, the best lattice proposed reaches 9 (``benchmarks/consensus_calibration.py``).
     least
         Unless ``reject`` is ``"none"``: the least share of the variance that must be explained.
     surrogates
@@ -131,49 +124,70 @@ class Consensus:
         """
         if np.ptp(image, (0, 1)).max() == 0:
             raise NoLatticeFound("the image is constant: it has no texture")
-        found = max((self._found(one) for one in views(image)), key=lambda one: one.merit if one else 0.0)
-        if found is None:
-            raise NoLatticeFound("no two peaks of the correlation generate a lattice that the image repeats by")
-        detection = self._detection(image, found)
+        detail = middle(image, PRECISE)
+        evidence = Evidence(likeness(detail))
+        detection = self._detection(detail, evidence, self._seen(image, evidence))
         if self.reject == "surrogate":
             detection = self._compared(image, detection)
         return detection if self.reject == "none" else self._checked(detection)
 
-    def _found(self, one: View) -> Found | None:
-        """Return the lattice of the highest merit of those that stand; None where none does."""
-        evidence = Evidence(likeness(one.image))
-        proposed = proposals(evidence, self.peaks, self.proposals)
-        merits = [self._merit(evidence, basis) for basis in proposed.bases]
+    def _seen(self, image: Image, evidence: Evidence) -> list[Points]:
+        """Return the best lattices of all views, in the image's pixels; ``evidence`` is that of a small image."""
+        if max(image.shape[:2]) <= SIDE:
+            return self._best(evidence)
+        seen = [(one.factor, Evidence(likeness(one.image))) for one in views(image)]
+        return [
+            settled.basis * factor
+            for factor, there in seen
+            for settled in self._standing(there, self._best(there))[:VOTES]
+        ]
+
+    def _best(self, evidence: Evidence) -> list[Points]:
+        """Return the proposals of the highest merit."""
+        proposed = proposals(evidence, self.peaks, self.proposals).bases
+        return sorted(proposed, key=lambda basis: -self._merit(evidence, basis))[:STARTS]
+
+    def _standing(self, evidence: Evidence, bases: list[Points]) -> list[Settled]:
+        """Return the lattices that stand among those that are descended to, by merit."""
         descent = Descent(evidence, self.loss, self.chance, self.scatter, self.relief)
-        best: Found | None = None
-        for number in np.argsort(np.negative(merits), kind="stable")[:STARTS]:
-            settled = descent.settle(proposed.bases[number]) if merits[number] > 0 else None
-            merit = self._merit(evidence, settled.basis) if settled else 0.0
-            if settled and merit > (best.merit if best else 0.0):
-                best = Found(merit, settled, proposed.vectors, evidence, one.factor)
-        return best
+        settled = [descent.settle(basis) for basis in bases if self._merit(evidence, basis) > 0]
+        return sorted(filter(None, settled), key=lambda one: -self._merit(evidence, one.basis))
 
     def _merit(self, evidence: Evidence, basis: Points) -> float:
         return float(evidence.foretold(basis) * evidence.tiles(basis) ** self.small)
 
-    def _detection(self, image: Image, found: Found) -> Detection:
-        """Return the lattice in the image's own pixels, with what led to it."""
-        evidence, settled = found.evidence, found.settled
-        vectors = settled.basis * found.factor
-        if found.factor > 1 or max(image.shape[:2]) > SIDE:
-            vectors = Evidence(likeness(middle(image, PRECISE))).fit(vectors)
-        lattice = Lattice((vectors[0, 0], vectors[0, 1]), (vectors[1, 0], vectors[1, 1])).reduced()
-        sigmas, tiles = evidence.sigmas(settled.basis), evidence.tiles(settled.basis)
-        relief = 1 - settled.between / settled.repeated
+    def _detection(self, image: Image, evidence: Evidence, seen: list[Points]) -> Detection:
+        """Return the lattice that stands with the highest merit at full detail, with what led to it."""
+        standing = self._standing(evidence, seen)
+        if not standing:
+            raise NoLatticeFound("no two peaks of the correlation generate a lattice that the image repeats by")
+        settled = standing[0]
+        basis = settled.basis
+        sigmas, tiles, explained = evidence.sigmas(basis), evidence.tiles(basis), evidence.foretold(basis)
         diagnostics: dict[str, Any] = {
-            "likeness": Surface(evidence.gamma, (0, evidence.shape[0] - 1), found.candidates, settled.basis),
-            "explained": evidence.foretold(settled.basis),
+            "likeness": Surface(evidence.gamma, (0, evidence.shape[0] - 1), np.concatenate(seen), basis),
+            "explained": explained,
             "between": settled.between,
-            "relief": relief,
+            "relief": settled.relief,
             "tiles": tiles,
             "sigmas": sigmas,
         }
-        return Detection(lattice, confidence(sigmas, relief, tiles), diagnostics)
+        lattice = Lattice((basis[0, 0], basis[0, 1]), (basis[1, 0], basis[1, 1])).reduced()
+        detection = Detection(lattice, confidence(sigmas, settled.relief, tiles), diagnostics)
+        if self._striped(image, basis, settled.repeated):
+            raise NoLatticeFound(
+                "the image repeats along one direction by any vector: stripes, not a lattice", detection
+            )
+        return detection
+
+    def _striped(self, image: Image, basis: Points, repeated: float) -> bool:
+        """Return whether the pixels themselves, without edges, that repeat as well, only lie on a ridge.
+
+        Edges are no linear function of the pixels: those of fine stripes beat with the pixels' grid, a lattice.
+        """
+        evidence = Evidence(half_autocorrelation(without_lighting(image)))
+        own = evidence.repeated(basis)
+        return own > repeated / 2 and own - highest_between(evidence, basis) < self.relief * own
 
     def _compared(self, image: Image, detection: Detection) -> Detection:
         """Return what was detected, with what phase-randomized copies reach, unless it is no better."""
@@ -182,7 +196,7 @@ class Consensus:
         part = view(image, factor, TESTED).image
         evidence = Evidence(likeness(part))
         tested = max(self._contrast(evidence, evidence.fit(vectors / factor)), self._best_contrast(part))
-        copies = chance(part, self._best_contrast, stream("detection", pixels_hash(image)), self.surrogates)
+        copies = copies_of(part, self._best_contrast, stream("detection", pixels_hash(image)), self.surrogates)
         limit = upper_limit(copies, self.false_alarms)
         told = {**detection.diagnostics, "tested": tested, "chance": copies, "limit": limit}
         detection = replace(detection, diagnostics=told)
@@ -205,9 +219,8 @@ class Consensus:
 
     def _contrast(self, evidence: Evidence, basis: Points) -> float:
         """Return by how much a lattice's correlation stands out from that of any finer one, times tiles ** small."""
-        own = evidence.repeated(basis)
-        highest = max(evidence.agreement(finer, basis).mean for finer in finer_bases(basis))
-        return float(max(own - highest, 0.0) * evidence.tiles(basis) ** self.small)
+        contrast = evidence.repeated(basis) - highest_between(evidence, basis)
+        return float(max(contrast, 0.0) * evidence.tiles(basis) ** self.small)
 
     def _best_contrast(self, image: Image) -> float:
         """Return the highest contrast that an image's proposals have; 0 where there are none."""
@@ -218,6 +231,8 @@ class Consensus:
 
 STARTS = 8
 """So many of the best proposals are descended from."""
+VOTES = 3
+"""So many of the best lattices of each view of a large picture are asked at full detail."""
 COMPARED = 6
 """So many of the best pairs of a phase-randomized copy are fitted."""
 

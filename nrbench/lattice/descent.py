@@ -10,17 +10,16 @@ import numpy as np
 from nrbench.lattice.evidence import Agreement, Evidence, reduced
 from nrbench.lattice.geometry import Points
 from nrbench.lattice.hermite import hermite_matrices
+from nrbench.lattice.proposals import SHORTEST
 
 INDICES = (2, 3, 5, 7, 11, 13)
 """Finer lattices of these indices are tried, and theirs in turn."""
 DEPTH = 8
 """At most so many descents one after the other: an index of 2^8 is beyond any candidate."""
 MOST = 60
-"""So many lattices are asked at most: on a long ridge there is no end of them."""
+"""From one start so many lattices are asked at most: on a long ridge there is no end of them."""
 BRANCHES = 4
 """At most so many finer lattices of one are followed, the likeliest first."""
-SHORTEST = 2.6
-"""px; shorter vectors are within one period of any sampled pattern."""
 APART = 0.4
 """A finer lattice stands out from the others where it rises by this share from what they add to the coarse mean."""
 FEW = 10.0
@@ -46,10 +45,20 @@ class Settled(NamedTuple):
     repeated: float
     between: float
 
+    @property
+    def relief(self) -> float:
+        """By which share of ``repeated`` the correlation in between is lower; over 1 where that is negative."""
+        return 1 - self.between / self.repeated
+
 
 def finer_bases(basis: Points) -> list[Points]:
     """Return the reduced bases of all finer lattices of :data:`INDICES`, in that order."""
     return [reduced(matrix @ basis / index) for index in INDICES for matrix in hermite_matrices(index)]
+
+
+def highest_between(evidence: Evidence, basis: Points) -> float:
+    """Return the highest mean correlation at what any finer lattice of :data:`INDICES` would add."""
+    return max(evidence.agreement(finer, basis).mean for finer in finer_bases(basis))
 
 
 Rated = tuple[Agreement, Points]
@@ -88,25 +97,31 @@ class Descent:
     relief: float
     known: dict[bytes, Settled | None] = field(default_factory=dict)
 
-    def settle(self, basis: Points, depth: int = 0) -> Settled | None:
+    def settle(self, basis: Points) -> Settled | None:
         """Return the finest lattice that stands among this one and the finer ones that it leads to; None: none does."""
+        return self._settle(basis, 0, len(self.known) + MOST)
+
+    def _settle(self, basis: Points, depth: int, most: int) -> Settled | None:
         key = np.rint(2 * basis).astype(np.int64).tobytes()
-        if key not in self.known and len(self.known) < MOST:
+        if key not in self.known and len(self.known) < most:
             self.known[key] = None
-            self.known[key] = self._settled(basis, depth)
+            self.known[key] = self._settled(basis, depth, most)
         return self.known.get(key)
 
-    def _settled(self, basis: Points, depth: int) -> Settled | None:
+    def _settled(self, basis: Points, depth: int, most: int) -> Settled | None:
         own = self.evidence.agreement(basis)
         rated = self._finer(basis, own)
         if depth < DEPTH:
             for _, candidate in self._agreeing(rated, basis, own)[:BRANCHES]:
-                below = self.settle(candidate, depth + 1)
+                below = self._settle(candidate, depth + 1, most)
                 if below is not None:
                     return below
         highest = max(agreement.mean for agreement, _ in rated)
         stands = own.mean > 0 and own.mean - highest >= self.relief * own.mean
-        return Settled(self.evidence.fit(basis), own.mean, highest) if stands else None
+        return self._told(self.evidence.fit(basis)) if stands else None
+
+    def _told(self, basis: Points) -> Settled:
+        return Settled(basis, self.evidence.repeated(basis), highest_between(self.evidence, basis))
 
     def _finer(self, basis: Points, own: Agreement) -> list[Rated]:
         """Return the finer lattices with what they add; those that agree nearly well enough are fitted."""

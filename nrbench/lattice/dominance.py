@@ -20,11 +20,14 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.peaks import UNIT, find_peaks, subpixel
 from nrbench.lattice.refinement import fit_multiples, fit_pair
 from nrbench.lattice.regions import dominance
+from nrbench.lattice.relief import find_ridge
 from nrbench.lattice.surrogates import chance, upper_limit
 from nrbench.streams import pixels_hash, stream
 
 MULTIPLES = 200
 """So many points of a lattice, the nearest to lag 0, are compared with peaks: enough, however large the image."""
+STRIPES = 0.05
+"""Peaks that stand above the ridge that joins them by less than this share of their height are those of a grating."""
 LEVELS = 5
 """Thresholds of prominence that are tried, each half the one before."""
 QUANTILE = 2.326
@@ -216,7 +219,10 @@ class Dominance:
         return Detection(lattice, min(max(best.get("low"), 0.0), 1.0), {"correlation": surface, **numbers})
 
     def _tested(self, image: Image, found: Detection) -> Detection:
-        """Return what was found, with what it was compared with, unless it is chance."""
+        """Return what was found, with what it was compared with, unless it is a grating or chance."""
+        gamma = found.diagnostics["correlation"].values
+        if find_ridge(gamma, found.lattice, _reach(gamma)).relief < STRIPES:
+            raise NoLatticeFound("the peaks are one ridge: stripes, which repeat by any vector along them", found)
         part, rng = excerpt(image, found.lattice), stream("detection", pixels_hash(image))
         whole = part.shape == image.shape
         reached = found.diagnostics["support"] if whole else self._support(part)

@@ -111,17 +111,19 @@ class Evidence:
 
     @cached_property
     def grain(self) -> float:
-        """Area, px^2, over which the texture is like itself: the sum of squared correlations over lags near 0."""
+        """Area, px^2: the sum of squared correlations over the lags up to a quarter of the image's sides."""
         height, width = self.shape
         down, across = int(NEARBY * height), int(NEARBY * width)
         near = self.gamma[height - 1 - down : height + down, : across + 1].astype(np.float64) ** 2
         return float(2 * near.sum() - near[:, 0].sum())
 
     def sigmas(self, basis: Points) -> float:
-        """Return the mean correlation at a basis's multiples over its standard deviation in textures without a lattice.
+        """Return the mean correlation at a basis's multiples, in units of a spread like that of Bartlett's formula.
 
-        By Bartlett's formula the correlation at a far lag of a random field has the variance grain / overlap; at m lags
-        further apart than a grain, the mean of them, weighted by overlap, has grain / (sum of overlaps).
+        The correlation of one random field at a far lag has the variance grain / overlap; the mean over lags further
+        apart than a grain, weighted by overlap, has grain / (sum of overlaps). Here it is an index on that scale, no
+        significance: the surface is a mean of several fields' correlations, and a lattice's own peaks add to the grain.
+        What noise reaches is measured by ``benchmarks/consensus_calibration.py``.
         """
         lags = self.multiples(basis) @ basis
         total = float(self.overlaps(lags).sum())

@@ -15,6 +15,8 @@ from nrbench.lattice.strips import integers_within
 
 Vector = tuple[float, float]
 LatticeKind = Literal["parallelogram", "rectangular", "rhombic", "square", "hexagonal"]
+LEAST_PERIOD = 2.0
+"""px; the shortest period that pixels can show."""
 Points = NDArray[np.float64]
 """``float64 (..., 2)``: (x, y) in px, or (u, v) in cells."""
 
@@ -216,7 +218,10 @@ class Lattice:
             x1, y1, x2, y2 = (float(part) for part in text.split(","))
         except ValueError:
             raise BadInput(f"lattice {text!r}: give four numbers x1,y1,x2,y2 in px, e.g. 32,0,0,24") from None
-        return cls((x1, y1), (x2, y2))
+        lattice = cls((x1, y1), (x2, y2))
+        if lattice.s < LEAST_PERIOD:
+            raise BadInput(f"lattice {text!r}: repeats every {lattice.s:g} px; pixels show no period under 2 px")
+        return lattice
 
 
 def shortest_pair(basis: Points) -> tuple[Points, Points]:

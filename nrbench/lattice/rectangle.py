@@ -100,7 +100,7 @@ def upright_rectangle(
 
 
 def free_rectangle(lattice: Lattice, tolerance: float = 0.0, limit: float = 1024.0) -> Rectangle | None:
-    """Return the rectangle of least area, in any direction, that is a period of the lattice.
+    """Return the rectangle of least area with one side a lattice vector, in any direction, that is a period.
 
     One side is a lattice vector; the other, at a right angle, is within ``tolerance`` of one. Sides are tried from the
     shortest on, until they are too long to be the shorter side of a smaller rectangle. The same parameters, results and

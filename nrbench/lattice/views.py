@@ -12,7 +12,7 @@ from nrbench.lattice.geometry import Points
 
 SIDE = 640
 """px; pictures up to this side are looked at as they are."""
-LEAST = 64
+LEAST = 24
 """px; no view is shrunk below this side."""
 PERIOD = 12.0
 """px; what is shrunk leaves the shorter generating vector at least as long."""

@@ -98,6 +98,17 @@ def test_a_grating_has_none(angle: float) -> None:
         Consensus().detect(np.clip(stripes + noise, 0, 1)[..., np.newaxis].astype(np.float32))
 
 
+@pytest.mark.parametrize("period", [2.8, 3.1, 4.01, 5.3, 7.7, 12.4])
+@pytest.mark.parametrize("seed", range(3))
+def test_fine_gratings_have_none(period: float, seed: int) -> None:
+    """Nor do stripes of a few pixels at any angle, whose edges beat with the pixels' grid."""
+    angle = np.random.default_rng(seed).uniform(0.1, 1.4)
+    y, x = np.indices((128, 128))
+    stripes = 0.5 + 0.4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / period)
+    with pytest.raises(NoLatticeFound):
+        Consensus().detect(quantize(stripes[..., np.newaxis].astype(np.float32)))
+
+
 @pytest.mark.parametrize("shape", [(8, 8), (8, 200), (200, 9), (33, 16)])
 def test_tiny_and_thin_images_behave(shape: tuple[int, int]) -> None:
     """An image too small for a lattice has none, or a lattice of at least three tiles; never another exception."""
@@ -123,6 +134,22 @@ def test_large_pictures_are_looked_at_in_parts() -> None:
         image = image + 0.2 * np.cos(2 * np.pi * x / period)
         found = Consensus().detect(image[..., np.newaxis].astype(np.float32))
         assert lattice_error(found.lattice, Lattice((period, 0), (0, 0.8 * period)), (700, 1500)).vector < 0.02
+
+
+def test_detail_decides_over_views() -> None:
+    """Sharp tiles that a small view blurs unevenly, tiles that differ in their detail, and a thin strip: all exact."""
+    rng = np.random.default_rng(3)
+    tile = rng.random((37, 53, 3), np.float32)
+    sharp = np.tile(tile, (27, 20, 1))[:1000, :1060]
+    assert Consensus().detect(sharp).lattice.is_equivalent(Lattice((53, 0), (0, 37)), 0.05)
+    shared, first, second = rng.random((3, 24, 24, 1), np.float32)
+    pair = [0.5 * shared + 0.5 * own for own in (first, second)]
+    rows = [np.concatenate(pair, 1), np.concatenate(pair[::-1], 1)]
+    mixed = np.tile(np.concatenate(rows), (21, 21, 1))
+    assert Consensus().detect(mixed).lattice.is_equivalent(Lattice((24, 24), (24, -24)), 0.05)
+    strip = np.tile(ndimage.gaussian_filter(rng.random((30, 450, 1)), (1, 1, 0), mode="wrap"), (4, 4, 1))
+    found = Consensus().detect(strip.astype(np.float32))
+    assert found.lattice.is_equivalent(Lattice((450, 0), (0, 30)), 0.05)
 
 
 def test_views_cover_detail_and_whole() -> None:

@@ -158,3 +158,12 @@ def test_parameters_out_of_range_are_refused(parameter: dict[str, object], hint:
     with pytest.raises(BadInput, match=hint) as refusal:
         Dominance(**parameter)  # type: ignore[arg-type]
     assert str(refusal.value).startswith(f"dominance: {next(iter(parameter))}")
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 0.7, 1.1])
+def test_stripes_at_any_angle_have_none(angle: float) -> None:
+    """The peaks of a grating are one ridge, whatever its angle."""
+    y, x = np.indices((128, 128))
+    stripes = 0.5 + 0.4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 9.3)
+    with pytest.raises(NoLatticeFound):
+        Dominance().detect(stripes[..., np.newaxis].astype(np.float32))
