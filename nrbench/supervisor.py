@@ -69,6 +69,7 @@ class Supervisor:
     def _answer(self, request: Request) -> Reply:
         parts = max(1, len(request.get("metrics", ())))
         line = self._line(request["seconds"] * parts + GRACE)
+        self._check_open()
         reply = guard.parsed(line) if line is not None else None
         return reply if reply is not None and "status" in reply else self._crash("the worker process itself died")
 

@@ -75,10 +75,11 @@ def _products(channels: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     height, width = channels.shape[1:]
     rows, columns = (scipy.fft.next_fast_len(2 * n - 1, real=True) for n in (height, width))
-    spectra = scipy.fft.fft(scipy.fft.rfft(channels, columns, axis=2), rows, axis=1, overwrite_x=True)
-    parts = spectra.view(np.float32)
-    squares = np.einsum("cij,cij->ij", parts, parts)
-    power = squares[:, ::2] + squares[:, 1::2]
+    power = np.zeros((rows, columns // 2 + 1), np.float32)
+    for channel in channels:
+        spectrum = scipy.fft.fft(scipy.fft.rfft(channel, columns, axis=1), rows, axis=0, overwrite_x=True)
+        parts = np.square(spectrum.view(np.float32))
+        power += parts[:, ::2] + parts[:, 1::2]
     below = scipy.fft.ihfft(power, axis=0)[:height]
     cyclic = scipy.fft.irfft(below, columns, axis=1, overwrite_x=True)
     return np.stack([cyclic[:, :width], np.concatenate([cyclic[:, :1], cyclic[:, :-width:-1]], 1)])

@@ -13,21 +13,23 @@ from numpy.typing import NDArray
 from nrbench.errors import BadInput
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
 from nrbench.imaging.door import Image
+from nrbench.lattice.descent import highest_between
 from nrbench.lattice.detection import Detection, NoLatticeFound, Surface
 from nrbench.lattice.dominance_kernels import rate_pairs
+from nrbench.lattice.evidence import Evidence
 from nrbench.lattice.excerpt import excerpt
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.peaks import UNIT, find_peaks, subpixel
 from nrbench.lattice.refinement import fit_multiples, fit_pair
 from nrbench.lattice.regions import dominance
-from nrbench.lattice.relief import find_ridge
 from nrbench.lattice.surrogates import chance, upper_limit
 from nrbench.streams import pixels_hash, stream
 
 MULTIPLES = 200
 """So many points of a lattice, the nearest to lag 0, are compared with peaks: enough, however large the image."""
-STRIPES = 0.05
-"""Peaks that stand above the ridge that joins them by less than this share of their height are those of a grating."""
+STRIPES = 0.08
+"""Where a finer lattice adds vectors at which the correlation is lower by less than this share, the peaks of the coarse
+one lie on a ridge: a grating's."""
 LEVELS = 5
 """Thresholds of prominence that are tried, each half the one before."""
 QUANTILE = 2.326
@@ -220,9 +222,6 @@ class Dominance:
 
     def _tested(self, image: Image, found: Detection) -> Detection:
         """Return what was found, with what it was compared with, unless it is a grating or chance."""
-        gamma = found.diagnostics["correlation"].values
-        if find_ridge(gamma, found.lattice, _reach(gamma)).relief < STRIPES:
-            raise NoLatticeFound("the peaks are one ridge: stripes, which repeat by any vector along them", found)
         part, rng = excerpt(image, found.lattice), stream("detection", pixels_hash(image))
         whole = part.shape == image.shape
         reached = found.diagnostics["support"] if whole else self._support(part)
@@ -234,6 +233,9 @@ class Dominance:
             raise NoLatticeFound(
                 f"the best lattice (support {reached:.2f}) is no better than chance ({limit:.2f})", found
             )
+        seen, basis = Evidence(found.diagnostics["correlation"].values), found.lattice.matrix
+        if seen.repeated(basis) - highest_between(seen, basis) < STRIPES * seen.repeated(basis):
+            raise NoLatticeFound("the peaks are one ridge: stripes, which repeat by any vector along them", found)
         return found
 
     def _support(self, image: NDArray[np.float32]) -> float:

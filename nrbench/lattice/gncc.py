@@ -12,6 +12,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
 from nrbench.imaging.door import Image
 from nrbench.lattice.detection import Detection, NoLatticeFound, Surface
+from nrbench.lattice.excerpt import excerpt
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.goodness import best_pair
 from nrbench.lattice.peaks import UNIT, dilated, find_peaks, quantized, subpixel
@@ -162,11 +163,13 @@ class Gncc:
     def _tested(self, image: Image, found: Detection, best: Pair) -> Detection:
         """Return what was found, with what it was compared with, unless it is a grating or chance."""
         gamma, rng = found.diagnostics["correlation"].values, stream("detection", pixels_hash(image))
-        ridge, reached, kind = find_ridge(gamma, found.lattice, self._reach(gamma)), best.goodness, "lattice"
-        if ridge.relief < JOINED:
-            image, kind = without_stripes(image, ridge.direction), "lattice but for stripes along one direction"
-            reached = self._goodness(half_autocorrelation(image), best.vectors)
-        copies = chance(image, self._best_goodness, rng, self.surrogates)
+        ridge, part = find_ridge(gamma, found.lattice, self._reach(gamma)), excerpt(image, found.lattice)
+        joined, kind = ridge.relief < JOINED, "lattice"
+        if joined:
+            part, kind = without_stripes(part, ridge.direction), "lattice but for stripes along one direction"
+        whole = not joined and part.shape == image.shape
+        reached = best.goodness if whole else self._goodness(half_autocorrelation(part), best.vectors)
+        copies = chance(part, self._best_goodness, rng, self.surrogates)
         limit = upper_limit(copies, self.false_alarms)
         more = {"relief": ridge.relief, "tested_goodness": reached, "surrogate_goodness": copies, "limit": limit}
         found = replace(found, diagnostics={**found.diagnostics, **more})

@@ -15,6 +15,10 @@ from nrbench.lattice.topography import highest_ridge
 
 LINES = 4
 """Lines in a pixel when stripes are taken out: with fewer, their edges leave steps, which form a lattice."""
+FURTHEST = 512
+"""px; the folded autocorrelation needs no lag beyond it."""
+PERIODS = 6
+"""Nor beyond so many of the longer generating vector, where that is more."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +48,11 @@ def find_ridge(gamma: Correlation, lattice: Lattice, reach: tuple[int, int]) -> 
     lattice
         Its generating vectors; the origin does not matter.
     reach
-        Largest lag along x and y, px, that is looked at.
+        Largest lag along x and y, px, that is looked at; no more than :data:`FURTHEST` px or :data:`PERIODS` are.
     """
-    middle, (x_end, y_end) = gamma.shape[0] // 2, reach
+    longest = float(np.abs(lattice.reduced().matrix).max())
+    x_end, y_end = (min(end, max(FURTHEST, round(PERIODS * longest))) for end in reach)
+    middle = gamma.shape[0] // 2
     right = gamma[middle - y_end : middle + y_end + 1, : x_end + 1]
     around = np.concatenate([right[::-1, :0:-1], right], 1)
     centred = Lattice(lattice.t1, lattice.t2, (x_end, y_end)).reduced()
