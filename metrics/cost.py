@@ -16,16 +16,20 @@ def _column(meaning: str, unit: str, better: Literal["higher", "lower"] = "lower
 
 @dataclass(frozen=True)
 class Cost:
-    """Time and memory that the synthesis took, as the supervisor measured them."""
+    """Time and memory that the synthesis took, as the supervisor measured them.
+
+    Reading the sample and writing the output do not count. Processor time and memory are those of the process that the
+    method runs in: what programs that it starts take is in the wall time alone.
+    """
 
     version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
-        "seconds": _column("Wall time of the synthesis, detection included.", "s"),
-        "cpu_seconds": _column("Processor time of the synthesis, all threads.", "s"),
+        "seconds": _column("Wall time of the synthesis, with the detection that the method did itself.", "s"),
+        "cpu_seconds": _column("Processor time of the method's own process during the synthesis, all threads.", "s"),
         "detection_seconds": _column(
             "Wall time spent in finding the lattice, by the method or by the detector that the lattice comes from.", "s"
         ),
-        "peak_mib": _column("Peak memory above that of the idle worker.", "MiB"),
+        "peak_mib": _column("Peak memory of the method's own process above that of the idle worker.", "MiB"),
         "px_per_second": _column("Output pixels for each second of wall time.", "px/s", "higher"),
         "reliable": Column("No other cell ran at the same time, so the times are comparable."),
     }
@@ -38,5 +42,7 @@ class Cost:
         values["seconds"] = seconds
         values["px_per_second"] = height * width / seconds if seconds else None
         values["reliable"] = None if seconds is None else not cost.get("side_by_side")
-        reasons = {name: "it was not measured, or took no time" for name, value in values.items() if value is None}
+        reasons = {name: "not measured by whatever made this output" for name, value in values.items() if value is None}
+        if seconds == 0:
+            reasons["px_per_second"] = "not measured: the synthesis took less time than the clock shows"
         return Score({name: values[name] for name in self.columns}, reasons)

@@ -13,11 +13,16 @@ from nrbench.lattice.geometry import Points
 from nrbench.synthesis import Observation
 
 from . import limits
+from .courses import course_suspicion
+from .known_lattice import NO_LATTICE, known_lattice
+from .own_lattice import OwnLattice, own_lattice
 from .periodic import TOLERANCE, Periodic
 from .placement import Placement, affine_part, place
-from .surprise import Tail
+from .scatter import neighborhood_suspicion, scatter_suspicion
+from .single_tiles import breakage_suspicion, displacement_suspicion
+from .strips import Strips, strip_suspicion, strips
 from .tiles import Tiles, inspect
-from .yardstick import Yardstick, followed, yardstick
+from .yardstick import Yardstick, yardstick
 
 Flags = NDArray[np.bool_]
 Ratios = NDArray[np.float64]
@@ -27,9 +32,10 @@ _OVERLAP = 0.55
 
 @dataclass(frozen=True)
 class Look:
-    """An image as the judge sees it: its windows and its tiles."""
+    """An image as the judge sees it: its windows, its tiles and its courses."""
 
     image: Image
+    periodic: Periodic
     placement: Placement
     tiles: Tiles
 
@@ -37,7 +43,12 @@ class Look:
     def at(cls, image: Image, periodic: Periodic) -> Look:
         """Register the windows of ``image``, then inspect its tiles at the phase that most windows share."""
         placement = place(image, periodic)
-        return cls(image, placement, inspect(image, periodic, placement.phase))
+        return cls(image, periodic, placement, inspect(image, periodic, placement.phase))
+
+    @cached_property
+    def strips(self) -> Strips:
+        """Its courses, each averaged along itself."""
+        return strips(self.image, self.tiles.lattice, self.periodic)
 
 
 @dataclass(frozen=True)
@@ -54,12 +65,15 @@ class Judgement:
         Images that are right.
     drift
         2 x 2 matrix: the affine part of the output's displacement.
+    own
+        The least-squares lattice of the output; None where it has too few windows.
     """
 
     yardstick: Yardstick
     output: Look
     references: tuple[Look, ...]
     drift: Points
+    own: OwnLattice | None
 
     @cached_property
     def scatter(self) -> float:
@@ -92,23 +106,41 @@ class Judgement:
     @cached_property
     def displacement_suspicion(self) -> Ratios:
         """For each tile, how far it exceeds the limits of fitting better elsewhere: above 1 it is displaced."""
-        tail = Tail.fit(np.concatenate([look.tiles.gain for look in self.references]), overlap=2)
-        sure = self.yardstick.regular_share >= limits.SINGLE_TILE_SHARE
-        limit = limits.TILE_SURPRISE if sure else limits.FAINT_TILE_SURPRISE
-        gain = self.output.tiles.gain
-        return np.minimum(tail.surprise(gain) / limit, gain / limits.GAIN_FLOOR)
+        return displacement_suspicion(self.output.tiles, self._reference_tiles, self.yardstick.regular_share)
 
     @cached_property
     def breakage_suspicion(self) -> Ratios:
-        """For each tile, how far it exceeds the limits of fitting badly in its place: above 1 it is broken.
+        """For each tile, how far it exceeds the limits of fitting badly in its place: above 1 it is broken."""
+        return breakage_suspicion(self.output.tiles, self._reference_tiles)
 
-        Its correlation with the periodic image, or the contrast that it shows of it, is too low.
-        """
-        tiles, own = self.output.tiles, [look.tiles for look in self.references]
-        return np.maximum(
-            _lack(tiles.here, np.concatenate([other.here for other in own])),
-            _lack(tiles.slope, np.concatenate([other.slope for other in own])),
+    @property
+    def worst_tile_displacement(self) -> float:
+        """How far, in s, the tile that most speaks against lies from its place."""
+        tiles = self.output.tiles
+        return float(np.hypot(*tiles.moved[self.tile_suspicion.argmax()]) / tiles.lattice.s)
+
+    @property
+    def _reference_tiles(self) -> list[Tiles]:
+        return [look.tiles for look in self.references]
+
+    @property
+    def tile_suspicion(self) -> Ratios:
+        """For each tile, how far it exceeds the limits of being displaced or broken, whichever is worse."""
+        return np.maximum(self.displacement_suspicion, self.breakage_suspicion)
+
+    @cached_property
+    def structure_spread(self) -> float | None:
+        """Interquartile range of the output's windows' NCC over that of the references'; None where theirs is none."""
+        own = np.concatenate([look.placement.structure for look in self.references])
+        usual, seen = (
+            float(np.ptp(np.quantile(some, (0.25, 0.75)))) for some in (own, self.output.placement.structure)
         )
+        return seen / usual if usual > limits.LEAST_SPREAD else None
+
+    @property
+    def usual_misplacement(self) -> float:
+        """Median misplacement of the references' windows, in s."""
+        return float(np.median(np.concatenate([look.placement.misplacement for look in self.references])))
 
     @property
     def displaced(self) -> Flags:
@@ -122,8 +154,16 @@ class Judgement:
 
     @cached_property
     def moved(self) -> Flags:
-        """Which tiles lie in a window that is out of place."""
-        return np.asarray(self.misplaced[self.output.placement.nearest(self.output.tiles.centers)])
+        """Which tiles lie in a window that is out of place, or in a course that has slid."""
+        around = self.misplaced[self.output.placement.nearest(self.output.tiles.centers)]
+        return np.asarray(around | (self.course_suspicion > 1))
+
+    @cached_property
+    def course_suspicion(self) -> Ratios:
+        """For each tile, how far its worst course exceeds the limits of having slid."""
+        tiles, own = self.output.tiles, [look.strips for look in self.references]
+        slid = strip_suspicion(self.output.strips, own, tiles, self.yardstick.regular_share)
+        return np.maximum(course_suspicion(tiles, self._reference_tiles), slid)
 
     @property
     def bad(self) -> Flags:
@@ -138,13 +178,18 @@ class Judgement:
     @cached_property
     def suspicions(self) -> dict[str, float]:
         """Each fault in words, and how far it exceeds its limit: above 1 regularity is lost."""
-        tiles = np.maximum(self.displacement_suspicion, self.breakage_suspicion)
         most = limits.MISPLACED_SHARE + 2 * self.reference_misplaced
+        placement, references = self.output.placement, [look.placement for look in self.references]
+        model = self.yardstick.source == "model"
         return {
             f"{self.misplaced.mean():.0%} of the windows are out of place": float(self.misplaced.mean()) / most,
-            f"a neighborhood is off by {self.worst_neighborhood:.2f} s": self._neighborhood_suspicion(),
+            f"a neighborhood is off by {self.worst_neighborhood:.2f} s": neighborhood_suspicion(
+                placement, references, self.limit, model
+            ),
+            "the content is bent": scatter_suspicion(placement, references) if model else 0.0,
             f"the structure is {self.structure:.2f} of the references'": (1 - self.structure) / (1 - limits.STRUCTURE),
-            f"{len(self.bad_places)} tile(s) displaced or broken": float(tiles.max(initial=0.0)),
+            "a course of tiles has slid": float(self.course_suspicion.max(initial=0.0)),
+            f"{len(self.bad_places)} tile(s) displaced or broken": float(self.tile_suspicion.max(initial=0.0)),
         }
 
     @property
@@ -181,7 +226,14 @@ class Judgement:
             return None
         if self.blindness:
             return False if self.misplaced.mean() > limits.GROSS_SHARE + 2 * self.reference_misplaced else None
-        return not self.faults
+        return False if self.faults else (self.yardstick.regular_share >= limits.SURE_SHARE or None)
+
+    @property
+    def intact(self) -> bool | None:
+        """The verdict on single tiles: True, False, or None where one bad tile might not be seen."""
+        if bool(self.bad.any()):
+            return False
+        return None if self.blindness or self.yardstick.regular_share < limits.SINGLE_TILE_SHARE else True
 
     @cached_property
     def worst_neighborhood(self) -> float:
@@ -205,26 +257,11 @@ class Judgement:
     def _reference_name(self) -> str:
         return "fresh draws" if self.yardstick.source == "model" else "sample"
 
-    def _neighborhood_suspicion(self) -> float:
-        far = self.worst_neighborhood / self.limit
-        if self.yardstick.source == "sample":
-            return far
-        own = np.concatenate([look.placement.neighborhoods() for look in self.references])
-        surprise = Tail.fit(own, quantile=0.9, overlap=4).surprise(self.output.placement.neighborhoods())
-        return min(far, float(surprise.max(initial=0.0)) / limits.NEIGHBORHOOD_SURPRISE)
 
-
-def _lack(values: Ratios, own: Ratios) -> Ratios:
-    """Return how far values fall short of the references' own, in units of both limits of a broken tile."""
-    surprise = Tail.fit(-own, overlap=2).surprise(-values) / limits.TILE_SURPRISE
-    short = (1 - values / max(float(np.median(own)), 1e-6)) / (1 - limits.FIT_FLOOR)
-    return np.minimum(surprise, short)
-
-
-def obstacle(judgement: Judgement | None) -> str:
+def obstacle(judgement: Judgement | None, observation: Observation | None = None) -> str:
     """Return why nothing can be measured; empty where something can."""
     if judgement is None:
-        return "not applicable: no lattice in the truth"
+        return known_lattice(observation).reason if observation is not None else NO_LATTICE
     for name, looks in (("output", (judgement.output,)), (judgement.yardstick.source, judgement.references)):
         if not all(len(look.placement.corners) and look.tiles.whole.any() for look in looks):
             return f"undecided: the {name} is smaller than a window of 2 tiles"
@@ -254,9 +291,10 @@ def look_at_references(measure: Yardstick) -> tuple[Look, ...]:
 
 
 def compare(output: Image, measure: Yardstick, references: tuple[Look, ...]) -> Judgement:
-    """Return an output beside its references."""
-    first = place(output, measure.periodic)
-    periodic = followed(first, measure.periodic) if measure.source == "sample" else measure.periodic
-    placement = first if periodic is measure.periodic else place(output, periodic)
-    look = Look(output, placement, inspect(output, periodic, placement.phase))
-    return Judgement(measure, look, references, affine_part(first))
+    """Return an output beside its references; the drift that its lattice's uncertainty allows is taken out."""
+    found = place(output, measure.periodic)
+    drift = affine_part(found)
+    left_out = drift if measure.forgiven(drift) else np.zeros((2, 2))
+    placement = found.without(left_out)
+    look = Look(output, measure.periodic, placement, inspect(output, measure.periodic, placement.phase, left_out))
+    return Judgement(measure, look, references, drift, own_lattice(found, drift))

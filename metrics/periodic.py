@@ -8,19 +8,27 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from nrbench.imaging.fold import Tile, Values
 from nrbench.imaging.registration import Template
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.texture import Shape
 
+from .bank import Bank
+
 WINDOW_TILES = 2.0
-"""Width of the windows whose place is registered, in tiles."""
+"""Width of the windows whose place is registered, in tiles: two show every joint of a tile whole, wherever they lie."""
 TOLERANCE = 0.1
-"""How far from its place content may be and still count as in place, in units of s."""
+"""How far from its place content may be and still count as in place, in units of s: below the least defect that is to
+be seen (0.15 s), above what windows of fresh draws read (0.06 s)."""
 HALVES = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))
 """Cell coordinates of the middles of the one-tile windows."""
 _VARIANCE_FLOOR = 0.1
+"""Share of the mean variance that is added to every pixel's: no pixel weighs more than ten times the mean's weight."""
+
+_LARGE = 8
+"""Cells each way over which a cell is averaged: some 60 pixels fall on each of its samples."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +39,8 @@ class Search:
     ----------
     half
         Cell coordinates of the windows' middles.
-    template
-        The patch.
+    bank
+        The patch, to be looked at within the cell.
     place
         (x, y) px in the patch where the window's corner belongs.
     near, far
@@ -40,7 +48,7 @@ class Search:
     """
 
     half: tuple[float, float]
-    template: Template
+    bank: Bank
     place: Points
     near: NDArray[np.bool_]
     far: NDArray[np.bool_]
@@ -99,6 +107,24 @@ class Periodic:
         return Template(self.image(shape), self.weights(shape), window)
 
     @cached_property
+    def large(self) -> tuple[Values, NDArray[np.float32]]:
+        """The periodic image over :data:`_LARGE` cells or more each way, and its weights: every place of a cell."""
+        side = np.ceil(_LARGE * tile_box(self.lattice)).astype(int)
+        shape = (int(side[1]), int(side[0]))
+        return self.image(shape), self.weights(shape)
+
+    @cached_property
+    def places(self) -> tuple[Bank, NDArray[np.bool_]]:
+        """The same patch, to be looked at within one cell of displacements about its middle; and a mask of that."""
+        template = self.windows
+        rows, columns = (
+            side - length + 1 for side, length in zip(template.weights.shape, template.window, strict=True)
+        )
+        y, x = np.indices((rows, columns))
+        inside = _within_cell(np.stack([x - columns // 2, y - rows // 2], -1).astype(np.float64), self.lattice)
+        return Bank(template, _ringed(inside)), inside
+
+    @cached_property
     def searches(self) -> tuple[Search, ...]:
         """Patches for one-tile windows, half a cell apart along both vectors."""
         return tuple(self._search(half) for half in HALVES)
@@ -109,18 +135,19 @@ class Periodic:
         near, far, reach = _offsets(self.lattice)
         wanted = self.lattice.from_cell(half) - (size - 1) / 2
         wanted = reach + 1 + self.lattice.wrap(wanted - 2 * reach - 1)
-        x, y = (int(value) for value in np.rint(wanted))
+        x, y = (int(value) for value in np.floor(wanted + 0.5 + 1e-6))
         width, height = (int(value) for value in size + 2 * reach)
         image, weights = (plane((y + height, x + width))[y:, x:] for plane in (self.image, self.weights))
-        return Search(half, Template(image, weights, window), reach + wanted - (x, y), near, far)
+        bank = Bank(Template(image, weights, window), _ringed(near) | far)
+        return Search(half, bank, reach + wanted - (x, y), near, far)
 
 
 def tile_box(lattice: Lattice) -> NDArray[np.float64]:
     """Return width and height in px of the upright box that stands for one cell.
 
-    It has the spread of the cell along x and y: sqrt(t1^2 + t2^2) in each coordinate, with the reduced basis.
+    It has the spread of the cell along x and y: sqrt(t1^2 + t2^2) in each coordinate, with the canonical basis.
     """
-    return np.asarray(np.sqrt((lattice.reduced().matrix ** 2).sum(0)))
+    return np.asarray(np.sqrt((lattice.canonical().matrix ** 2).sum(0)))
 
 
 def window_shape(lattice: Lattice, tiles: float) -> tuple[int, int]:
@@ -130,17 +157,22 @@ def window_shape(lattice: Lattice, tiles: float) -> tuple[int, int]:
 
 
 def _offsets(lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
-    """Return masks of the offsets within the tolerance and in the rest of the Voronoi cell, and their reach in px.
-
-    The cell reaches as far as the circumradius of the triangle of the reduced basis.
-    """
-    a, b = lattice.reduced().matrix
-    reach = int(np.hypot(*a) * np.hypot(*b) * np.hypot(*(a - b)) / (2 * lattice.area)) + 2
+    """Return masks of the offsets within the tolerance and in the rest of the Voronoi cell, and their reach in px."""
+    reach = int(lattice.covering_radius) + 2
     y, x = np.indices((2 * reach + 1, 2 * reach + 1)) - reach
-    offsets = np.stack([x, y], -1).astype(np.float64)
-    cell = np.abs(lattice.wrap(offsets) - offsets).max(-1) < 1e-6
+    cell = _within_cell(np.stack([x, y], -1).astype(np.float64), lattice)
     near = np.hypot(x, y) <= max(TOLERANCE * lattice.s, 1.0)
     return near, cell & ~near, reach
+
+
+def _within_cell(offsets: Points, lattice: Lattice) -> NDArray[np.bool_]:
+    """Return which offsets are nearer to zero than to any other lattice point."""
+    return np.asarray(np.abs(lattice.wrap(offsets) - offsets).max(-1) < 1e-6)
+
+
+def _ringed(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask with the pixels next to it along both axes: what a parabola through a peak needs."""
+    return np.asarray(ndimage.binary_dilation(mask))
 
 
 def _pair(point: Points) -> tuple[float, float]:

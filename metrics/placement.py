@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image
+from nrbench.imaging.fold import Values
 from nrbench.imaging.registration import cut_windows, peaks
 from nrbench.lattice.geometry import Lattice, Points
 
 from .periodic import Periodic
 
 _FOLLOWS = 0.04
+"""A window follows an affine displacement that it is this near to, in s: twice the scatter of fresh draws' windows."""
 _NEARLY, _NEARLY_ALL = 0.95, 0.8
+"""Shares of followers: an affine part is as good as another; it is that of the whole image, and may be fitted to it."""
 _BANDWIDTH = 0.04
+"""Standard deviation, in s, of the Gaussian by which displacements count for the consensus: as :data:`_FOLLOWS`."""
 _CANDIDATES = 64
+"""Displacements from which the consensus may start."""
+_STEPS = 5
+"""Steps of the mean shift: each cuts what is left by the share of windows that are elsewhere, so few are enough."""
 _AT_ONCE = 256
+"""Windows registered at a time, which bounds memory."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +76,11 @@ class Placement:
         """``(n, 2)``: middles (x, y) of the windows in px."""
         return self.corners + (np.array(self.window[::-1]) - 1) / 2
 
+    def without(self, drift: Points) -> Placement:
+        """Return the placement less an affine displacement ``drift @ (x, y)``, which so counts as no misplacement."""
+        rest = self.lattice.wrap(self.displacement - self.centers @ drift.T)
+        return replace(self, displacement=rest)
+
     def neighborhoods(self, size: int = 3) -> NDArray[np.float64]:
         """Return, for each block of ``size`` x ``size`` windows, the length of their median offset over s, ``(m,)``.
 
@@ -100,10 +113,16 @@ def place(image: Image, periodic: Periodic) -> Placement:
     if not len(corners):
         return Placement(periodic.lattice, template.window, grid, corners, np.zeros((0, 2)), np.zeros(0))
     few = np.array_split(corners, len(corners) // _AT_ONCE + 1)
-    found = [peaks(template.surfaces(cut_windows(image, some, template.window))) for some in few]
+    found = [_register(cut_windows(image, some, template.window), periodic) for some in few]
     at, height = (np.concatenate(column) for column in zip(*found, strict=True))
     displacement = periodic.lattice.wrap(corners - at)
     return Placement(periodic.lattice, template.window, grid, corners, displacement, height)
+
+
+def _register(windows: Values, periodic: Periodic) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where each window fits best, sub-pixel, and its NCC there."""
+    bank, inside = periodic.places
+    return peaks(bank.surfaces(bank.compare(windows)[0]), inside)
 
 
 def _grid(shape: tuple[int, int], window: tuple[int, int]) -> tuple[tuple[int, int], NDArray[np.intp]]:
@@ -117,18 +136,27 @@ def _grid(shape: tuple[int, int], window: tuple[int, int]) -> tuple[tuple[int, i
 
 
 def consensus(displacement: Points, lattice: Lattice) -> Points:
-    """Return the displacement that most share: the densest place on the torus, by mean shift.
+    """Return the displacement that most share: a robust circular mean in cell coordinates, by mean shift.
 
-    A circular mean would lie between two halves that are out of step; the mode lies in one of them.
+    On the torus of displacements modulo the lattice every displacement counts by a Gaussian of its distance from the
+    mean, which so forgets those that are elsewhere; it starts from the displacement that has the most others around it.
+    A plain circular mean would lie between two halves that are out of step; this one lies in the larger of them.
+    Time is linear in the number of displacements.
     """
     if not len(displacement):
         return np.zeros(2)
-    width = _BANDWIDTH * lattice.s
-    few = displacement[:: max(1, len(displacement) // _CANDIDATES)]
-    apart = (lattice.wrap(displacement[np.newaxis] - few[:, np.newaxis]) ** 2).sum(-1)
+    width, basis = _BANDWIDTH * lattice.s, lattice.reduced().matrix
+    inverse = np.linalg.inv(basis)
+
+    def near(apart: Points) -> Points:
+        """Wrap what is near a lattice point exactly; all else stays far, and counts for nothing."""
+        return np.asarray(apart - np.rint(apart @ inverse) @ basis)
+
+    few = displacement[:: -(-len(displacement) // _CANDIDATES)]
+    apart = (near(displacement[np.newaxis] - few[:, np.newaxis]) ** 2).sum(-1)
     phase = few[np.exp(-apart / (2 * width**2)).sum(1).argmax()]
-    for _ in range(5):
-        offsets = lattice.wrap(displacement - phase)
+    for _ in range(_STEPS):
+        offsets = near(displacement - phase)
         share = np.exp(-(offsets**2).sum(-1) / (2 * width**2))
         phase = phase + share @ offsets / max(share.sum(), 1e-12)
     return lattice.wrap(phase)
@@ -147,7 +175,7 @@ def affine_part(placement: Placement) -> Points:
         return none
     steps = _median_steps(placement)
     found = [none, steps, _refined(placement, steps)]
-    followed = np.array([_rest(placement, matrix)[1].sum() for matrix in found])
+    followed = np.array([followers(placement, matrix)[1].sum() for matrix in found])
     best = int(np.argmax(followed >= _NEARLY * followed.max()))
     return _refined(placement, found[best]) if followed[best] >= _NEARLY_ALL * len(placement.corners) else found[best]
 
@@ -165,7 +193,7 @@ def _median_steps(placement: Placement) -> Points:
 
 def _refined(placement: Placement, matrix: Points) -> Points:
     for _ in range(3):
-        offsets, inside = _rest(placement, matrix)
+        offsets, inside, _ = followers(placement, matrix)
         if inside.sum() < 6:
             break
         design = np.column_stack([placement.centers[inside], np.ones(inside.sum())])
@@ -173,9 +201,10 @@ def _refined(placement: Placement, matrix: Points) -> Points:
     return matrix
 
 
-def _rest(placement: Placement, matrix: Points) -> tuple[Points, NDArray[np.bool_]]:
-    """Return what an affine displacement leaves of each window's, and which windows follow it."""
+def followers(placement: Placement, matrix: Points) -> tuple[Points, NDArray[np.bool_], Points]:
+    """Return what an affine displacement leaves of each window's, which windows follow it, and its constant part."""
     lattice = placement.lattice
     rest = lattice.wrap(placement.displacement - placement.centers @ matrix.T)
-    offsets = lattice.wrap(rest - consensus(rest, lattice))
-    return offsets, np.hypot(*offsets.T) < _FOLLOWS * lattice.s
+    constant = consensus(rest, lattice)
+    offsets = lattice.wrap(rest - constant)
+    return offsets, np.hypot(*offsets.T) < _FOLLOWS * lattice.s, constant

@@ -11,12 +11,18 @@ import numpy as np
 
 from nrbench.synthesis import Column, Observation, Score, Value
 
+from .courses import course_displacement
 from .defect_map import defect_map
 from .judgement import Judgement, judge, obstacle
+from .own_lattice import spread
 
 
-def _distance(meaning: str) -> Column:
-    return Column(f"{meaning}, over the shortest lattice vector s.", "of s", (0.0, math.inf), "lower")
+def _distance(meaning: str, unit: str = "of s") -> Column:
+    over = ", over the shortest lattice vector s" if unit == "of s" else ""
+    return Column(f"{meaning}{over}.", unit, (0.0, math.inf), "lower")
+
+
+_MEDIAN, _P95 = (f"{what} displacement of windows from their place" for what in ("Median", "95th percentile of the"))
 
 
 @dataclass(frozen=True)
@@ -31,17 +37,31 @@ class Regularity:
     variance across tiles, which shows single tiles that are displaced, missing or broken.
 
     All limits are relative to fresh draws of the model (of a photograph: to the sample itself, each part against the
-    mean tile of the rest): see ``nrbench.metrics.limits``. For a photograph the affine part of the displacement, up to
-    2 %, is taken for uncertainty of the given lattice: reported as drift, and left out of everything else. That is
-    allowed once to the sample, whose lattice is fitted, and once more to the output.
+    mean tile of the rest): see ``nrbench.metrics.limits``. For a photograph the affine part of the displacement is
+    reported as drift, and left out of everything else as long as the output's lattice is within 2 % of the given one,
+    which is how far it may be off.
+
+    Without a model the lattice is the one given; where none is, the detector ``dominance``, which is no contestant, is
+    asked for the sample's. The record ``lattice_from`` says which: model, given, or dominance.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "3"
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),
+        "intact": Column(
+            "Whether no single tile is displaced, missing or doubled; undecided where one might not be seen.",
+            better="higher",
+        ),
         "score": Column("Share of tiles that are in place and intact.", better="higher"),
-        "misplacement_median": _distance("Median displacement of windows from their place"),
-        "misplacement_p95": _distance("95th percentile of the windows' displacement from their place"),
+        "misplacement_median": _distance(_MEDIAN),
+        "misplacement_p95": _distance(_P95),
+        "misplacement_median_px": _distance(_MEDIAN, "px"),
+        "misplacement_p95_px": _distance(_P95, "px"),
+        "misplacement_ratio": Column(
+            "Median displacement of windows over that of fresh draws: two-sided where geometry varies (types II, III).",
+            range=(0.0, math.inf),
+            better="one",
+        ),
         "misplaced_share": Column("Share of windows that are out of place.", better="lower"),
         "worst_neighborhood": _distance("Largest median displacement of 3 x 3 windows"),
         "structure": Column(
@@ -49,19 +69,36 @@ class Regularity:
             range=(-math.inf, math.inf),
             better="one",
         ),
+        "structure_spread": Column(
+            "Interquartile range of the windows' correlations over that of fresh draws: larger where patches are torn.",
+            range=(0.0, math.inf),
+            better="one",
+        ),
         "bad_tiles": Column("Tiles that are displaced or broken by themselves.", "tiles", (0.0, math.inf), "lower"),
+        "worst_tile": Column(
+            "How much speaks against the worst single tile: above 1 it is bad.",
+            range=(-math.inf, math.inf),
+            better="lower",
+        ),
+        "worst_tile_displacement": _distance("Displacement of the worst single tile"),
+        "worst_course": _distance("Largest displacement that the tiles of one course share"),
         "drift": Column("Stretch or turn of the whole output against the true lattice.", "%", (0.0, math.inf), "lower"),
+        "lattice_exact": Column(
+            "The output's own least-squares lattice is the true one, to 1 px of its vectors.", better="higher"
+        ),
+        "lattice_vector_error": _distance("Larger error of the generating vectors of the output's own lattice", "px"),
+        "lattice_area_ratio": Column(
+            "Area of the output's own cell over the true cell's.", range=(0.0, math.inf), better="one"
+        ),
     }
 
     def score(self, observation: Observation) -> Score:
         """Return the scores, and the picture ``defects``: the output dimmed, bad tiles in color."""
         judgement = judge(observation)
         if judgement is None or obstacle(judgement):
-            return no_score(self.columns, obstacle(judgement))
-        values = _values(judgement)
-        reasons = {} if values["preserved"] is not None else {"preserved": f"undecided: {judgement.blindness}"}
-        if values["drift"] is None:
-            reasons["drift"] = "not measured: fewer than 3 x 3 windows"
+            return no_score(self.columns, obstacle(judgement, observation))
+        values = measured(judgement)
+        reasons = {name: _reason(name, judgement) for name, value in values.items() if value is None}
         return Score(values, reasons, {"defects": defect_map(judgement)}, _records(judgement))
 
 
@@ -70,25 +107,77 @@ def no_score(columns: Mapping[str, Column], reason: str) -> Score:
     return Score(dict.fromkeys(columns), dict.fromkeys(columns, reason))
 
 
-def _values(judgement: Judgement) -> dict[str, Value]:
-    misplacement = judgement.output.placement.misplacement
+def measured(judgement: Judgement) -> dict[str, Value]:
+    """Return all columns of an output that was judged."""
+    return {**_verdicts(judgement), **_placements(judgement), **_lattice(judgement)}
+
+
+def _verdicts(judgement: Judgement) -> dict[str, Value]:
+    course = course_displacement(judgement.output.tiles)
     return {
         "preserved": judgement.preserved,
+        "intact": judgement.intact,
         "score": judgement.score,
-        "misplacement_median": float(np.median(misplacement)),
-        "misplacement_p95": float(np.quantile(misplacement, 0.95)),
+        "bad_tiles": float(len(judgement.bad_places)),
+        "worst_tile": float(judgement.tile_suspicion.max(initial=0.0)),
+        "worst_tile_displacement": judgement.worst_tile_displacement,
+        "worst_course": course / judgement.yardstick.lattice.s if course is not None else None,
+        "structure": judgement.structure,
+        "structure_spread": judgement.structure_spread,
+    }
+
+
+def _placements(judgement: Judgement) -> dict[str, Value]:
+    misplacement, s = judgement.output.placement.misplacement, judgement.yardstick.lattice.s
+    median, p95 = (float(value) for value in np.quantile(misplacement, (0.5, 0.95)))
+    usual = judgement.usual_misplacement
+    return {
+        "misplacement_median": median,
+        "misplacement_p95": p95,
+        "misplacement_median_px": median * s,
+        "misplacement_p95_px": p95 * s,
+        "misplacement_ratio": median / usual if usual > 0 else None,
         "misplaced_share": float(judgement.misplaced.mean()),
         "worst_neighborhood": judgement.worst_neighborhood,
-        "structure": judgement.structure,
-        "bad_tiles": float(len(judgement.bad_places)),
-        "drift": 100 * float(np.linalg.norm(judgement.drift, 2)) if min(judgement.output.placement.grid) >= 3 else None,
     }
+
+
+def _lattice(judgement: Judgement) -> dict[str, Value]:
+    """Return the output's own lattice beside the true one: the model's, or the given one as fitted to the sample."""
+    own = judgement.own
+    error = own.error(judgement.yardstick.lattice, judgement.output.image.shape[:2]) if own else None
+    return {
+        "drift": 100 * float(np.linalg.norm(spread(judgement.drift) - np.eye(2), 2)) if own else None,
+        "lattice_exact": error.relation == "exact" if error else None,
+        "lattice_vector_error": error.vector if error else None,
+        "lattice_area_ratio": error.area_ratio if error else None,
+    }
+
+
+def _reason(name: str, judgement: Judgement) -> str:
+    """Return why a column of a judged output is None."""
+    if name in ("preserved", "intact"):
+        what = "one bad tile" if name == "intact" else "a course that slid by 0.15 s"
+        faint = f"{what} might not be seen at the regular share {judgement.yardstick.regular_share:.2f}"
+        return f"undecided: {judgement.blindness or faint}"
+    if name == "misplacement_ratio":
+        return "not measured: the windows of the reference are not displaced at all"
+    if name == "worst_course":
+        return "not measured: no course of two whole tiles"
+    if name == "structure_spread":
+        return "not measured: the windows of the reference hardly differ"
+    if judgement.own is None:
+        return "not measured: fewer than 3 x 3 windows"
+    return f"not measured: only {judgement.own.followers:.0%} of the windows lie on one lattice"
 
 
 def _records(judgement: Judgement) -> dict[str, Any]:
     placement = judgement.output.placement
     return {
         "yardstick": judgement.yardstick.source,
+        "lattice_from": judgement.yardstick.known.origin,
+        "own_lattice": judgement.own.lattice.as_dict() if judgement.own else None,
+        "followers": judgement.own.followers if judgement.own else None,
         "regular_share": judgement.yardstick.regular_share,
         "lattice": judgement.output.tiles.lattice.as_dict(),
         "phase": [float(value) for value in placement.phase],

@@ -1,14 +1,12 @@
-"""What is left of an image when its mean tile is taken out: the tile-by-tile departures."""
+"""Where tiles are cut, and how much their edges count, so that what is left of them is no misalignment."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.imaging.fold import Values, cut_tiles
+from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice, Points
 
 from .judgement import Look
@@ -17,61 +15,21 @@ from .periodic import TOLERANCE
 _ALIGNMENT = 0.4
 """Pixels by which an aligned tile may still be off: what edges then differ by is not held against it."""
 _LEAST_NOISE = 0.03
-_BLOCKS = 2
-MOST_TILES = 1500
+_CHANCE = 1.5
+"""Covariances of right images' offsets exceed those of the references by up to this factor by chance."""
 
 
-@dataclass(frozen=True)
-class Residual:
-    """The tiles of an image, less their mean.
+def aligned_middles(look: Look, references: tuple[Look, ...]) -> Points:
+    """Return the middles (x, y) px of the whole tiles, moved only as far as the references do not explain, ``(n, 2)``.
 
-    Parameters
-    ----------
-    lattice
-        Reduced.
-    mean
-        ``(V, U, C)``: the image's own mean tile.
-    departures
-        ``(n, V, U, C)``: each tile less the mean.
+    As :func:`found_middles`, but the offset of the window around a tile, too, counts only for what it exceeds the noise
+    of the references' offsets. So tiles of a right image are cut exactly on the lattice, as those of fresh draws are.
     """
-
-    lattice: Lattice
-    mean: Values
-    departures: Values
-
-    @classmethod
-    def of(cls, look: Look, noise: Points, rng: np.random.Generator, grid: tuple[int, int] | None = None) -> Residual:
-        """Cut the tiles where they were found, so that a small misplacement does not count as variation.
-
-        Parameters
-        ----------
-        look
-            The image.
-        noise
-            Covariance in px^2 of the places at which tiles are found that are where they should be.
-        rng
-            Chooses the tiles where there are more than 1500.
-        grid
-            Samples (V, U) of a tile; None: what the image's own lattice needs. Images that are compared share one.
-        """
-        middles = found_middles(look, noise)
-        if len(middles) > MOST_TILES:
-            middles = middles[np.sort(rng.choice(len(middles), MOST_TILES, replace=False))]
-        cut, _ = cut_tiles(look.image, look.tiles.lattice, middles, grid)
-        mean = cut.mean(0) if len(cut) else np.zeros(cut.shape[1:], np.float32)
-        return cls(look.tiles.lattice, mean, cut - mean)
-
-    def energy(self, weights: Values) -> float:
-        """Return the weighted mean of the squared departures; a mean of n tiles takes 1/n of them."""
-        return _pooled([self], weights)
-
-    def distances(self, weights: Values) -> NDArray[np.float64]:
-        """Return the weighted mean squared difference of each pair of tiles, in each quarter of the cell, ``(m,)``."""
-        rows, columns = (np.array_split(np.arange(side), _BLOCKS) for side in weights.shape)
-        quarters = [(row[:, np.newaxis], column) for row in rows for column in columns]
-        return np.concatenate(
-            [_pairs(self.departures[:, row, column], weights[row, column]) for row, column in quarters]
-        )
+    noise = [np.concatenate(parts) for parts in zip(*map(_offsets, references), strict=True)]
+    moved = look.tiles.centers[look.tiles.whole]
+    for own, right in zip(_offsets(look), noise, strict=True):
+        moved = moved + own @ _shrinkage(_covariance(own), _covariance(right), _CHANCE).T
+    return moved
 
 
 def found_middles(look: Look, noise: Points) -> Points:
@@ -104,36 +62,32 @@ def _covariance(offsets: Points) -> Points:
     return offsets.T @ offsets / max(len(offsets), 1) + _LEAST_NOISE**2 * np.eye(2)
 
 
-def _shrinkage(total: Points, noise: Points) -> Points:
-    """Return the matrix that keeps of an offset what exceeds the noise."""
+def _shrinkage(total: Points, noise: Points, chance: float = 1.0) -> Points:
+    """Return the matrix that keeps of an offset what exceeds the noise, where it does so by more than ``chance``."""
     values, vectors = np.linalg.eigh(noise)
     root = vectors @ np.diag(np.sqrt(values)) @ vectors.T
     back = np.linalg.inv(root)
     ratio, axes = np.linalg.eigh(back @ total @ back)
-    return np.asarray(root @ axes @ np.diag(np.maximum(0, 1 - 1 / ratio)) @ axes.T @ back)
+    return np.asarray(root @ axes @ np.diag(np.where(ratio > chance, 1 - 1 / ratio, 0.0)) @ axes.T @ back)
 
 
-def reference_energy(residuals: list[Residual], weights: Values) -> float:
-    """Return the energy of the departures of several images together."""
-    return _pooled(residuals, weights)
-
-
-def interior_weights(residuals: list[Residual]) -> Values:
+def interior_weights(mean: Values, energy: float, lattice: Lattice) -> NDArray[np.float32]:
     """Return weights ``(V, U)`` that spare edges: 1 where the mean tile is flat.
 
     An edge that is off by the remaining misalignment differs by gradient times that; where this exceeds the departures
     themselves the pixel counts for less.
+
+    Parameters
+    ----------
+    mean
+        ``(V, U, C)``: the mean tile.
+    energy
+        Mean squared departure from it.
+    lattice
+        Its cell is the tile.
     """
-    energy = _pooled(residuals, np.ones(residuals[0].mean.shape[:2], np.float32))
-    mean = np.mean([residual.mean for residual in residuals], 0)
-    steep = ndimage.maximum_filter(_slope(mean, residuals[0].lattice), 3, mode="wrap")
+    steep = ndimage.maximum_filter(_slope(mean, lattice), 3, mode="wrap")
     return np.asarray(1 / (1 + steep * _ALIGNMENT**2 / max(energy, 1e-9)), np.float32)
-
-
-def _pooled(residuals: list[Residual], weights: Values) -> float:
-    squares = sum(float(((r.departures.astype(np.float64) ** 2).mean(-1) * weights).sum()) for r in residuals)
-    freedom = sum(len(r.departures) - 1 for r in residuals)
-    return squares / max(freedom, 1) / float(weights.sum())
 
 
 def _slope(tile: Values, lattice: Lattice) -> Values:
@@ -143,12 +97,3 @@ def _slope(tile: Values, lattice: Lattice) -> Values:
     across = (np.roll(tile, -1, 0) - np.roll(tile, 1, 0)) * rows / 2
     gradient = np.stack([along, across], -1) @ np.linalg.inv(lattice.matrix).T
     return np.asarray((gradient**2).sum(-1).mean(-1), np.float32)
-
-
-def _pairs(departures: Values, weights: Values) -> NDArray[np.float64]:
-    share = np.sqrt(weights / (weights.sum() * departures.shape[-1]))
-    flat = (departures * share[..., np.newaxis]).reshape(len(departures), -1).astype(np.float64)
-    gram = flat @ flat.T
-    power = np.diag(gram)
-    upper = np.triu_indices(len(flat), 1)
-    return np.asarray(np.maximum(power[upper[0]] + power[upper[1]] - 2 * gram[upper], 0))

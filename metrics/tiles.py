@@ -12,9 +12,15 @@ from nrbench.imaging.fold import Values
 from nrbench.imaging.registration import cut_windows, peaks
 from nrbench.lattice.geometry import Lattice, Points
 
+from .own_lattice import moved
 from .periodic import Periodic, Search
 
 _AT_ONCE = 256
+"""Windows compared at a time, which bounds memory."""
+_AROUND = 2
+"""How many cells away a tile's surroundings reach."""
+_TIE = 1e-6
+"""Places half-way between two pixels go to the second, whatever rounding made of them: px."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +35,8 @@ class Tiles:
         ``(n, 2)``: middles (x, y) in px where the tiles belong.
     offsets
         ``(n, 2)``: (x, y) px from there to the best match within the tolerance.
+    moved
+        ``(n, 2)``: (x, y) px from there to the best match in the whole cell; beyond the tolerance to whole pixels.
     here
         ``(n,)``: best weighted NCC within the tolerance of the tile's place.
     elsewhere
@@ -42,6 +50,7 @@ class Tiles:
     lattice: Lattice
     centers: Points
     offsets: Points
+    moved: Points
     here: NDArray[np.float64]
     elsewhere: NDArray[np.float64]
     slope: NDArray[np.float64]
@@ -52,8 +61,22 @@ class Tiles:
         """``(n,)``: how much better a tile fits elsewhere than here: high where it is displaced."""
         return self.elsewhere - self.here
 
+    def around(self, values: NDArray[np.float64], which: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return, for each tile of ``which``, the median value of the tiles around it that it shares no pixel with.
 
-def inspect(image: Image, periodic: Periodic, phase: Points) -> Tiles:
+        Those are the windows from one to :data:`_AROUND` cells away along the lattice vectors; where there are none,
+        the median of all.
+        """
+        at = np.rint(2 * self.lattice.to_cell(self.centers)).astype(np.intp)
+        found = []
+        for one in at[which]:
+            away = np.abs(at - one).max(1)
+            near = values[(away > 1) & (away <= 2 * _AROUND)]
+            found.append(np.median(near if len(near) else values))
+        return np.array(found, np.float64)
+
+
+def inspect(image: Image, periodic: Periodic, phase: Points, drift: Points | None = None) -> Tiles:
     """Compare every tile with the periodic image at the consensus phase.
 
     Parameters
@@ -64,33 +87,43 @@ def inspect(image: Image, periodic: Periodic, phase: Points) -> Tiles:
         What it should follow.
     phase
         (x, y) px by which the image's content has moved as a whole.
+    drift
+        2 x 2 matrix of an affine displacement that the tiles' places are to follow; None: none. Within a tile it is
+        left out: a drift of 2 % is 0.01 of a tile at its border.
     """
-    lattice = periodic.lattice.shifted((float(phase[0]), float(phase[1])))
+    lattice = moved(periodic.lattice, np.zeros((2, 2)) if drift is None else drift, phase)
     parts = [_inspect(image, lattice, search) for search in periodic.searches]
-    centers, offsets, here, elsewhere, slope = (np.concatenate(column) for column in zip(*parts, strict=True))
+    centers, offsets, moved_by, here, elsewhere, slope = (np.concatenate(column) for column in zip(*parts, strict=True))
     whole = np.repeat([search.half == (0.0, 0.0) for search in periodic.searches], [len(part[0]) for part in parts])
-    return Tiles(lattice, centers, offsets, here, elsewhere, slope, whole)
+    return Tiles(lattice, centers, offsets, moved_by, here, elsewhere, slope, whole)
 
 
 def _inspect(image: Image, lattice: Lattice, search: Search) -> tuple[NDArray[np.float64], ...]:
-    """Return middles, offsets, NCC here and elsewhere, and slope of the tiles at one place of the cell."""
-    size = np.array(search.template.window[::-1])
+    """Return the middles of the tiles at one place of the cell, and what :class:`Tiles` tells of each."""
+    size = np.array(search.bank.template.window[::-1])
     first = lattice.from_cell(search.half)
     centers = Lattice(lattice.t1, lattice.t2, (float(first[0]), float(first[1]))).points(image.shape[:2])
-    corners = np.rint(centers - (size - 1) / 2).astype(np.intp)
+    corners = np.floor(centers - (size - 1) / 2 + 0.5 + _TIE).astype(np.intp)
     fits = (corners >= 0).all(1) & (corners + size <= image.shape[1::-1]).all(1)
     centers, corners = centers[fits], corners[fits]
     if not len(corners):
-        return centers, centers, np.zeros(0), np.zeros(0), np.zeros(0)
+        return centers, centers, centers, np.zeros(0), np.zeros(0), np.zeros(0)
     few = np.array_split(corners, len(corners) // _AT_ONCE + 1)
-    parts = [_compare(cut_windows(image, some, search.template.window), search) for some in few]
-    at, *fits = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return centers, corners - (centers - (size - 1) / 2) + search.place - at, *fits
+    parts = [_compare(cut_windows(image, some, search.bank.template.window), search) for some in few]
+    at, best, *fits = (np.concatenate(column) for column in zip(*parts, strict=True))
+    start = corners - (centers - (size - 1) / 2) + search.place
+    return centers, start - at, start - best, *fits
 
 
 def _compare(windows: Values, search: Search) -> tuple[NDArray[np.float64], ...]:
-    """Return where each window fits best within the tolerance, NCC here and elsewhere, and slope."""
-    surfaces, slopes = search.template.surfaces_and_slopes(windows)
-    at, here = peaks(surfaces, search.near)
-    slope = slopes[np.arange(len(at)), *np.rint(at).astype(int).T[::-1]].astype(np.float64)
-    return at, here, surfaces[:, search.far].max(1).astype(np.float64), slope
+    """Return where each window fits best within the tolerance and at all, NCC here and elsewhere, and slope."""
+    ncc, slopes = search.bank.compare(windows)
+    at, here = peaks(search.bank.surfaces(ncc), search.near)
+    order = np.cumsum(search.bank.where).reshape(search.near.shape) - 1
+    slope = slopes[np.arange(len(at)), order[*np.rint(at).astype(int).T[::-1]]].astype(np.float64)
+    far = ncc[:, search.far[search.bank.where]]
+    if not far.shape[1]:
+        return at, at, here, np.full(len(at), -1.0), slope
+    elsewhere = far.max(1).astype(np.float64)
+    best = np.argwhere(search.far)[far.argmax(1), ::-1]
+    return at, np.where((elsewhere > here)[:, np.newaxis], best, at), here, elsewhere, slope

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -10,20 +10,26 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image, quantize
 from nrbench.imaging.fold import Values, fold
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.synthesis import Again, Observation
 from nrbench.texture import Shape, Texture
 
+from .known_lattice import KnownLattice, Origin, known_lattice, settled
+from .own_lattice import moved, spread
 from .periodic import WINDOW_TILES, Periodic, tile_box, window_shape
-from .placement import Placement, affine_part, place
+from .placement import affine_part, place
 
 FIRST_DRAW = 1 << 16
 """Fresh draws from here on are the judge's own: the oracle and the planted defects use others."""
-DRAWS = 4
+DRAWS = 3
+"""Fresh draws looked at: with :data:`_TILES_A_SIDE`, some 150 tiles and 600 one-tile windows."""
 LATTICE_UNCERTAINTY = 0.02
-"""How far a lattice that was given for a photograph may be off, as a fraction of its vectors."""
-_TILES_A_SIDE, _LEAST_TILES_A_SIDE = 8, 5
-_SIDES = (160, 320)
+"""How far a lattice that was given for a photograph may be off, as a fraction of its vectors: three pixels over the
+five to six tiles of a sample of 128 px, which is what marking it by hand comes to."""
+_TILES_A_SIDE, _LEAST_TILES_A_SIDE = 7, 5
+"""Tiles along each side of a fresh draw, and fewest where that would be too large."""
+_SIDES = (128, 320)
+"""Least and largest side of a fresh draw, px, as long as the fewest tiles fit."""
 _WINDOWS, _MOST = 1.5, 0.7
 """A part of the sample is this many windows long, but no more than that share of the sample."""
 
@@ -51,31 +57,47 @@ class Yardstick:
         What an output like the texture looks like.
     regular_share
         Share of the regular part in the variance, in [0, 1].
+    known
+        The lattice that was known beforehand, and from where.
+    fit
+        2 x 2 matrix that takes the vectors of that lattice to those of :attr:`lattice`, as fitted to the sample.
     """
 
     source: Literal["model", "sample"]
     periodic: Periodic
     references: tuple[Reference, ...]
     regular_share: float
+    known: KnownLattice
+    fit: Points = field(default_factory=lambda: np.eye(2))
 
     @property
     def lattice(self) -> Lattice:
-        """The true lattice, reduced, in the sample's coordinates."""
+        """The true lattice, in its canonical basis, in the sample's coordinates."""
         return self.periodic.lattice
+
+    def forgiven(self, drift: Points) -> bool:
+        """Return whether an output's affine displacement may come from the uncertainty of the lattice.
+
+        Never where a model knows it. Else the output's lattice must lie within :data:`LATTICE_UNCERTAINTY` of the one
+        that was given, like the sample's own: what fitting the sample took of it is not allowed once more.
+        """
+        away = spread(drift) @ self.fit - np.eye(2)
+        return self.source == "sample" and float(np.linalg.norm(away, 2)) <= LATTICE_UNCERTAINTY
 
 
 def yardstick(observation: Observation) -> Yardstick | None:
-    """Return what the output is to be measured against; None where the truth has no lattice."""
-    truth = observation.truth
-    if truth is None or truth.lattice is None:
+    """Return what the output is to be measured against; None where no lattice is known or found."""
+    known, truth = known_lattice(observation), observation.truth
+    if known.lattice is None:
         return None
-    if observation.again is not None and truth.ideal is not None:
-        return model_yardstick(truth, truth.lattice.reduced(), observation.again)
-    return sample_yardstick(observation.sample, truth.lattice.reduced())
+    if known.origin == "model" and truth is not None and observation.again is not None:
+        return model_yardstick(truth, known.lattice, observation.again)
+    return sample_yardstick(observation.sample, known.lattice, known.origin)
 
 
 def model_yardstick(truth: Texture, lattice: Lattice, again: Again) -> Yardstick:
     """Return the yardstick of a texture whose model is known."""
+    lattice = settled(lattice)
     box = tile_box(lattice)
     side = np.ceil(np.maximum(np.clip(_TILES_A_SIDE * box, *_SIDES), _LEAST_TILES_A_SIDE * box)).astype(int)
     shape = (int(side[1]), int(side[0]))
@@ -86,26 +108,26 @@ def model_yardstick(truth: Texture, lattice: Lattice, again: Again) -> Yardstick
     share = truth.regular_share
     if share is None:
         share = _share(_ideal(draws[0]), float(departures.mean()))
-    return Yardstick("model", periodic, tuple(Reference(quantize(draw.image), periodic) for draw in draws), share)
+    references = tuple(Reference(quantize(draw.image), periodic) for draw in draws)
+    return Yardstick("model", periodic, references, share, KnownLattice(lattice, "model"))
 
 
-def sample_yardstick(sample: Image, lattice: Lattice) -> Yardstick:
+def sample_yardstick(sample: Image, lattice: Lattice, origin: Origin = "given") -> Yardstick:
     """Return the yardstick of a sample of which only the lattice is known.
 
     The lattice is first fitted to the sample, as far as its uncertainty allows.
     """
+    known = KnownLattice(settled(lattice), origin)
     everywhere = np.ones(sample.shape[:2], np.bool_)
-    periodic = _folded(sample, lattice, everywhere)
-    periodic = _folded(sample, followed(place(sample, periodic), periodic).lattice, everywhere)
+    assert known.lattice is not None
+    rough = _folded(sample, known.lattice, everywhere)
+    drift = affine_part(place(sample, rough))
+    if not 0 < np.linalg.norm(spread(drift) - np.eye(2), 2) <= LATTICE_UNCERTAINTY:
+        drift = np.zeros((2, 2))
+    periodic = _folded(sample, moved(known.lattice, drift, np.zeros(2)), everywhere)
     references = tuple(_crossed(sample, periodic.lattice, part) for part in _parts(sample.shape[:2], periodic.lattice))
     share = _share(periodic.image(sample.shape[:2]), float(periodic.variance.values.mean()))
-    return Yardstick("sample", periodic, references, share)
-
-
-def followed(placement: Placement, periodic: Periodic) -> Periodic:
-    """Return the periodic image stretched to follow an image's drift, where the lattice's uncertainty allows it."""
-    drift = affine_part(placement)
-    return periodic.stretched(drift) if 0 < np.linalg.norm(drift, 2) <= LATTICE_UNCERTAINTY else periodic
+    return Yardstick("sample", periodic, references, share, known, spread(drift))
 
 
 def _parts(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

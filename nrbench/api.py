@@ -60,7 +60,7 @@ def texture(model: str, shape: Shape = (128, 128), seed: int = 0, **parameters: 
     return drawn
 
 
-def detect_lattice(image: Any, detector: str = "gncc", **parameters: Any) -> Detection:
+def detect_lattice(image: Any, detector: str = "consensus", **parameters: Any) -> Detection:
     """Return the lattice that a detector finds in an image.
 
     Raises
@@ -166,7 +166,8 @@ def score(sample: Any, output: Any, lattice: Latticelike = None) -> Sheet:
     sample, output
         The two images, same number of channels.
     lattice
-        The sample's lattice; without it the scores that need one are None, with the reason.
+        The sample's lattice; without it the detector ``dominance`` is asked for it, and where that finds none the
+        scores that need one are None, with the reason.
     """
     pair = quantize(as_image(sample, "sample")), quantize(as_image(output, "output"))
     if pair[0].shape[2] != pair[1].shape[2]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from nrbench.records import CellRecord, Run
 
+from .cheats import is_right
 from .foot import FootRow, foot
 from .summary import Difference, Head, Summary, differences, heads, summarize
 from .verdicts import MARKS, SCORE, explanation, frame, verdict
@@ -32,6 +33,8 @@ class Entry:
         The cells, one a replicate.
     notes
         Numbers of the notes that apply.
+    right
+        Whether a reference is no cheat on the texture; None for what is no cheat anywhere, or a kind not known.
     """
 
     verdict: str
@@ -39,6 +42,7 @@ class Entry:
     score: float | None
     records: Sequence[CellRecord]
     notes: Sequence[int] = ()
+    right: bool | None = None
 
     @property
     def mark(self) -> str:
@@ -110,6 +114,11 @@ class Comparison:
         found = {entry.verdict for row in self.rows for entry in row.entries if entry}
         return [(mark, name) for name, mark in MARKS.items() if name in found]
 
+    @property
+    def no_cheat(self) -> bool:
+        """Whether any reference is no cheat on any texture."""
+        return any(one.no_cheat.n for one in self.summaries)
+
 
 def comparison(run: Run) -> Comparison:
     """Build the comparison of a run; a run without cells gives one without rows."""
@@ -159,4 +168,5 @@ def _entry(records: list[CellRecord], notes: Mapping[str, int]) -> Entry | None:
         score=sum(scores) / len(scores) if scores else None,
         records=records,
         notes=sorted({notes[record.note] for record in records if record.note}),
+        right=is_right(records[0]),
     )

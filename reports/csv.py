@@ -12,11 +12,33 @@ import pandas as pd
 from nrbench.records import Run
 from nrbench.store import write_aside
 
+from .cheats import is_right
 from .comparison import Comparison, comparison
 from .detections import STOCHASTIC, answers, median, rate
+from .people import agreement_table, labels_table, people
+from .perils import perils_table, places
 from .statistics import Estimate
-from .summary import Summary
+from .summary import Summary, known_columns
 
+OWN_COLUMNS: Mapping[str, str] = {
+    "suite": "Name of the suite.",
+    "texture": "Name of the texture.",
+    "family": "Family of the texture.",
+    "kind": "Kind of the texture: 0, I, II, III or stochastic.",
+    "regular_share": "Variance of the ideal image over mean total variance, 0 to 1.",
+    "method": "The method, with the parameters that differ from its defaults.",
+    "parameters": "All parameters of the method, as JSON.",
+    "lattice_source": "Where the lattice came from: given, own, none, or the detector.",
+    "replicate": "Number of the draw.",
+    "reference": "Whether the row calibrates the scores and is never ranked.",
+    "reference_right": "Whether what the reference does is right on this kind of texture: not a cheat here.",
+    "status": "How the cell ended.",
+    "phase": "Where it failed; empty where it did not.",
+    "message": "Why it failed or refused.",
+    "note": "What the method says of its run.",
+    "key": "Hash of all that decides the result; the name of the cell's folder.",
+}
+"""What the columns of ``cells.csv`` say that are neither scores nor costs."""
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
@@ -26,12 +48,21 @@ class CsvTables:
 
     ``cells.csv`` has one row a cell and one column a score; ``comparison.csv`` the textures by methods; ``summary.csv``
     each method's counts, success rate, means and ranks, with 95 % intervals over textures; ``differences.csv`` the
-    paired differences between methods. Where detectors found the lattices, ``detections.csv`` has one row an answer
-    and ``detectors.csv`` each detector's share of right answers, with its interval over draws, by family, departure and
-    level; an empty cell there stands for all of them (of the textures that have a lattice).
+    paired differences between methods; ``columns.csv`` what every column of ``cells.csv`` means, its unit, range and
+    better way; ``perils.csv`` the places in the perils plane. Where detectors found the lattices, ``detections.csv``
+    has one row an answer and ``detectors.csv`` each detector's share of right answers, with its interval over draws, by
+    family, departure and level; an empty cell there stands for all of them (of the textures that have a lattice).
 
     Text that a spreadsheet would run as a formula gets an apostrophe in front.
+
+    Parameters
+    ----------
+    labels
+        Files of people's answers, as ``nrbench label`` has them saved: adds ``labels.csv``, one row an answer, and
+        ``agreement.csv``, one row a pair of raters.
     """
+
+    labels: tuple[Path, ...] = ()
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
@@ -40,27 +71,42 @@ class CsvTables:
         """Write the tables and return their paths."""
         found = comparison(run)
         tables = {
-            "cells": run.table(),
+            "cells": cells_table(run),
             "comparison": comparison_table(found),
             "summary": summary_table(found),
             "differences": differences_table(found),
+            "columns": columns_table(run),
         }
+        if shown := places(found.summaries):
+            tables["perils"] = perils_table(shown)
+        if labelled := people(run, self.labels):
+            tables |= {"labels": labels_table(run, self.labels), "agreement": agreement_table(labelled)}
         asked = answers(run)
         if not asked.empty:
             tables |= {"detections": asked, "detectors": detectors_table(asked)}
         return [_write(table, directory / f"{name}.csv") for name, table in tables.items()]
 
 
+def cells_table(run: Run) -> pd.DataFrame:
+    """Return the run's tidy table, and in it whether each reference is right on its texture."""
+    table = run.table()
+    right = pd.Series([is_right(record) for record in run.cells], table.index, dtype=object)
+    table.insert(list(table.columns).index("reference") + 1, "reference_right", right)
+    return table
+
+
 def comparison_table(found: Comparison) -> pd.DataFrame:
-    """Return textures by methods: verdict and mean score of each."""
-    places = [(head, part) for head in found.heads for part in ("verdict", "score")]
-    names = ["texture", "family", "kind", "regular_share", *(f"{head.label} {part}" for head, part in places)]
+    """Return textures by methods: verdict and mean score of each, and whether a reference is right there."""
+    parts = {"verdict": "verdict", "score": "score", "right": "reference_right"}
+    cheats = {i for row in found.rows for i, entry in enumerate(row.entries) if entry and entry.right is not None}
+    places = [(i, part) for i in range(len(found.heads)) for part in parts if part != "right" or i in cheats]
+    heads = [f"{found.heads[i].label} {parts[part]}" for i, part in places]
     rows = [
         [row.texture, row.family, row.kind, row.regular_share]
-        + [getattr(entry, part, None) for entry in row.entries for part in ("verdict", "score")]
+        + [getattr(row.entries[i], part, None) for i, part in places]
         for row in found.rows
     ]
-    return pd.DataFrame(rows, columns=names)
+    return pd.DataFrame(rows, columns=["texture", "family", "kind", "regular_share", *heads])
 
 
 def summary_table(found: Comparison) -> pd.DataFrame:
@@ -98,6 +144,18 @@ def differences_table(found: Comparison) -> pd.DataFrame:
         values = [shown.value, shown.low, shown.high, shown.n, shown.of, shown.excludes_zero]
         rows.append([one.score, one.first.label, one.second.label, *values])
     return pd.DataFrame(rows, columns=names)
+
+
+def columns_table(run: Run) -> pd.DataFrame:
+    """Return one row a column of the run's tables: its name, its sentence, unit, range and better way.
+
+    Without numbers where a column holds words; a range without an end is infinite, a ratio and a truth value have no
+    unit.
+    """
+    own = [[name, meaning, "", None, None, "none"] for name, meaning in OWN_COLUMNS.items()]
+    known = known_columns(run)
+    scores = [[name, one.meaning, one.unit, *map(float, one.range), one.better] for name, one in known.items()]
+    return pd.DataFrame([*own, *scores], columns=["column", "meaning", "unit", "low", "high", "better"])
 
 
 def detectors_table(asked: pd.DataFrame) -> pd.DataFrame:

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from nrbench.records import CellRecord, Run
 
+from .cheats import sentence
 from .pictures import Picture, Pictures
-from .summary import Head, headlines
+from .summary import COSTS, Head, headlines, headlines_first
 from .verdicts import MARKS, SCORE, explanation, verdict
-from .wording import number
+from .wording import number, tip
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class ScoreLine:
-    """One score of a cell in words, with its meaning and, where there is none, why."""
+    """One score of a cell in words, with what its column declares and, where there is none, why."""
 
     name: str
     text: str
@@ -49,6 +50,8 @@ class Figure:
         The metrics' pictures.
     headline, scores
         The headline scores, and all scores.
+    no_cheat
+        Why a reference is no cheat on the texture; empty where it is one.
     """
 
     record: CellRecord
@@ -61,6 +64,7 @@ class Figure:
     layers: Sequence[Layer]
     headline: Sequence[ScoreLine]
     scores: Sequence[ScoreLine]
+    no_cheat: str = ""
 
 
 def shade(score: float | None) -> int | None:
@@ -69,8 +73,8 @@ def shade(score: float | None) -> int | None:
 
 
 def layer_titles(run: Run) -> list[str]:
-    """Return the names of the metrics' pictures that occur in a run."""
-    return list(dict.fromkeys(title for record in run.cells for title in record.pictures))
+    """Return the names of the metrics' pictures that occur in a run, those behind the headlines first."""
+    return headlines_first(dict.fromkeys(title for record in run.cells for title in record.pictures))
 
 
 def head_of(record: CellRecord) -> Head:
@@ -91,8 +95,9 @@ def figure(run: Run, record: CellRecord, pictures: Pictures) -> Figure:
         explanation=explanation(record),
         output=pictures.picture(record.folder / "output.png") if record.status == "ok" else None,
         layers=_layers(record, pictures, layer_titles(run)),
-        headline=[line for name in names if (line := _score_line(run, record, name))],
-        scores=[line for name in run.columns if (line := _score_line(run, record, name))],
+        headline=[line for name in names if (line := score_line(run, record, name))],
+        scores=[line for name in headlines_first(run.columns) if (line := score_line(run, record, name))],
+        no_cheat=sentence(record),
     )
 
 
@@ -105,13 +110,14 @@ def _picture(path: Path | None, pictures: Pictures) -> Picture | None:
     return pictures.picture(path) if path else None
 
 
-def _score_line(run: Run, record: CellRecord, name: str) -> ScoreLine | None:
+def score_line(run: Run, record: CellRecord, name: str) -> ScoreLine | None:
+    """Return one score of a cell, or its seconds; None where the cell has no such score."""
     if name == "seconds":
         seconds = record.seconds
-        return None if seconds is None else ScoreLine("time", f"{number(seconds)} s", "Wall time of the synthesis.", "")
+        return None if seconds is None else ScoreLine("time", f"{number(seconds)} s", tip(COSTS[name]), "")
     if name not in record.values:
         return None
     column = run.columns[name]
     value = record.values[name]
     unit = f" {column.unit}" if column.unit and value is not None else ""
-    return ScoreLine(name, number(value) + unit, column.meaning, record.reasons.get(name, ""))
+    return ScoreLine(name, number(value) + unit, tip(column), record.reasons.get(name, ""))

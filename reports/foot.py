@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 from nrbench.records import Run
 
+from .kept import KEPT
 from .statistics import Estimate
-from .summary import Summary, headlines
-from .wording import counted, interval, number, percent, successes
+from .summary import Summary, headlines, headlines_first, known_columns
+from .verdicts import PRESERVED
+from .wording import counted, interval, number, percent, successes, tip
 
 RATE_MEANING = (
     "Share of textures whose lattice is preserved, with Wilson's 95 % interval over textures; a texture counts as the "
@@ -68,10 +70,22 @@ def foot(run: Run, summaries: Sequence[Summary]) -> list[FootRow]:
         meaning = RATE_MEANING.replace("Failures and refusals count", "Refusals are left out; failures count")
         rates.append(_row("… refusals left out", meaning, [one.success_answered for one in summaries], rate=True))
     means = [
-        _row(name, f"{column.meaning} {MEAN_MEANING}", [one.means[name] for one in summaries])
+        _row(name, f"{tip(column)}\n{MEAN_MEANING}", [one.means[name] for one in summaries])
         for name, column in headlines(run).items()
     ]
     return [*rates, *means, *_rank_rows(run, summaries)]
+
+
+def others(run: Run, summaries: Sequence[Summary]) -> list[FootRow]:
+    """Return a line for the means of each further score that any column has: no headline, and never ranked."""
+    shown = {*headlines(run), PRESERVED, KEPT}
+    columns = known_columns(run)
+    rows = [
+        _row(name, f"{tip(columns[name])}\n{MEAN_MEANING}", [one.means[name] for one in summaries])
+        for name in headlines_first(columns)
+        if name not in shown
+    ]
+    return [row for row in rows if any(row.estimates)]
 
 
 def _rank_rows(run: Run, summaries: Sequence[Summary]) -> list[FootRow]:

@@ -10,7 +10,7 @@ from nrbench.synthesis import Column
 
 from .statistics import Estimate
 from .summary import COSTS, Summary
-from .wording import counted, interval, number, percent, successes
+from .wording import counted, interval, number, percent, successes, tip
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Panel:
     Parameters
     ----------
     name, meaning
-        The score, and what it says.
+        The score, and all that its column declares.
     ends
         The axis' ends in words.
     one
@@ -93,7 +93,7 @@ def _panel(
     ]
     shown = (text(ends[0]), text(ends[1]))
     return Panel(
-        name, column.meaning, shown, place(1.0) if column.better == "one" else None, _BETTER[column.better], strips
+        name, tip(column), shown, place(1.0) if column.better == "one" else None, _BETTER[column.better], strips
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -14,16 +13,23 @@ from typing import Any, ClassVar
 import jinja2
 from markupsafe import Markup
 
+from nrbench.labels import ANSWERS
 from nrbench.records import CellRecord, Run
 from nrbench.store import RUN_FILE, write_aside
 
 from . import wording
+from .cheats import LEGEND, SIGN
 from .comparison import comparison
 from .detections import KINDS, STOCHASTIC, Detectors, detectors
+from .disputed import disputed
 from .figures import layer_titles, shade
+from .foot import others
 from .forest import panels
 from .gallery import gallery
+from .people import people
+from .perils import places
 from .pictures import Pictures
+from .plane import drawn
 from .summary import headlines, known_columns
 from .verdicts import MEANINGS, PRESERVED
 
@@ -44,9 +50,12 @@ class HtmlReport:
     embed_mib
         Pictures go into the page up to this many MiB; beyond, the page links the run's own files and must stay beside
         them.
+    labels
+        Files of people's answers, as ``nrbench label`` has them saved: adds how judge and people agree.
     """
 
     embed_mib: float = 60.0
+    labels: tuple[Path, ...] = ()
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "report"
@@ -62,6 +71,9 @@ class HtmlReport:
         found = comparison(run)
         pictures = Pictures.of(run.cells, directory, self.embed_mib * 2**20)
         asked = detectors(run)
+        shown = places(found.summaries)
+        labelled = people(run, self.labels)
+        doubted = labelled.disagreements if labelled else ()
         content: dict[str, Any] = {
             "info": run.info,
             "created": _created(run),
@@ -69,20 +81,32 @@ class HtmlReport:
             "run": run,
             "found": found,
             "first_reference": next((i for i, head in enumerate(found.heads) if i and head.reference), -1),
+            "others": others(run, found.summaries),
             "panels": panels(found.summaries, headlines(run)),
+            "places": shown,
+            "plane": _svg_source(drawn(shown, "svg")) if shown else "",
             "sections": gallery(run, found, pictures),
             "titles": layer_titles(run),
             "unfinished": _unfinished(run.cells),
             "broken_scores": _broken_scores(run.cells),
             "columns": known_columns(run),
             "meanings": MEANINGS,
+            "no_cheat_sign": SIGN,
+            "no_cheat_legend": LEGEND,
             "embedded": pictures.embedded,
             "judged": PRESERVED in run.columns,
             "detectors": asked,
             "families": _families(asked),
             "kinds": KINDS,
+            "people": labelled,
+            "answers": ANSWERS,
+            "disagreements": [(one, disputed(run, one.record, pictures)) for one in doubted],
         }
         return _page(content)
+
+
+def _svg_source(svg: bytes) -> str:
+    return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
 
 
 def _page(content: Mapping[str, Any]) -> str:
@@ -102,8 +126,8 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    words = ("number", "plain", "plural", "interval", "signed", "counted", "successes", "percent")
-    env.filters.update({name: getattr(wording, name) for name in words}, shade=shade, end=_end)
+    words = ("number", "plain", "plural", "interval", "signed", "counted", "successes", "percent", "end", "way", "tip")
+    env.filters.update({name: getattr(wording, name) for name in words}, shade=shade)
     return env
 
 
@@ -111,11 +135,6 @@ def _families(asked: Detectors | None) -> list[str]:
     """Return the families of the textures that have a lattice to be found."""
     groups = asked.groups if asked else []
     return list(dict.fromkeys(group.family for group in groups if group.departure != STOCHASTIC))
-
-
-def _end(value: float) -> str:
-    """Return an end of a column's range; infinity as a sign."""
-    return ("∞" if value > 0 else "−∞") if math.isinf(value) else f"{value:g}"
 
 
 def _hash(text: str) -> str:

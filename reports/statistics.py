@@ -100,9 +100,14 @@ def bootstrap_mean(
         return None
     rng = rng or stream("bootstrap")
     means = sample[rng.integers(0, n, (RESAMPLES, n))].mean(1)
-    tail = float(ndtr(-math.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + level / 2)))
+    tail = expanded_tail(n, level)
     low, high = np.quantile(means, [tail, 1 - tail])
     return float(low), float(high)
+
+
+def expanded_tail(n: int, level: float = LEVEL) -> float:
+    """Return the share of resamples that an expanded percentile interval of ``n`` > 1 units leaves out at each end."""
+    return float(ndtr(-math.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + level / 2)))
 
 
 def texture_means(cells: pd.DataFrame, score: str) -> pd.Series[float]:

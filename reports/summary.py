@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,8 @@ import pandas as pd
 from nrbench.records import FAILED, Run
 from nrbench.synthesis import Column
 
+from .cheats import NOWHERE, NoCheat, no_cheat
+from .kept import KEPT, KEPT_COLUMN, is_asked
 from .statistics import Estimate, mean, mean_ranks, paired_difference, success_rate
 from .verdicts import SCORE, column_label
 
@@ -64,6 +66,8 @@ class Summary:
         Mean over textures of every score and cost.
     ranks, ranks_answered
         Mean ranks by headline, refusals counted as the worst rank and left out; empty for a reference.
+    no_cheat, no_cheat_scored
+        On how many textures a reference is no cheat: of all, and of those whose regularity is scored.
     """
 
     head: Head
@@ -73,6 +77,8 @@ class Summary:
     means: Mapping[str, Estimate]
     ranks: Mapping[str, Estimate]
     ranks_answered: Mapping[str, Estimate]
+    no_cheat: NoCheat
+    no_cheat_scored: NoCheat
 
 
 @dataclass(frozen=True)
@@ -95,14 +101,22 @@ def heads(run: Run) -> list[Head]:
 
 
 def known_columns(run: Run) -> dict[str, Column]:
-    """Return every score's and cost's column by name."""
-    return {**run.columns, **COSTS}
+    """Return every score's and cost's column by name, and that of the randomness kept where a run has it."""
+    own = {KEPT: KEPT_COLUMN} if is_asked(run.columns) else {}
+    return {**run.columns, **own, **COSTS}
 
 
 def headlines(run: Run) -> dict[str, Column]:
     """Return the columns that methods are compared by, those that the run has."""
     known = known_columns(run)
     return {name: known[name] for name in (*HEADLINES, "seconds") if name in known}
+
+
+def headlines_first(names: Iterable[str]) -> list[str]:
+    """Return ``metric.name`` ordered so that the metrics of the headlines come first; otherwise as they are."""
+    first = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES))
+    place = {metric: i for i, metric in enumerate(first)}
+    return sorted(names, key=lambda name: place.get(name.partition(".")[0], len(first)))
 
 
 def summarize(run: Run, cells: pd.DataFrame) -> list[Summary]:
@@ -138,6 +152,8 @@ def _summary(
         means={name: mean(own, name) for name in known_columns(run)},
         ranks={name: by_column[head.label] for name, by_column in worst.items() if head.label in by_column},
         ranks_answered={name: by_column[head.label] for name, by_column in answered.items() if head.label in by_column},
+        no_cheat=no_cheat(own),
+        no_cheat_scored=no_cheat(own[own[SCORE].notna()]) if SCORE in own else NOWHERE,
     )
 
 
@@ -148,11 +164,14 @@ def _counts(cells: pd.DataFrame) -> dict[str, int]:
 
 
 def differences(run: Run, cells: pd.DataFrame) -> list[Difference]:
-    """Return the paired differences of every two columns of which the first is no reference, in every headline."""
+    """Return the paired differences of every two columns of which the first is no reference.
+
+    In every headline, and in the randomness kept.
+    """
     pairs = [(a, b) for a, b in itertools.combinations(heads(run), 2) if not a.reference]
     own = {head.label: cells[cells["column"] == head.label] for head in heads(run)}
     return [
         Difference(name, a, b, paired_difference(own[a.label], own[b.label], name))
-        for name in headlines(run)
+        for name in (*headlines(run), *({KEPT} & set(known_columns(run))))
         for a, b in pairs
     ]

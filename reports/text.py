@@ -18,6 +18,7 @@ from nrbench.errors import BadInput
 from nrbench.records import Run
 from nrbench.store import write_aside
 
+from .cheats import LEGEND, SHARES, SIGN, NoCheat
 from .comparison import Comparison, Entry, comparison
 from .detections import Trust, detectors
 from .statistics import Estimate
@@ -102,8 +103,8 @@ def _table(found: Comparison, start: int, stop: int) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column(Text("texture"), overflow="fold")
     table.add_column(Text("share"), justify="right")
-    for head in found.heads[start:stop]:
-        table.add_column(_head(head), overflow="fold")
+    for one in found.summaries[start:stop]:
+        table.add_column(_head(one.head, one.no_cheat), overflow="fold")
     for row in found.rows:
         share = "" if row.regular_share is None else f"{row.regular_share:.2f}"
         table.add_row(Text(row.texture), share, *_places(row.entries[start:stop]))
@@ -114,9 +115,9 @@ def _table(found: Comparison, start: int, stop: int) -> Table:
     return table
 
 
-def _head(head: Head) -> Text:
+def _head(head: Head, no_cheat: NoCheat) -> Text:
     lines = [head.method, "" if head.lattice_source == "none" else head.lattice_source]
-    return Text("\n".join([*lines, "reference" if head.reference else ""]))
+    return Text("\n".join([*lines, f"reference{no_cheat.sign}" if head.reference else ""]))
 
 
 def _estimate(one: Estimate | None, rate: bool) -> Text:
@@ -134,7 +135,8 @@ def _estimate(one: Estimate | None, rate: bool) -> Text:
 def _places(entries: Sequence[Entry | None]) -> Iterator[Text]:
     for entry in entries:
         notes = ",".join(map(str, entry.notes)).translate(_SUPERSCRIPT) if entry else ""
-        yield Text(f"{entry.text} {notes}".rstrip() if entry else "")
+        sign = f" {SIGN}" if entry and entry.right else ""
+        yield Text(f"{entry.text}{sign} {notes}".rstrip() if entry else "")
 
 
 _TRUST = (
@@ -162,5 +164,7 @@ def _below(found: Comparison) -> Iterator[str]:
     yield ", ".join(f"{mark} {name}" for mark, name in found.legend) + "; beside the mark: regularity.score, 0 to 1."
     yield "Under a method: where its lattice comes from. References calibrate the scores and are never ranked."
     yield "At the foot: means over textures (of all, or n/N), and 95 % intervals over textures. share: regular share."
+    if found.no_cheat:
+        yield f"{SIGN} {LEGEND} ({SHARES})."
     for index, note in enumerate(found.notes, 1):
         yield f"{str(index).translate(_SUPERSCRIPT)} {plain(note)}"

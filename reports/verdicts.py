@@ -9,6 +9,8 @@ import pandas as pd
 
 from nrbench.records import FAILED, CellRecord, Run
 
+from .cheats import is_right
+from .kept import derived
 from .statistics import as_numbers
 
 PRESERVED, SCORE = "regularity.preserved", "regularity.score"
@@ -76,14 +78,17 @@ def frame(run: Run) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        ``texture, replicate, column`` (method and lattice source)``, reference, status, verdict, applicable`` (whether
-        there is a lattice to preserve)``, seconds, peak_mib``, and every score as float (NaN: none).
+        ``texture, replicate, column`` (method and lattice source)``, reference, right`` (whether a reference is no
+        cheat on the texture)``, status, verdict, applicable`` (whether there is a lattice to preserve)``, seconds,
+        peak_mib``, every score as float (NaN: none), and what of the randomness is kept, where the scores that it is
+        made of are there (see :mod:`~nrbench.reports.kept`).
     """
     content: dict[str, Any] = {
         "texture": [record.texture for record in run.cells],
         "replicate": [record.replicate for record in run.cells],
         "column": [column_label(record.method, record.lattice_source) for record in run.cells],
         "reference": [record.reference for record in run.cells],
+        "right": [is_right(record) is True for record in run.cells],
         "status": [record.status for record in run.cells],
         "verdict": [verdict(record) for record in run.cells],
         "applicable": [_applicable(record) for record in run.cells],
@@ -91,7 +96,7 @@ def frame(run: Run) -> pd.DataFrame:
         "peak_mib": as_numbers([record.peak_mib if record.status == "ok" else None for record in run.cells]),
     }
     scores = {name: as_numbers([record.values.get(name) for record in run.cells]) for name in run.columns}
-    return pd.DataFrame({**content, **scores})
+    return pd.DataFrame({**content, **scores, **derived(pd.DataFrame(scores))})
 
 
 def _applicable(record: CellRecord) -> bool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import re
 
+from nrbench.synthesis import Column
+
 from .statistics import Estimate
 
 _CONTROL = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
@@ -55,6 +57,23 @@ def successes(estimate: Estimate) -> str:
     """Return ``"k of n"`` of a success rate, and how many were left out; k has a fraction where replicates disagree."""
     left_out = estimate.of - estimate.n
     return f"{(estimate.value or 0) * estimate.n:.3g} of {estimate.n}" + (f", {left_out} left out" if left_out else "")
+
+
+def end(value: float) -> str:
+    """Return an end of a column's range; infinity as a sign."""
+    return ("∞" if value > 0 else "−∞") if math.isinf(value) else f"{value:g}".replace("-", "−")
+
+
+def way(column: Column) -> str:
+    """Return a column's better way in words."""
+    return {"one": "nearest to 1", "none": "no better way"}.get(column.better, column.better)
+
+
+def tip(column: Column) -> str:
+    """Return all that a column declares, for a tooltip: its sentence; below it unit, range and better way."""
+    span = f"{end(column.range[0])} to {end(column.range[1])}"
+    better = way(column) if column.better == "none" else f"better: {way(column)}"
+    return f"{column.meaning}\nunit: {column.unit or 'none'}; range: {span}; {better}"
 
 
 def plural(count: int, noun: str) -> str:

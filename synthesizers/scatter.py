@@ -9,6 +9,7 @@ import numpy as np
 
 from nrbench.imaging.blocks import BlockGrid, compose
 from nrbench.synthesis import Synthesis, Task
+from nrbench.texture import Kind
 
 from .room import check_border, room_with_border
 
@@ -32,6 +33,7 @@ class Scatter:
 
     reference: ClassVar[bool] = True
     uses_lattice: ClassVar[bool] = False
+    right_on: ClassVar[frozenset[Kind]] = frozenset({"stochastic"})
     version: ClassVar[str] = "1"
 
     def __post_init__(self) -> None:

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.signal import fftconvolve
 
 from nrbench.imaging.door import Image
@@ -15,12 +13,9 @@ from nrbench.imaging.fold import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.gncc import Gncc
 from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
+from nrbench.texture import Kind
 
-BAND = 1 << 18
-"""Pixels mapped at a time."""
-SPLINE: Final = 5
-"""Order of the interpolating B-spline: no visible blur."""
-
+from .splines import resampled
 
 ASIDE: Final = (0.0011, 0.0007)
 """The cell's centre is moved by this, px, so that no pixel lies on its border, where rounding would choose a side."""
@@ -48,6 +43,7 @@ class Tiling:
 
     reference: ClassVar[bool] = True
     uses_lattice: ClassVar[bool] = True
+    right_on: ClassVar[frozenset[Kind]] = frozenset({"0"})
     version: ClassVar[str] = "2"
 
     def synthesize(self, task: Task) -> Synthesis:
@@ -63,10 +59,11 @@ class Tiling:
         found = find_lattice(task, Gncc())
         if found.lattice is None:
             raise Refused(f"no lattice found ({found.reason}): there is no tile to repeat")
-        centres = _centres(found.lattice, task.sample.shape)
+        centres = whole_centres(found.lattice, task.sample.shape)
         typical = self.tile == "typical"
         centre = _typical(task.sample, found.lattice, centres) if typical else task.rng.choice(centres)
-        image, source = _repeat(task, found.lattice, centre)
+        lattice, aside = found.lattice, centre + ASIDE
+        image, source = resampled(task, lambda pixels: aside + lattice.wrap(pixels - aside))
         return Synthesis(image, found.lattice, source, detection_seconds=found.seconds)
 
 
@@ -83,7 +80,7 @@ def _circumcentre(p: Points, q: Points) -> Points:
     return np.asarray(np.linalg.solve(2 * np.stack([p, q]), [p @ p, q @ q]))
 
 
-def _centres(lattice: Lattice, shape: tuple[int, ...]) -> Points:
+def whole_centres(lattice: Lattice, shape: tuple[int, ...]) -> Points:
     """Return the (whole-pixel) centres (x, y) of all tiles that lie whole within the sample, ``(n, 2)``."""
     height, width = shape[:2]
     x, y = reach(lattice)
@@ -107,29 +104,3 @@ def _typical(sample: Image, lattice: Lattice, centres: Points) -> Points:
     total = fftconvolve(departure, inside[::-1, ::-1].astype(np.float64), mode="same")
     column, row = centres.astype(int).T
     return np.asarray(centres[np.argmin(np.round(total[row, column], 6))])
-
-
-def _repeat(task: Task, lattice: Lattice, centre: Points) -> tuple[Image, NDArray[np.float32]]:
-    height, width = task.shape
-    spline = [ndimage.spline_filter(plane, SPLINE, mode="mirror") for plane in np.moveaxis(task.sample, 2, 0)]
-    image = np.empty((height, width, task.sample.shape[2]), np.float32)
-    source = np.empty((height, width, 3), np.float32)
-    rows = max(1, BAND // width)
-    for top in range(0, height, rows):
-        points = _equal_points(lattice, centre, top, image[top : top + rows].shape)
-        for channel, coefficients in enumerate(spline):
-            image[top : top + rows, :, channel] = ndimage.map_coordinates(
-                coefficients, np.moveaxis(points, -1, 0)[::-1], order=SPLINE, mode="mirror", prefilter=False
-            )
-        nearest = np.rint(points)
-        source[top : top + rows, :, :2] = nearest
-        source[top : top + rows, :, 2] = (1 - np.abs(points - nearest)).prod(-1)
-        task.progress(min(1.0, (top + rows) / height))
-    return np.clip(image, 0, 1), source
-
-
-def _equal_points(lattice: Lattice, centre: Points, top: int, shape: tuple[int, ...]) -> Points:
-    """Return, for each pixel of a band of the output, the point of the tile that the lattice calls equal to it."""
-    x, y = np.meshgrid(np.arange(shape[1]), np.arange(top, top + shape[0]))
-    aside = centre + ASIDE
-    return aside + lattice.wrap(np.stack([x, y], -1) - aside)

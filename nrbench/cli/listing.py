@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json
+import math
 from typing import Any
 
 import click
 
+_WAYS = {"one": "nearest to 1"}
 KINDS = ("datasets", "detectors", "synthesizers", "metrics", "reports", "suites")
 
 
@@ -56,14 +58,19 @@ def _first_line(cls: type[Any]) -> str:
 @click.argument("name")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def show_command(name: str, as_json: bool) -> None:
-    """Show one plugin: its page, parameters with defaults, columns, BibTeX of its paper; or one suite."""
+    """Show one plugin: its page, parameters with defaults, columns, BibTeX of its paper; or one suite.
+
+    NAME may be one score, as METRIC.COLUMN.
+    """
     from nrbench.errors import BadInput
     from nrbench.parameters import nearest
     from nrbench.suite import builtin
 
     pages = _pages(name)
     if not pages:
-        raise BadInput(f"{name!r}: no plugin or suite has that name{nearest(name, [*_all_names(), *builtin()])}")
+        raise BadInput(
+            f"{name!r}: no plugin or suite has that name{nearest(name, [*_all_names(), *_scores(name), *builtin()])}"
+        )
     print(json.dumps(pages, indent=1) if as_json else "\n\n".join(_text(page) for page in pages))
 
 
@@ -73,15 +80,33 @@ def _all_names() -> list[str]:
     return [name for kind in plugins.FORMS for name in plugins.names(kind)]
 
 
+def _scores(name: str) -> list[str]:
+    """Return the scores of the metric that a name begins with."""
+    from nrbench import plugins
+
+    metric = name.partition(".")[0]
+    cls = plugins.find("metrics", metric).cls if "." in name and metric in plugins.names("metrics") else None
+    return [f"{metric}.{key}" for key in cls.columns] if cls else []
+
+
 def _pages(name: str) -> list[dict[str, Any]]:
     from nrbench import plugins
     from nrbench.suite import builtin, load_suite
 
     pages = [_page(kind, plugins.find(kind, name)) for kind in plugins.FORMS if name in plugins.names(kind)]
+    metric, _, column = name.partition(".")
+    if column and metric in plugins.names("metrics"):
+        pages += _column_page(_page("metrics", plugins.find("metrics", metric)), column)
     if name in builtin():
         suite = load_suite(name)
         pages.append({"kind": "suites", "name": name, "hash": suite.hash, **suite.model_dump(mode="json")})
     return pages
+
+
+def _column_page(page: dict[str, Any], column: str) -> list[dict[str, Any]]:
+    """Return the page of a metric cut down to one column; none where it has no such column."""
+    kept = {key: declared for key, declared in page["columns"].items() if key == column}
+    return [{**page, "page": page["page"].partition("\n")[0], "columns": kept}] if kept else []
 
 
 def _page(kind: str, plugin: Any) -> dict[str, Any]:
@@ -96,8 +121,14 @@ def _page(kind: str, plugin: Any) -> dict[str, Any]:
         "bibtex": inspect.cleandoc(getattr(cls, "paper", "")),
     }
     if kind == "metrics":
-        page["columns"] = {key: dataclasses.asdict(column) for key, column in cls.columns.items()}
+        page["columns"] = {key: _declared(column) for key, column in cls.columns.items()}
     return page
+
+
+def _declared(column: Any) -> dict[str, Any]:
+    """Return all that a column declares, JSON-ready: null at an end of the range that has no limit."""
+    ends = [end if math.isfinite(end) else None for end in column.range]
+    return {**dataclasses.asdict(column), "range": ends}
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
@@ -124,5 +155,8 @@ def _text(page: dict[str, Any]) -> str:
 
 def _column_text(metric: str, key: str, column: dict[str, Any]) -> str:
     low, high = column["range"]
-    unit = f" {column['unit']}" if column["unit"] else ""
-    return f"  {metric}.{key}: {column['meaning']} [{low:g} to {high:g}{unit}; better: {column['better']}]"
+    span = f"{'-inf' if low is None else f'{low:g}'} to {'inf' if high is None else f'{high:g}'}"
+    better = (
+        "no better way" if column["better"] == "none" else "better: " + _WAYS.get(column["better"], column["better"])
+    )
+    return f"  {metric}.{key}: {column['meaning']} [unit: {column['unit'] or 'none'}; range: {span}; {better}]"

@@ -15,6 +15,7 @@ VERBS: Mapping[str, str] = {
     "plan": "nrbench.cli.running",
     "report": "nrbench.cli.running",
     "status": "nrbench.cli.running",
+    "label": "nrbench.cli.labelling",
     "list": "nrbench.cli.listing",
     "show": "nrbench.cli.listing",
     "synth": "nrbench.cli.pictures",

@@ -93,14 +93,16 @@ def run_command(**given: Any) -> int:
     return max(_conclude(run, written, given["as_json"]), int(broken))
 
 
-def _write_reports(run: Any, formats: str | None, tables_only: bool = False) -> tuple[list[Path], bool]:
+def _write_reports(
+    run: Any, formats: str | None, tables_only: bool = False, labels: tuple[Path, ...] = ()
+) -> tuple[list[Path], bool]:
     """Write the reports asked for (all that work, where None is); return the paths, and whether any report failed."""
     from nrbench import plugins
 
     wanted = formats.split(",") if formats else [p.name for p in plugins.inventory("reports") if p.cls is not None]
     written: list[Path] = []
     broken = False
-    for name, report in [(name, plugins.build("reports", name)) for name in wanted]:
+    for name, report in [(name, _report(name, labels)) for name in wanted]:
         folder = getattr(report, "folder", "report")
         if folder == "tables" or not tables_only:
             try:
@@ -109,6 +111,16 @@ def _write_reports(run: Any, formats: str | None, tables_only: bool = False) -> 
                 broken = True
                 print(f"nrbench: report {name} failed: {type(error).__name__}: {error}", file=sys.stderr)
     return written, broken
+
+
+def _report(name: str, labels: tuple[Path, ...]) -> Any:
+    """Return a report, with people's answers where it takes them (it has a parameter ``labels``)."""
+    from dataclasses import fields
+
+    from nrbench import plugins
+
+    takes = "labels" in {field.name for field in fields(plugins.find("reports", name).cls)}  # type: ignore[arg-type]
+    return plugins.build("reports", name, {"labels": labels} if labels and takes else {})
 
 
 def _conclude(run: Any, written: list[Path], as_json: bool) -> int:
@@ -151,13 +163,25 @@ def plan_command(**given: Any) -> None:
 
 @click.command("report")
 @click.argument("run", type=click.Path(path_type=Path))
+@click.argument("more", nargs=-1, type=click.Path(path_type=Path), metavar="")
 @click.option("--format", "formats", metavar="html,csv,...", help="Which reports.  [default: all]")
-def report_command(run: Path, formats: str | None) -> int:
+@click.option(
+    "--labels",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE...",
+    help="People's answers, one file a person: adds how judge and people agree.",
+)
+def report_command(run: Path, more: tuple[Path, ...], formats: str | None, labels: tuple[Path, ...]) -> int:
     """Write the reports of RUN again, from what is on disk; nothing is computed."""
+    from nrbench.labels import read_people
     from nrbench.records import Run
 
+    if more and not labels:
+        raise click.UsageError(f"{more[0]}: only one run is reported; files of answers come after --labels")
     found = Run(run)
-    written, broken = _write_reports(found, formats) if found.info else ([], False)
+    read_people(found, files := (*labels, *more))
+    written, broken = _write_reports(found, formats, labels=files) if found.info else ([], False)
     for path in written:
         print(path)
     return int(broken)

@@ -27,3 +27,10 @@ def test_what_was_not_measured_has_a_reason() -> None:
     assert set(score.values) == set(Cost.columns) == set(score.reasons)
     assert set(score.values.values()) == {None}
     assert Cost().score(Observation(SAMPLE, OUTPUT, cost={"peak_mib": 0.0})).values["peak_mib"] == 0
+
+
+def test_no_time_at_all_is_no_speed() -> None:
+    """Where the clock saw no time pass, seconds are 0 and the speed is None and says why."""
+    score = Cost().score(Observation(SAMPLE, OUTPUT, seconds=0.0))
+    assert score.values["seconds"] == 0
+    assert score.values["px_per_second"] is None and "clock" in score.reasons["px_per_second"]

@@ -102,6 +102,66 @@ def test_lost_regularity_is_not_scored(case: Cases) -> None:
     assert all(reason.startswith("not scored: regularity is lost") for reason in score.reasons.values())
 
 
+def test_threads_longer_than_a_tile_do_not_tell_sizes_apart(case: Cases) -> None:
+    """Of a weave, whose threads run through the picture, small and large fresh draws vary alike."""
+    for side in (130, 256):
+        found = [randomness(case("weave").seen(case("weave").fresh(side, k))).values["variation"] for k in range(6)]
+        assert np.mean(found) == pytest.approx(1, abs=0.13)
+
+
+def test_the_sample_is_measured_at_the_outputs_extent(case: Cases) -> None:
+    """Without the model, fresh draws four times the sample's area vary as the sample does, threads and all."""
+    found = [randomness(case("weave").seen(case("weave").fresh(256, k), False)).values["variation"] for k in range(3)]
+    assert np.mean(found) == pytest.approx(1, abs=0.3)
+
+
+def test_noise_buys_nothing(case: Cases) -> None:
+    """One tile repeated, with noise as strong as the variation that it lacks, stays far from fresh draws."""
+    tiled, fresh = one_tile_repeated(case("brick")), randomness(case("brick").seen(case("brick").fresh()))
+    strength = fresh.records["deviation"]["reference"]
+    grain = np.random.default_rng(0).normal(0, strength, tiled.shape).astype(np.float32)
+    noisy = randomness(case("brick").seen(quantize(np.clip(tiled + grain, 0, 1))))
+    assert noisy.values["variation"] > 0.6
+    assert noisy.values["distance"] > 50 * abs(fresh.values["distance"])
+    assert noisy.values["distance"] > 0.1
+
+
+def test_what_is_copied_is_found_in_the_sample(case: Cases) -> None:
+    """Windows of the best copier are in the sample, those of fresh draws are not, and copies lie at no distance."""
+    values, fresh = (
+        randomness(case("hexagon").seen(i)).values for i in (copier(case("hexagon")), case("hexagon").fresh())
+    )
+    assert values["copied"] > 0.5
+    assert abs(fresh["copied"]) < 0.05
+    assert values["distance"] < 0.02
+
+
+def test_damage_survives_or_not() -> None:
+    """Missing bricks: about as many windows as expected in fresh draws, none in an undamaged one; else the reason."""
+    worn, sound = Brick(color=0.2, missing=0.08), Brick(color=0.2)
+    texture = worn.render((128, 128), np.random.default_rng(5))
+    one, other = Case(worn, texture), Case(sound, texture)
+    found = [randomness(one.seen(one.fresh(224, k))).values["survival"] for k in range(3)]
+    assert np.mean([value for value in found if value is not None]) == pytest.approx(1, abs=0.4)
+    assert randomness(one.seen(other.fresh(224))).values["survival"] == pytest.approx(0, abs=0.05)
+    clean = Case(sound, sound.render((128, 128), np.random.default_rng(5)))
+    assert "no element of the sample is damaged" in randomness(clean.seen(clean.fresh())).reasons["survival"]
+
+
+def test_basis_and_origin_do_not_matter(case: Cases) -> None:
+    """Another basis of the lattice, and another of its points as origin, leave every score."""
+    seen = case("hexagon").seen(case("hexagon").fresh())
+    lattice = case("hexagon").texture.lattice
+    assert lattice is not None and seen.truth is not None
+    a, b = lattice.matrix
+    t1, t2, start = (tuple(float(x) for x in v) for v in (2 * a + b, a + b, np.array(lattice.origin) + 3 * a - b))
+    other = replace(seen, truth=replace(seen.truth, lattice=Lattice(t1, t2, start)))
+    values = randomness(other).values
+    for column, value in randomness(seen).values.items():
+        tolerance = {"distance": 2e-4}.get(column, 0.012)
+        assert values[column] == (value if value is None else pytest.approx(value, abs=tolerance)), column
+
+
 def test_a_texture_that_does_not_vary_is_not_applicable() -> None:
     """On a perfectly regular texture there is no randomness to keep."""
     model = Brick(color=0.0, intensity=0.0, noise=0.0)

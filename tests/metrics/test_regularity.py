@@ -148,6 +148,55 @@ def test_drift_of_a_photograph_is_reported_and_left_out(case: Cases) -> None:
     assert held["misplacement_p95"] > 2 * free["misplacement_p95"]
 
 
+def test_a_photographs_drift_is_forgiven_once(case: Cases) -> None:
+    """What fitting a given lattice to the sample took of its 2 % is not allowed once more to the output."""
+    from scipy import ndimage
+
+    from nrbench.lattice.geometry import Lattice
+
+    one, true = case("brick"), case("brick").texture.lattice
+    assert true is not None
+    given = Lattice(*((x / 1.015, y / 1.015) for x, y in (true.t1, true.t2)), true.origin)
+    at = np.indices((192, 192)) / 1.015
+    wide = one.fresh(240)
+    stretched = np.stack([ndimage.map_coordinates(wide[..., c], at, order=3) for c in range(3)], -1)
+    image: Image = np.clip(stretched, 0, 1).astype(np.float32)
+    truth = Texture(one.texture.image, given)
+    right = regularity(Observation(one.texture.image, one.fresh(), truth)).values
+    beyond = regularity(Observation(one.texture.image, image, truth)).values
+    assert right["preserved"] is True
+    assert beyond["drift"] == pytest.approx(1.5, abs=0.3)
+    assert beyond["misplacement_p95"] > 3 * right["misplacement_p95"]
+
+
+def test_the_outputs_own_lattice_is_compared(case: Cases) -> None:
+    """A fresh draw's own lattice is the true one to a tenth of a pixel; that of a stretch tells it."""
+    seen = regularity(case("hexagon").seen(case("hexagon").fresh(256))).values
+    assert seen["lattice_exact"] is True
+    assert seen["lattice_vector_error"] < 0.1
+    assert seen["lattice_area_ratio"] == pytest.approx(1, abs=0.01)
+    image, _ = case("hexagon").planted("stretch", 0.04, side=256)
+    assert regularity(case("hexagon").seen(image)).values["lattice_area_ratio"] == pytest.approx(1.04, abs=0.01)
+
+
+def test_too_much_regularity_is_no_lost_lattice(case: Cases) -> None:
+    """One tile repeated keeps its lattice; patches off the lattice spread the windows' correlations."""
+    image, _ = case("hexagon").planted("over-regular", 1.0, side=256)
+    values = regularity(case("hexagon").seen(image)).values
+    assert values["preserved"] is True and values["score"] == 1
+    torn, _ = case("hexagon").planted("off-lattice", 0.3, side=256)
+    assert regularity(case("hexagon").seen(torn)).values["structure_spread"] > 2
+
+
+def test_blur_is_no_lost_lattice(case: Cases) -> None:
+    """A blurred fresh draw keeps its lattice: tiles around are as faint."""
+    from scipy import ndimage
+
+    blurred = ndimage.gaussian_filter(case("hexagon").fresh(256), (1.5, 1.5, 0))
+    values = regularity(case("hexagon").seen(blurred)).values
+    assert values["preserved"] is True and values["score"] == 1
+
+
 def test_no_lattice_is_not_applicable(case: Cases) -> None:
     """Without a lattice in the truth every column is None, with that reason."""
     observation = replace(case("brick").seen(case("brick").fresh()), truth=Texture(case("brick").texture.image))

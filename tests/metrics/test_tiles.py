@@ -3,6 +3,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from nrbench.metrics.judgement import judge
 from nrbench.metrics.tiles import inspect
 from nrbench.metrics.yardstick import Yardstick, model_yardstick
 
@@ -34,6 +35,17 @@ def test_tiles_are_found_to_a_fraction_of_a_pixel(case: Cases, phase: tuple[floa
     assert np.hypot(*inspect(image, periodic, np.zeros(2)).offsets.mean(0)) < 0.1
     off = inspect(image, periodic, np.array([0.5, -0.3])).offsets.mean(0)
     np.testing.assert_allclose(off, (-0.5, 0.3), atol=0.1)
+
+
+def test_a_displaced_tile_tells_how_far(case: Cases) -> None:
+    """The tile that fits best elsewhere says where to: by what was planted, to 0.15 s; all others stay."""
+    image, field = case("hexagon").planted("displaced-tile", 0.35, seed=3)
+    judgement = judge(case("hexagon").seen(image))
+    assert judgement is not None
+    tiles = judgement.output.tiles
+    planted = np.hypot(*np.moveaxis(field, -1, 0)).max()
+    assert np.hypot(*tiles.moved[tiles.gain.argmax()]) == pytest.approx(planted, abs=0.15 * tiles.lattice.s)
+    assert np.median(np.hypot(*tiles.moved.T)) < 0.5
 
 
 def test_there_are_four_windows_a_cell(case: Cases) -> None:

@@ -7,6 +7,8 @@ import pytest
 
 from nrbench.records import Run
 from nrbench.reports.comparison import comparison
+from nrbench.reports.foot import others
+from nrbench.reports.summary import headlines_first
 
 Make = Callable[..., Any]
 
@@ -98,3 +100,21 @@ def test_a_run_without_metrics_is_compared_by_time(make_cell: Make, make_run: Ma
     """Without any score there still are success counts and seconds."""
     foot = comparison(make_run([make_cell()], columns={})).foot
     assert [line.name for line in foot] == ["preserved", "seconds"]
+
+
+def test_other_scores_stand_apart_from_the_headlines(every_ending: Run, make_cell: Make, make_run: Make) -> None:
+    """A score that is no headline is averaged in a table of its own, never at the foot; one that nobody has is not."""
+    run = make_run([make_cell(values={"cost.note": 3.0, "randomness.variation": 0.5})])
+    found = comparison(run)
+    lines = {line.name: line for line in others(run, found.summaries)}
+    assert lines["cost.note"].values == ["3.00"]
+    assert not lines.keys() & {line.name for line in found.foot}
+    assert "cost.note" not in {line.name for line in others(every_ending, comparison(every_ending).summaries)}
+
+
+def test_metrics_of_the_headlines_come_first() -> None:
+    """Regularity and randomness lead, the others keep their order."""
+    names = ["appearance.seam", "randomness.x", "regularity.defects", "integrity.broken", "appearance.color"]
+    assert headlines_first(names) == [
+        "regularity.defects", "randomness.x", "appearance.seam", "integrity.broken", "appearance.color",
+    ]  # fmt: skip

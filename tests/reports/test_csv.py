@@ -29,7 +29,9 @@ def test_cells_read_back_to_the_same_bits(make_cell: Make, make_run: Make, tmp_p
 def test_every_cell_is_a_row(every_ending: Run, tmp_path: Path) -> None:
     """One row a cell, whatever its status, quotes and line breaks in messages included."""
     written = {path.name: path for path in CsvTables().write(every_ending, tmp_path)}
-    assert set(written) == {"cells.csv", "comparison.csv", "summary.csv", "differences.csv"}
+    assert set(written) == {
+        f"{name}.csv" for name in ("cells", "comparison", "summary", "differences", "columns", "perils")
+    }
     cells = _read(written["cells.csv"])
     assert list(cells["status"]) == [record.status for record in every_ending.cells]
     assert list(cells["texture"]) == [record.texture for record in every_ending.cells]
@@ -71,7 +73,18 @@ def test_an_empty_run_gives_headers(make_run: Make, tmp_path: Path) -> None:
     """Without cells, the tables are there, without rows."""
     paths = CsvTables().write(make_run([]), tmp_path)
     assert all(path.is_file() for path in paths)
-    assert [len(_read(path)) for path in paths[1:]] == [0, 0, 0]
+    assert [len(_read(path)) for path in paths[1:4]] == [0, 0, 0]
+
+
+def test_every_column_of_the_cells_is_declared(every_ending: Run, tmp_path: Path) -> None:
+    """``columns.csv`` has a line for each column of ``cells.csv``: sentence, unit, range and better way."""
+    paths = {path.stem: path for path in CsvTables().write(every_ending, tmp_path)}
+    declared = _read(paths["columns"]).set_index("column")
+    assert set(_read(paths["cells"]).columns) <= set(declared.index)
+    assert declared["meaning"].str.len().min() > 5
+    line = declared.loc["randomness.variation"]
+    assert (line["low"], line["high"], line["better"]) == (0, float("inf"), "one")
+    assert declared.loc["seconds", "unit"] == "s"
 
 
 def test_tables_are_the_same_bytes_again(every_ending: Run, tmp_path: Path) -> None:

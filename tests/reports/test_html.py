@@ -75,14 +75,14 @@ def test_it_asks_no_network(page: Page) -> None:
     """Nothing on the page is fetched from anywhere: pictures are in it, links stay on it."""
     for tag, attributes in page.elements:
         for name in ("src", "href", "srcset", "action", "data", "poster", "xlink:href"):
-            assert attributes.get(name, "#").startswith(("#", "data:image/png;base64,")), (tag, name)
+            assert attributes.get(name, "#").startswith(("#", "data:image/")), (tag, name)
     assert not {"link", "iframe", "object", "embed", "base", "form"} & {tag for tag, _ in page.elements}
 
 
 def test_style_and_script_fetch_nothing(every_ending: Run, tmp_path: Path) -> None:
     """Without the pictures' bytes, the page holds no address and no import."""
     text = HtmlReport().render(every_ending, tmp_path)
-    bare = re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", text)
+    bare = re.sub(r"data:image/(png|svg\+xml);base64,[A-Za-z0-9+/=]+", "", text)
     assert not re.search(r"https?:|@import|url\((?!#)|src=\"//|href=\"//", bare)
 
 
@@ -151,6 +151,7 @@ def test_heavy_pages_link_the_runs_files(every_ending: Run, tmp_path: Path) -> N
     directory = tmp_path / "run" / "report"
     (path,) = HtmlReport(embed_mib=0.001).write(every_ending, directory)
     sources = {one["src"] for one in Page(path.read_text("utf-8")).all("img")}
+    sources = {source for source in sources if not source.startswith("data:image/svg+xml;")}
     assert sources
     assert all(source.startswith("../cells/") and (directory / source).is_file() for source in sources)
 
@@ -194,6 +195,30 @@ def test_lattices_are_drawn_over_the_sample(page: Page) -> None:
     assert "truth" in classes
     assert classes.count("found") == 1
     assert "lattice used by rsgf (own)" in page.text
+
+
+def test_every_column_says_what_it_means(page: Page) -> None:
+    """Each head of a column has a tooltip, and that of a score holds its unit, range and better way."""
+    heads = [one for one in page.all("th") if one.get("scope") == "col"]
+    assert len(heads) > 30
+    assert all(one.get("title") for one in heads)
+    for words in ("unit: none; range: 0 to 1; better: higher", "unit: none; range: 0 to ∞; better: nearest to 1"):
+        assert any(words in one["title"] for one in heads)
+
+
+def test_every_score_of_a_cell_says_what_it_means(page: Page) -> None:
+    """Each line of scores under an output has the tooltip of its column."""
+    lines = [one for tag, one in page.elements if tag == "tr" and "unit:" in one.get("title", "")]
+    assert len(lines) >= 10
+
+
+def test_the_perils_plane_is_on_the_page(page: Page) -> None:
+    """The plane is an SVG in the page, and its text tells every point."""
+    (plane,) = [one for one in page.all("img") if one["src"].startswith("data:image/svg+xml;base64,")]
+    svg = base64.b64decode(plane["src"].partition(",")[2])
+    assert svg.lstrip().startswith(b"<?xml")
+    assert b"<script" not in svg and b'xlink:href="http' not in svg
+    assert "rsgf (given): regularity" in plane["alt"]
 
 
 def test_replicates_have_their_own_pictures(make_cell: Make, make_run: Make, tmp_path: Path) -> None:

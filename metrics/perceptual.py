@@ -1,0 +1,85 @@
+"""A perceptual network's distance, where the optional packages and the network's weights are there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, ClassVar
+
+import lazy_loader
+import numpy as np
+
+from nrbench.imaging.door import Image
+from nrbench.synthesis import Column, Observation, Score
+
+from .appearance import fresh_images
+from .regularity import no_score
+
+piq: Any = lazy_loader.load("piq", error_on_import=False)
+torch: Any = lazy_loader.load("torch", error_on_import=False)
+
+WEIGHTS = ("vgg16-397923af.pth", "dists_weights.pt")
+"""What torch keeps in ``checkpoints/`` of its hub folder once ``piq.DISTS()`` has been made on line."""
+_DRAWS = 3
+
+
+@dataclass(frozen=True)
+class Perceptual:
+    """How far the output is from fresh draws for a network that was trained to judge as people do.
+
+    DISTS, which is made to bear that texture is resampled (Ding, Ma, Wang, Simoncelli, IEEE Transactions on Pattern
+    Analysis 44, 2022), by the package piq: the mean distance between output and three fresh draws of its size, over
+    that between the draws.
+
+    Needs ``pip install 'nrbench[perceptual]'`` and the network's weights, which are never fetched while scoring: call
+    ``piq.DISTS()`` once on line. Without them the column is empty.
+    """
+
+    version: ClassVar[str] = "1"
+    columns: ClassVar[Mapping[str, Column]] = {
+        "dists": Column(
+            "DISTS distance between output and fresh draws, over that between fresh draws.",
+            "",
+            (0.0, math.inf),
+            "lower",
+        )
+    }
+
+    def score(self, observation: Observation) -> Score:
+        """Return the distance, or None and why: packages or weights are not there, or nothing to compare with."""
+        reason = _missing()
+        draws = [] if reason else fresh_images(observation, _DRAWS)
+        if not reason and len(draws) < _DRAWS:
+            reason = "not applicable: there are no fresh draws of the output's size"
+        if reason:
+            return no_score(self.columns, reason)
+        network = piq.DISTS()
+        own = float(np.mean([_distance(network, observation.output, draw) for draw in draws]))
+        pairs = [(one, other) for k, one in enumerate(draws) for other in draws[:k]]
+        usual = float(np.mean([_distance(network, one, other) for one, other in pairs]))
+        if not usual > 0:
+            return no_score(self.columns, "not applicable: fresh draws do not differ")
+        return Score({"dists": own / usual})
+
+
+def _missing() -> str:
+    """Return what is not there; empty where all is."""
+    if find_spec("piq") is None:
+        return "piq is not installed: pip install 'nrbench[perceptual]'"
+    folder = Path(torch.hub.get_dir()) / "checkpoints"
+    absent = [name for name in WEIGHTS if not (folder / name).is_file()]
+    return f"weights {', '.join(absent)} are not in {folder}: make piq.DISTS() once on line" if absent else ""
+
+
+def _distance(network: Any, one: Image, other: Image) -> float:
+    """Return the network's distance between two images of one shape, gray ones shown to it in three channels."""
+    with torch.no_grad():
+        return float(network(_tensor(one), _tensor(other)))
+
+
+def _tensor(image: Image) -> Any:
+    planes = np.broadcast_to(np.moveaxis(image, -1, 0), (3, *image.shape[:2]))
+    return torch.from_numpy(np.array(planes, np.float32))[None]

@@ -1,0 +1,140 @@
+"""Self-similarity: how regular a pattern is, without a lattice."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from nrbench.imaging.correlation import half_autocorrelation
+from nrbench.imaging.door import Image
+from nrbench.synthesis import Column, Observation, Score, Value
+
+REACH = 0.6
+"""Longest lag that is looked at, as a share of the smaller side."""
+_LEAST_LAG, _LEAST_REACH = 4, 12
+_DIRECTIONS = 180
+_FINE = 2
+"""Lags that are looked at for each px."""
+_LONGER, _SHORTER = 1.2, 0.8
+_FLAT = 1e-6
+
+
+@dataclass(frozen=True)
+class Regular:
+    """The most regular direction of an image.
+
+    Parameters
+    ----------
+    score
+        Regularity, in [0, 1].
+    period
+        Length, px, of the step that repeats; 0 where none does.
+    direction
+        Its angle in degrees, from x towards y, in [-90, 90).
+    """
+
+    score: float
+    period: float
+    direction: float
+
+
+@dataclass(frozen=True)
+class SelfSimilarity:
+    """Regularity of sample and output in the manner of Chetverikov, from the autocorrelation alone.
+
+    D. Chetverikov: Pattern regularity as a visual key, Image and Vision Computing 18 (2000) 975-985. With rho the
+    normalized autocorrelation (all channels together, each lag over its overlap), the *contrast function* of a
+    direction is F(d) = 1 - rho(d cos a, d sin a), here for 180 directions and 4 <= d <= D px in steps of 1/2, D being
+    0.6 of the smallest side of sample and output. For every minimum d1 and every minimum d2 within 20 % of 2 d1::
+
+        R_int = 1 - (F(d1) + F(d2)) / (2 F_max)     F_max: the lower of the highest F before d1, and between d1 and d2
+        R_pos = 1 - |d2 - 2 d1| / d2
+        R(a)  = max over d1, d2 of (R_int R_pos)^2
+        score = max over a of R(a)
+
+    R_int, R_pos, their squared product and the maximum over directions are the paper's. It takes the two lowest minima
+    for d1 and d2, which need not be neighbors where more than two periods are in reach, and the lowest one for R_int:
+    here both must be low, and d2 must lie near 2 d1.
+
+    1: perfectly regular along some direction; 0: nothing repeats. Brightness, contrast, rotation and the period do not
+    count, as long as two periods fit into D. It sees no single fault, and stripes are regular.
+    """
+
+    version: ClassVar[str] = "1"
+    columns: ClassVar[Mapping[str, Column]] = {
+        "score": Column("Regularity of the output along its most regular direction, without a lattice."),
+        "sample_score": Column("Regularity of the sample along its most regular direction, without a lattice."),
+        "difference": Column("Regularity of the output less that of the sample.", "", (-1.0, 1.0)),
+        "period": Column("Length of the step that repeats in the output.", "px", (0.0, math.inf)),
+        "sample_period": Column("Length of the step that repeats in the sample.", "px", (0.0, math.inf)),
+    }
+
+    def score(self, observation: Observation) -> Score:
+        """Return the scores of sample and output, over the same lags."""
+        images = {"": observation.output, "sample_": observation.sample}
+        reach = int(REACH * min(min(image.shape[:2]) for image in images.values()))
+        values: dict[str, Value] = dict.fromkeys(self.columns)
+        reasons: dict[str, str] = {}
+        for start, image in images.items():
+            why = _obstacle(image, reach)
+            found = None if why else regularity(image, reach)
+            values[f"{start}score"] = found.score if found else None
+            values[f"{start}period"] = found.period if found and found.period else None
+            reasons |= dict.fromkeys((f"{start}score", f"{start}period"), why or "not applicable: nothing repeats")
+        if isinstance(one := values["score"], float) and isinstance(other := values["sample_score"], float):
+            values["difference"] = one - other
+        reasons["difference"] = "not measured: either image has no score"
+        return Score(values, {name: reasons[name] for name, value in values.items() if value is None})
+
+
+def _obstacle(image: Image, reach: int) -> str:
+    if reach < _LEAST_REACH:
+        return f"not measured: lags of only {reach} px fit into the images, at least {_LEAST_REACH} are needed"
+    return "" if image.var((0, 1)).sum() > _FLAT else "not applicable: the image is flat"
+
+
+def regularity(image: Image, reach: int) -> Regular:
+    """Return the most regular direction of an image, lags of up to ``reach`` px considered."""
+    contrast = contrast_functions(image, reach)
+    low = np.zeros(contrast.shape, np.bool_)
+    low[:, 1:-1] = (contrast[:, 1:-1] <= contrast[:, :-2]) & (contrast[:, 1:-1] < contrast[:, 2:])
+    best = Regular(0.0, 0.0, 0.0)
+    for lag in range(_FINE * _LEAST_LAG, _FINE * reach // 2 + 1):
+        rows = np.flatnonzero(low[:, lag])
+        found = _best_pair(contrast[rows], low[rows], lag)
+        if len(rows) and found.max() > best.score:
+            row = rows[int(found.argmax())]
+            best = Regular(float(found.max()), lag / _FINE, 180.0 * row / _DIRECTIONS - 90.0)
+    return best
+
+
+def contrast_functions(image: Image, reach: int) -> NDArray[np.float64]:
+    """Return 1 - rho by direction, -90 to 90 degrees, and lag, half px from 0 on: ``(180, 2 reach + 1)``."""
+    half = half_autocorrelation(image)
+    middle, edge = image.shape[0] - 1, min(reach + 3, image.shape[0] - 1)
+    near = half[middle - edge : middle + edge + 1, : reach + 4].astype(np.float64)
+    near = np.concatenate([near[::-1, 3:0:-1], near], 1)
+    angle = np.pi * np.arange(_DIRECTIONS)[:, np.newaxis] / _DIRECTIONS - np.pi / 2
+    lag = np.arange(_FINE * reach + 1) / _FINE
+    at = [edge + lag * np.sin(angle), 3 + lag * np.cos(angle)]
+    return np.asarray(1 - np.clip(ndimage.map_coordinates(near, at, order=3, mode="nearest"), -1, 1))
+
+
+def _best_pair(contrast: NDArray[np.float64], low: NDArray[np.bool_], lag: int) -> NDArray[np.float64]:
+    """Return for each direction the largest (R_int R_pos)^2 of a minimum at ``lag`` and one near twice as far."""
+    first, last = math.ceil(2 * _SHORTER * lag), min(math.floor(2 * _LONGER * lag), contrast.shape[1] - 2)
+    if first > last or not len(contrast):
+        return np.zeros(len(contrast))
+    second = np.arange(first, last + 1)
+    before = contrast[:, :lag].max(1, keepdims=True)
+    between = np.maximum.accumulate(contrast[:, lag:], 1)[:, second - lag]
+    barrier = np.maximum(np.minimum(before, between), _FLAT)
+    depth = 1 - (contrast[:, [lag]] + contrast[:, second]) / (2 * barrier)
+    place = 1 - np.abs(second - 2 * lag) / second
+    return np.asarray((np.where(low[:, second], np.clip(depth, 0, 1) * place, 0) ** 2).max(1))

@@ -1,0 +1,57 @@
+"""Outputs whose pixels show points between the sample's pixels, interpolated by splines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from nrbench.imaging.door import Image
+from nrbench.lattice.geometry import Points
+from nrbench.synthesis import Task
+
+BAND = 1 << 18
+"""Pixels mapped at a time."""
+SPLINE: Final = 5
+"""Order of the interpolating B-spline: no visible blur."""
+
+
+def resampled(task: Task, points: Callable[[Points], Points]) -> tuple[Image, NDArray[np.float32]]:
+    """Return the output whose pixels show given points of the sample, and its source map.
+
+    Parameters
+    ----------
+    task
+        The sample, and the output's shape.
+    points
+        From pixels (x, y) of the output, ``(h, W, 2)``, to the points (x, y) of the sample that they show.
+
+    Returns
+    -------
+    image, source
+        ``(H, W, C)`` in [0, 1]; ``(H, W, 3)``: the nearest pixel (x, y) of the sample and its bilinear weight, which is
+        1 where a pixel was copied.
+    """
+    height, width = task.shape
+    spline = [ndimage.spline_filter(plane, SPLINE, mode="mirror") for plane in np.moveaxis(task.sample, 2, 0)]
+    image = np.empty((height, width, task.sample.shape[2]), np.float32)
+    source = np.empty((height, width, 3), np.float32)
+    rows = max(1, BAND // width)
+    for top in range(0, height, rows):
+        at = points(_pixels(top, min(top + rows, height), width))
+        for channel, coefficients in enumerate(spline):
+            image[top : top + rows, :, channel] = ndimage.map_coordinates(
+                coefficients, np.moveaxis(at, -1, 0)[::-1], order=SPLINE, mode="mirror", prefilter=False
+            )
+        nearest = np.clip(np.rint(at), 0, np.array(task.sample.shape[1::-1]) - 1)
+        source[top : top + rows, :, :2] = nearest
+        source[top : top + rows, :, 2] = (1 - np.abs(at - nearest)).prod(-1)
+        task.progress(min(1.0, (top + rows) / height))
+    return np.clip(image, 0, 1), source
+
+
+def _pixels(top: int, bottom: int, width: int) -> Points:
+    return np.stack(np.meshgrid(np.arange(width), np.arange(top, bottom)), -1).astype(np.float64)

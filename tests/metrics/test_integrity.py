@@ -1,0 +1,129 @@
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+from nrbench.datasets_procedural.brick import Brick
+from nrbench.imaging.door import quantize
+from nrbench.lattice.geometry import Lattice
+from nrbench.metrics.integrity import Integrity
+from nrbench.metrics.joined import Joint, joined
+from nrbench.synthesis import Observation, Score, Task
+from nrbench.synthesizers.rsgf import Rsgf
+from nrbench.texture import Texture
+
+from .conftest import MODELS, Case
+
+Cases = Callable[[str], Case]
+
+
+def integrity(observation: Observation) -> Score:
+    """Score, and check that every None has its reason."""
+    score = Integrity().score(observation)
+    assert set(score.values) == set(Integrity.columns)
+    assert all(score.reasons.get(column) for column, value in score.values.items() if value is None)
+    return score
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_fresh_draw_is_whole(case: Cases, name: str) -> None:
+    """Fresh draws hold no broken tile, and their evidence is that of fresh draws."""
+    values = [integrity(case(name).seen(case(name).fresh(k=k))).values for k in range(3)]
+    assert [one["broken_tiles"] for one in values] == [0, 0, 0]
+    assert np.mean([one["evidence_p90"] for one in values]) == pytest.approx(1, abs=0.3)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_share_of_broken_tiles_grows_with_that_of_two_tone_ones(case: Cases, name: str) -> None:
+    """Over single images the rank correlation is 0.95 or more."""
+    pairs = [(size, seed) for seed, size in enumerate((0.05, 0.2, 0.4, 0.7, 1.0))]
+    images = [case(name).planted("two-tone", size, seed)[0] for size, seed in pairs]
+    shares = [integrity(case(name).seen(image)).values["broken_share"] for image in images]
+    assert spearmanr([size for size, _ in pairs], shares).statistic >= 0.95
+
+
+def test_one_two_tone_brick_is_found_in_its_place(case: Cases) -> None:
+    """A brick whose half has another one's color is the only broken tile."""
+    texture, image = case("brick").texture, np.array(case("brick").fresh())
+    assert texture.lattice is not None
+    place = min(texture.lattice.points((192, 192)), key=lambda point: float(np.hypot(*(point - 96))))
+    y, x = np.indices((192, 192))
+    along, across = np.array(texture.lattice.t1) / np.hypot(*texture.lattice.t1), np.stack([x, y], -1) - place
+    off = np.abs(across @ np.array([-along[1], along[0]]))
+    half = (across @ along > 0) & (across @ along < 12) & (off < 4.5)
+    image[half] = image[half][:, [2, 1, 0]]
+    score = integrity(case("brick").seen(quantize(image)))
+    assert score.values["broken_tiles"] == 1
+    assert np.hypot(*(np.array(score.records["places"][0]) - place)) < texture.lattice.s
+
+
+@pytest.mark.parametrize("model", [True, False])
+def test_a_method_that_cuts_bricks_breaks_them(case: Cases, model: bool) -> None:
+    """Patches smaller than a brick, blended, break a good part of them, with or without the model."""
+    texture = case("brick").texture
+    task = Task(texture.image, (192, 192), texture.lattice, np.random.default_rng(0))
+    made = quantize(Rsgf(block=20, border=5).synthesize(task).image)
+    score = integrity(case("brick").seen(made, model))
+    assert score.values["broken_share"] > 0.2
+    assert score.pictures["broken"].shape == (192, 192, 3)
+    assert score.pictures["worst"].ndim == 3
+
+
+@pytest.mark.parametrize(("kind", "size"), [("color-mean", 0.2), ("over-regular", 0.5), ("verbatim", 0.0)])
+def test_other_defects_break_no_tile(case: Cases, kind: str, size: float) -> None:
+    """Where all tiles change alike, or are alike, none is joined of two."""
+    image, _ = case("hexagon").planted(kind, size)
+    assert integrity(case("hexagon").seen(image)).values["broken_tiles"] == 0
+
+
+def test_origin_and_basis_of_the_truth_do_not_matter(case: Cases) -> None:
+    """Another basis leaves every score; another origin hardly moves them."""
+    seen = case("brick").seen(case("brick").planted("two-tone", 0.3)[0])
+    assert seen.truth is not None and seen.truth.lattice is not None
+    t1, t2, origin = (
+        np.array(part) for part in (seen.truth.lattice.t1, seen.truth.lattice.t2, seen.truth.lattice.origin)
+    )
+    own = integrity(seen).values
+    sheared = Lattice(tuple(t1 + t2), tuple(t1 + 2 * t2), tuple(origin))
+    assert integrity(replace(seen, truth=replace(seen.truth, lattice=sheared))).values == pytest.approx(own, abs=1e-6)
+    moved = Lattice(tuple(t1), tuple(t2), tuple(origin + 0.37 * t1 + 0.21 * t2))
+    again = integrity(replace(seen, truth=replace(seen.truth, lattice=moved))).values
+    assert again["broken_share"] == pytest.approx(own["broken_share"], abs=0.06)
+
+
+def test_a_phase_of_its_own_does_not_matter(case: Cases) -> None:
+    """Cutting the output elsewhere leaves the share but for the tiles at its border."""
+    wide = case("brick").planted("two-tone", 0.4, side=230)[0]
+    values = [integrity(case("brick").seen(wide[y : y + 200, x : x + 200])).values for x, y in ((0, 0), (9, 5))]
+    assert values[0]["broken_share"] == pytest.approx(values[1]["broken_share"], abs=0.08)
+
+
+def test_what_would_not_be_seen_is_not_said() -> None:
+    """Where bricks have no tone of their own a joined one is no different, and the score is left open."""
+    model = Brick(color=0.0, intensity=0.0, noise=0.1)
+    plain = Case(model, model.render((128, 128), np.random.default_rng(0)))
+    score = integrity(plain.seen(plain.fresh()))
+    assert score.values["broken_share"] is None
+    assert score.values["power"] is not None and score.values["power"] < 0.1
+    assert score.reasons["broken_share"].startswith("undecided: only")
+
+
+def test_no_lattice_and_no_room_say_so(case: Cases) -> None:
+    """Without a lattice: not applicable; with a few tiles: undecided."""
+    seen = case("brick").seen(case("brick").fresh())
+    bare = integrity(replace(seen, truth=Texture(seen.sample)))
+    assert set(bare.reasons.values()) == {"not applicable: no lattice in the truth"}
+    small = integrity(case("brick").seen(case("brick").fresh()[:60, :60]))
+    assert all(reason.startswith("undecided") for reason in small.reasons.values())
+
+
+def test_the_joint_tells_joined_from_whole() -> None:
+    """Of tiles of one tone each, the directions are those of a step, and whole tiles show no evidence."""
+    rng = np.random.default_rng(0)
+    one, other = (np.repeat(rng.normal(size=(200, 1)), 49, 1) + 0.1 * rng.normal(size=(200, 49)) for _ in range(2))
+    joint = Joint.fit(one, other, np.full(49, 1e-4))
+    whole, broken = joint.evidence(other), joint.evidence(joined(other, 49))
+    assert np.median(broken) > 5 * np.quantile(whole, 0.95)
+    assert (joint.joined > 2 * joint.whole).all()

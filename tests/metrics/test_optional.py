@@ -1,0 +1,94 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nrbench.metrics import perceptual, portilla
+from nrbench.metrics.perceptual import Perceptual
+from nrbench.metrics.portilla import Portilla, departure, usual_departure
+
+from .conftest import Case
+
+Cases = Callable[[str], Case]
+
+
+def moments(plane: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Stand in for the package's statistics."""
+    return np.array([plane.mean(), plane.std(), np.abs(np.diff(plane)).mean()], np.float64)
+
+
+@pytest.fixture
+def present(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the packages seem to be there."""
+    monkeypatch.setattr(portilla, "find_spec", lambda name: object())
+    monkeypatch.setattr(portilla, "statistics", moments)
+    monkeypatch.setattr(perceptual, "find_spec", lambda name: object())
+
+
+@pytest.mark.parametrize(
+    ("module", "metric", "column"), [(portilla, Portilla, "distance"), (perceptual, Perceptual, "dists")]
+)
+def test_absent_packages_say_so(
+    case: Cases,
+    monkeypatch: pytest.MonkeyPatch,
+    module: object,
+    metric: type[Portilla] | type[Perceptual],
+    column: str,
+) -> None:
+    """Without the package the column is None, and the reason names what to install."""
+    monkeypatch.setattr(module, "find_spec", lambda name: None)
+    score = metric().score(case("brick").seen(case("brick").fresh()))
+    assert score.values == {column: None}
+    assert "pip install 'nrbench[perceptual]'" in score.reasons[column]
+
+
+def test_statistics_are_held_against_fresh_draws(case: Cases, present: None) -> None:
+    """A fresh draw departs about as draws do, a blurred one more."""
+    found = [
+        Portilla().score(case("brick").seen(image)).values["distance"]
+        for image in (case("brick").fresh(), case("brick").planted("blurred-band", 0.3)[0])
+    ]
+    assert found[0] is not None and found[1] is not None
+    assert found[0] < 2.5 < found[1]
+
+
+def test_no_draws_and_no_room_say_so(case: Cases, present: None) -> None:
+    """Photographs and small outputs have no statistics to compare."""
+    photograph = Portilla().score(case("brick").seen(case("brick").fresh(), model=False))
+    assert photograph.reasons["distance"].startswith("not applicable")
+    small = Portilla().score(case("brick").seen(case("brick").fresh()[:100]))
+    assert small.reasons["distance"].startswith("undecided")
+    seen = case("brick").seen(case("brick").fresh())
+    ended = Portilla().score(replace(seen, again=lambda shape, k: None))
+    assert ended.reasons["distance"].startswith("not applicable")
+
+
+def test_departures_are_z_scores() -> None:
+    """Statistics two standard deviations off read about 2, and draws about 1 against each other."""
+    draws = np.random.default_rng(0).normal(5, 1, (40, 300))
+    assert departure(draws.mean(0) + 2 * draws.std(0, ddof=1), draws) == pytest.approx(2, rel=0.03)
+    assert usual_departure(draws) == pytest.approx(1, abs=0.1)
+
+
+def test_absent_weights_say_so(case: Cases, present: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """With the package but without its weights nothing is fetched, and the reason names the files."""
+    monkeypatch.setattr(perceptual, "torch", SimpleNamespace(hub=SimpleNamespace(get_dir=lambda: str(tmp_path))))
+    score = Perceptual().score(case("brick").seen(case("brick").fresh()))
+    assert score.values == {"dists": None}
+    assert "dists_weights.pt" in score.reasons["dists"] and str(tmp_path) in score.reasons["dists"]
+
+
+def test_the_network_compares_output_and_draws(case: Cases, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The distance to fresh draws is over that between them: 1 for a fresh draw, more for a blurred one."""
+    monkeypatch.setattr(perceptual, "_missing", lambda: "")
+    monkeypatch.setattr(perceptual, "piq", SimpleNamespace(DISTS=lambda: None))
+    contrast = lambda network, one, other: abs(float(np.abs(np.diff(one, axis=0)).mean()) - 0.2) + 0.01  # noqa: E731
+    monkeypatch.setattr(perceptual, "_distance", contrast)
+    fresh, blurred = case("brick").fresh(), case("brick").planted("blurred-band", 0.5)[0]
+    own, worse = (Perceptual().score(case("brick").seen(image)).values["dists"] for image in (fresh, blurred))
+    assert own == pytest.approx(1, abs=0.05)
+    assert worse is not None and worse > 1.03

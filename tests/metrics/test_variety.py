@@ -1,0 +1,137 @@
+"""Tile sets, and the scores that are made of them, on tiles of known departures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nrbench.imaging.fold import Values
+from nrbench.lattice.geometry import Lattice
+from nrbench.metrics.distance import distance
+from nrbench.metrics.repetition import SIZES, Twins, pair_distances, twins
+from nrbench.metrics.tileset import TileSet, even_grid, quarters
+
+SQUARE = Lattice((16, 0), (0, 16))
+FLAT = np.ones((16, 16), np.float32)
+
+
+def tiles(rows: int, columns: int, seed: int = 0, strength: float = 0.1) -> TileSet:
+    """Return tiles of random colors with a little grain, in rows and columns."""
+    rng = np.random.default_rng(seed)
+    numbers = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2)
+    values = strength * rng.standard_normal((len(numbers), 1, 1, 3)) + 0.02 * rng.standard_normal(
+        (len(numbers), 16, 16, 3)
+    )
+    return with_tiles(TileSet(numbers, numbers * 16.0 + 8, FLAT[np.newaxis], SQUARE), (0.5 + values).astype(np.float32))
+
+
+def with_tiles(places: TileSet, values: Values) -> TileSet:
+    """Return other tiles in the same places."""
+    return TileSet(places.numbers, places.centers, values, places.lattice)
+
+
+def repeated(period: int, seed: int = 0) -> TileSet:
+    """Return 12 x 12 tiles, of which those ``period`` apart along rows and columns are equal."""
+    places, few = tiles(12, 12, seed), tiles(period, period, seed + 1)
+    number = places.numbers % period
+    return with_tiles(places, few.tiles[number[:, 1] * period + number[:, 0]])
+
+
+def test_tiles_are_cut_where_the_lattice_says() -> None:
+    """A picture that is its own coordinates gives tiles whose middles are the lattice's points."""
+    y, x = np.indices((70, 90))
+    found = TileSet.on(np.stack([x, y], -1).astype(np.float32), Lattice((15.5, 2), (-1, 12.3), (3, 4)), (12, 16))
+    assert len(found) > 15
+    np.testing.assert_allclose(found.tiles.mean((1, 2)), found.centers, atol=0.02)
+
+
+def test_departures_keep_the_energy_that_the_mean_takes() -> None:
+    """Over many small sets the mean square of departures is that of the distribution."""
+    energy = [
+        float((with_tiles(tiles(1, 3), noise).departures ** 2).mean())
+        for noise in np.random.default_rng(0).standard_normal((300, 3, 16, 16, 3)).astype(np.float32)
+    ]
+    assert np.mean(energy) == pytest.approx(1, abs=0.01)
+
+
+def test_blocks_cover_the_picture_at_the_extent_asked() -> None:
+    """Every tile lies in a block, none is broader than the extent, and one block does where the extents are equal."""
+    found = tiles(9, 12)
+    blocks = list(found.blocks((144, 192), (80, 100)))
+    assert len(blocks) == 4
+    assert {tuple(number) for block in blocks for number in block.numbers} == {tuple(n) for n in found.numbers}
+    assert all((np.ptp(block.centers, 0) <= (99, 79)).all() for block in blocks)
+    assert [len(block) for block in found.blocks((144, 192), (144, 192))] == [len(found)]
+
+
+def test_quarters_lie_as_their_order_says() -> None:
+    """Left before right, upper before lower; the grid is even, so all four are alike."""
+    y, x = np.indices((16, 16))
+    parts = quarters(np.stack([x, y], -1)[np.newaxis].astype(np.float32))
+    np.testing.assert_allclose(parts.mean((1, 2, 3)), [[3.5, 3.5], [11.5, 3.5], [3.5, 11.5], [11.5, 11.5]])
+    assert all(side % 2 == 0 for side in even_grid(Lattice((15, 0), (0, 16.2))))
+
+
+def test_pair_distances_are_mean_squared_differences() -> None:
+    """At each size they equal those summed directly, weights included."""
+    found, weights = tiles(2, 4), np.linspace(1, 2, 256).reshape(16, 16).astype(np.float32)
+    halves, whole, wide = pair_distances(found, weights)
+    i, j = np.triu_indices(8, 1)
+    squares = ((found.tiles[i] - found.tiles[j]) ** 2).mean(-1)
+    np.testing.assert_allclose(whole, (squares * weights).sum((1, 2)) / weights.sum(), rtol=1e-3, atol=1e-6)
+    corner = weights[:8, :8]
+    np.testing.assert_allclose(halves[: len(i)], (squares[:, :8, :8] * corner).sum((1, 2)) / corner.sum(), rtol=1e-3)
+    assert len(wide) == 1
+    first, last = found.tiles[[0, 1, 4, 5]], found.tiles[[2, 3, 6, 7]]
+    expected = (((first - last) ** 2).mean(-1) * weights).sum((1, 2)).mean() / weights.sum()
+    assert wide[0] == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("period", [3, 4, 6])
+def test_a_supercell_repeats_at_every_size(period: int) -> None:
+    """A period of p x p of N tiles makes N / p^2 - 1 of each tile's N - 1 pairs twins, at any width of windows."""
+    fresh = tuple(tiles(12, 12, seed) for seed in (10, 11))
+    found = twins(repeated(period), fresh, FLAT, [float(period**2)] * 3, 1.0)
+    assert [one.size for one in found] == list(SIZES)
+    expected = period**2 * (144 / period**2 - 1) / 143
+    assert [one.score for one in found[:2]] == pytest.approx([expected] * 2, rel=0.15)
+    assert 0.7 * expected < found[2].score < 1.8 * expected
+
+
+def test_weaker_departures_are_no_copies() -> None:
+    """Tiles of half the energy are as little twins as those of all; tiles that hardly differ at all are."""
+    fresh = tuple(tiles(12, 12, seed) for seed in (10, 11))
+    weak = tiles(12, 12, 5)
+    half, nothing = (
+        with_tiles(weak, (0.5 + share * (weak.tiles - 0.5)).astype(np.float32)) for share in (0.5**0.5, 0.05)
+    )
+    assert all(abs(one.score) < 0.1 for one in twins(half, fresh, FLAT, [20.0] * 3, 0.5))
+    assert all(one.score > 15 for one in twins(nothing, fresh, FLAT, [20.0] * 3, 0.0025))
+
+
+def test_the_copier_reads_one() -> None:
+    """One pair in M a twin besides chance is 1, chance alone 0, all pairs M."""
+    assert Twins(1.0, 0.02 + 0.98 / 50, 0.02, 50.0).score == pytest.approx(1)
+    assert Twins(1.0, 0.02, 0.02, 50.0).score == 0
+    assert Twins(1.0, 1.0, 0.02, 50.0).score == pytest.approx(50)
+
+
+def test_the_energy_distance_of_one_distribution_is_nothing() -> None:
+    """A further draw lies within the level of fresh draws; half the strength, or as strong grain, far beyond it."""
+    fresh = tuple(tiles(9, 9, seed) for seed in range(10, 16))
+    right = [distance(tiles(9, 9, seed), fresh, FLAT) for seed in range(6)]
+    spread = np.std([far - level for far, level in right])
+    assert abs(np.mean([far - level for far, level in right])) < 3 * spread
+    weak, level = distance(tiles(9, 9, 0, 0.05), fresh, FLAT)
+    assert weak - level > 5 * spread
+    rng = np.random.default_rng(0)
+    grain = with_tiles(fresh[0], (0.1 * rng.standard_normal((81, 16, 16, 3))).astype(np.float32))
+    assert (grain.departures**2).mean() == pytest.approx((fresh[0].departures ** 2).mean(), rel=0.2)
+    assert distance(grain, fresh, FLAT)[0] - level > 20 * spread
+
+
+def test_the_order_of_tiles_does_not_matter() -> None:
+    """Distances of sets are the same in another order."""
+    fresh, own = tuple(tiles(9, 9, seed) for seed in (10, 11)), tiles(9, 9, 1)
+    mixed = own.some(np.random.default_rng(0).permutation(len(own)))
+    assert distance(mixed, fresh, FLAT) == pytest.approx(distance(own, fresh, FLAT), abs=1e-6)

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from nrbench.records import Run
+from nrbench.reports.markdown import MarkdownTables, escaped
+
+Make = Callable[..., Any]
+
+
+def _rows(text: str) -> list[list[str]]:
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    return [[part.strip() for part in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
+
+
+def test_nothing_in_a_name_is_markup() -> None:
+    """Links, pictures, emphasis, code, HTML, mentions and addresses read as they are."""
+    assert escaped("[a](b) ![c](d) *e* _f_ `g` <h> i|j @k") == (r"\[a\](b) !\[c\](d) \*e\* \_f\_ \`g\` \<h\> i\|j \@k")
+    assert escaped("http://x www.y") == r"http\://x www\.y"
+    assert escaped("a\nb\x1b[1m") == "a b"
+
+
+def test_tables_are_even(every_ending: Run) -> None:
+    """Every line of a table has as many places as its head, hostile names included."""
+    rows = _rows(MarkdownTables().render(every_ending))
+    second = next(i for i, row in enumerate(rows) if row[0] == "texture")
+    for table in (rows[:second], rows[second:]):
+        assert len(table) > 3
+        assert {len(row) for row in table} == {len(table[0])}
+
+
+def test_places_and_references(every_ending: Run) -> None:
+    """Verdict and score stand in each place, the lattice source beside the method, references are marked."""
+    text = MarkdownTables().render(every_ending)
+    rows = _rows(text)
+    head = next(row for row in rows if row[0] == "texture")
+    brick = next(row for row in rows if row[0] == "brick")
+    assert brick[head.index("rsgf (own)")] == "✗ 0.20"
+    assert brick[head.index("rsgf (given)")].startswith("✓ 0.90 <sup>")
+    assert "*oracle* †" in head
+    assert "a note of its own" in text and "unit: none; range: 0 to 1; better: higher" in text
+
+
+def test_no_hostile_markup_survives(every_ending: Run) -> None:
+    """No tag but our own footnote marks is left in the text."""
+    text = MarkdownTables().render(every_ending)
+    assert set(re.findall(r"(?<!\\)<(\w+)", text)) == {"sup"}
+
+
+def test_an_empty_run_says_so(make_run: Make, tmp_path: Path) -> None:
+    """Without cells the file says so; the same run gives the same bytes."""
+    (path,) = MarkdownTables().write(make_run([]), tmp_path)
+    assert "There are no cells." in path.read_text("utf-8")

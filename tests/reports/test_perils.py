@@ -1,0 +1,169 @@
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nrbench.errors import BadInput
+from nrbench.records import CellRecord, Run
+from nrbench.reports.captions import overlap, placed
+from nrbench.reports.comparison import comparison
+from nrbench.reports.kept import KEPT, kept
+from nrbench.reports.perils import Place, caption, perils_table, places, wrapped
+from nrbench.reports.plane import PerilsPlane, drawn
+from nrbench.reports.statistics import Estimate
+from nrbench.reports.summary import Head
+
+Make = Callable[..., Any]
+
+
+@pytest.mark.parametrize(
+    ("variation", "repetition", "expected"),
+    [(1, 0, 1), (0.5, 0, 0.5), (2, 0, 0.5), (1, 1, 0.5), (1, 3, 0.25), (0, 0, 0), (1, -0.2, 1), (0.8, 1, 0.5)],
+)
+def test_kept_is_the_worse_of_two_departures(variation: float, repetition: float, expected: float) -> None:
+    """Half and twice the variation count alike, repetition counts on one side only, and the worse of both stands."""
+    assert kept(variation, repetition) == pytest.approx(expected)
+
+
+@given(st.floats(0, 1e9), st.floats(-1e9, 1e9))
+def test_kept_lies_between_zero_and_one(variation: float, repetition: float) -> None:
+    """Whatever the scores, what is kept is in [0, 1], and no more repetition ever helps."""
+    value, worse = float(kept(variation, repetition)), float(kept(variation, abs(repetition) + 1))
+    assert 0 <= worse <= value <= 1
+
+
+def test_kept_of_an_unknown_score_is_unknown() -> None:
+    """One unknown score makes the worse of both unknown."""
+    assert np.isnan(kept([np.nan, 0.1, np.nan], [0.0, np.nan, np.nan])).all()
+
+
+def _cell(
+    make_cell: Make, texture: str, method: str, score: float, v: float | None, r: float | None, **more: Any
+) -> Any:
+    values = {"randomness.variation": v, "randomness.repetition": r}
+    return make_cell(texture, method, "own", score=score, preserved=score > 0.5, values=values, **more)
+
+
+@pytest.fixture
+def cornered(make_cell: Make, make_run: Make) -> Run:
+    """Return a run with a method in the middle, one that loses some lattices, one that loses all, and two corners."""
+    cells: list[CellRecord] = []
+    for i, texture in enumerate("abc"):
+        cells += [
+            _cell(make_cell, texture, "copier", 1.0 - 0.01 * i, 0.9, 1.0 + 0.1 * i),
+            _cell(make_cell, texture, "shaky", 0.95 if i else 0.1, 0.8 if i else None, 0.5 if i else None),
+            _cell(make_cell, texture, "drifter", 0.1 + 0.1 * i, None, None),
+            _cell(make_cell, texture, "oracle", 1.0, 1.0 + 0.01 * i, 0.0, reference=True),
+            _cell(make_cell, texture, "tiling", 1.0, 0.02, 30.0, reference=True),
+        ]
+    run: Run = make_run(cells)
+    return run
+
+
+def _place(run: Run, method: str) -> Place:
+    return next(place for place in places(comparison(run).summaries) if place.head.method == method)
+
+
+def test_places_are_means_over_textures(cornered: Run) -> None:
+    """A point is the mean of both axes over textures, each with an interval that holds it."""
+    place = _place(cornered, "copier")
+    assert place.regularity.value == pytest.approx(0.99)
+    assert place.randomness.value == pytest.approx(np.mean([1 / 2, 1 / 2.1, 1 / 2.2]))
+    for one in (place.regularity, place.randomness):
+        assert one.low is not None and one.high is not None and one.value is not None
+        assert one.low <= one.value <= one.high
+
+
+def test_worse_is_taken_before_the_mean(make_cell: Make, make_run: Make) -> None:
+    """Too little variation on one texture and copies on another are two faults, not two halves that cancel."""
+    run = make_run([_cell(make_cell, "a", "m", 1.0, 0.5, 0.0), _cell(make_cell, "b", "m", 1.0, 1.0, 1.0)])
+    assert _place(run, "m").randomness.value == pytest.approx(0.5)
+
+
+def test_lost_regularity_has_no_height(cornered: Run) -> None:
+    """A method that loses every lattice has a place across but none upwards; one that loses some says on how many."""
+    lost, shaky = _place(cornered, "drifter"), _place(cornered, "shaky")
+    assert not lost.known and lost.regularity.n == 3 and "not scored" in lost.words
+    assert shaky.known and (shaky.randomness.n, shaky.regularity.n) == (2, 3)
+    assert caption([shaky]) == "shaky (own) [2 of 3]"
+
+
+def test_references_are_marked_and_not_ranked(cornered: Run) -> None:
+    """The corners are in the plane as references; no rank of what is kept exists."""
+    table = perils_table(places(comparison(cornered).summaries)).set_index("method")
+    assert table["reference"].to_dict() == {
+        "copier": False, "shaky": False, "drifter": False, "oracle": True, "tiling": True,
+    }  # fmt: skip
+    assert all(KEPT not in one.ranks for one in comparison(cornered).summaries)
+
+
+def test_pairs_are_compared_in_what_is_kept(cornered: Run) -> None:
+    """The paired differences hold one line of the randomness kept for two methods, over the textures both have."""
+    found = [one for one in comparison(cornered).differences if one.score == KEPT]
+    pair = next(one for one in found if (one.first.method, one.second.method) == ("copier", "shaky"))
+    assert pair.estimate.n == 2
+
+
+def test_files_are_vector_graphics_and_the_same_again(cornered: Run, tmp_path: Path) -> None:
+    """The plane is written as SVG and PDF, without a date, so that equal runs give equal bytes."""
+    first = [path.read_bytes() for path in PerilsPlane().write(cornered, tmp_path / "a")]
+    assert [content[:5] for content in first] == [b"<?xml", b"%PDF-"]
+    assert b"<image" not in first[0]
+    assert first == [path.read_bytes() for path in PerilsPlane().write(cornered, tmp_path / "b")]
+
+
+def test_the_plane_uses_no_color(cornered: Run) -> None:
+    """Every color of the picture is a gray: it can be printed in black and white."""
+    pixels = np.asarray(PIL.Image.open(io.BytesIO(drawn(places(comparison(cornered).summaries), "png"))).convert("RGB"))
+    assert (np.ptp(pixels.astype(int), axis=2) == 0).all()
+
+
+def test_no_scores_no_plane(make_run: Make, tmp_path: Path) -> None:
+    """A run without cells writes no picture."""
+    assert PerilsPlane().write(make_run([]), tmp_path) == []
+
+
+def test_width_is_checked() -> None:
+    """A width that no page has is refused with the range."""
+    with pytest.raises(BadInput, match="give 3 to 12 inches"):
+        PerilsPlane(width=40)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_captions_cover_nothing(seed: int) -> None:
+    """Fourteen captions of a crowd never cover each other, at most touch a point, and stay inside."""
+    rng = np.random.default_rng(seed)
+    anchors = np.array([280.0, 120.0]) + rng.uniform(-20, 20, (14, 2))
+    sizes = np.column_stack([rng.uniform(30, 90, 14), np.full(14, 10.0)])
+    points = np.concatenate([anchors - 3, anchors + 3], 1)
+    frame = np.array([0.0, 0.0, 320.0, 240.0])
+    boxes = placed(anchors, sizes, points, frame)
+    covered = overlap(boxes, boxes)
+    np.fill_diagonal(covered, 0)
+    assert covered.max() == 0
+    assert overlap(boxes, points).max() < 0.07
+    assert (boxes[:, :2] >= frame[:2] - 1e-6).all() and (boxes[:, 2:] <= frame[2:] + 1e-6).all()
+
+
+def test_captions_break_between_parameters() -> None:
+    """A long name is broken after a colon or comma, before sources, and never inside them."""
+    assert wrapped("lattice_only:block=12,overlap=4 (given, own)").splitlines() == [
+        "lattice_only:block=12,", "overlap=4 (given, own)",
+    ]  # fmt: skip
+
+
+def test_a_crowd_is_drawn_in_time() -> None:
+    """Twenty methods on one spot are drawn: captions far from their points still get room."""
+    one = Estimate(0.98, 0.97, 0.99, 9, 9)
+    crowd = [Place(Head(f"m{i}", "own", False, {}), one, Estimate(0.4 + i / 1e4, 0.3, 0.5, 9, 9)) for i in range(20)]
+    assert len(drawn(crowd, "svg")) > 10_000
+    assert math.isfinite(sum(place.randomness.value or 0 for place in crowd))
