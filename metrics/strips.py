@@ -88,7 +88,7 @@ def strip_suspicion(seen: Strips, references: list[Strips], tiles: Tiles, regula
     at = seen.at(tiles.lattice, tiles.centers)
     values = np.maximum(at, own.min())
     surprise = Tail.fit(own, _QUANTILE, _OVERLAP).surprise(values.ravel()).reshape(at.shape) - chances
-    sure = regular_share >= limits.SURE_SHARE
+    sure = regular_share >= limits.STRICT_SHARE
     limit = limits.STRIP_SURPRISE if sure else limits.FAINT_STRIP_SURPRISE
     ratio = np.minimum(surprise / limit, 1 + (at - limits.STRIP_GAIN) / limits.COURSE_GAIN)
     return np.asarray(np.maximum(ratio, 0).max(0))
