@@ -37,7 +37,7 @@ def main() -> None:
     """Draw one row a texture: sample with its lattice, then an output a method."""
     records = {(r.texture, r.method, r.lattice_source): r for r in Run(Path(sys.argv[1])).cells}
     widths = [0.62, *[1] * len(COLUMNS)]
-    figure, axes = plt.subplots(len(TEXTURES), 1 + len(COLUMNS), figsize=(10.4, 7.6), width_ratios=widths)
+    figure, axes = plt.subplots(len(TEXTURES), 1 + len(COLUMNS), figsize=(10.4, 8.3), width_ratios=widths)
     for row, texture in zip(axes, TEXTURES, strict=True):
         first = records[texture, *COLUMNS[0]]
         truth = Lattice.from_dict(first.lattice_truth or {})
@@ -54,7 +54,7 @@ def main() -> None:
         axis.set_title(TITLES.get(method, method))
     for axis in np.ravel(axes):
         axis.set(xticks=[], yticks=[])
-    figure.tight_layout()
+    figure.tight_layout(h_pad=1.6)
     figure.savefig(Path(__file__).with_name("first-light.jpg"), dpi=96, pil_kwargs={"quality": 85})
 
 
