@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import scipy.fft
 from scipy import ndimage
@@ -44,12 +46,28 @@ def edges(pair: Values) -> Values:
     return without_lighting(np.sqrt(np.hypot(pair[..., :1], pair[..., 1:])))
 
 
-def likeness(image: Image) -> Correlation:
-    """Return the mean of the autocorrelations of colors, slopes and edges: right half, ``(2H-1, W)``.
+class Likeness(NamedTuple):
+    """How like itself an image is at each lag: right halves of autocorrelations, ``(2H-1, W)`` each.
+
+    Parameters
+    ----------
+    pooled
+        The mean of those of colors, slopes and edges.
+    colors
+        That of the colors alone, the only linear one.
+    """
+
+    pooled: Correlation
+    colors: Correlation
+
+
+def likeness(image: Image) -> Likeness:
+    """Return how like itself an image is at each lag.
 
     Each has what the others lack: colors tell tiles that only differ in hue, slopes keep the joints of a wall whose
     bricks all differ in color, edges keep joints of either sign.
     """
     pair = slopes(image)
     kinds = (without_lighting(image), pair, edges(pair))
-    return np.asarray(np.mean([half_autocorrelation(kind) for kind in kinds], 0), np.float32)
+    surfaces = [half_autocorrelation(kind) for kind in kinds]
+    return Likeness(np.asarray(np.mean(surfaces, 0), np.float32), surfaces[0])

@@ -8,9 +8,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from nrbench.errors import BadInput
-from nrbench.imaging.correlation import half_autocorrelation
 from nrbench.imaging.door import Image
-from nrbench.lattice.channels import likeness, without_lighting
+from nrbench.lattice.channels import likeness
 from nrbench.lattice.confidence import confidence
 from nrbench.lattice.descent import Descent, Settled, highest_between
 from nrbench.lattice.detection import Detection, NoLatticeFound, Surface
@@ -124,9 +123,9 @@ class Consensus:
         """
         if np.ptp(image, (0, 1)).max() == 0:
             raise NoLatticeFound("the image is constant: it has no texture")
-        detail = middle(image, PRECISE)
-        evidence = Evidence(likeness(detail))
-        detection = self._detection(detail, evidence, self._seen(image, evidence))
+        seen = likeness(middle(image, PRECISE))
+        evidence = Evidence(seen.pooled)
+        detection = self._detection(evidence, Evidence(seen.colors), self._seen(image, evidence))
         if self.reject == "surrogate":
             detection = self._compared(image, detection)
         return detection if self.reject == "none" else self._checked(detection)
@@ -135,7 +134,7 @@ class Consensus:
         """Return the best lattices of all views, in the image's pixels; ``evidence`` is that of a small image."""
         if max(image.shape[:2]) <= SIDE:
             return self._best(evidence)
-        seen = [(one.factor, Evidence(likeness(one.image))) for one in views(image)]
+        seen = [(one.factor, Evidence(likeness(one.image).pooled)) for one in views(image)]
         return [
             settled.basis * factor
             for factor, there in seen
@@ -156,7 +155,7 @@ class Consensus:
     def _merit(self, evidence: Evidence, basis: Points) -> float:
         return float(evidence.foretold(basis) * evidence.tiles(basis) ** self.small)
 
-    def _detection(self, image: Image, evidence: Evidence, seen: list[Points]) -> Detection:
+    def _detection(self, evidence: Evidence, colors: Evidence, seen: list[Points]) -> Detection:
         """Return the lattice that stands with the highest merit at full detail, with what led to it."""
         standing = self._standing(evidence, seen)
         if not standing:
@@ -174,27 +173,26 @@ class Consensus:
         }
         lattice = Lattice((basis[0, 0], basis[0, 1]), (basis[1, 0], basis[1, 1])).reduced()
         detection = Detection(lattice, confidence(sigmas, settled.relief, tiles), diagnostics)
-        if self._striped(image, basis, settled.repeated):
+        if self._striped(colors, basis, settled.repeated):
             raise NoLatticeFound(
                 "the image repeats along one direction by any vector: stripes, not a lattice", detection
             )
         return detection
 
-    def _striped(self, image: Image, basis: Points, repeated: float) -> bool:
+    def _striped(self, colors: Evidence, basis: Points, repeated: float) -> bool:
         """Return whether the pixels themselves, without edges, that repeat as well, only lie on a ridge.
 
         Edges are no linear function of the pixels: those of fine stripes beat with the pixels' grid, a lattice.
         """
-        evidence = Evidence(half_autocorrelation(without_lighting(image)))
-        own = evidence.repeated(basis)
-        return own > repeated / 2 and own - highest_between(evidence, basis) < self.relief * own
+        own = colors.repeated(basis)
+        return own > repeated / 2 and own - highest_between(colors, basis) < self.relief * own
 
     def _compared(self, image: Image, detection: Detection) -> Detection:
         """Return what was detected, with what phase-randomized copies reach, unless it is no better."""
         vectors = detection.lattice.matrix
         factor = scale_for(vectors)
         part = view(image, factor, TESTED).image
-        evidence = Evidence(likeness(part))
+        evidence = Evidence(likeness(part).pooled)
         tested = max(self._contrast(evidence, evidence.fit(vectors / factor)), self._best_contrast(part))
         copies = copies_of(part, self._best_contrast, stream("detection", pixels_hash(image)), self.surrogates)
         limit = upper_limit(copies, self.false_alarms)
@@ -224,7 +222,7 @@ class Consensus:
 
     def _best_contrast(self, image: Image) -> float:
         """Return the highest contrast that an image's proposals have; 0 where there are none."""
-        evidence = Evidence(likeness(image))
+        evidence = Evidence(likeness(image).pooled)
         bases = proposals(evidence, self.peaks, COMPARED).bases
         return max((self._contrast(evidence, basis) for basis in bases), default=0.0)
 

@@ -13,6 +13,7 @@ from scipy import ndimage
 from nrbench.imaging.correlation import Correlation
 from nrbench.lattice.evidence_kernels import between, jets
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.strips import integers_within
 
 REACH = 0.75
 """Lags up to this share of the image's sides are compared: beyond, too little overlaps."""
@@ -69,11 +70,9 @@ class Evidence:
         """Return the integers (a, b), ``(n, 2)``, whose a t1 + b t2 lie within reach, one of each +- pair, not 0."""
         height, width = self.shape
         end = np.array([reach * (width - 1), reach * (height - 1)])
-        last = np.ceil(np.abs(end * np.array([[1, 1], [1, -1]]) @ np.linalg.inv(basis)).max(0)).astype(int)
-        a, b = np.meshgrid(np.arange(-last[0], last[0] + 1), np.arange(last[1] + 1), indexing="ij")
-        numbers = np.stack([a.ravel(), b.ravel()], 1)
-        numbers = numbers[(numbers[:, 1] > 0) | (numbers[:, 0] > 0)]
-        return numbers[(np.abs(numbers @ basis) <= end).all(1)]
+        numbers = integers_within(basis, -end, end)
+        half = (numbers[:, 1] > 0) | ((numbers[:, 1] == 0) & (numbers[:, 0] > 0))
+        return np.asarray(numbers[half])
 
     def overlaps(self, lags: Points) -> NDArray[np.float64]:
         """Return the area, px^2, in which the image and its copy shifted by each lag overlap."""
