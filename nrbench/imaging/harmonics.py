@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import checker
 from nrbench.imaging.analytic_signal import pursue_analytic
 from nrbench.imaging.dirichlet import Array
 from nrbench.imaging.harmonic_fit import Waves
@@ -192,6 +192,4 @@ def _joined(parts: list[Harmonics], planes: Planes) -> Harmonics:
     )
 
 
-def _check(holds: bool, message: str) -> None:
-    if not holds:
-        raise BadInput(f"harmonics: {message}")
+_check = checker("harmonics")

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from nrbench.errors import BadInput
+from nrbench.errors import checker
 from nrbench.imaging.door import Image
 from nrbench.lattice.channels import likeness
 from nrbench.lattice.confidence import confidence
@@ -235,6 +235,4 @@ COMPARED = 6
 """So many of the best pairs of a phase-randomized copy are fitted."""
 
 
-def _check(holds: bool, message: str) -> None:
-    if not holds:
-        raise BadInput(f"consensus: {message}")
+_check = checker("consensus")

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import checker
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
 from nrbench.imaging.door import Image
 from nrbench.lattice.descent import highest_between
@@ -290,6 +290,4 @@ def _divergence(
     return np.asarray(np.where(rates > shares, trials * nats, 0.0))
 
 
-def _check(holds: bool, message: str) -> None:
-    if not holds:
-        raise BadInput(f"dominance: {message}")
+_check = checker("dominance")

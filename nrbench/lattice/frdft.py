@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import checker
 from nrbench.imaging.door import Image
 from nrbench.imaging.harmonic_fit import Fit, refine
 from nrbench.imaging.pursuit import QUICK, THOROUGH, Effort, Found, pursue
@@ -241,6 +241,4 @@ def _surface(found: Found, vectors: Points) -> Surface:
     return Surface(values, (negative.shape[1], height // 2), found.waves.frequencies * spectrum.size, vectors)
 
 
-def _check(holds: bool, message: str) -> None:
-    if not holds:
-        raise BadInput(f"frdft: {message}")
+_check = checker("frdft")

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import checker
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
 from nrbench.imaging.door import Image
 from nrbench.lattice.detection import Detection, NoLatticeFound, Surface
@@ -189,6 +189,4 @@ class Gncc:
         return best.goodness if best else 0.0
 
 
-def _check(holds: bool, message: str) -> None:
-    if not holds:
-        raise BadInput(f"gncc: {message}")
+_check = checker("gncc")

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import checker
 from nrbench.imaging.correlation import FLAT, half_autocorrelation
 from nrbench.imaging.door import Image
 from nrbench.imaging.ssd import Sequence, shift_ssdn
@@ -153,6 +153,4 @@ class Ssdn:
         return found
 
 
-def _check(holds: bool, message: str) -> None:
-    if not holds:
-        raise BadInput(f"ssdn: {message}")
+_check = checker("ssdn")
