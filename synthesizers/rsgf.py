@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import ClassVar
 
 from nrbench.errors import BadInput
-from nrbench.imaging.blocks import BlockGrid, Wedges, compose, wedges
-from nrbench.imaging.matching import FrameMatcher, Match
-from nrbench.imaging.sampling import Positions, Room, around, equivalent_positions, nearest_pixels
+from nrbench.imaging.blocks import BlockGrid
+from nrbench.imaging.canvas import Canvas, Seam
+from nrbench.imaging.matching import Match
+from nrbench.imaging.patches import Patches
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.gncc import Gncc
-from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
+from nrbench.synthesis import FoundLattice, Synthesis, Task, find_lattice
 
+from .filling import Filling, Rules, Search
 from .room import check_border, room_with_border
+
+FARTHEST_DEFORM = 3.0
+"""px; a patch deformed more would show other elements than those that were matched."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +30,12 @@ class Rsgf:
     places of the sample that the lattice calls equal to its own and that show it whole, borders included (section 4.1).
     Each gap left takes the patch that agrees best with the border that its neighbours' patches, continued into the gap,
     compose of their wedges (section 4.2, figure 4). The paper leaves open whether that border lies inside the gap or
-    around it; here it lies inside, so that it is also what is blended, linearly, and the sample needs no more room.
-    Lattice places are computed from the real-valued vectors and rounded to whole pixels once, so that nothing drifts.
+    around it; here it lies inside, so that it is also what is blended, and the sample needs no more room. Places
+    on the lattice are computed from its real-valued vectors, so that nothing drifts.
+
+    The paper's own choice is ``rsgf:seam=blend,subpixel=false``: places rounded to whole pixels, linear blending. What
+    it leaves to future work (section 6) is the default where it proved better: places to fractions of a pixel, and
+    seams by graph cut, which run along the outlines of what the texture is made of (bricks in one color, not two).
 
     With no lattice given the method finds one by ``gncc``; where there is none it goes on in the paper's mode for
     irregular textures, in which every position is a candidate, and says so in the note.
@@ -45,29 +51,49 @@ class Rsgf:
         generalized normalized cross-correlation (eq. 4, channels combined by eq. 6). Equally good patches are drawn
         from at random.
     search
-        Where a gap's patch may come from: ``"lattice"``, near the places that the lattice calls equal, or
-        ``"everywhere"``.
+        Where patches come from: ``"lattice"``, a gap's from near the places that the lattice calls equal;
+        ``"everywhere"``, a gap's from anywhere; ``"stochastic"``, all from anywhere, as if v1 = (1, 0), v2 = (0, 1)
+        (section 5): no lattice is looked for or used.
     tolerance
-        How near, in px along x and along y, at least half a pixel; without meaning where every place is searched. None
-        takes 3 px (the paper's), but not more than a tenth of the shortest lattice
-        vector.
+        How near the lattice's places a gap's patch lies, px along x and along y; only where the search is by the
+        lattice. None takes 3 px (the paper's), but not more than a tenth of the shortest lattice vector.
+    subpixel
+        Patches at real-valued places, interpolated by splines of order 5; a gap's is moved to where it meets its border
+        best, within the tolerance. False: at whole pixels, half a pixel off at most.
+    seam
+        How a gap's patch is joined: ``"graphcut"``, along the least visible seam of all, which may run half a block
+        inside its neighbours, too; ``"dynamic"``, in the same room along the least seam of each side by itself;
+        ``"blend"``, by linear blending over the border.
+    deform
+        How far, px, a gap's patch may be deformed so that lines meet: by a smooth field, fitted to what it overlaps,
+        that fades to nothing inside. 0 (none) to 3.
     """
 
     block: int = 40
     border: int = 10
     match: Match = "color"
-    search: Literal["lattice", "everywhere"] = "lattice"
+    search: Search = "lattice"
     tolerance: float | None = None
+    subpixel: bool = True
+    seam: Seam = "graphcut"
+    deform: float = 0.0
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     paper: ClassVar[str] = Gncc.paper
 
     def __post_init__(self) -> None:
         check_border(self.block, self.border)
         if self.tolerance is not None and not self.tolerance >= 0:
             raise BadInput(f"tolerance {self.tolerance}; choose 0 px or more, or leave it out")
+        if self.tolerance is not None and self.search != "lattice":
+            raise BadInput(
+                f"tolerance {self.tolerance} with search {self.search!r}, which looks at every place; "
+                "choose search 'lattice', or leave the tolerance out"
+            )
+        if not 0 <= self.deform <= FARTHEST_DEFORM:
+            raise BadInput(f"deform {self.deform}; choose from 0 to {FARTHEST_DEFORM:g} px")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`Rsgf`.
@@ -78,85 +104,23 @@ class Rsgf:
             When the sample does not hold a block with its borders, or no such patch equal to one of the output's.
         """
         room = room_with_border(task.sample.shape, self.block, self.border)
-        found = find_lattice(task, Gncc())
-        filling = _Filling(self, task, found.lattice)
+        found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, Gncc())
+        canvas = Canvas(Patches(task.sample), BlockGrid(task.shape, self.block, self.border), self.seam)
+        filling = Filling(task, found.lattice, canvas, self._rules(found.lattice))
         filling.sample_placed(room)
         filling.fill_gaps()
-        image, source = compose(task.sample, filling.grid, filling.places)
+        image, source = canvas.finished()
         task.progress(1.0)
-        note = (
-            "" if found.lattice else f"stochastic mode, every position a candidate: no lattice found ({found.reason})"
-        )
-        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=note)
+        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=self._note(found))
 
+    def _rules(self, lattice: Lattice | None) -> Rules:
+        reach = 0.0
+        if lattice is not None:
+            tolerance = min(3.0, 0.1 * lattice.s) if self.tolerance is None else self.tolerance
+            reach = min(tolerance, math.hypot(*lattice.reduced().t2))
+        return Rules(self.match, self.search, reach, self.subpixel, self.deform)
 
-class _Filling:
-    """The places found so far: ``(rows, columns, 2)``, the (x, y) in the sample of every block's first pixel."""
-
-    def __init__(self, method: Rsgf, task: Task, lattice: Lattice | None) -> None:
-        self.method, self.task, self.lattice = method, task, lattice
-        self.grid = BlockGrid(task.shape, method.block, method.border)
-        self.places = np.zeros((*self.grid.counts, 2), np.int64)
-        self.matcher = FrameMatcher(task.sample, method.block, method.match)
-
-    def sample_placed(self, room: Room) -> None:
-        """Section 4.1: fill every second block with a patch drawn from those equal to it."""
-        for row, column in self.grid.placed():
-            self.places[row, column] = self._drawn(row, column, room) + self.method.border
-
-    def fill_gaps(self) -> None:
-        """Section 4.2: fill the rest with the patches that agree best with the borders around."""
-        gaps = list(self.grid.gaps())
-        for done, (row, column) in enumerate(gaps):
-            self.places[row, column] = self._best(row, column)
-            self.task.progress((done + 1) / len(gaps))
-
-    def _drawn(self, row: int, column: int, room: Room) -> Positions:
-        """Draw the (x, y) of a block with its borders; without a lattice v1 = (1, 0), v2 = (0, 1): from anywhere."""
-        if self.lattice is None:
-            return self.task.rng.integers(room[::-1])
-        border, block = self.method.border, self.method.block
-        corner = (column * block - border, row * block - border)
-        candidates = nearest_pixels(equivalent_positions(self.lattice, corner, room), room)
-        self._require(candidates, row, column, block + 2 * border)
-        return self._any_of(candidates)
-
-    def _best(self, row: int, column: int) -> Positions:
-        """Return the (x, y) of the patch that agrees best with the border around a gap."""
-        border = wedges(self.method.block, self.method.border, self.grid.sides(row, column))
-        template = self._full_border(border, row, column)
-        if self.lattice is None or self.method.search == "everywhere":
-            ratings = self.matcher.everywhere(template, border.hole)
-            return self._any_of(np.argwhere(ratings == ratings.max())[:, ::-1])
-        candidates = self._near_equal(self.lattice, row, column)
-        ratings = self.matcher.at(template, border.hole, candidates)
-        return self._any_of(candidates[ratings == ratings.max()])
-
-    def _full_border(self, border: Wedges, row: int, column: int) -> NDArray[np.float32]:
-        """Compose the neighbours' wedges, around a hole of zeros."""
-        x, y = (self.grid.origins(self.places, row, column)[border.owner] + border.pixels).T
-        template = np.zeros((self.method.block, self.method.block, self.task.sample.shape[2]), np.float32)
-        template[border.pixels[:, 1], border.pixels[:, 0]] = self.matcher.values[y, x]
-        return template
-
-    def _near_equal(self, lattice: Lattice, row: int, column: int) -> Positions:
-        """Return the places near those that the lattice calls equal to a gap's."""
-        tolerance = min(3.0, 0.1 * lattice.s) if self.method.tolerance is None else self.method.tolerance
-        room, corner = self.matcher.room, (column * self.method.block, row * self.method.block)
-        reach = min(max(tolerance, 0.5), math.hypot(*lattice.reduced().t2))
-        candidates = around(equivalent_positions(lattice, corner, room, reach), reach, room)
-        self._require(candidates, row, column, self.method.block)
-        return candidates
-
-    def _any_of(self, candidates: Positions) -> Positions:
-        return np.asarray(candidates[self.task.rng.integers(len(candidates))])
-
-    def _require(self, candidates: Positions, row: int, column: int, side: int) -> None:
-        if len(candidates):
-            return
-        height, width, _ = self.task.sample.shape
-        raise Refused(
-            f"no whole patch of {side}x{side} px in the {width}x{height} px sample is equal, by the lattice, to the "
-            f"output's at ({column * self.method.block}, {row * self.method.block}): the tile is too large for the "
-            "sample; choose a smaller block"
-        )
+    def _note(self, found: FoundLattice) -> str:
+        if found.lattice or self.search == "stochastic":
+            return ""
+        return f"stochastic mode, every position a candidate: no lattice found ({found.reason})"

@@ -7,7 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from nrbench.imaging.blocks import BlockGrid, compose
+from nrbench.imaging.blocks import BlockGrid
+from nrbench.imaging.canvas import compose
+from nrbench.imaging.patches import Patches
 from nrbench.synthesis import Synthesis, Task
 from nrbench.texture import Kind
 
@@ -50,6 +52,6 @@ class Scatter:
         room = room_with_border(task.sample.shape, self.block, self.border)
         grid = BlockGrid(task.shape, self.block, self.border)
         places = task.rng.integers((room[1], room[0]), size=(*grid.counts, 2)) + self.border
-        image, source = compose(task.sample, grid, np.asarray(places, np.int64))
+        image, source = compose(Patches(task.sample), grid, places.astype(np.float64))
         task.progress(1.0)
         return Synthesis(image, source=source)

@@ -13,7 +13,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .door import Image
 from .matching import Hole
 
 Sides = tuple[bool, bool, bool, bool]
@@ -65,29 +64,6 @@ class BlockGrid:
         rows, columns = self.counts
         return column > 0, row > 0, column < columns - 1, row < rows - 1
 
-    def origins(self, places: NDArray[np.int64], row: int, column: int) -> NDArray[np.int64]:
-        """Return where in the sample each layer's patch, continued, shows the block's first pixel.
-
-        Parameters
-        ----------
-        places
-            ``(rows, columns, 2)``: the (x, y) in the sample of every block's first pixel.
-        row, column
-            The block.
-
-        Returns
-        -------
-        NDArray
-            ``(5, 2)``: left, top, right, bottom neighbour, the block itself; zero where there is no neighbour.
-        """
-        origins = np.zeros((5, 2), np.int64)
-        for side, there in enumerate(self.sides(row, column)):
-            if there:
-                dx, dy = STEPS[side]
-                origins[side] = places[row + dy, column + dx] - (self.block * dx, self.block * dy)
-        origins[OWN] = places[row, column]
-        return origins
-
 
 @dataclass(frozen=True, eq=False)
 class Wedges:
@@ -105,6 +81,8 @@ class Wedges:
         ``float32 (3, n)``: how much of each; they sum to 1.
     hole
         The rest of the gap.
+    owners
+        ``(block, block)``: the owner of every pixel of the gap, :data:`OWN` in the hole.
     """
 
     pixels: NDArray[np.int64]
@@ -112,6 +90,7 @@ class Wedges:
     layers: NDArray[np.int64]
     weights: NDArray[np.float32]
     hole: Hole
+    owners: NDArray[np.int64]
 
 
 @lru_cache(maxsize=256)
@@ -128,12 +107,15 @@ def wedges(block: int, border: int, sides: Sides) -> Wedges:
     beside, above = np.where(depth[0] < depth[2], 0, 2), np.where(depth[1] < depth[3], 1, 3)
     p, q = depth[[0, 2]].min(0), depth[[1, 3]].min(0)
     layers, weights = np.stack([np.full_like(beside, OWN), beside, above]), _weights(p, q)
+    owners = np.full((block, block), OWN)
+    owners[rows, columns] = np.where(p <= q, beside, above)
     return Wedges(
         pixels=np.stack([columns, rows], -1),
-        owner=np.where(p <= q, beside, above),
+        owner=owners[rows, columns],
         layers=np.where(weights > 0, layers, OWN),
         weights=weights,
         hole=_hole(block, border, sides),
+        owners=owners,
     )
 
 
@@ -155,49 +137,3 @@ def _weights(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float
 def _hole(block: int, border: int, sides: Sides) -> Hole:
     left, top, right, bottom = (border if side else 0 for side in sides)
     return top, block - bottom, left, block - right
-
-
-def compose(sample: Image, grid: BlockGrid, places: NDArray[np.int64]) -> tuple[Image, NDArray[np.float32]]:
-    """Return the output that the blocks make, and its source map.
-
-    Parameters
-    ----------
-    sample
-        Where the patches come from.
-    grid
-        The blocks.
-    places
-        ``(rows, columns, 2)``: the (x, y) in the sample of every block's first pixel; placed blocks have their borders
-        inside the sample, too.
-
-    Returns
-    -------
-    image, source
-        ``(H, W, C)``; ``(H, W, 3)``: (x, y) of the largest weight and that weight.
-    """
-    block, (rows, columns) = grid.block, grid.counts
-    image = np.empty((rows * block, columns * block, sample.shape[2]), np.float32)
-    source = np.ones((*image.shape[:2], 3), np.float32)
-    for row, column in np.ndindex(rows, columns):
-        x, y = places[row, column]
-        window = np.s_[row * block : (row + 1) * block, column * block : (column + 1) * block]
-        image[window] = sample[y : y + block, x : x + block]
-        source[window][..., :2] = np.stack(np.meshgrid(np.arange(x, x + block), np.arange(y, y + block)), -1)
-    for row, column in grid.gaps():
-        window = np.s_[row * block : (row + 1) * block, column * block : (column + 1) * block]
-        border = wedges(block, grid.border, grid.sides(row, column))
-        _blend(sample, border, grid.origins(places, row, column), image[window], source[window])
-    height, width = grid.shape
-    return image[:height, :width], source[:height, :width]
-
-
-def _blend(
-    sample: Image, border: Wedges, origins: NDArray[np.int64], image: Image, source: NDArray[np.float32]
-) -> None:
-    """Blend the border of one gap into its part of the output, in place."""
-    columns, rows = border.pixels.T
-    origin = origins[border.layers] + border.pixels
-    image[rows, columns] = np.einsum("ln,lnc->nc", border.weights, sample[origin[..., 1], origin[..., 0]])
-    main = border.weights.argmax(0), np.arange(len(rows))
-    source[rows, columns, :2] = origin[main]
-    source[rows, columns, 2] = border.weights[main]

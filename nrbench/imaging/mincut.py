@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .door import Image
-from .mincut_kernels import SOURCE, grow_trees
+from .mincut_kernels import SOURCE, grow_trees, link_costs
 
 Mask = NDArray[np.bool_]
 Weights = NDArray[np.float64]
@@ -77,12 +77,12 @@ def cut_value(mask: Mask, links: Links, source: Weights, sink: Weights) -> float
     return terminals + float(links.across[across].sum() + links.down[down].sum())
 
 
-def seam_links(old: Image, new: Image, normalized: bool = False) -> Links:
+def seam_links(old: Image, new: Image, normalized: bool = False, power: float = 1.0) -> Links:
     """Return what it costs to change from one picture to the other between neighbouring pixels s and t.
 
     ``|old(s) - new(s)| + |old(t) - new(t)|``, Euclidean over the channels (equation 1); normalized, that over the sum
     of the gradients of both pictures at s and t along the link (section 5, the adapted cost), so that seams run where
-    both are busy.
+    both are busy: along the outlines of what the texture is made of, not through it.
 
     Parameters
     ----------
@@ -90,32 +90,14 @@ def seam_links(old: Image, new: Image, normalized: bool = False) -> Links:
         ``(H, W, C)``.
     normalized
         By gradients, to which a gray level is added, so that flat places have a cost.
+    power
+        To which the differences are raised (the paper: 1); with 2 one strong step costs more than many weak ones.
     """
-    difference = np.sqrt(((old - new).astype(np.float64) ** 2).sum(-1))
-    across, down = difference[:, 1:] + difference[:, :-1], difference[1:] + difference[:-1]
-    if not normalized:
-        return Links(across, down)
-    return Links(across / (_busy(old, 1) + _busy(new, 1)), down / (_busy(old, 0) + _busy(new, 0)))
+    first, second = (np.ascontiguousarray(picture, np.float32) for picture in (old, new))
+    return Links(*link_costs(first, second, normalized, power))
 
 
-def _busy(image: Image, axis: int) -> Weights:
-    """Return the sum of the gradients along ``axis`` at both ends of every link along it, and half a gray level."""
-    gradient = np.zeros(image.shape[:2])
-    if image.shape[axis] > 1:
-        gradient = np.sqrt((np.gradient(image.astype(np.float64), axis=axis) ** 2).sum(-1))
-    ends = gradient[:, 1:] + gradient[:, :-1] if axis else gradient[1:] + gradient[:-1]
-    return ends + 0.5 / 255
-
-
-def graphcut_seam(
-    old: Image,
-    new: Image,
-    fixed_old: Mask,
-    fixed_new: Mask,
-    *,
-    normalized: bool = False,
-    seams: Links | None = None,
-) -> Mask:
+def graphcut_seam(old: Image, new: Image, fixed_old: Mask, fixed_new: Mask, *, normalized: bool = False) -> Mask:
     """Return where to show the new picture, such that the seam between old and new is the least visible.
 
     Parameters
@@ -126,9 +108,6 @@ def graphcut_seam(
         ``bool (H, W)``: pixels that must stay old, or be new. What lies between is the overlap.
     normalized
         See :func:`seam_links`.
-    seams
-        What seams cost that the old picture has already, 0 where there is none; in the same unit. They count as long as
-        both their pixels stay old: covering them is worth something (section 3.1, "accounting for old seams").
 
     Returns
     -------
@@ -139,15 +118,30 @@ def graphcut_seam(
     ------
     ValueError
         When a pixel is to be both, or shapes differ.
+    """
+    return cut_overlap(seam_links(old, new, normalized), fixed_old, fixed_new)
+
+
+def cut_overlap(links: Links, fixed_old: Mask, fixed_new: Mask, seams: Links | None = None) -> Mask:
+    """Return where to show the new picture when the links' costs are known.
+
+    Parameters
+    ----------
+    links
+        Costs of a seam between old and new, see :func:`seam_links`.
+    fixed_old, fixed_new
+        As in :func:`graphcut_seam`.
+    seams
+        What seams cost that the old picture has already, 0 where there is none; in the same unit. They count as long as
+        both their pixels stay old: covering them is worth something (section 3.1, "accounting for old seams").
 
     Notes
     -----
-    A link with an old seam costs ``c`` where both pixels stay, ``m`` where one does, 0 where none: the least cut of a
-    grid with links ``m - c / 2`` and ``c / 2`` for each of both pixels that stays, for any c up to 2 m. A seam that
-    costs more counts as 2 m: color distances are a metric, so that is rare, and due to rounding where the old picture
-    does not tell what each of its patches would have shown on the seam's other side.
+    A link with an old seam costs c where both pixels stay, m where one does, 0 where none: a grid with links m - c / 2,
+    and c / 2 for each of both pixels that stays, whatever c up to 2 m. A seam that costs more counts as 2 m. The
+    paper's seam node is the same, but for what the covered patches would show on the seam's other side: here the
+    picture as it is stands for it.
     """
-    links = seam_links(old, new, normalized)
     source, sink = np.where(fixed_new, np.inf, 0.0), np.where(fixed_old, np.inf, 0.0)
     if seams is None:
         return minimum_cut(links, source, sink)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from nrbench.lattice.geometry import Lattice, Points, Vector
+from nrbench.lattice.strips import integers_within
 
 Positions = NDArray[np.int64]
 """``int64 (n, 2)``: (x, y) of a patch's first pixel."""
@@ -21,7 +24,13 @@ def room_for(size: int, shape: tuple[int, int]) -> Room:
 
 
 def equivalent_positions(lattice: Lattice, position: Vector, room: Room, margin: float = 0.0) -> Points:
-    """Return all places ``position + a t1 + b t2`` (a, b whole) that round into the room.
+    """Return all places ``position + a t1 + b t2`` (a, b whole) that round into the room: see :class:`EqualPlaces`."""
+    return EqualPlaces(lattice, room, margin).of(position)
+
+
+@dataclass(frozen=True)
+class EqualPlaces:
+    """Which places ``position + a t1 + b t2`` (a, b whole) round into the room of a patch.
 
     The places are real-valued: rounding them once, at the end, misplaces by half a pixel at most, wherever the output
     lies; rounding the vectors would let the error grow with a and b.
@@ -30,19 +39,41 @@ def equivalent_positions(lattice: Lattice, position: Vector, room: Room, margin:
     ----------
     lattice
         Its origin does not matter.
-    position
-        (x, y) px of the patch in the output.
     room
         Of the patch, see :func:`room_for`.
     margin
         Also take places as far as this, px, outside the room.
-
-    Returns
-    -------
-    Points
-        ``(n, 2)`` (x, y), possibly none.
     """
-    return Lattice(lattice.t1, lattice.t2, position).points(room, margin)
+
+    lattice: Lattice
+    room: Room
+    margin: float = 0.0
+
+    def of(self, position: ArrayLike) -> Points:
+        """Return the places equal to a patch's (x, y) px in the output, ``(n, 2)``, row by row, possibly none.
+
+        They are those of the basis cell, moved by vectors listed once: the cost is that of looking at these.
+        """
+        at = np.asarray(position, np.float64)
+        places = at - np.floor(at @ self._inverse) @ self._basis + self._steps
+        low, high = -0.5 - self.margin, np.array(self.room[::-1]) - 0.5 + self.margin
+        places = places[((places >= low) & (places < high)).all(1)]
+        return np.asarray(places[np.lexsort(places.round(6).T)])
+
+    @cached_property
+    def _basis(self) -> Points:
+        return self.lattice.reduced().matrix
+
+    @cached_property
+    def _inverse(self) -> Points:
+        return np.asarray(np.linalg.inv(self._basis))
+
+    @cached_property
+    def _steps(self) -> Points:
+        """All lattice vectors that take a point of the basis cell, whose corner is 0, to one of the room."""
+        corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)]) @ self._basis
+        low, high = -0.5 - self.margin - corners.max(0), np.array(self.room[::-1]) - 0.5 + self.margin - corners.min(0)
+        return np.asarray(integers_within(self._basis, low, high) @ self._basis)
 
 
 def nearest_pixels(positions: Points, room: Room) -> Positions:

@@ -3,7 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.imaging.blocks import OWN, BlockGrid, Sides, compose, wedges
+from nrbench.imaging.blocks import OWN, BlockGrid, Sides, wedges
+from nrbench.imaging.canvas import compose
+from nrbench.imaging.patches import Patches
 
 ALL: Sides = (True, True, True, True)
 sides = st.tuples(*[st.booleans()] * 4)
@@ -87,7 +89,7 @@ def test_patches_that_continue_each_other_compose_without_a_trace() -> None:
     sample = np.random.default_rng(0).random((70, 90, 3), np.float32)
     grid = BlockGrid((49, 65), 16, 5)
     rows, columns = np.indices(grid.counts)
-    image, source = compose(sample, grid, np.stack([columns, rows], -1) * 16 + (5, 4))
+    image, source = compose(Patches(sample), grid, np.stack([columns, rows], -1) * 16.0 + (5, 4))
     np.testing.assert_allclose(image, sample[4:53, 5:70], atol=1e-6)
     x, y = np.meshgrid(np.arange(5, 70), np.arange(4, 53))
     np.testing.assert_array_equal(source[..., :2], np.stack([x, y], -1))
@@ -97,7 +99,7 @@ def test_patches_that_continue_each_other_compose_without_a_trace() -> None:
 def test_any_shape_is_composed(shape: tuple[int, int]) -> None:
     """Outputs cut through blocks, down to one row or column."""
     grid = BlockGrid(shape, 16, 4)
-    image, source = compose(np.zeros((40, 40, 1), np.float32), grid, np.full((*grid.counts, 2), 4))
+    image, source = compose(Patches(np.zeros((40, 40, 1), np.float32)), grid, np.full((*grid.counts, 2), 4.0))
     assert image.shape == (*shape, 1)
     assert source.shape == (*shape, 3)
 
@@ -108,7 +110,7 @@ def test_squares_of_placed_blocks_are_untouched_copies() -> None:
     sample = rng.random((60, 60, 1), np.float32)
     grid = BlockGrid((64, 64), 16, 6)
     places = rng.integers(6, 38, (4, 4, 2))
-    image, source = compose(sample, grid, places)
+    image, source = compose(Patches(sample), grid, places.astype(float))
     for row, column in grid.placed():
         x, y = places[row, column]
         window = np.s_[row * 16 : row * 16 + 16, column * 16 : column * 16 + 16]

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
-from nrbench.imaging.mincut import Links, Mask, Weights, cut_value, graphcut_seam, minimum_cut, seam_links
+from nrbench.imaging.mincut import Links, Mask, Weights, cut_overlap, cut_value, graphcut_seam, minimum_cut, seam_links
 
 Problem = tuple[Links, Weights, Weights]
 BOUND = 1 << 20
@@ -179,4 +179,17 @@ def test_old_seams_are_covered_where_that_is_worth_it(seed: int) -> None:
     masks = (np.array(bits).reshape(3, 2) for bits in itertools.product([False, True], repeat=6))
     edges = np.zeros((3, 1), bool), np.ones((3, 1), bool)
     least = min(cost(np.hstack([edges[0], middle, edges[1]])) for middle in masks)
-    assert cost(graphcut_seam(old, new, fixed_old, fixed_new, seams=seams)) == pytest.approx(least, abs=1e-9)
+    assert cost(cut_overlap(links, fixed_old, fixed_new, seams)) == pytest.approx(least, abs=1e-9)
+
+
+def test_a_higher_power_prefers_many_weak_steps_to_a_strong_one() -> None:
+    """Squared, a short way over a strong difference costs more than a longer one over weak ones."""
+    old = np.zeros((3, 9, 1), np.float32)
+    new = np.full((3, 9, 1), 0.3, np.float32)
+    new[1] = 0.05
+    new[0, 4], new[2, 4] = 0.5, 0.5
+    plain, squared = (seam_links(old, new, power=power) for power in (1.0, 2.0))
+    assert plain.across.sum() == pytest.approx(np.sqrt(squared.across).sum())
+    strong, weak = plain.down[0, 4], plain.across[1, :3].sum()
+    assert strong > weak > 0
+    assert squared.down[0, 4] / squared.across[1, :3].sum() > strong / weak
