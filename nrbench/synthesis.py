@@ -131,6 +131,27 @@ def find_lattice(task: Task, detector: Detector) -> FoundLattice:
     return timed_detection(detector, task.sample)
 
 
+def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Lattice, float]:
+    """Return the lattice given or found, and the wall seconds that finding it cost.
+
+    Parameters
+    ----------
+    task, detector
+        As in :func:`find_lattice`.
+    without
+        What cannot be done where there is none, for the refusal.
+
+    Raises
+    ------
+    Refused
+        Where there is none.
+    """
+    found = find_lattice(task, detector)
+    if found.lattice is None:
+        raise Refused(f"no lattice found ({found.reason}): {without}")
+    return found.lattice, found.seconds
+
+
 def timed_detection(detector: Detector, image: Image) -> FoundLattice:
     """Return what a detector answers on an image, "there is none" included, and the wall seconds that it took."""
     start = time.perf_counter()

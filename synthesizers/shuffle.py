@@ -12,7 +12,7 @@ from scipy import ndimage
 from nrbench.imaging.fold import Values, fold, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.gncc import Gncc
-from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
+from nrbench.synthesis import Refused, Synthesis, Task, require_lattice
 from nrbench.texture import Kind
 
 from .splines import resampled
@@ -51,12 +51,10 @@ class Shuffle:
         Refused
             When no lattice is found, or the sample does not hold a whole tile.
         """
-        found = find_lattice(task, Gncc())
-        if found.lattice is None:
-            raise Refused(f"no lattice found ({found.reason}): there are no tiles to shuffle")
-        whole_centres(found.lattice, task.sample.shape)
-        middle, places = _cut(task, found.lattice.reduced())
-        tiles = Lattice(found.lattice.t1, found.lattice.t2, (float(middle[0]), float(middle[1]))).reduced()
+        lattice, seconds = require_lattice(task, Gncc(), "there are no tiles to shuffle")
+        whole_centres(lattice, task.sample.shape)
+        middle, places = _cut(task, lattice.reduced())
+        tiles = Lattice(lattice.t1, lattice.t2, (float(middle[0]), float(middle[1]))).reduced()
         low, chosen = _choices(task, tiles, len(places))
 
         def points(pixels: Points) -> Points:
@@ -65,7 +63,7 @@ class Shuffle:
             return np.asarray(places[chosen[u, v]] + away)
 
         image, source = resampled(task, points)
-        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds)
+        return Synthesis(image, lattice, source, detection_seconds=seconds)
 
 
 def _choices(task: Task, tiles: Lattice, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

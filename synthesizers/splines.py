@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.imaging.door import Image
+from nrbench.imaging.patches import Patches
 from nrbench.lattice.geometry import Points
 from nrbench.synthesis import Task
 
 BAND = 1 << 18
 """Pixels mapped at a time."""
-SPLINE: Final = 5
-"""Order of the interpolating B-spline: no visible blur."""
 
 
 def resampled(task: Task, points: Callable[[Points], Points]) -> tuple[Image, NDArray[np.float32]]:
@@ -36,21 +33,15 @@ def resampled(task: Task, points: Callable[[Points], Points]) -> tuple[Image, ND
         1 where a pixel was copied.
     """
     height, width = task.shape
-    spline = [ndimage.spline_filter(plane, SPLINE, mode="mirror") for plane in np.moveaxis(task.sample, 2, 0)]
+    patches = Patches(task.sample)
     image = np.empty((height, width, task.sample.shape[2]), np.float32)
     source = np.empty((height, width, 3), np.float32)
     rows = max(1, BAND // width)
     for top in range(0, height, rows):
-        at = points(_pixels(top, min(top + rows, height), width))
-        for channel, coefficients in enumerate(spline):
-            image[top : top + rows, :, channel] = ndimage.map_coordinates(
-                coefficients, np.moveaxis(at, -1, 0)[::-1], order=SPLINE, mode="mirror", prefilter=False
-            )
-        nearest = np.clip(np.rint(at), 0, np.array(task.sample.shape[1::-1]) - 1)
-        source[top : top + rows, :, :2] = nearest
-        source[top : top + rows, :, 2] = (1 - np.abs(at - nearest)).prod(-1)
+        band = slice(top, top + rows)
+        image[band], source[band] = patches.at(points(_pixels(top, min(top + rows, height), width)))
         task.progress(min(1.0, (top + rows) / height))
-    return np.clip(image, 0, 1), source
+    return image, source
 
 
 def _pixels(top: int, bottom: int, width: int) -> Points:

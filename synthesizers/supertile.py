@@ -9,7 +9,7 @@ import numpy as np
 
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.gncc import Gncc
-from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
+from nrbench.synthesis import Refused, Synthesis, Task, require_lattice
 from nrbench.texture import Kind
 
 from .splines import resampled
@@ -46,14 +46,12 @@ class Supertile:
         Refused
             When no lattice is found, or the sample does not hold a whole tile.
         """
-        found = find_lattice(task, Gncc())
-        if found.lattice is None:
-            raise Refused(f"no lattice found ({found.reason}): there is nothing to repeat")
-        cell = supercell(found.lattice, task.sample.shape)
+        lattice, seconds = require_lattice(task, Gncc(), "there is nothing to repeat")
+        cell = supercell(lattice, task.sample.shape)
         middle = (np.array(task.sample.shape[1::-1]) - 1) / 2
         image, source = resampled(task, lambda pixels: middle + cell.wrap(pixels - middle))
-        count = round(cell.area / found.lattice.area)
-        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=f"repeats {count} tiles")
+        count = round(cell.area / lattice.area)
+        return Synthesis(image, lattice, source, detection_seconds=seconds, note=f"repeats {count} tiles")
 
 
 def supercell(lattice: Lattice, shape: tuple[int, ...]) -> Lattice:

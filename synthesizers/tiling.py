@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Final, Literal
 
 import numpy as np
@@ -10,15 +10,20 @@ from scipy.signal import fftconvolve
 
 from nrbench.imaging.door import Image
 from nrbench.imaging.fold import fold
+from nrbench.imaging.patches import Patches, snapped
+from nrbench.imaging.sampling import EqualPlaces
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.gncc import Gncc
-from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
+from nrbench.synthesis import Refused, Synthesis, Task, require_lattice
 from nrbench.texture import Kind
 
 from .splines import resampled
 
 ASIDE: Final = (0.0011, 0.0007)
 """The cell's centre is moved by this, px, so that no pixel lies on its border, where rounding would choose a side."""
+
+_MARGIN = 8
+"""px of the mean image around its tile, so that splines at the tile's edge do not feel the end."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +41,11 @@ class Tiling:
     ----------
     tile
         ``"typical"``: the tile nearest to the mean of all (least mean squared difference), the cheat at its best;
-        ``"random"``: drawn uniformly, however odd.
+        ``"random"``: drawn uniformly, however odd; ``"mean"``: the mean of all tiles, each shifted by the real-valued
+        lattice and interpolated by the same spline, so that only what varies is blurred; no pixel is a copy.
     """
 
-    tile: Literal["typical", "random"] = "typical"
+    tile: Literal["typical", "random", "mean"] = "typical"
 
     reference: ClassVar[bool] = True
     uses_lattice: ClassVar[bool] = True
@@ -49,22 +55,65 @@ class Tiling:
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis.
 
-        The source map's weight is 1 where a pixel was copied, else the bilinear weight of the nearest one.
+        The source map's weight is 1 where a pixel was copied, else the bilinear weight of the nearest one; the mean
+        tile has none.
 
         Raises
         ------
         Refused
             When no lattice is found, or the sample does not hold a whole tile.
         """
-        found = find_lattice(task, Gncc())
-        if found.lattice is None:
-            raise Refused(f"no lattice found ({found.reason}): there is no tile to repeat")
-        centres = whole_centres(found.lattice, task.sample.shape)
+        lattice, seconds = require_lattice(task, Gncc(), "there is no tile to repeat")
+        centres = whole_centres(lattice, task.sample.shape)
+        if self.tile == "mean":
+            return Synthesis(_mean_repeated(task, lattice), lattice, detection_seconds=seconds)
         typical = self.tile == "typical"
-        centre = _typical(task.sample, found.lattice, centres) if typical else task.rng.choice(centres)
-        lattice, aside = found.lattice, centre + ASIDE
+        centre = _typical(task.sample, lattice, centres) if typical else task.rng.choice(centres)
+        aside = centre + ASIDE
         image, source = resampled(task, lambda pixels: aside + lattice.wrap(pixels - aside))
-        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds)
+        return Synthesis(image, lattice, source, detection_seconds=seconds)
+
+
+def _mean_repeated(task: Task, lattice: Lattice) -> Image:
+    """Return the mean tile, repeated in the sample's phase."""
+    middle = np.array(task.sample.shape[1::-1]) // 2
+    around = np.ceil(reach(lattice)).astype(int) + _MARGIN
+    corner = middle - around
+    mean = mean_window(task.sample, lattice, corner, (int(2 * around[1] + 1), int(2 * around[0] + 1)))
+    aside = middle + ASIDE
+    image, _ = resampled(replace(task, sample=mean), lambda pixels: aside - corner + lattice.wrap(pixels - aside))
+    return image
+
+
+def mean_window(sample: Image, lattice: Lattice, corner: Points, shape: tuple[int, int]) -> Image:
+    """Return a part of the periodic image that is the mean of the sample over its lattice.
+
+    Parameters
+    ----------
+    sample
+        ``(H, W, C)``; holds a whole tile.
+    lattice
+        Its vectors count.
+    corner, shape
+        The part's first pixel (x, y) in the sample, its height and width; it may lie outside.
+
+    Returns
+    -------
+    Image
+        Each pixel is the mean over all places of the sample that the lattice calls equal, interpolated by splines.
+    """
+    total, count = np.zeros((*shape, sample.shape[2])), np.zeros(shape)
+    size, last = np.array(shape[::-1]), np.array(sample.shape[1::-1]) - 0.5
+    room = sample.shape[0] + shape[0] - 1, sample.shape[1] + shape[1] - 1
+    patches = Patches(sample)
+    for place in snapped(EqualPlaces(lattice, room).of(corner + size - 1) - size + 1):
+        left, top = np.maximum(np.ceil(-0.5 - place), 0).astype(int)
+        right, bottom = np.minimum(np.floor(last - place).astype(int) + 1, size)
+        if left < right and top < bottom:
+            part = np.s_[top:bottom, left:right]
+            total[part] += patches.cut(place + np.array([left, top]), (bottom - top, right - left))[0]
+            count[part] += 1
+    return np.asarray(total / np.maximum(count, 1)[..., np.newaxis], np.float32)
 
 
 def reach(lattice: Lattice) -> tuple[float, float]:

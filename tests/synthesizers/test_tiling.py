@@ -1,4 +1,5 @@
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,3 +123,43 @@ def test_a_random_tile_is_drawn_from_the_stream() -> None:
     tasks = [Task(sample, (40, 40), lattice, np.random.default_rng(seed)) for seed in (0, 1)]
     first, second = (Tiling(tile="random").synthesize(task).image for task in tasks)
     assert not np.array_equal(first, second)
+
+
+@pytest.mark.parametrize("tile", ["typical", "mean", "random"])
+def test_every_tile_continues_a_fractional_lattice(tile: Any) -> None:
+    """From the mean tile as from single ones, 800 px away an oblique lattice is continued within a gray level (rms)."""
+    sample = quantize(waves((90, 90), OBLIQUE))
+    made = Tiling(tile=tile).synthesize(Task(sample, (800, 800), OBLIQUE, np.random.default_rng(3)))
+    error = (made.image - waves((800, 800), OBLIQUE))[-100:, -100:]
+    assert np.sqrt((error**2).mean()) < 1 / 255
+
+
+def test_the_mean_tile_is_the_mean_of_all() -> None:
+    """On a random sample with a whole-pixel lattice every pixel is the mean of all that the lattice calls equal."""
+    sample = quantize(np.random.default_rng(0).random((70, 80, 3), np.float32))
+    made = Tiling(tile="mean").synthesize(Task(sample, (60, 60), Lattice((20, 0), (0, 16)), np.random.default_rng(0)))
+    expected = np.stack([[sample[y % 16 :: 16, x % 20 :: 20].mean((0, 1)) for x in range(60)] for y in range(60)])
+    np.testing.assert_allclose(made.image, expected, atol=1e-5)
+    assert made.source is None
+
+
+def test_the_mean_tile_blurs_only_what_varies() -> None:
+    """Noise on a fractional lattice averages out: what is left is nearer to the periodic image than any single tile."""
+    truth = waves((130, 130), OBLIQUE)
+    noise = 0.1 * np.random.default_rng(1).standard_normal((130, 130, 3)).astype(np.float32)
+    sample = quantize(truth + noise)
+    errors = {}
+    for tile in ("mean", "typical"):
+        made = Tiling(tile=tile).synthesize(Task(sample, (130, 130), OBLIQUE, np.random.default_rng(0)))  # type: ignore[arg-type]
+        errors[tile] = float(np.sqrt(((made.image - truth) ** 2).mean()))
+    assert errors["mean"] < 0.4 * errors["typical"]
+
+
+@pytest.mark.parametrize("tile", ["typical", "mean"])
+@pytest.mark.parametrize("shape", [(1, 300), (9, 5)])
+def test_one_channel_and_lines_work(tile: Any, shape: tuple[int, int]) -> None:
+    """A sample of one channel and barely more than a tile fills any shape."""
+    sample = quantize(waves((30, 32), OBLIQUE))[..., :1]
+    made = Tiling(tile=tile).synthesize(Task(sample, shape, OBLIQUE, np.random.default_rng(0)))
+    assert made.image.shape == (*shape, 1)
+    assert np.abs(made.image - waves(shape, OBLIQUE)[..., :1]).max() < 0.1
