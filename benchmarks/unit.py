@@ -25,3 +25,18 @@ def machine_unit() -> float:
     """Return u: the median seconds of a forward and inverse `rfft2` of a 1024 x 1024 float32 array, one thread."""
     image = np.random.default_rng(0).random((1024, 1024), np.float32)
     return median_seconds(lambda: fft.irfft2(fft.rfft2(image), image.shape), 15)
+
+
+def median_units(call: Callable[[], object], repeats: int = 7) -> float:
+    """Return the median CPU time of a call, after one that warms up, each over that of a unit taken right before it."""
+    image = np.random.default_rng(0).random((1024, 1024), np.float32)
+    call()
+    ratios = []
+    for _ in range(repeats):
+        start = time.process_time()
+        for _ in range(3):
+            fft.irfft2(fft.rfft2(image), image.shape)
+        middle = time.process_time()
+        call()
+        ratios.append((time.process_time() - middle) / (middle - start) * 3)
+    return statistics.median(ratios)

@@ -201,8 +201,8 @@ class Canvas:
         hole = wedges(grid.block, grid.border, sides).hole
         joint = Joint(self.image[window], patch[0], self.known[window], box, hole, sides)
         new = dynamic_joint(joint) if self.seam == "dynamic" else graphcut_joint(joint, _inside(self._seams, window))
-        self.image[window][new] = patch[0][new]
-        self.source[window][new] = patch[1][new]
+        np.copyto(self.image[window], patch[0], where=new[..., np.newaxis])
+        np.copyto(self.source[window], patch[1], where=new[..., np.newaxis])
 
     def _remember_corners(self, row: int, column: int, layers: Image) -> None:
         """Note what it costs that in a gap's corners the borders of two neighbours meet."""

@@ -113,13 +113,12 @@ def graphcut_joint(joint: Joint, seams: Links) -> Mask:
     """
     links = visible_links(np.where(joint.known[..., np.newaxis], joint.old, joint.new), joint.new)
     dearest = max(float(cost.max(initial=0)) for cost in links)
-    links.across[~(joint.known[:, 1:] & joint.known[:, :-1])] = dearest
-    links.down[~(joint.known[1:] & joint.known[:-1])] = dearest
+    np.copyto(links.across, dearest, where=~(joint.known[:, 1:] & joint.known[:, :-1]))
+    np.copyto(links.down, dearest, where=~(joint.known[1:] & joint.known[:-1]))
     new = cut_overlap(links, joint.fixed_old(), joint.fixed_new(), seams)
     ends = ((new[:, 1:], new[:, :-1]), (new[1:], new[:-1]))
     for kept, cost, (one, other) in zip(seams, links, ends, strict=True):
-        kept[one & other] = 0
-        kept[one != other] = cost[one != other]
+        np.copyto(kept, np.where(one != other, cost, 0), where=one | other)
     return new
 
 

@@ -197,6 +197,7 @@ def link_costs(
         for y in range(costs.shape[0]):
             for x in range(costs.shape[1]):
                 v, u = (y, x + 1) if axis == 0 else (y + 1, x)
-                cost = (difference[y, x] + difference[v, u]) ** power
+                apart = difference[y, x] + difference[v, u]
+                cost = apart * apart if power == 2.0 else apart**power
                 costs[y, x] = cost / (busy[axis, y, x] + busy[axis, v, u] + GRAY_LEVEL) if normalized else cost
     return across, down
