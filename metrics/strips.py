@@ -34,10 +34,13 @@ class Strips:
     gain
         For each direction, ``(n,)``: by how much likelier a course is somewhere beyond the tolerance than in its place,
         as the mean log-likelihood ratio a pixel and channel; -inf where it is too short.
+    beyond
+        For each direction, ``bool (n,)``: whether a course is likeliest of all beyond the tolerance.
     """
 
     first: tuple[int, ...]
     gain: tuple[Ratios, ...]
+    beyond: tuple[NDArray[np.bool_], ...]
 
     def at(self, values: list[Ratios], lattice: Lattice, points: Points) -> Ratios:
         """Return the courses' values for the four in whose middle each point (x, y) lies, ``(4, n)``; -inf for none."""
@@ -69,21 +72,23 @@ def strips(image: Image, lattice: Lattice, periodic: Periodic) -> Strips:
         What the image should follow.
     """
     found = [_slid(image, one.grid.on(lattice), one) for one in periodic.courses]
-    first, gain = zip(*found, strict=True)
-    return Strips(first, gain)
+    first, gain, beyond = zip(*found, strict=True)
+    return Strips(first, gain, beyond)
 
 
 def strip_suspicion(seen: Strips, references: list[Strips], tiles: Tiles) -> Ratios:
     """Return, for each tile, how far the worst of its courses exceeds its limits: above 1 it has slid.
 
     It is likelier elsewhere than in its place, by more than what is usual and the scatter of the references' courses
-    let expect. Each direction is taken by itself: courses along a yarn, whose color all of their tiles share, scatter
-    widely. Longer courses scatter less, so that a larger output raises no more alarms.
+    let expect; one that is likeliest of all within the tolerance has not slid, however unlikely its exact place is.
+    Each direction is taken by itself: courses along a yarn, whose color all of their tiles share, scatter widely.
+    Longer courses scatter less, so that a larger output raises no more alarms.
     """
     ratios = []
-    for direction, gain in enumerate(seen.gain):
+    for direction, (gain, beyond) in enumerate(zip(seen.gain, seen.beyond, strict=True)):
         own = _finite(np.concatenate([one.gain[direction] for one in references]))
-        ratios.append(_ratio(gain, own) if len(own) else np.zeros(len(gain)))
+        ratio = _ratio(gain, own) if len(own) else np.zeros(len(gain))
+        ratios.append(np.where(beyond, ratio, np.minimum(ratio, 1)))
     return np.asarray(np.maximum(seen.at(ratios, tiles.lattice, tiles.centers), 0).max(0))
 
 
@@ -99,16 +104,17 @@ def _finite(values: Ratios) -> Ratios:
     return values[np.isfinite(values)]
 
 
-def _slid(image: Image, grid: Grid, template: StripTemplate) -> tuple[int, Ratios]:
-    """Return the number of the first course along one direction, and every course's gain."""
+def _slid(image: Image, grid: Grid, template: StripTemplate) -> tuple[int, Ratios, NDArray[np.bool_]]:
+    """Return the number of the first course along one direction, every course's gain, and where it lies beyond."""
     sums, first = grid.sums(image, np.zeros(image.shape[:2], np.float32))
     order = (np.arange(len(sums)) + first * (grid.rows // 2)) % grid.rows
     likelihood = _likelihood(sums, order, template)
     count = _windowed(sums[..., 0].sum(1), grid.rows)
     likelihood /= np.maximum(count, 1)[:, np.newaxis] * image.shape[2]
     far = grid.slides > max(TOLERANCE * grid.lattice.s, grid.slides[1])
-    gain = likelihood[:, far].max(1, initial=-np.inf) - likelihood[:, 0]
-    return first + 1, np.where(count >= _LEAST_LENGTH * grid.lattice.area, gain, -np.inf)
+    best = likelihood[:, far].max(1, initial=-np.inf)
+    gain = np.where(count >= _LEAST_LENGTH * grid.lattice.area, best - likelihood[:, 0], -np.inf)
+    return first + 1, gain, best > likelihood[:, ~far].max(1)
 
 
 def _likelihood(sums: Ratios, order: NDArray[np.intp], template: StripTemplate) -> Ratios:
