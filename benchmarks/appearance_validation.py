@@ -25,7 +25,8 @@ from nrbench.imaging.files import write_image
 from nrbench.metrics.appearance import Appearance
 from nrbench.metrics.broken import BROKEN_SURPRISE, Broken, find_broken
 from nrbench.metrics.broken_map import broken_map, worst_tiles
-from nrbench.metrics.judgement import look_at_references
+from nrbench.metrics.integrity import LEAST_POWER
+from nrbench.metrics.look import look_at_references
 from nrbench.metrics.yardstick import model_yardstick
 from nrbench.streams import stream
 from nrbench.synthesis import Observation, Task
@@ -40,10 +41,12 @@ TEXTURES = (6, 10, 8)
 RESPONSES = {
     "color-mean": ("color", 1.0),
     "blurred-band": ("sharpness_worst", 1.0),
-    "seam": ("seam_step", 0.5),
+    "seam": ("seam", 0.5),
     "two-tone": ("broken_share", 1.0),
 }
 """Each defect's score, and the largest size, where the defect saturates."""
+WOVEN_TWO_TONE = 0.5
+"""Where two-tone tiles saturate on a weave: past it threads that cross tiles are whole again."""
 SILENT_SIZES = {"color-mean": 0.2, "blurred-band": 0.3, "seam": 0.1, "two-tone": 0.3, "phase-step": 0.3, "warp": 0.1}
 COLUMNS = ("color", "gradient", "spectrum", "sharpness", "sharpness_worst", "seam", "broken_share", "evidence_p90")
 
@@ -60,21 +63,27 @@ def planted(item: Specimen, kind: str, size: float, seed: int) -> Image:
     return image
 
 
-def alarms(half: str, count: int, sides: tuple[int, ...]) -> None:
+def alarms(half: str, count: int, sides: tuple[int, ...], draws: int) -> None:
     """Print broken tiles in fresh draws, and how many two-tone tiles are found."""
     fresh, seen, powers = defaultdict(list), defaultdict(list), defaultdict(list)
     for seed in range(FIRST_SEED[half], FIRST_SEED[half] + count):
         item = specimen(seed)
         for side in sides:
-            for k in range(3):
+            for k in range(draws):
                 found = breaks(item, item.fresh(side, k))
-                if not isinstance(found, str) and found.power >= 0.1:
-                    fresh[item.share, side].append(found.worst)
-                    powers[item.share].append(found.power)
-        for size in TWO_TONE:
+                if isinstance(found, str) or found.power < LEAST_POWER:
+                    break
+                fresh[item.share, side].append(found.worst)
+                powers[item.share].append(found.power)
+        for size in TWO_TONE if powers[item.share] else ():
             found = breaks(item, planted(item, "two-tone", size, seed))
-            if not isinstance(found, str) and found.power >= 0.1:
+            if not isinstance(found, str) and found.power >= LEAST_POWER:
                 seen[item.share, size].append(found.worst)
+        so_far = [value for some in fresh.values() for value in some]
+        print(
+            f"  {item.name} {item.share}: {sum(value > BROKEN_SURPRISE for value in so_far)} of {len(so_far)}",
+            flush=True,
+        )
     for side in sides:
         values = np.array([value for (_, own), some in fresh.items() if own == side for value in some])
         wrong = int((values > BROKEN_SURPRISE).sum())
@@ -103,11 +112,14 @@ def scores(item: Specimen, image: Image) -> dict[str, float]:
     return values
 
 
-def response(count: int) -> None:
+def response(count: int, kinds: list[str]) -> None:
     """Print the Spearman correlation of each score with its own defect over single images."""
     for texture in TEXTURES:
         item = specimen(texture)
-        for kind, (column, largest) in RESPONSES.items():
+        for kind in kinds:
+            column, largest = RESPONSES[kind]
+            if kind == "two-tone" and item.name.startswith("weave"):
+                largest = WOVEN_TWO_TONE
             sizes, values = [], []
             for size in largest * np.arange(1, 9) / 8:
                 for seed in range(count):
@@ -198,15 +210,21 @@ def main() -> None:
     parser.add_argument("part", choices=("alarms", "response", "silence", "methods"))
     parser.add_argument("--half", choices=FIRST_SEED, default="report", help="of alarms: which seeds")
     parser.add_argument("--count", type=int, default=20, help="textures of alarms, seeds of the others")
+    parser.add_argument("--draws", type=int, default=3, help="of alarms: fresh draws a texture and side")
+    parser.add_argument(
+        "--kinds", nargs="*", choices=RESPONSES, default=list(RESPONSES), help="of response: which faults"
+    )
     parser.add_argument("--sides", type=int, nargs="*", default=SIDES, help="of alarms: output sizes in px")
     parser.add_argument("--pictures", type=Path, help="of methods: folder for pictures of broken tiles")
     arguments = parser.parse_args()
     if arguments.part == "alarms":
-        alarms(arguments.half, arguments.count, tuple(arguments.sides))
+        alarms(arguments.half, arguments.count, tuple(arguments.sides), arguments.draws)
     elif arguments.part == "methods":
         methods(arguments.count, arguments.pictures)
+    elif arguments.part == "response":
+        response(arguments.count, arguments.kinds)
     else:
-        {"response": response, "silence": silence}[arguments.part](arguments.count)
+        silence(arguments.count)
 
 
 if __name__ == "__main__":

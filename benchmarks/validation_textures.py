@@ -12,8 +12,9 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.door import Image, quantize
-from nrbench.metrics.judgement import Judgement, Look, compare, look_at_references
-from nrbench.metrics.yardstick import Yardstick, model_yardstick
+from nrbench.metrics.judgement import Judgement, compare
+from nrbench.metrics.look import Look, look_at_references
+from nrbench.metrics.yardstick import Yardstick, best_yardstick, model_yardstick
 from nrbench.streams import stream
 from nrbench.synthesis import Again, Refused, Task
 from nrbench.synthesizers.planted import Planted
@@ -55,8 +56,11 @@ class Specimen:
             return None
 
 
-def specimen(seed: int) -> Specimen:
-    """Return the texture of a seed: family, rotation and regular share in turn, all else at random."""
+def specimen(seed: int, given: bool = False) -> Specimen:
+    """Return the texture of a seed: family, rotation and regular share in turn, all else at random.
+
+    Where only the lattice is ``given``, outputs are measured against the sample of 128 x 128 px.
+    """
     rng = stream("render", "validation", seed)
     family, rotated, share = seed % 3, seed // 3 % 2, SHARES[seed // 6 % len(SHARES)]
     model = at_share(
@@ -69,7 +73,8 @@ def specimen(seed: int) -> Specimen:
         return None if drawn is None else replace(drawn, image=quantize(drawn.image))
 
     assert texture.lattice is not None
-    measure = model_yardstick(texture, texture.lattice, again)
+    known = texture.lattice
+    measure = best_yardstick(quantize(texture.image), known) if given else model_yardstick(texture, known, again)
     name = f"{type(model).__name__.lower()}{' rotated' if rotated else ''}"
     return Specimen(name, share, texture, again, measure, look_at_references(measure))
 
@@ -85,14 +90,17 @@ def _shape(family: int, rotation: float, rng: np.random.Generator) -> Model:
 
 
 def at_share(model: Model, mix: np.ndarray[tuple[int, ...], np.dtype[np.float64]], share: float) -> Model:
-    """Return the model with departures mixed as asked, as strong as the regular share wants them."""
+    """Return the model with departures mixed as asked, as strong as the regular share allows, not undercut."""
+
+    def at(level: float) -> Model:
+        color, intensity, noise = (float(min(1, level * part)) for part in 3 * mix * (1, 1, 0.3))
+        return replace(model, color=color, intensity=intensity, noise=noise)
+
     low, high = 0.0, 1.0
     for _ in range(25):
         level = (low + high) / 2
-        color, intensity, noise = (float(min(1, level * part)) for part in 3 * mix * (1, 1, 0.3))
-        model = replace(model, color=color, intensity=intensity, noise=noise)
-        low, high = (level, high) if model.regular_share > share else (low, level)
-    return model
+        low, high = (level, high) if at(level).regular_share > share else (low, level)
+    return at(low)
 
 
 def auc(low: list[float], high: list[float]) -> float:

@@ -46,7 +46,7 @@ class Appearance:
     the output itself) is looked at where it wraps.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
         "color": _distance("Sliced Wasserstein distance between the colors of output and fresh draws.", "values"),
         "gradient": _distance(
@@ -60,7 +60,7 @@ class Appearance:
             "The same in the blurriest window, over that of fresh draws' blurriest.", "", (0.0, math.inf), "one"
         ),
         "seam": Column(
-            "How far the worst line stands out from its parallels, over that of fresh draws' worst.",
+            "Visibility (size and contrast to its parallels) of the worst line, over that of fresh draws' worst.",
             "",
             (0.0, math.inf),
             "lower",
@@ -146,7 +146,18 @@ def _seam(
         return None, None, None
     own = worst_lines(output, lattice)
     others = [worst_lines(image, lattice) for image in references]
-    usual = [max(float(np.mean([lines[kind].strength for lines in others])), 1e-6) for kind in (0, 1)]
-    ratios = [line.strength / level for line, level in zip(own, usual, strict=True)]
+    usual = [max(float(np.mean([_visibility(lines)[kind] for lines in others])), 1e-6) for kind in (0, 1)]
+    ratios = [seen / level for seen, level in zip(_visibility(own), usual, strict=True)]
     kind = int(np.argmax(ratios))
     return ratios[kind], own[0].size, own[kind]
+
+
+def _visibility(lines: tuple[Line, Line]) -> tuple[float, float]:
+    """Return what the worst lines by step and by gradient are held against draws by.
+
+    The geometric mean of a line's size (step; root of the excess of squared gradient) and of how far it stands out from
+    its parallels. The latter alone saturates, since a strong line shows in its neighbors too; the former alone would
+    count what blur leaves along every course.
+    """
+    step, edge = lines
+    return math.sqrt(step.strength * step.size), math.sqrt(edge.strength * math.sqrt(edge.size))

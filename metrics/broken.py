@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from nrbench.imaging.door import Image
@@ -12,8 +13,9 @@ from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.synthesis import Again
 
+from .alterations import alterations
 from .elements import Cutter, Windows, departures, places, slope
-from .joined import Joint, Levels, Rows, joined
+from .joined import Joint, Levels, Rows, Whole, joined
 from .judgement import Judgement
 from .periodic import tile_box
 from .residual import offset_noise
@@ -35,6 +37,13 @@ _ALIGNMENT = 0.4
 """Pixels by which a tile may be cut off its place: a fraction of a whole-pixel copy's rounding."""
 _NOISE = 1 / 255
 _SHARE_OF_VARIANCE = 0.02
+_LEAST_CONTRAST, _LOW = 0.8, 0.01
+"""Tiles that show less of the periodic image's contrast than this share of what nearly all references' show are not
+looked at: a strong blur leaves nothing to tell parts by."""
+_ROUNDS = 3
+_CALM, _LEAST_CALM, _MANY_CALM = 0.99, 0.25, 0.9
+"""Calm is what shows no more evidence than this share of the references, at least a quarter of the tiles; where more
+than nine tenths are calm, as in all right images, they keep their own mean."""
 _TOUCHING = 0.9
 """Windows nearer than this, in cells along both vectors, overlap."""
 
@@ -95,7 +104,12 @@ class _Place:
 
 
 def find_broken(judgement: Judgement, sample: Image, again: Again | None) -> Broken | str:
-    """Return the broken tiles of the output, or why none can be looked for."""
+    """Return the broken tiles of the output, or why none can be looked for.
+
+    Where the judge of regularity is blind, it is not known where the tiles are.
+    """
+    if judgement.blindness:
+        return f"undecided: {judgement.blindness}"
     halves = _references(judgement, sample, again)
     output = Cutter.following(judgement.output, offset_noise(judgement.references))
     spots = places([cutter for half in halves for cutter, _ in half])
@@ -122,22 +136,49 @@ def _references(judgement: Judgement, sample: Image, again: Again | None) -> tup
 def _compare(output: Cutter, halves: tuple[_Half, _Half], spot: Points, judgement: Judgement) -> _Place:
     """Return the evidence at one place of the cell; each half of the references is measured by the other."""
     seen = _in_place(output.cut(spot), judgement)
-    own = [[cutter.cut(spot).values[part] for cutter, part in half] for half in halves]
-    parts = [np.concatenate([departures(values) for values in half]) for half in own]
-    if min(len(part) for part in parts) < _LEAST_REFERENCES:
+    own = [[_part(cutter.cut(spot), part) for cutter, part in half] for half in halves]
+    if min(sum(len(windows.middles) for windows in half) for half in own) < _LEAST_REFERENCES:
         return _Place(few=f"undecided: the references hold fewer than 2 x {_LEAST_REFERENCES} whole tiles")
     if len(seen.values) < _LEAST_WINDOWS:
         return _Place(few=f"undecided: fewer than {_LEAST_WINDOWS} whole tiles in place to compare")
-    floor = _floor([values for half in own for values in half], output.lattice, parts)
-    crossed = [(Joint.fit(a, b, floor), b) for a, b in (parts, parts[::-1])]
+    parts = [_whole([cutter for cutter, _ in half], windows) for half, windows in zip(halves, own, strict=True)]
+    rows = [part.rows for part in parts]
+    floor = _floor([windows.values for half in own for windows in half], output.lattice, rows)
+    crossed = [(Joint.fit(a, b, floor), b.rows) for a, b in (parts, parts[::-1])]
     pairs = [(joint, other, max(float(joint.evidence(other).mean()), 1e-9)) for joint, other in crossed]
-    shown = departures(seen.values)
+    whole = np.concatenate([joint.evidence(other) / level for joint, other, level in pairs])
+    measures = [(joint, level) for joint, _, level in pairs]
     return _Place(
         seen.middles,
-        np.mean([joint.evidence(shown) / level for joint, _, level in pairs], 0),
-        np.concatenate([joint.evidence(other) / level for joint, other, level in pairs]),
+        _evidence(measures, departures(seen.values), float(np.quantile(whole, _CALM))),
+        whole,
         np.concatenate([joint.evidence(joined(other, other.shape[1])) / level for joint, other, level in pairs]),
     )
+
+
+def _evidence(measures: list[tuple[Joint, float]], shown: Rows, usual: float) -> Levels:
+    """Return the evidence of an output's tiles; where many are broken their mean is that of the calm ones.
+
+    The joints of many broken tiles do not quite cancel in the mean of all, and would leave their traces in whole ones.
+    """
+    for _ in range(_ROUNDS):
+        found = np.mean([joint.evidence(shown) / level for joint, level in measures], 0)
+        calm = found <= max(usual, float(np.quantile(found, _LEAST_CALM)))
+        if calm.mean() > _MANY_CALM:
+            break
+        shown = shown - shown[calm].mean(0)
+    return np.asarray(found)
+
+
+def _part(windows: Windows, part: slice | NDArray[np.bool_]) -> Windows:
+    return Windows(windows.middles[part], windows.values[part])
+
+
+def _whole(cutters: list[Cutter], windows: list[Windows]) -> Whole:
+    """Return the windows of whole tiles of some images, and how they would look altered."""
+    seen = [(cutter, some) for cutter, some in zip(cutters, windows, strict=True) if len(some.middles)]
+    altered = [alterations(cutter, some.middles) for cutter, some in seen]
+    return Whole(np.concatenate([departures(some.values) for _, some in seen]), np.mean(altered, 0))
 
 
 def _floor(own: list[Values], lattice: Lattice, parts: list[Rows]) -> Levels:
@@ -148,11 +189,22 @@ def _floor(own: list[Values], lattice: Lattice, parts: list[Rows]) -> Levels:
 
 
 def _in_place(windows: Windows, judgement: Judgement) -> Windows:
-    """Return those windows that regularity does not call displaced."""
+    """Return those windows that regularity does not call displaced, and that no strong blur has reached."""
     output = judgement.output
     _, tile = cKDTree(output.tiles.centers).query(windows.middles)
     moved = judgement.misplaced[output.placement.nearest(windows.middles)] | judgement.displaced[tile]
-    return Windows(windows.middles[~moved], windows.values[~moved])
+    return _part(windows, ~(moved | _emptied(windows.middles, judgement)))
+
+
+def _emptied(middles: Points, judgement: Judgement) -> NDArray[np.bool_]:
+    """Return which windows touch a tile that lacks the contrast that nearly all of the references' have."""
+    tiles = judgement.output.tiles
+    usual = np.quantile(np.concatenate([look.tiles.slope for look in judgement.references]), _LOW)
+    empty = tiles.centers[tiles.slope < _LEAST_CONTRAST * usual]
+    if not len(empty):
+        return np.zeros(len(middles), np.bool_)
+    near, _ = cKDTree(tiles.lattice.to_cell(empty)).query(tiles.lattice.to_cell(middles), p=np.inf)
+    return np.asarray(near <= 1)
 
 
 def _counted(lattice: Lattice, anchor: Points, found: list[_Place]) -> Broken:
@@ -160,24 +212,31 @@ def _counted(lattice: Lattice, anchor: Points, found: list[_Place]) -> Broken:
     tail = Tail.fit(np.concatenate([place.whole for place in found]), _TAIL, overlap=_OVERLAP)
     windows = sum(len(place.output) for place in found)
     surprise = [tail.surprise(place.output) - np.log(windows / len(place.output)) for place in found]
-    kept, values = _apart(lattice, [place.middles for place in found], surprise)
+    kept, values = _apart(lattice, np.concatenate([place.middles for place in found]), np.concatenate(surprise))
     worst = max(float(own.max(initial=-np.inf)) for own in surprise)
-    order = np.argsort(-values, kind="stable")
     whole, all_seen = (np.concatenate([getattr(p, name) for p in found]) for name in ("whole", "output"))
     ratio = float(np.quantile(all_seen, 0.9) / max(float(np.quantile(whole, 0.9)), 1e-9))
     one = found[0].joined
     power = float((tail.surprise(one) - np.log(windows / len(one)) > BROKEN_SURPRISE).mean())
-    return Broken(lattice, anchor, kept[order], values[order], len(found[0].output), worst, ratio, power)
+    return Broken(lattice, anchor, kept, values, len(found[0].output), worst, ratio, power)
 
 
-def _apart(lattice: Lattice, middles: list[Points], surprise: list[Levels]) -> tuple[Points, Levels]:
-    """Return middles and surprises of the broken windows, of those that overlap only that of the first place."""
-    kept, values = np.zeros((0, 2)), np.zeros(0)
-    for at, own in zip(middles, surprise, strict=True):
-        flagged = own > BROKEN_SURPRISE
-        new = at[flagged]
-        if len(kept) and len(new):
-            near, _ = cKDTree(lattice.to_cell(kept)).query(lattice.to_cell(new), p=np.inf)
-            flagged[np.flatnonzero(flagged)[near < _TOUCHING]] = False
-        kept, values = np.concatenate([kept, at[flagged]]), np.concatenate([values, own[flagged]])
-    return kept, values
+def _apart(lattice: Lattice, middles: Points, surprise: Levels) -> tuple[Points, Levels]:
+    """Return middles and surprises of the broken windows, most surprising first; of those that overlap only the first.
+
+    So a broken tile counts once, as the window sees it in whose middle it lies.
+    """
+    flagged = np.flatnonzero(surprise > BROKEN_SURPRISE)
+    flagged = flagged[np.argsort(-surprise[flagged], kind="stable")]
+    if not len(flagged):
+        return np.zeros((0, 2)), np.zeros(0)
+    around = cKDTree(lattice.to_cell(middles[flagged])).query_ball_point(
+        lattice.to_cell(middles[flagged]), _TOUCHING, p=np.inf
+    )
+    free = np.ones(len(flagged), np.bool_)
+    kept = []
+    for one, near in enumerate(around):
+        if free[one]:
+            kept.append(flagged[one])
+            free[near] = False
+    return middles[kept], surprise[kept]

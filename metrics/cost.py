@@ -18,18 +18,23 @@ def _column(meaning: str, unit: str, better: Literal["higher", "lower"] = "lower
 class Cost:
     """Time and memory that the synthesis took, as the supervisor measured them.
 
-    Reading the sample and writing the output do not count. Processor time and memory are those of the process that the
-    method runs in: what programs that it starts take is in the wall time alone.
+    Reading the sample and writing the output do not count. Programs that the method starts and waits for do: their
+    processor time is added to that of its own process (in steps of 10 ms), and of its memory and theirs the larger peak
+    is taken; theirs is looked at ten times a second, so that of a program which ends sooner is not seen.
     """
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     columns: ClassVar[Mapping[str, Column]] = {
         "seconds": _column("Wall time of the synthesis, with the detection that the method did itself.", "s"),
-        "cpu_seconds": _column("Processor time of the method's own process during the synthesis, all threads.", "s"),
+        "cpu_seconds": _column(
+            "Processor time during the synthesis, all threads, programs that the method waits for included.", "s"
+        ),
         "detection_seconds": _column(
             "Wall time spent in finding the lattice, by the method or by the detector that the lattice comes from.", "s"
         ),
-        "peak_mib": _column("Peak memory of the method's own process above that of the idle worker.", "MiB"),
+        "peak_mib": _column(
+            "Peak memory above that of the idle worker; of programs that the method starts, where it is more.", "MiB"
+        ),
         "px_per_second": _column("Output pixels for each second of wall time.", "px/s", "higher"),
         "reliable": Column("No other cell ran at the same time, so the times are comparable."),
     }

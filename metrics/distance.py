@@ -41,7 +41,7 @@ def _compared(sets: list[NDArray[np.float32]]) -> tuple[float, float]:
     start = np.cumsum([0, *(len(part) for part in sets)])
     lengths = _lengths(np.concatenate(sets))
     spans = [slice(a, b) for a, b in pairwise(start)]
-    means = np.array([[lengths[a, b].sum() for b in spans] for a in spans])
+    means = np.array([[lengths[a, b].sum(dtype=np.float64) for b in spans] for a in spans])
     counts = np.array([len(part) for part in sets], np.float64)
     levels = [_energy(means, counts, k, [j for j in range(1, len(sets)) if j != k]) for k in range(1, len(sets))]
     return _energy(means, counts, 0, list(range(1, len(sets)))), float(np.mean(levels))
@@ -66,11 +66,14 @@ def _thinned(departures: NDArray[np.float32]) -> NDArray[np.float32]:
     return departures[np.linspace(0, len(departures) - 1, MOST_TILES).round().astype(np.intp)]
 
 
-def _lengths(flat: NDArray[np.float32]) -> NDArray[np.float64]:
+def _lengths(flat: NDArray[np.float32]) -> NDArray[np.float32]:
     powers = (flat**2).sum(1)
-    squares = np.maximum(powers[:, np.newaxis] + powers - 2 * (flat @ flat.T), 0)
+    squares = flat @ flat.T
+    squares *= -2
+    squares += powers
+    squares += powers[:, np.newaxis]
     np.fill_diagonal(squares, 0)
-    return np.asarray(np.sqrt(squares, dtype=np.float64))
+    return np.asarray(np.sqrt(np.maximum(squares, 0, out=squares), out=squares))
 
 
 def _energy(sums: NDArray[np.float64], counts: NDArray[np.float64], one: int, others: list[int]) -> float:

@@ -15,13 +15,15 @@ from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.texture import Shape
 
-from .judgement import Look
+from .look import Look
 from .periodic import HALVES
 from .residual import found_middles
 
 SAMPLES = 7
 """Samples of a window along each of the lattice's vectors."""
 _DENSE = 8
+Bends = tuple[Points, Points]
+"""Matrices ``(k, 2, 2)`` and shifts ``(k, 2)`` px."""
 
 
 @dataclass(frozen=True)
@@ -67,14 +69,35 @@ class Cutter:
         """Return the windows whose middles are at a place of the cell (cell coordinates), those that lie inside."""
         at = _points(self.lattice, self.shape, (float(place[0]), float(place[1])))
         middles = at + self._offsets(at)
+        reach = np.abs(self._steps(samples, cells)).reshape(-1, 2).max(0)
+        inside = (middles >= reach).all(1) & (middles <= np.array(self.shape[::-1]) - 1 - reach).all(1)
+        return Windows(middles[inside], self.around(middles[inside], samples, cells))
+
+    def around(self, middles: Points, samples: int = SAMPLES, cells: float = 1.0, bends: Bends | None = None) -> Values:
+        """Return windows around middles (x, y) px, ``(n, samples, samples, C)``; beyond the image its border goes on.
+
+        Parameters
+        ----------
+        middles
+            ``(n, 2)``: (x, y) px.
+        samples, cells
+            Of a window, along each of the lattice's vectors.
+        bends
+            Matrices and shifts (px), taken in turn, by which what the windows show is bent; None: not at all.
+        """
+        steps = self._steps(samples, cells)
+        if bends is None:
+            xy = middles[:, np.newaxis, np.newaxis] + steps
+        else:
+            turn = np.arange(len(middles)) % len(bends[0])
+            xy = np.einsum("ijk,nkl->nijl", steps, bends[0][turn]) + (middles + bends[1][turn])[:, None, None]
+        return _bilinear(self._image, np.clip(xy, 0, np.array(self.shape[::-1]) - 1))
+
+    def _steps(self, samples: int, cells: float) -> Points:
+        """Return where the samples of a window lie from its middle, (x, y) px."""
         steps = ((np.arange(samples) + 0.5) / samples - 0.5) * cells
         u, v = np.meshgrid(steps, steps)
-        around = np.stack([u, v], -1) @ self.lattice.matrix
-        reach = np.abs(around).reshape(-1, 2).max(0)
-        inside = (middles >= reach).all(1) & (middles <= np.array(self.shape[::-1]) - 1 - reach).all(1)
-        middles = middles[inside]
-        xy = middles[:, np.newaxis, np.newaxis] + around
-        return Windows(middles, _bilinear(self._image, xy))
+        return np.asarray(np.stack([u, v], -1) @ self.lattice.matrix)
 
     def _offsets(self, at: Points) -> Points:
         """Return how far (x, y) px from where they belong the nearest tiles were found."""

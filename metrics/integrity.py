@@ -30,12 +30,17 @@ class Integrity:
     other. A tile is broken where its evidence exceeds what chance explains, the number of tiles accounted for
     (:class:`~nrbench.metrics.surprise.Tail`). The tail tells, not the median: most tiles of a copier are copies.
 
+    What blur, uneven light and smooth bending do to a whole tile is no evidence
+    (:func:`~nrbench.metrics.alterations.alterations`), and tiles that a strong blur has emptied, with those around
+    them, are left out: these are faults of appearance and of regularity. A warp beyond 0.15 s, which tears tiles out of
+    shape, and a seam that drives values to black or white may still break some.
+
     Where the lattice's origin lies in the tile does not matter: the windows are put where most of a window varies with
     its middle, and once more half a cell aside along both vectors. Tiles that regularity calls displaced are left out,
     since they lie over other elements. Of a photograph the sample itself takes the place of fresh draws.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
         "broken_share": Column(
             "Share of the tiles in place that are joined of parts that do not belong together.", better="lower"
@@ -45,7 +50,7 @@ class Integrity:
             "90th percentile of the tiles' evidence of being joined, over that of fresh draws.",
             "",
             (0.0, math.inf),
-            "one",
+            "lower",
         ),
         "power": Column("Share of fresh tiles, joined along random straight cuts, that would be counted."),
     }

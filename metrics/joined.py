@@ -20,21 +20,39 @@ _PARTNERS = (3, 7, 11, 17)
 
 
 @dataclass(frozen=True)
+class Whole:
+    """Tiles that are whole.
+
+    Parameters
+    ----------
+    rows
+        ``(n, p)``: their departures from their mean.
+    altered
+        ``(p, p)``: second moments of what altering them adds.
+    """
+
+    rows: Rows
+    altered: Rows
+
+
+@dataclass(frozen=True)
 class Joint:
     """Directions in the space of departures along which joined tiles vary and whole tiles do not.
 
     The tones of the elements that a tile shows span a subspace, in which all tiles of the texture lie but for their
-    noise. A tile that is joined of two parts leaves it. Of the generalized eigenvectors of the covariance of joined
-    tiles against that of whole ones (the discriminants of two Gaussians that differ in covariance: Fukunaga and Koontz,
-    IEEE Transactions on Computers C-19, 1970) those are kept along which joined tiles have more than twice the variance
-    of whole ones, at most 24.
+    noise. A tile that is joined of two parts leaves it. So may one that is blurred, lit or bent, which others judge
+    (:func:`~nrbench.metrics.alterations.alterations`): what those show counts as if whole tiles varied so. Of the
+    generalized eigenvectors of the covariance of joined tiles against that of whole ones (the discriminants of two
+    Gaussians that differ in covariance: Fukunaga and Koontz, IEEE Transactions on Computers C-19, 1970) those are kept
+    along which joined tiles have more than twice the variance of whole ones, at most 24.
 
     Parameters
     ----------
     directions
         ``(p, k)``.
     whole, joined
-        ``(k,)``: variance of whole and of joined tiles along them, measured on tiles that they were not fitted to.
+        ``(k,)``: variance of whole and of joined tiles along them, altered ones included, measured on tiles that they
+        were not fitted to.
     """
 
     directions: Rows
@@ -42,22 +60,23 @@ class Joint:
     joined: Levels
 
     @classmethod
-    def fit(cls, tiles: Rows, others: Rows, floor: Levels) -> Joint:
+    def fit(cls, tiles: Whole, others: Whole, floor: Levels) -> Joint:
         """Fit the directions to whole tiles, and measure them on others.
 
         Parameters
         ----------
         tiles, others
-            Departures of whole tiles, ``p = samples^2 channels``, at least two.
+            Whole tiles, ``p = samples^2 channels``, at least two.
         floor
             ``(p,)``: variance that each value has at least, e.g. because tiles are cut a fraction of a pixel off.
         """
-        inner = tiles.T @ tiles / (len(tiles) - 1) + np.diag(floor)
-        joins = joined(tiles, tiles.shape[1])
+        inner = tiles.rows.T @ tiles.rows / (len(tiles.rows) - 1) + tiles.altered + np.diag(floor)
+        joins = joined(tiles.rows, len(floor))
         first = max(len(floor) - _MOST_DIRECTIONS, 0)
         _, directions = eigh(joins.T @ joins / len(joins), inner, subset_by_index=(first, len(floor) - 1))
-        whole = ((others @ directions) ** 2).mean(0) + floor @ directions**2
-        broken = ((joined(others, others.shape[1]) @ directions) ** 2).mean(0)
+        spared = floor @ directions**2 + np.einsum("pk,pk->k", directions, others.altered @ directions)
+        whole = ((others.rows @ directions) ** 2).mean(0) + spared
+        broken = ((joined(others.rows, len(floor)) @ directions) ** 2).mean(0) + spared
         keep = broken > _LEAST_RATIO * whole
         return cls(directions[:, keep], whole[keep], broken[keep])
 
@@ -76,12 +95,12 @@ def joined(tiles: Rows, values: int) -> Rows:
     values
         Three times the number of samples of a square window, or once where the image is gray.
     """
-    cut = np.resize(_cuts(values), tiles.shape)
+    cut = np.resize(cuts(values), tiles.shape)
     return np.concatenate([np.where(cut, np.roll(tiles, partner, 0), tiles) for partner in _PARTNERS])
 
 
 @lru_cache(maxsize=2)
-def _cuts(values: int) -> NDArray[np.bool_]:
+def cuts(values: int) -> NDArray[np.bool_]:
     """Return which values each cut takes from the second tile, ``(16, values)``."""
     samples = math.isqrt(values)
     channels = 1 if samples**2 == values else 3

@@ -15,12 +15,13 @@ from nrbench.synthesis import Observation
 from . import limits
 from .courses import course_suspicion
 from .known_lattice import NO_LATTICE, known_lattice
+from .look import Look, look_at_references
 from .own_lattice import OwnLattice, own_lattice
-from .periodic import TOLERANCE, Periodic
-from .placement import Placement, affine_part, place
+from .periodic import TOLERANCE
+from .placement import affine_part, place
 from .scatter import neighborhood_suspicion, scatter_suspicion
-from .single_tiles import breakage_suspicion, displacement_suspicion
-from .strips import Strips, strip_suspicion, strips
+from .single_tiles import breakage_suspicion, displacement_suspicion, elsewhere_suspicion
+from .strips import strip_suspicion
 from .tiles import Tiles, inspect
 from .yardstick import Yardstick, yardstick
 
@@ -28,27 +29,6 @@ Flags = NDArray[np.bool_]
 Ratios = NDArray[np.float64]
 _OVERLAP = 0.55
 """Tiles whose distance times this stays within the Voronoi cell overlap: 0.5 would be tiles that touch."""
-
-
-@dataclass(frozen=True)
-class Look:
-    """An image as the judge sees it: its windows, its tiles and its courses."""
-
-    image: Image
-    periodic: Periodic
-    placement: Placement
-    tiles: Tiles
-
-    @classmethod
-    def at(cls, image: Image, periodic: Periodic) -> Look:
-        """Register the windows of ``image``, then inspect its tiles at the phase that most windows share."""
-        placement = place(image, periodic)
-        return cls(image, periodic, placement, inspect(image, periodic, placement.phase))
-
-    @cached_property
-    def strips(self) -> Strips:
-        """Its courses, each averaged along itself."""
-        return strips(self.image, self.tiles.lattice, self.periodic)
 
 
 @dataclass(frozen=True)
@@ -115,9 +95,9 @@ class Judgement:
 
     @property
     def worst_tile_displacement(self) -> float:
-        """How far, in s, the tile that most speaks against lies from its place."""
+        """How far, in s, the tile lies from its place that fits better elsewhere by most."""
         tiles = self.output.tiles
-        return float(np.hypot(*tiles.moved[self.tile_suspicion.argmax()]) / tiles.lattice.s)
+        return float(np.hypot(*tiles.moved[tiles.gain.argmax()]) / tiles.lattice.s)
 
     @property
     def _reference_tiles(self) -> list[Tiles]:
@@ -162,7 +142,7 @@ class Judgement:
     def course_suspicion(self) -> Ratios:
         """For each tile, how far its worst course exceeds the limits of having slid."""
         tiles, own = self.output.tiles, [look.strips for look in self.references]
-        slid = strip_suspicion(self.output.strips, own, tiles, self.yardstick.regular_share)
+        slid = strip_suspicion(self.output.strips, own, tiles)
         return np.maximum(course_suspicion(tiles, self._reference_tiles), slid)
 
     @property
@@ -188,6 +168,7 @@ class Judgement:
             ),
             "the content is bent": scatter_suspicion(placement, references) if model else 0.0,
             f"the structure is {self.structure:.2f} of the references'": (1 - self.structure) / (1 - limits.STRUCTURE),
+            "many tiles fit better elsewhere": elsewhere_suspicion(self.output.tiles, self._reference_tiles),
             "a course of tiles has slid": float(self.course_suspicion.max(initial=0.0)),
             f"{len(self.bad_places)} tile(s) displaced or broken": float(self.tile_suspicion.max(initial=0.0)),
         }
@@ -285,16 +266,13 @@ def judge(observation: Observation) -> Judgement | None:
     return found
 
 
-def look_at_references(measure: Yardstick) -> tuple[Look, ...]:
-    """Return the yardstick's references as the judge sees them."""
-    return tuple(Look.at(reference.image, reference.periodic) for reference in measure.references)
-
-
 def compare(output: Image, measure: Yardstick, references: tuple[Look, ...]) -> Judgement:
     """Return an output beside its references; the drift that its lattice's uncertainty allows is taken out."""
-    found = place(output, measure.periodic)
+    seen = measure.view(output)
+    found = place(seen, measure.periodic)
     drift = affine_part(found)
     left_out = drift if measure.forgiven(drift) else np.zeros((2, 2))
     placement = found.without(left_out)
-    look = Look(output, measure.periodic, placement, inspect(output, measure.periodic, placement.phase, left_out))
+    tiles = inspect(seen, measure.periodic, placement.phase, left_out)
+    look = Look(output, seen, measure.periodic, placement, tiles)
     return Judgement(measure, look, references, drift, own_lattice(found, drift))

@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.imaging.fold import Tile, Values
+from nrbench.imaging.fold import Tile, Values, fold, tile_grid
 from nrbench.imaging.registration import Template
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.texture import Shape
 
 from .bank import Bank
+from .places import Places
+from .refinement import Cell
+from .strip_template import StripTemplate, strip_templates
 
 WINDOW_TILES = 2.0
 """Width of the windows whose place is registered, in tiles: two show every joint of a tile whole, wherever they lie."""
@@ -27,6 +30,12 @@ HALVES = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))
 _VARIANCE_FLOOR = 0.1
 """Share of the mean variance that is added to every pixel's: no pixel weighs more than ten times the mean's weight."""
 
+_FINENESS, _LEAST_COUNT = (3, 2, 1), 0.5
+"""Samples a pixel, each way, of one cell folded from many; as few as each has so many pixels."""
+_LARGE_CELL = 300
+"""Windows of cells of more px are looked for with their pixels taken two by two, at every place."""
+_SHARPENED = 2
+"""How often what a folded cell leaves of the image is folded in turn: sharing pixels among samples blurs it."""
 _LARGE = 8
 """Cells each way over which a cell is averaged: some 60 pixels fall on each of its samples."""
 
@@ -104,40 +113,71 @@ class Periodic:
         window = window_shape(self.lattice, WINDOW_TILES)
         cell = np.ceil(np.abs(self.lattice.matrix).sum(0)).astype(int) + 2
         shape = (window[0] + int(cell[1]), window[1] + int(cell[0]))
-        return Template(self.image(shape), self.weights(shape), window)
+        return Template(self._patch(shape), self.weights(shape), window)
+
+    def _patch(self, shape: Shape) -> Values:
+        """Return :meth:`image`, cut from what is there already where that reaches."""
+        enough = shape[0] <= self.large.shape[0] and shape[1] <= self.large.shape[1]
+        return self.large[: shape[0], : shape[1]] if enough else self.image(shape)
 
     @cached_property
-    def large(self) -> tuple[Values, NDArray[np.float32]]:
-        """The periodic image over :data:`_LARGE` cells or more each way, and its weights: every place of a cell."""
+    def large(self) -> Values:
+        """The periodic image over :data:`_LARGE` cells or more each way: every place of a cell."""
         side = np.ceil(_LARGE * tile_box(self.lattice)).astype(int)
-        shape = (int(side[1]), int(side[0]))
-        return self.image(shape), self.weights(shape)
+        return self.image((int(side[1]), int(side[0])))
 
     @cached_property
-    def places(self) -> tuple[Bank, NDArray[np.bool_]]:
-        """The same patch, to be looked at within one cell of displacements about its middle; and a mask of that."""
+    def courses(self) -> tuple[StripTemplate, ...]:
+        """One cell of its courses in each direction."""
+        return strip_templates(self.lattice, self.large, self.variance.unfold(self.large.shape[:2])[..., 0])
+
+    @cached_property
+    def cell(self) -> Cell:
+        """One cell, to be read between its samples: as fine as the many cells of a rendered image tell."""
+        floor = float(_VARIANCE_FLOOR * self.variance.values.mean() + 1 / 255**2)
+        return Cell.of(self.ideal if isinstance(self.ideal, Tile) else self._finely_folded(), self.variance, floor)
+
+    def _finely_folded(self) -> Tile:
+        """Return the cell folded from :attr:`large`, several samples a pixel if its pixels fall between them too."""
+        image, (rows, columns) = self.large, tile_grid(self.lattice)
+        for fineness in _FINENESS:
+            tile = fold(image, self.lattice, grid=(fineness * rows, fineness * columns))
+            if tile.counts.min() > _LEAST_COUNT:
+                break
+        for _ in range(_SHARPENED):
+            left = fold(image - tile.unfold(image.shape[:2]), self.lattice, grid=tile.counts.shape)
+            tile = Tile(tile.values + left.values, tile.counts, self.lattice)
+        return tile
+
+    @cached_property
+    def places(self) -> Places:
+        """The same patch, to be looked at within one cell of displacements about its middle."""
         template = self.windows
         rows, columns = (
             side - length + 1 for side, length in zip(template.weights.shape, template.window, strict=True)
         )
         y, x = np.indices((rows, columns))
         inside = _within_cell(np.stack([x - columns // 2, y - rows // 2], -1).astype(np.float64), self.lattice)
-        return Bank(template, _ringed(inside)), inside
+        return Places(template, inside, 2 if self.lattice.area > _LARGE_CELL else 1)
 
     @cached_property
     def searches(self) -> tuple[Search, ...]:
         """Patches for one-tile windows, half a cell apart along both vectors."""
         return tuple(self._search(half) for half in HALVES)
 
+    @cached_property
+    def _offsets(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
+        return _offsets(self.lattice)
+
     def _search(self, half: tuple[float, float]) -> Search:
         window = window_shape(self.lattice, 1.0)
         size = np.array(window[::-1])
-        near, far, reach = _offsets(self.lattice)
+        near, far, reach = self._offsets
         wanted = self.lattice.from_cell(half) - (size - 1) / 2
         wanted = reach + 1 + self.lattice.wrap(wanted - 2 * reach - 1)
         x, y = (int(value) for value in np.floor(wanted + 0.5 + 1e-6))
         width, height = (int(value) for value in size + 2 * reach)
-        image, weights = (plane((y + height, x + width))[y:, x:] for plane in (self.image, self.weights))
+        image, weights = (plane((y + height, x + width))[y:, x:] for plane in (self._patch, self.weights))
         bank = Bank(Template(image, weights, window), _ringed(near) | far)
         return Search(half, bank, reach + wanted - (x, y), near, far)
 

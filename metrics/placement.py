@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image
-from nrbench.imaging.fold import Values
-from nrbench.imaging.registration import cut_windows, peaks
+from nrbench.imaging.registration import cut_windows
 from nrbench.lattice.geometry import Lattice, Points
 
 from .periodic import Periodic
+from .refinement import refined
 
 _FOLLOWS = 0.04
 """A window follows an affine displacement that it is this near to, in s: twice the scatter of fresh draws' windows."""
@@ -71,6 +71,19 @@ class Placement:
         """``(n,)``: length of :attr:`offsets` over the shortest lattice vector."""
         return np.asarray(np.hypot(*self.offsets.T) / self.lattice.s)
 
+    @cached_property
+    def misalignment(self) -> float:
+        """Mean distance between the displacements of two windows, modulo the lattice, over s.
+
+        No phase is asked for: of content that is bent everywhere none is the right one. At most :data:`_CANDIDATES`
+        windows, evenly spread, are paired with all.
+        """
+        if not len(self.corners):
+            return 0.0
+        few = self.displacement[:: -(-len(self.displacement) // _CANDIDATES)]
+        apart = self.lattice.wrap(self.displacement[np.newaxis] - few[:, np.newaxis])
+        return float(np.hypot(*np.moveaxis(apart, -1, 0)).mean() / self.lattice.s)
+
     @property
     def centers(self) -> Points:
         """``(n, 2)``: middles (x, y) of the windows in px."""
@@ -113,16 +126,10 @@ def place(image: Image, periodic: Periodic) -> Placement:
     if not len(corners):
         return Placement(periodic.lattice, template.window, grid, corners, np.zeros((0, 2)), np.zeros(0))
     few = np.array_split(corners, len(corners) // _AT_ONCE + 1)
-    found = [_register(cut_windows(image, some, template.window), periodic) for some in few]
-    at, height = (np.concatenate(column) for column in zip(*found, strict=True))
-    displacement = periodic.lattice.wrap(corners - at)
-    return Placement(periodic.lattice, template.window, grid, corners, displacement, height)
-
-
-def _register(windows: Values, periodic: Periodic) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where each window fits best, sub-pixel, and its NCC there."""
-    bank, inside = periodic.places
-    return peaks(bank.surfaces(bank.compare(windows)[0]), inside)
+    found = [periodic.places.find(cut_windows(image, some, template.window))[0] for some in few]
+    at = np.concatenate(found)
+    displacement, structure = refined(image, periodic.cell, corners, template.window, corners - at)
+    return Placement(periodic.lattice, template.window, grid, corners, periodic.lattice.wrap(displacement), structure)
 
 
 def _grid(shape: tuple[int, int], window: tuple[int, int]) -> tuple[tuple[int, int], NDArray[np.intp]]:

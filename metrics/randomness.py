@@ -39,14 +39,16 @@ class Randomness:
     mean colors alone. ``repetition`` counts near-exact twins among pairs of windows half a tile and one tile wide,
     whichever are more, ``repetition_wide`` those two tiles wide. The share of twins is placed between that of fresh
     draws (0) and that of the best possible copier (1), which picks at random among the sources in the sample that the
-    lattice calls equal: with M of them one pair in M is a twin; one tile repeated reads about M. ``distance`` is an
-    energy distance between residual tiles, less the level of fresh draws to each other: noise buys nothing.
+    lattice calls equal: with M of them one pair in M is a twin; one tile repeated reads about M. Where most windows
+    return at one lag that counts for more: a crop of the sample that is repeated in rows and columns has few twins, but
+    all at few lags, and reads about the root of M. ``distance`` is an energy distance between residual tiles, less the
+    level of fresh draws to each other: noise buys nothing.
 
     Of a photograph the sample takes the place of fresh draws; energies are then compared in boxes of one extent, the
     smaller of sample's and output's, each about its own mean. Not scored where regularity is lost.
     """
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     columns: ClassVar[Mapping[str, Column]] = {
         "variation": Column("Tile-by-tile variation over that of fresh draws.", "", (0.0, math.inf), "one"),
         "variation_color": Column(
@@ -132,7 +134,8 @@ def _records(variety: Variety, found: Energies, pairs: list[Twins]) -> dict[str,
         "reference": "fresh draws" if variety.model else "sample",
         "tiles": len(variety.output),
         "sources": half.sources if half else None,
-        "twins": {f"{one.size:g}": one.share for one in pairs},
-        "twins_of_reference": {f"{one.size:g}": one.natural for one in pairs},
+        "twins": {f"{one.size:g}": one.own.all for one in pairs},
+        "twins_by_lag": {f"{one.size:g}": one.own.by_lag for one in pairs},
+        "twins_of_reference": {f"{one.size:g}": one.natural.all for one in pairs},
         "deviation": {name: float(np.sqrt(value)) for name, value in found.all.items()},
     }

@@ -31,10 +31,11 @@ class Regularity:
 
     The texture's periodic image - the model's own, or the mean tile of the sample folded by the given lattice - is the
     template. Windows of the output 2 tiles wide, half a window apart, are registered against it by weighted NCC over
-    one cell of displacements, sub-pixel. The displacement that most windows share is the output's phase, which is free;
-    what remains, modulo the lattice and over its shortest vector s, is each window's misplacement. Then windows of one
-    tile, half a cell apart, are compared with the template at that phase, every pixel weighted by the inverse of its
-    variance across tiles, which shows single tiles that are displaced, missing or broken.
+    one cell of displacements, sub-pixel: against one cell of it that is read between its samples, so that it does not
+    matter where between two pixels a window lies. The displacement that most windows share is the output's phase, which
+    is free; what remains, modulo the lattice and over its shortest vector s, is each window's misplacement. Then
+    windows of one tile, half a cell apart, are compared with the template at that phase, every pixel weighted by the
+    inverse of its variance across tiles, which shows single tiles that are displaced, missing or broken.
 
     All limits are relative to fresh draws of the model (of a photograph: to the sample itself, each part against the
     mean tile of the rest): see ``nrbench.metrics.limits``. For a photograph the affine part of the displacement is
@@ -45,7 +46,7 @@ class Regularity:
     asked for the sample's. The record ``lattice_from`` says which: model, given, or dominance.
     """
 
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),
         "intact": Column(
@@ -62,6 +63,7 @@ class Regularity:
             range=(0.0, math.inf),
             better="one",
         ),
+        "misalignment": _distance("Mean displacement of two windows against each other"),
         "misplaced_share": Column("Share of windows that are out of place.", better="lower"),
         "worst_neighborhood": _distance("Largest median displacement of 3 x 3 windows"),
         "structure": Column(
@@ -80,7 +82,7 @@ class Regularity:
             range=(-math.inf, math.inf),
             better="lower",
         ),
-        "worst_tile_displacement": _distance("Displacement of the worst single tile"),
+        "worst_tile_displacement": _distance("Displacement of the single tile that fits better elsewhere by most"),
         "worst_course": _distance("Largest displacement that the tiles of one course share"),
         "drift": Column("Stretch or turn of the whole output against the true lattice.", "%", (0.0, math.inf), "lower"),
         "lattice_exact": Column(
@@ -137,6 +139,7 @@ def _placements(judgement: Judgement) -> dict[str, Value]:
         "misplacement_median_px": median * s,
         "misplacement_p95_px": p95 * s,
         "misplacement_ratio": median / usual if usual > 0 else None,
+        "misalignment": judgement.output.placement.misalignment,
         "misplaced_share": float(judgement.misplaced.mean()),
         "worst_neighborhood": judgement.worst_neighborhood,
     }
@@ -179,6 +182,7 @@ def _records(judgement: Judgement) -> dict[str, Any]:
         "own_lattice": judgement.own.lattice.as_dict() if judgement.own else None,
         "followers": judgement.own.followers if judgement.own else None,
         "regular_share": judgement.yardstick.regular_share,
+        "judged": "detail" if judgement.yardstick.detail else "image",
         "lattice": judgement.output.tiles.lattice.as_dict(),
         "phase": [float(value) for value in placement.phase],
         "windows": list(placement.grid),

@@ -21,6 +21,8 @@ SIZES = (0.5, 1.0, 2.0)
 """Widths of the windows that are compared, in tiles."""
 _OF_COPIER = 0.1
 """Near-exact: so near that pairs of fresh draws are a tenth as often as the copier's twins would be."""
+_LEAST_PAIRS = 6
+"""Of fewer pairs at one lag half are twins by chance."""
 _BY_CHANCE = 0.02
 """Near-exact in the sample: nearer than all but this share of a fresh draw's windows."""
 _LEAST_SCALE = 0.25
@@ -28,28 +30,90 @@ _LEAST_SCALE = 0.25
 
 
 @dataclass(frozen=True)
+class Pairs:
+    """Pairs of windows of one width.
+
+    Parameters
+    ----------
+    distances
+        ``(p,)``: weighted mean squared difference of each pair.
+    lags
+        ``(p,)``: numbers that tell by how many cells, and in which direction, the two lie apart; windows in
+        different quarters of the cell have numbers of their own.
+    """
+
+    distances: Distances
+    lags: NDArray[np.intp]
+
+    def counts(self, limit: float) -> NDArray[np.float64]:
+        """Return how many pairs there are, how many are nearer than ``limit``, and how many lie where windows return.
+
+        At a lag with k of n pairs near, ``2 k / n - 1`` of them do, if that is more than none: from no pair where half
+        of the windows return to all where all do. Lags of fewer than :data:`_LEAST_PAIRS` pairs are left out.
+        """
+        pairs = np.bincount(self.lags)
+        near = np.bincount(self.lags[self.distances <= limit], minlength=len(pairs))
+        returning = np.maximum(2 * near - pairs, 0)[pairs >= _LEAST_PAIRS]
+        return np.array([pairs.sum(), near.sum(), returning.sum()], np.float64)
+
+
+@dataclass(frozen=True)
+class Share:
+    """Share of pairs of windows that are near-exact twins.
+
+    Parameters
+    ----------
+    all
+        Of all pairs.
+    by_lag
+        Root of the share of pairs at lags at which windows return, see :meth:`Pairs.counts`: 0 where twins are strewn
+        over all lags, and 1 where all pairs are twins.
+    """
+
+    all: float
+    by_lag: float
+
+    @classmethod
+    def of(cls, pairs: list[Pairs], limit: float) -> Share:
+        """Return the shares of pairs, of one or several images, that are nearer than ``limit``."""
+        count, near, returning = np.sum([one.counts(limit) for one in pairs], 0)
+        return cls(float(near / count), float(np.sqrt(returning / count)))
+
+
+@dataclass(frozen=True)
 class Twins:
-    """Share of pairs of windows that are near-exact twins, beside what chance and copying would give.
+    """Near-exact twins among pairs of windows, beside what chance and copying would give.
 
     Parameters
     ----------
     size
         Width of the windows in tiles.
-    share, natural
+    own, natural
         Among pairs of the output, and of fresh draws.
     sources
         Among how many places of the sample a copier can choose.
     """
 
     size: float
-    share: float
-    natural: float
+    own: Share
+    natural: Share
     sources: float
 
     @property
     def score(self) -> float:
-        """0 as in fresh draws, 1 where each window is drawn at random from the sources: one pair in them is a twin."""
-        return (self.share - self.natural) * self.sources / (1 - self.natural)
+        """0 as in fresh draws, 1 where each window is drawn at random from the sources: one pair in them is a twin.
+
+        Of all pairs or by lag, whichever is more. A crop of the sample that is repeated in rows and columns has no more
+        twins than a copier that chooses at random - fewer, since it uses every source equally often - but at few lags,
+        and there all windows are: of one pair in M at the root of M.
+        """
+        strewn = self._excess(self.own.all, self.natural.all)
+        returning = self._excess(self.own.by_lag, self.natural.by_lag)
+        return max(strewn, returning) if returning > 0 else strewn
+
+    def _excess(self, own: float, natural: float) -> float:
+        natural = min(natural, 0.5)
+        return (own - natural) * self.sources / (1 - natural)
 
 
 def twins(
@@ -73,19 +137,19 @@ def twins(
         twins.
     """
     relative = float(np.clip(scale, _LEAST_SCALE, 1))
-    own, others = pair_distances(output, weights), [pair_distances(tiles, weights) for tiles in fresh]
+    own, others = window_pairs(output, weights), [window_pairs(tiles, weights) for tiles in fresh]
     found = []
     for i, size in enumerate(SIZES):
-        right = np.concatenate([other[i] for other in others])
-        if len(own[i]) and len(right):
+        right = np.concatenate([other[i].distances for other in others])
+        if len(own[i].distances) and len(right):
             limit = float(np.quantile(right, _OF_COPIER / sources[i]))
-            near, chance = float((own[i] <= limit * relative).mean()), float((right <= limit).mean())
-            found.append(Twins(size, near, min(chance, 0.5), sources[i]))
+            near, chance = Share.of([own[i]], limit * relative), Share.of([other[i] for other in others], limit)
+            found.append(Twins(size, near, chance, sources[i]))
     return found
 
 
-def pair_distances(tiles: TileSet, weights: NDArray[np.float32]) -> tuple[Distances, Distances, Distances]:
-    """Return the weighted mean squared difference of each pair of windows half a tile, one and two tiles wide."""
+def window_pairs(tiles: TileSet, weights: NDArray[np.float32]) -> tuple[Pairs, Pairs, Pairs]:
+    """Return the pairs of windows half a tile, one and two tiles wide."""
     tiles = tiles.middle(MOST_TILES)
     shares = weights / weights.sum()
     parts = zip(quarters(tiles.tiles), quarters(shares[np.newaxis, ..., np.newaxis])[..., 0], strict=True)
@@ -93,16 +157,30 @@ def pair_distances(tiles: TileSet, weights: NDArray[np.float32]) -> tuple[Distan
     whole = distances.sum(0)
     masses = quarters(shares[np.newaxis, ..., np.newaxis]).sum((1, 2, 3, 4))
     upper = np.triu_indices(len(tiles), 1)
+    lags = _lags(tiles.numbers, *upper)
+    count = int(lags.max(initial=0)) + 1
     halves = np.concatenate([one[upper] / mass for one, mass in zip(distances, masses, strict=True)])
-    return halves, whole[upper], _wide(whole, tiles.neighbors())
+    quartered = np.concatenate([lags + count * k for k in range(len(masses))])
+    return Pairs(halves, quartered), Pairs(whole[upper], lags), _wide(whole, tiles)
 
 
-def _wide(whole: Distances, neighbors: NDArray[np.intp]) -> Distances:
-    """Return the mean of four tiles' distances, for pairs of windows that share no tile."""
+def _wide(whole: Distances, tiles: TileSet) -> Pairs:
+    """Return the pairs of windows of four tiles that share none of them: the mean of these tiles' distances."""
+    neighbors = tiles.neighbors()
     i, j = np.triu_indices(len(neighbors), 1)
-    mean = sum(whole[neighbors[i, k], neighbors[j, k]] for k in range(4)) / np.float32(4)
     shared = (neighbors[i][:, :, np.newaxis] == neighbors[j][:, np.newaxis]).any((1, 2))
-    return np.asarray(mean)[~shared] if len(i) else np.zeros(0, np.float32)
+    i, j = i[~shared], j[~shared]
+    mean = np.mean([whole[neighbors[i, k], neighbors[j, k]] for k in range(4)], 0, np.float32)
+    return Pairs(np.asarray(mean, np.float32), _lags(tiles.numbers, neighbors[i, 0], neighbors[j, 0]))
+
+
+def _lags(numbers: NDArray[np.int64], i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return a number for the lag between tiles i and j, the same from j to i."""
+    u, v = (numbers[j] - numbers[i]).T
+    back = (u < 0) | ((u == 0) & (v < 0))
+    u, v = np.where(back, -u, u), np.where(back, -v, v)
+    reach = int(np.abs(v).max(initial=0))
+    return np.asarray(u * (2 * reach + 1) + v + reach, np.intp)
 
 
 def _squares(one: Values, other: Values, share: NDArray[np.float32]) -> Distances:

@@ -9,7 +9,7 @@ from scipy import ndimage
 from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice, Points
 
-from .judgement import Look
+from .look import Look
 from .periodic import TOLERANCE
 
 _ALIGNMENT = 0.4

@@ -24,6 +24,17 @@ def displacement_suspicion(tiles: Tiles, references: list[Tiles], regular_share:
     return np.minimum(tail.surprise(tiles.gain) / limit, tiles.gain / limits.GAIN_FLOOR)
 
 
+def elsewhere_suspicion(tiles: Tiles, references: list[Tiles]) -> float:
+    """Return how far the share of tiles that fit better elsewhere exceeds its limit: above 1 the pattern is another.
+
+    It needs no tail of what single tiles of few references come to: a pattern of twice the period fits the windows of
+    two tiles, in which half of the joints are missing, and no tile by itself is beyond a wide tail.
+    """
+    most = max((float((other.gain > 0).mean()) for other in references if len(other.gain)), default=1.0)
+    found = float((tiles.gain > 0).mean()) if len(tiles.gain) else 0.0
+    return found / (limits.MISPLACED_SHARE + 2 * most)
+
+
 def breakage_suspicion(tiles: Tiles, references: list[Tiles]) -> Ratios:
     """Return, for each tile, how far it exceeds the limits of fitting badly in its place: above 1 it is broken.
 

@@ -14,7 +14,8 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.synthesis import Observation
 from nrbench.texture import Shape
 
-from .judgement import Judgement, Look
+from .judgement import Judgement
+from .look import Look
 from .residual import aligned_middles, interior_weights
 from .tileset import QUARTERS, Grid, TileSet, even_grid
 from .yardstick import FIRST_DRAW

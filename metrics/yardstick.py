@@ -7,13 +7,15 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from nrbench.imaging.door import Image, quantize
-from nrbench.imaging.fold import Values, fold
+from nrbench.imaging.fold import Values, fold, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.synthesis import Again, Observation
 from nrbench.texture import Shape, Texture
 
+from . import limits
 from .known_lattice import KnownLattice, Origin, known_lattice, settled
 from .own_lattice import moved, spread
 from .periodic import WINDOW_TILES, Periodic, tile_box, window_shape
@@ -30,6 +32,9 @@ _TILES_A_SIDE, _LEAST_TILES_A_SIDE = 7, 5
 """Tiles along each side of a fresh draw, and fewest where that would be too large."""
 _SIDES = (128, 320)
 """Least and largest side of a fresh draw, px, as long as the fewest tiles fit."""
+_DETAIL = 0.2
+"""Standard deviation, in s, of the blur that detail is without: colors that differ from tile to tile are gone then,
+joints are not."""
 _WINDOWS, _MOST = 1.5, 0.7
 """A part of the sample is this many windows long, but no more than that share of the sample."""
 
@@ -61,6 +66,8 @@ class Yardstick:
         The lattice that was known beforehand, and from where.
     fit
         2 x 2 matrix that takes the vectors of that lattice to those of :attr:`lattice`, as fitted to the sample.
+    detail
+        Standard deviation, px, of the blur that is taken off images before they are judged; 0: they are judged whole.
     """
 
     source: Literal["model", "sample"]
@@ -69,6 +76,11 @@ class Yardstick:
     regular_share: float
     known: KnownLattice
     fit: Points = field(default_factory=lambda: np.eye(2))
+    detail: float = 0.0
+
+    def view(self, image: Values) -> Values:
+        """Return what is judged of an image: all of it, or its detail."""
+        return _detail(image, self.detail)
 
     @property
     def lattice(self) -> Lattice:
@@ -92,7 +104,26 @@ def yardstick(observation: Observation) -> Yardstick | None:
         return None
     if known.origin == "model" and truth is not None and observation.again is not None:
         return model_yardstick(truth, known.lattice, observation.again)
-    return sample_yardstick(observation.sample, known.lattice, known.origin)
+    return best_yardstick(observation.sample, known.lattice, known.origin)
+
+
+def best_yardstick(sample: Image, lattice: Lattice, origin: Origin = "given") -> Yardstick:
+    """Return the yardstick of a sample, or of its detail where the whole has too little that is regular.
+
+    Tiles whose colors differ much swamp the joints between them, which the eye follows all the same.
+    """
+    whole = sample_yardstick(sample, lattice, origin)
+    if whole.regular_share >= limits.SURE_SHARE:
+        return whole
+    fine = sample_yardstick(sample, lattice, origin, _DETAIL * settled(lattice).s)
+    return fine if fine.regular_share > whole.regular_share else whole
+
+
+def _detail(image: Values, sigma: float) -> Values:
+    """Return an image less its blur; the image where ``sigma`` is 0."""
+    if not sigma:
+        return image
+    return np.asarray(image - ndimage.gaussian_filter(image, (sigma, sigma, 0), mode="reflect"), np.float32)
 
 
 def model_yardstick(truth: Texture, lattice: Lattice, again: Again) -> Yardstick:
@@ -112,22 +143,24 @@ def model_yardstick(truth: Texture, lattice: Lattice, again: Again) -> Yardstick
     return Yardstick("model", periodic, references, share, KnownLattice(lattice, "model"))
 
 
-def sample_yardstick(sample: Image, lattice: Lattice, origin: Origin = "given") -> Yardstick:
-    """Return the yardstick of a sample of which only the lattice is known.
+def sample_yardstick(sample: Image, lattice: Lattice, origin: Origin = "given", detail: float = 0.0) -> Yardstick:
+    """Return the yardstick of a sample, or of its detail, of which only the lattice is known.
 
     The lattice is first fitted to the sample, as far as its uncertainty allows.
     """
+    seen = _detail(sample, detail)
     known = KnownLattice(settled(lattice), origin)
     everywhere = np.ones(sample.shape[:2], np.bool_)
     assert known.lattice is not None
-    rough = _folded(sample, known.lattice, everywhere)
-    drift = affine_part(place(sample, rough))
+    rough = _folded(seen, known.lattice, everywhere)
+    drift = affine_part(place(seen, rough))
     if not 0 < np.linalg.norm(spread(drift) - np.eye(2), 2) <= LATTICE_UNCERTAINTY:
         drift = np.zeros((2, 2))
-    periodic = _folded(sample, moved(known.lattice, drift, np.zeros(2)), everywhere)
-    references = tuple(_crossed(sample, periodic.lattice, part) for part in _parts(sample.shape[:2], periodic.lattice))
-    share = _share(periodic.image(sample.shape[:2]), float(periodic.variance.values.mean()))
-    return Yardstick("sample", periodic, references, share, known, spread(drift))
+    periodic = _folded(seen, moved(known.lattice, drift, np.zeros(2)), everywhere)
+    parts = _parts(sample.shape[:2], periodic.lattice)
+    references = tuple(_crossed(sample, seen, periodic.lattice, part) for part in parts)
+    share = _sample_share(seen, periodic.lattice)
+    return Yardstick("sample", periodic, references, share, known, spread(drift), detail)
 
 
 def _parts(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -140,21 +173,37 @@ def _parts(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[n
     return first, last
 
 
-def _crossed(sample: Image, lattice: Lattice, part: NDArray[np.bool_]) -> Reference:
+def _crossed(sample: Image, seen: Values, lattice: Lattice, part: NDArray[np.bool_]) -> Reference:
     """Return one part of the sample, to be judged by the mean tile of the rest, however little it is."""
     rows, columns = np.flatnonzero(part.any(1)), np.flatnonzero(part.any(0))
     crop = sample[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    rest = _folded(sample, lattice, ~part)
+    rest = _folded(seen, lattice, ~part)
     shifted = lattice.shifted((-float(columns[0]), -float(rows[0])))
     return Reference(crop, rest.on(shifted))
 
 
-def _folded(sample: Image, lattice: Lattice, mask: NDArray[np.bool_]) -> Periodic:
+def _folded(sample: Values, lattice: Lattice, mask: NDArray[np.bool_]) -> Periodic:
     """Return the sample's mean tile, and its variance across tiles: a mean of n tiles takes 1/n of it."""
     tile = fold(sample, lattice, mask)
     cells = max(float(mask.sum()) / lattice.area, 1.5)
     departures = ((sample - tile.unfold(sample.shape[:2])) ** 2).mean(-1, keepdims=True)
     return Periodic(lattice, tile, fold(departures * np.float32(cells / (cells - 1)), lattice, mask))
+
+
+def _sample_share(sample: Values, lattice: Lattice) -> float:
+    """Return the regular share of a sample, on the scale of a model's.
+
+    Folding smooths: with one sample a pixel the mean tile loses a fourth of the variance of thin joints. So the tile is
+    sampled twice as finely, what a second folding loses is put back, and 1/n of the departures, which a mean of n tiles
+    keeps, is taken out.
+    """
+    rows, columns = tile_grid(lattice)
+    grid, shape = (2 * rows, 2 * columns), sample.shape[:2]
+    once = fold(sample, lattice, grid=grid).unfold(shape)
+    twice = fold(once, lattice, grid=grid).unfold(shape)
+    total, regular, kept = (float(one.var((0, 1), dtype=np.float64).mean()) for one in (sample, once, twice))
+    share, left = regular**2 / max(kept * total, 1e-12), lattice.area / (shape[0] * shape[1])
+    return float(np.clip((share - left) / max(1 - left, 1e-12), 0, 1))
 
 
 def _share(ideal: Values, departures: float) -> float:

@@ -52,11 +52,14 @@ class Ending:
         ``ended``, ``timeout``, ``memory``, ``crash`` or ``abandoned`` (whoever asked is gone).
     message
         One sentence, empty for ``ended``.
+    started
+        Largest resident bytes of all that it started, seen at any one look.
     """
 
     messages: list[dict[str, Any]]
     status: str = "ended"
     message: str = ""
+    started: int = 0
 
 
 class Watch:
@@ -96,6 +99,7 @@ class Watch:
             asked,
         )
         self.messages: list[dict[str, Any]] = []
+        self.started = 0
         self._open = True
 
     def broken(self) -> tuple[str, str] | None:
@@ -115,7 +119,9 @@ class Watch:
                 return "abandoned", "whoever asked for it is gone"
             if now > look:
                 look = now + MEMORY_TICK
-                if resident(self.pid) - self.base > self.limits.mib * MIB:
+                own, started = resident(self.pid)
+                self.started = max(self.started, started)
+                if own + started - self.base > self.limits.mib * MIB:
                     return "memory", f"used more than {self.limits.mib:g} MiB; raise --memory if it may"
 
     def _arrived(self) -> list[dict[str, Any]]:
@@ -136,15 +142,16 @@ def parsed(line: str | bytes) -> dict[str, Any] | None:
     return message if isinstance(message, dict) else None
 
 
-def resident(pid: int) -> int:
-    """Return the resident bytes of a process and all its descendants; 0 where it is gone."""
-    total = 0
+def resident(pid: int) -> tuple[int, int]:
+    """Return the resident bytes of a process and of all its descendants; 0 where they are gone."""
+    own, started = 0, 0
     with contextlib.suppress(psutil.Error):
         process = psutil.Process(pid)
-        for one in (process, *process.children(recursive=True)):
+        own = process.memory_info().rss
+        for one in process.children(recursive=True):
             with contextlib.suppress(psutil.Error):
-                total += one.memory_info().rss
-    return total
+                started += one.memory_info().rss
+    return own, started
 
 
 def sweep(pid: int) -> None:
@@ -238,3 +245,9 @@ def peak_bytes() -> int:
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return int(peak if sys.platform == "darwin" else peak * 1024)
+
+
+def cpu_seconds() -> float:
+    """Return the processor seconds so far of this process, all threads, and of the programs that it has waited for."""
+    times = os.times()
+    return time.process_time() + times.children_user + times.children_system

@@ -10,6 +10,7 @@ from typing import Any
 
 from nrbench import plugins
 from nrbench.cell import Cell
+from nrbench.guard import cpu_seconds
 from nrbench.imaging.files import read_image, write_image
 from nrbench.outputs import InvalidOutput, checked_synthesis
 from nrbench.store import CellFolder, read_json, write_arrays
@@ -44,9 +45,9 @@ def synthesize(folder: Path, send: Send) -> None:
 def _synthesize(where: CellFolder, cell: Cell) -> dict[str, Any]:
     method = plugins.build("synthesizers", cell.method, cell.parameters)
     task = _task(where, cell)
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall, cpu = time.perf_counter(), cpu_seconds()
     made = method.synthesize(task)
-    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
     synthesis = checked_synthesis(made, task.sample, cell.shape)
     _write(where, synthesis)
     return {

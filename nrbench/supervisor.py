@@ -178,10 +178,9 @@ def _fresh(request: Request) -> Reply:
     code = child.wait()
     if broken:
         return summarize(guard.Ending(watch.messages, *broken))
-    ending = (
-        guard.Ending(watch.messages) if code == 0 else guard.Ending(watch.messages, "crash", guard.explain_exit(code))
-    )
-    return summarize(ending)
+    if code != 0:
+        return summarize(guard.Ending(watch.messages, "crash", guard.explain_exit(code)))
+    return summarize(guard.Ending(watch.messages, started=watch.started))
 
 
 def _with_start(request: Request) -> guard.Limits:

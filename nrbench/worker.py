@@ -51,7 +51,8 @@ def summarize(ending: guard.Ending) -> Reply:
         return {"status": "ok", "message": "", "scored": scored}
     if ending.status != "ended":
         return {"status": ending.status, "message": ending.message, "scored": scored}
-    return {**last, "scored": scored}
+    peak = {"peak_mib": max(last["peak_mib"], ending.started / guard.MIB)} if "peak_mib" in last else {}
+    return {**last, **peak, "scored": scored}
 
 
 def warm() -> None:
@@ -108,7 +109,7 @@ def _ending(watch: guard.Watch, broken: tuple[str, str] | None, code: int) -> gu
         return guard.Ending(watch.messages, *broken)
     if code != 0:
         return guard.Ending(watch.messages, "crash", guard.explain_exit(code))
-    return guard.Ending(watch.messages)
+    return guard.Ending(watch.messages, started=watch.started)
 
 
 def _child(request: Request, writable: int, limits: guard.Limits) -> None:

@@ -9,8 +9,8 @@ from nrbench.records import Run
 
 from .kept import KEPT
 from .statistics import Estimate
-from .summary import Summary, headlines, headlines_first, known_columns
-from .verdicts import PRESERVED
+from .summary import COSTS, Summary, headlines, headlines_first, known_columns
+from .verdicts import PRESERVED, SCORE
 from .wording import counted, interval, number, percent, successes, tip
 
 RATE_MEANING = (
@@ -18,6 +18,7 @@ RATE_MEANING = (
     "mean over its replicates. Failures and refusals count as not preserved; undecided cells are left out."
 )
 MEAN_MEANING = "Mean over textures, with a 95 % bootstrap interval; a texture counts as the mean over its replicates."
+UNDECIDED = " Undecided cells are left out."
 RANK_MEANING = (
     "Mean rank among the methods over textures (1 is best), with a 95 % bootstrap interval. A failure, a refusal, or "
     "no score because the lattice is lost takes the worst rank; reference rows are not ranked."
@@ -70,15 +71,20 @@ def foot(run: Run, summaries: Sequence[Summary]) -> list[FootRow]:
         meaning = RATE_MEANING.replace("Failures and refusals count", "Refusals are left out; failures count")
         rates.append(_row("… refusals left out", meaning, [one.success_answered for one in summaries], rate=True))
     means = [
-        _row(name, f"{tip(column)}\n{MEAN_MEANING}", [one.means[name] for one in summaries])
+        _row(
+            name, f"{tip(column)}\n{MEAN_MEANING}{UNDECIDED * (name == SCORE)}", [one.means[name] for one in summaries]
+        )
         for name, column in headlines(run).items()
     ]
     return [*rates, *means, *_rank_rows(run, summaries)]
 
 
 def others(run: Run, summaries: Sequence[Summary]) -> list[FootRow]:
-    """Return a line for the means of each further score that any column has: no headline, and never ranked."""
-    shown = {*headlines(run), PRESERVED, KEPT}
+    """Return a line for the means of each further score that any column has: no headline, and never ranked.
+
+    Wall time and peak memory are shown once, as the cells have them: the metric ``cost`` repeats them.
+    """
+    shown = {*headlines(run), PRESERVED, KEPT, *(f"cost.{name}" for name in COSTS)}
     columns = known_columns(run)
     rows = [
         _row(name, f"{tip(columns[name])}\n{MEAN_MEANING}", [one.means[name] for one in summaries])

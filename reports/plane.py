@@ -46,12 +46,12 @@ _STYLE: Any = {
 class PerilsPlane:
     """The perils plane, ``perils.svg`` and ``perils.pdf``: regularity against randomness kept, one point a method.
 
-    To the right the lattice is kept (``regularity.score``), upwards the randomness: the worse of variation v and
-    repetition r, ``min(v, 1/v, 1/(1 + max(r, 0)))``, taken output by output. A fresh draw lies at (1, 1), wallpaper at
-    (1, 0). Means over textures, bars are 95 % intervals over textures. Reference rows, the corners, have a sign of
-    their own and no rank. Randomness is not scored where regularity is lost: a method that has none anywhere lies
-    below the plane with an open sign; a number in brackets behind a name says on how many textures its height
-    rests, a double dagger that a reference is no cheat there.
+    To the right the lattice is kept (``regularity.score``), upwards the randomness: the worst of variation v,
+    repetition r and distance d, ``min(v, 1/v, 1/(1 + max(r, 0)), 1 - max(d, 0)/0.41)``, taken output by output. A fresh
+    draw lies at (1, 1), wallpaper at (1, 0). Means over textures with a verdict, bars are 95 % intervals over textures.
+    Reference rows, the corners, have a sign of their own and no rank. Randomness is not scored where regularity is
+    lost: a method that has none anywhere lies below the plane with an open sign; a number in brackets behind a name
+    says on how many textures its height rests, a double dagger that a reference is no cheat there.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def perils_figure(found: Sequence[Place], width: float = 5.5) -> Figure:
 
 def _draw_plane(axes: Axes, above: Sequence[Place]) -> None:
     axes.set(xlim=(-0.05, 1.05), ylim=(-0.05, 1.05), xticks=np.linspace(0, 1, 6), yticks=np.linspace(0, 1, 6))
-    axes.set_ylabel("randomness kept\nworse of variation and repetition")
+    axes.set_ylabel("randomness kept\nworst of variation, repetition, distance")
     axes.axhline(COPIER, color=_GRAY, lw=0.6, dashes=(1, 2), zorder=0)
     aside: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "color": _GRAY, "fontsize": 7, "va": "center"}
     for height, words in ((1.0, "as a\nfresh draw"), (COPIER, "best possible\ncopier"), (0.0, "wallpaper")):

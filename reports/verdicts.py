@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from nrbench.records import FAILED, CellRecord, Run
 
 from .cheats import is_right
-from .kept import derived
+from .kept import KEPT, derived
 from .statistics import as_numbers
 
 PRESERVED, SCORE = "regularity.preserved", "regularity.score"
@@ -81,7 +82,8 @@ def frame(run: Run) -> pd.DataFrame:
         ``texture, replicate, column`` (method and lattice source)``, reference, right`` (whether a reference is no
         cheat on the texture)``, status, verdict, applicable`` (whether there is a lattice to preserve)``, seconds,
         peak_mib``, every score as float (NaN: none), and what of the randomness is kept, where the scores that it is
-        made of are there (see :mod:`~nrbench.reports.kept`).
+        made of are there (see :mod:`~nrbench.reports.kept`). Where the verdict is undecided ``regularity.score`` and
+        what is kept are left out: no faults were seen there because none would have been.
     """
     content: dict[str, Any] = {
         "texture": [record.texture for record in run.cells],
@@ -96,7 +98,9 @@ def frame(run: Run) -> pd.DataFrame:
         "peak_mib": as_numbers([record.peak_mib if record.status == "ok" else None for record in run.cells]),
     }
     scores = {name: as_numbers([record.values.get(name) for record in run.cells]) for name in run.columns}
-    return pd.DataFrame({**content, **scores, **derived(pd.DataFrame(scores))})
+    found = pd.DataFrame({**content, **scores, **derived(pd.DataFrame(scores))})
+    found.loc[found["verdict"] == "undecided", [name for name in (SCORE, KEPT) if name in found]] = np.nan
+    return found
 
 
 def _applicable(record: CellRecord) -> bool:

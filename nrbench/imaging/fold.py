@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from nrbench.imaging.fold_kernels import read, share_out
+from nrbench.imaging.spline_kernels import spline_coefficients, spline_windows
 from nrbench.lattice.geometry import Lattice, Points
 
 Values = NDArray[np.float32]
@@ -52,7 +53,9 @@ def tile_grid(lattice: Lattice) -> tuple[int, int]:
     return max(math.ceil(math.hypot(*lattice.t2)), 1), max(math.ceil(math.hypot(*lattice.t1)), 1)
 
 
-def fold(image: Values, lattice: Lattice, mask: NDArray[np.bool_] | None = None) -> Tile:
+def fold(
+    image: Values, lattice: Lattice, mask: NDArray[np.bool_] | None = None, grid: tuple[int, int] | None = None
+) -> Tile:
     """Return the mean tile: the mean over all cells of the image, each pixel shared among its four neighbors.
 
     Parameters
@@ -63,6 +66,8 @@ def fold(image: Values, lattice: Lattice, mask: NDArray[np.bool_] | None = None)
         The cells; a reduced basis samples the cell most evenly.
     mask
         ``bool (H, W)``: the pixels to use; None: all.
+    grid
+        Samples along v and u; None: about one a pixel.
 
     Returns
     -------
@@ -70,25 +75,21 @@ def fold(image: Values, lattice: Lattice, mask: NDArray[np.bool_] | None = None)
         Samples that no pixel reached hold the mean of those that some did.
     """
     uv = cell_coordinates(lattice, image.shape[:2]).reshape(-1, 2)
-    pixels = image.reshape(-1, image.shape[2])
+    pixels = np.asarray(image, np.float32).reshape(-1, image.shape[2])
     if mask is not None:
         uv, pixels = uv[mask.ravel()], pixels[mask.ravel()]
-    rows, columns = tile_grid(lattice)
-    index, share = _neighbors(uv, rows, columns)
-    counts = np.asarray(np.bincount(index.ravel(), share.ravel(), rows * columns), np.float64)
-    sums = [np.bincount(index.ravel(), (share * channel).ravel(), rows * columns) for channel in pixels.T]
-    values = np.stack(sums, -1) / np.maximum(counts, 1e-12)[:, np.newaxis]
+    rows, columns = grid or tile_grid(lattice)
+    shared = share_out(np.require(pixels, requirements=("C", "W")), uv, rows, columns)
+    counts = shared[:, 0]
+    values = shared[:, 1:] / np.maximum(counts, 1e-12)[:, np.newaxis]
     values[counts <= 1e-9] = values[counts > 1e-9].mean(0)
     return Tile(values.reshape(rows, columns, -1).astype(np.float32), counts.reshape(rows, columns), lattice)
 
 
 def sample_tile(values: Values, uv: NDArray[np.float64]) -> Values:
     """Return the tile's values at cell coordinates ``uv`` of shape ``(..., 2)``, bilinear, as ``(..., C)``."""
-    rows, columns, channels = values.shape
-    index, share = _neighbors(uv.reshape(-1, 2), rows, columns)
-    flat = values.reshape(-1, channels)
-    mixed = sum(flat[i] * w[:, np.newaxis] for i, w in zip(index, share.astype(np.float32), strict=True))
-    return np.asarray(mixed, np.float32).reshape(*uv.shape[:-1], channels)
+    found = read(np.require(values, np.float32, ("C", "W")), np.require(uv.reshape(-1, 2), requirements=("C", "W")))
+    return found.reshape(*uv.shape[:-1], values.shape[-1])
 
 
 def cut_tiles(
@@ -119,20 +120,7 @@ def cut_tiles(
     around = np.stack([u, v], -1) @ lattice.matrix
     reach = np.abs(around).reshape(-1, 2).max(0)
     inside = (middles >= reach).all(1) & (middles <= np.array(image.shape[1::-1]) - 1 - reach).all(1)
-    at = np.moveaxis(middles[inside, np.newaxis, np.newaxis] + around, -1, 0)[::-1]
-    planes = [ndimage.spline_filter(plane, 3, np.float32, "mirror") for plane in np.moveaxis(image, -1, 0)]
-    cut = [ndimage.map_coordinates(plane, at, np.float32, 3, "mirror", prefilter=False) for plane in planes]
-    return np.stack(cut, -1), inside
-
-
-def _neighbors(uv: NDArray[np.float64], rows: int, columns: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return index and bilinear share, each ``(4, n)``, of the four samples around each cell coordinate."""
-    at = (uv % 1.0) * (columns, rows)
-    low = np.floor(at).astype(np.intp)
-    fraction = at - low
-    index, share = [], []
-    for dx in (0, 1):
-        for dy in (0, 1):
-            index.append((low[:, 1] + dy) % rows * columns + (low[:, 0] + dx) % columns)
-            share.append(np.abs(1 - dx - fraction[:, 0]) * np.abs(1 - dy - fraction[:, 1]))
-    return np.stack(index), np.stack(share)
+    middles = np.ascontiguousarray(middles[inside], np.float64)
+    coefficients = spline_coefficients(np.array(image, np.float32, order="C"))
+    cut = spline_windows(coefficients, middles, np.ascontiguousarray(around.reshape(-1, 2)))
+    return cut.reshape(len(middles), rows, columns, image.shape[2]), inside

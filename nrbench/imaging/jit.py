@@ -12,6 +12,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 from typing import Any, Generic, ParamSpec, TypeVar
 
 P = ParamSpec("P")
@@ -27,7 +28,7 @@ class Kernel(Generic[P, R]):
     Parameters
     ----------
     function
-        Plain Python that numba can compile. It calls no other kernel.
+        Plain Python that numba can compile. It may call other kernels by their names in its module.
     signature
         numba's, e.g. ``"float64(float64[::1])"``: one machine code, and no compilation hidden in a later call.
     """
@@ -65,10 +66,40 @@ def load_kernels() -> None:
 
 
 def cache_folder(function: Callable[..., Any], version: str) -> Path:
-    """Return where a function's machine code is kept: a user folder keyed by its file's text and numba's version."""
-    source = Path(inspect.getfile(function))
-    digest = hashlib.blake2b(source.read_bytes(), digest_size=8).hexdigest()
-    return _user_cache() / "nrbench" / f"{source.stem}-{digest}-numba-{version}"
+    """Return where a function's machine code is kept: a user folder keyed by numba's version and the text of its file.
+
+    The files of the kernels that it calls, which are compiled into it, count as well.
+    """
+    sources = [Path(inspect.getfile(each)) for each in (function, *_called(function))]
+    texts = b"".join(source.read_bytes() for source in dict.fromkeys(sources))
+    digest = hashlib.blake2b(texts, digest_size=8).hexdigest()
+    return _user_cache() / "nrbench" / f"{sources[0].stem}-{digest}-numba-{version}"
+
+
+def kernels_called(function: Callable[..., Any]) -> dict[str, Kernel[..., Any]]:
+    """Return the kernels that a function names, by the names it has for them."""
+    names = {name: function.__globals__.get(name) for name in function.__code__.co_names}
+    return {name: found for name, found in names.items() if isinstance(found, Kernel)}
+
+
+def _called(function: Callable[..., Any]) -> list[Callable[..., Any]]:
+    """Return the functions of all kernels that a function calls, directly or not, callers first."""
+    found: list[Callable[..., Any]] = []
+    for called in kernels_called(function).values():
+        found += [called.function, *_called(called.function)]
+    return found
+
+
+def _linked(function: Callable[P, R]) -> Callable[P, R]:
+    """Return the function with the kernels that it calls compiled: numba knows functions, not kernels."""
+    called = {name: each.load() for name, each in kernels_called(function).items()}
+    if not called:
+        return function
+    linked = FunctionType(
+        function.__code__, {**function.__globals__, **called}, function.__name__, function.__defaults__
+    )
+    linked.__module__, linked.__qualname__ = function.__module__, function.__qualname__
+    return linked
 
 
 def _user_cache() -> Path:
@@ -89,7 +120,7 @@ def _compile(function: Callable[P, R], signature: str) -> Callable[P, R]:
             stacklevel=3,
         )
         return function
-    return _njit(numba, function, signature)
+    return _njit(numba, _linked(function), signature)
 
 
 def _njit(numba: Any, function: Callable[P, R], signature: str) -> Callable[P, R]:

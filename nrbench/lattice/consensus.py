@@ -171,7 +171,7 @@ class Consensus:
             "tiles": tiles,
             "sigmas": sigmas,
         }
-        lattice = Lattice((basis[0, 0], basis[0, 1]), (basis[1, 0], basis[1, 1])).reduced()
+        lattice = Lattice.from_basis(basis).reduced()
         detection = Detection(lattice, confidence(sigmas, settled.relief, tiles), diagnostics)
         if self._striped(colors, basis, settled.repeated):
             raise NoLatticeFound(

@@ -214,7 +214,7 @@ class Dominance:
         """Return the lattice of the best pair, fitted, with what led to it."""
         pair = best.pairs.vectors[best.row]
         first, second = fit_pair(gamma, pair, _reach(gamma)) if self.subpixel else pair
-        lattice = Lattice((first[0], first[1]), (second[0], second[1])).reduced()
+        lattice = Lattice.from_basis((first, second)).reduced()
         numbers = {name: best.get(name) for name in ("evidence", "support", "multiples", "hits")}
         dominant = best.pairs.peaks[: int(numbers["multiples"])]
         surface = Surface(gamma, (0, gamma.shape[0] // 2), dominant, np.stack([first, second]))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.jit import kernel
+from nrbench.lattice.rows import row_ends
 
 
 @kernel("float64[::1](float64[:, ::1])")
@@ -126,20 +127,8 @@ def rate_pairs(
             end_x, end_y = shrink * reach[0], shrink * reach[1]
             points = 0
             for b in range(int((end_y * abs(x1) + end_x * abs(y1)) / area) + 1):
-                low, high = -1e9, 1e9
-                if abs(x1) > 1e-9:
-                    one, other = (-end_x - b * x2) / x1, (end_x - b * x2) / x1
-                    low, high = max(low, min(one, other)), min(high, max(one, other))
-                elif abs(b * x2) > end_x:
-                    continue
-                if abs(y1) > 1e-9:
-                    one, other = (-end_y - b * y2) / y1, (end_y - b * y2) / y1
-                    low, high = max(low, min(one, other)), min(high, max(one, other))
-                elif abs(b * y2) > end_y:
-                    continue
-                if b == 0:
-                    low = 1.0
-                points += max(int(np.floor(high)) - int(np.ceil(low)) + 1, 0)
+                first, last = row_ends(x1, y1, x2, y2, b, end_x, end_y)
+                points += max(last - (max(first, 1) if b == 0 else first) + 1, 0)
             radius = max(tolerance * np.sqrt(x1 * x1 + y1 * y1), 1.0)
             determinant = x1 * y2 - x2 * y1
             seen, hits, total = 0, 0, 0

@@ -172,4 +172,4 @@ class Evidence:
 
 def reduced(basis: Points) -> Points:
     """Return the Lagrange-Gauss basis of the same lattice, rows (x, y) px."""
-    return Lattice((basis[0, 0], basis[0, 1]), (basis[1, 0], basis[1, 1])).reduced().matrix
+    return Lattice.from_basis(basis).reduced().matrix

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.jit import kernel
+from nrbench.lattice.rows import row_ends
 
 
 @kernel("float64[:, ::1](float64[:, ::1], float64[:, ::1])")
@@ -89,14 +90,8 @@ def between(
     rows = int((end[1] * abs(x1) + end[0] * abs(y1)) / area)
     total, squares, weights, count = 0.0, 0.0, 0.0, 0
     for b in range(rows + 1):
-        low, high = -1e9, 1e9
-        if abs(x1) > 1e-9:
-            one, other = (-end[0] - b * x2) / x1, (end[0] - b * x2) / x1
-            low, high = max(low, min(one, other)), min(high, max(one, other))
-        if abs(y1) > 1e-9:
-            one, other = (-end[1] - b * y2) / y1, (end[1] - b * y2) / y1
-            low, high = max(low, min(one, other)), min(high, max(one, other))
-        for a in range(int(np.ceil(low)), int(np.floor(high)) + 1):
+        first, last = row_ends(x1, y1, x2, y2, b, end[0], end[1])
+        for a in range(first, last + 1):
             x, y = a * x1 + b * x2, a * y1 + b * y2
             if (b == 0 and a <= 0) or abs(x) > end[0] or abs(y) > end[1]:
                 continue
@@ -186,14 +181,8 @@ def rate_pairs(
             rows = int((end_y * abs(x1) + end_x * abs(y1)) / area)
             total, weights = 0.0, 0.0
             for b in range(rows + 1):
-                low, high = -1e9, 1e9
-                if abs(x1) > 1e-9:
-                    one, other = (-end_x - b * x2) / x1, (end_x - b * x2) / x1
-                    low, high = max(low, min(one, other)), min(high, max(one, other))
-                if abs(y1) > 1e-9:
-                    one, other = (-end_y - b * y2) / y1, (end_y - b * y2) / y1
-                    low, high = max(low, min(one, other)), min(high, max(one, other))
-                for a in range(int(np.ceil(low)), int(np.floor(high)) + 1):
+                first, last = row_ends(x1, y1, x2, y2, b, end_x, end_y)
+                for a in range(first, last + 1):
                     if b == 0 and a <= 0:
                         continue
                     x, y = a * x1 + b * x2, a * y1 + b * y2

@@ -201,9 +201,8 @@ def _detection(answer: Answer, start: Vector) -> Detection:
     found, basis, spectrum = answer.found, answer.basis, answer.found.waves.spectrum
     orders = basis.orders[basis.explained]
     fit = refine(spectrum, basis.vectors / spectrum.size, orders)
-    t1, t2 = np.linalg.inv(fit.fundamentals).T
-    origin = _origin(fit, orders)
-    lattice = Lattice((t1[0], t1[1]), (t2[0], t2[1]), (origin[0] + start[0], origin[1] + start[1])).reduced()
+    origin = np.add(_origin(fit, orders), start)
+    lattice = Lattice.from_basis(np.linalg.inv(fit.fundamentals).T, origin).reduced()
     share = float(fit.waves.explained.sum() / spectrum.energy.sum())
     diagnostics = {
         "spectrum": _surface(found, fit.fundamentals * spectrum.size),

@@ -91,7 +91,7 @@ class Lattice:
         """
         a, b = shortest_pair(self.matrix)
         a, b = _acute(_right(a), _right(b))
-        return Lattice(_pair(a), _pair(b), self.origin)
+        return Lattice.from_basis((a, b), self.origin)
 
     def canonical(self) -> Lattice:
         """Return the same lattice in the one reduced basis that depends on the lattice alone.
@@ -101,7 +101,7 @@ class Lattice:
         """
         a, b = _settled(*shortest_pair(self.matrix))
         a, b = _acute(_down(a), _down(b))
-        return Lattice(_pair(a), _pair(b), self.origin)
+        return Lattice.from_basis((a, b), self.origin)
 
     def dual(self) -> Lattice:
         """Return the reciprocal lattice, in cycles per px: vectors d_i with ``d_i . t_j`` = 1 where i = j, else 0.
@@ -109,8 +109,7 @@ class Lattice:
         Its points are the frequencies that a texture of this lattice can have. The dual of the dual is the lattice
         (with the origin at (0, 0), for frequencies have none), that of a supercell a finer dual.
         """
-        first, second = self._inverse.T
-        return Lattice(_pair(first), _pair(second))
+        return Lattice.from_basis(self._inverse.T)
 
     @property
     def kind(self) -> LatticeKind:
@@ -207,6 +206,13 @@ class Lattice:
         return {"t1": list(self.t1), "t2": list(self.t2), "origin": list(self.origin)}
 
     @classmethod
+    def from_basis(cls, basis: ArrayLike, origin: ArrayLike = (0.0, 0.0)) -> Lattice:
+        """Build a lattice of arrays: ``basis`` is ``(2, 2)``, rows t1 and t2 (x, y) px; ``origin`` (x, y) px."""
+        (x1, y1), (x2, y2) = np.asarray(basis, np.float64)
+        x, y = np.asarray(origin, np.float64)
+        return cls((x1, y1), (x2, y2), (x, y))
+
+    @classmethod
     def from_dict(cls, mapping: dict[str, Any]) -> Lattice:
         """Rebuild a lattice from :meth:`as_dict`."""
         return cls(mapping["t1"], mapping["t2"], mapping.get("origin", (0.0, 0.0)))
@@ -273,10 +279,6 @@ def _vector(value: Any, name: str) -> Vector:
 def _down(vector: Points) -> Points:
     """Return the one of +-vector whose angle from right towards down is in [0, pi), rounding aside."""
     return vector if abs(math.atan2(vector[1], vector[0]) - _turn(vector)) < 1 else -vector
-
-
-def _pair(vector: Points) -> Vector:
-    return float(vector[0]), float(vector[1])
 
 
 def _right(vector: Points) -> Points:

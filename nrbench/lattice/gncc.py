@@ -154,7 +154,7 @@ class Gncc:
     def _detection(self, gamma: Correlation, best: Pair) -> Detection:
         """Return the lattice of the best pair, fitted, with what led to it."""
         first, second = fit_pair(gamma, best.vectors, self._reach(gamma)) if self.subpixel else best.vectors
-        lattice = Lattice((first[0], first[1]), (second[0], second[1])).reduced()
+        lattice = Lattice.from_basis((first, second)).reduced()
         mean = (best.goodness * best.multiples) ** (1 / self.alpha) / best.multiples
         surface = Surface(gamma, (0, gamma.shape[0] // 2), best.candidates, np.stack([first, second]))
         diagnostics = {"correlation": surface, "goodness": best.goodness, "multiples": best.multiples}

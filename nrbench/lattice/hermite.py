@@ -79,8 +79,7 @@ def finer(lattice: Lattice, index: int) -> tuple[Lattice, ...]:
 
 
 def _lattices(lattice: Lattice, bases: Points) -> tuple[Lattice, ...]:
-    pairs = (shortest_pair(basis) for basis in bases)
-    return tuple(Lattice((a[0], a[1]), (b[0], b[1]), lattice.origin).reduced() for a, b in pairs)
+    return tuple(Lattice.from_basis(shortest_pair(basis), lattice.origin).reduced() for basis in bases)
 
 
 def _checked(matrix: ArrayLike) -> list[list[int]]:

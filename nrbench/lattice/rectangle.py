@@ -57,8 +57,7 @@ class Rectangle:
 
     def fitted(self) -> Lattice:
         """Return the lattice nearby of which the rectangle is an exact period; same basis, same origin."""
-        a, b = np.linalg.solve(self.numbers, self.sides)
-        return Lattice((a[0], a[1]), (b[0], b[1]), self.lattice.origin)
+        return Lattice.from_basis(np.linalg.solve(self.numbers, self.sides), self.lattice.origin)
 
 
 def upright_rectangle(

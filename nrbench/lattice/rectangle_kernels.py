@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.imaging.forest import root
 from nrbench.imaging.jit import kernel
 
 
@@ -46,18 +47,10 @@ def inner_relief(tile: NDArray[np.int32], inside: NDArray[np.bool_], order: NDAr
             near = (y + step // 3 - 1) % rows * columns + (x + step % 3 - 1) % columns
             if parent[near] < 0:
                 continue
-            one, other = pixel, near
-            while parent[one] != one:
-                parent[one] = parent[parent[one]]
-                one = parent[one]
-            while parent[other] != other:
-                parent[other] = parent[parent[other]]
-                other = parent[other]
+            one, other = root(parent, pixel), root(parent, near)
             if one == other:
                 continue
-            top = corner
-            while top >= 0 and parent[top] != top:
-                top = parent[top]
+            top = root(parent, corner) if corner >= 0 else corner
             if one == top:
                 one, other = other, one
             if other == top:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.imaging.forest import root
 from nrbench.imaging.jit import kernel
 
 
@@ -48,13 +49,7 @@ def prominences(surface: NDArray[np.int32], order: NDArray[np.int64]) -> NDArray
             if parent[near] < 0:
                 continue
             # A root is the peak of its hill: the pixel that was reached first.
-            one, other = pixel, near
-            while parent[one] != one:
-                parent[one] = parent[parent[one]]
-                one = parent[one]
-            while parent[other] != other:
-                parent[other] = parent[parent[other]]
-                other = parent[other]
+            one, other = root(parent, pixel), root(parent, near)
             if one == other:
                 continue
             if height[one] < height[other] or (height[one] == height[other] and one == pixel):
@@ -109,9 +104,9 @@ def highest_ridge(tile: NDArray[np.float32], order: NDArray[np.int64]) -> NDArra
             if met_x[one] == 0 and met_y[one] == 0:
                 met_x[one], met_y[one] = shift_x, shift_y
         if parent[0] >= 0:
-            root = 0
-            while parent[root] != root:
-                root = parent[root]
-            if met_x[root] != 0 or met_y[root] != 0:
-                return np.array((float(height[pixel]), float(met_x[root]), float(met_y[root])))
+            first = 0
+            while parent[first] != first:
+                first = parent[first]
+            if met_x[first] != 0 or met_y[first] != 0:
+                return np.array((float(height[pixel]), float(met_x[first]), float(met_y[first])))
     return np.array((float(height[order[-1]]), 1.0, 0.0))

@@ -65,6 +65,21 @@ def test_every_fault_is_a_row(faulty: Path, tmp_path: Path) -> None:
     assert "planted failure" in by_label["faulty"].log_tail
 
 
+@pytest.mark.skipif(os.name == "nt", reason="children's processor time is not told there")
+def test_what_a_program_takes_is_the_methods_cost(tmp_path: Path, way: str) -> None:
+    """Processor time and memory of a program that `command` starts and waits for stand in the row."""
+    program = tmp_path / "tool.py"
+    program.write_text(
+        "import shutil, sys, time\nhoard = b'x' * (200 << 20)\nstart = time.process_time()\n"
+        "while time.process_time() - start < 0.5:\n    pass\nshutil.copy(sys.argv[1], sys.argv[2])\n"
+    )
+    method = f"command:run={sys.executable} {program} {{sample}} {{output}}"
+    (found,) = run(small_suite([method]), out=tmp_path / "run", options=Options(timeout=60)).cells
+    assert found.status == "ok", found.message
+    assert found.values["cost.cpu_seconds"] >= 0.5
+    assert found.values["cost.peak_mib"] >= 200
+
+
 @pytest.mark.parametrize("how", ["seconds", "text", "lattice", "pickle", "path", "source"])
 def test_an_answer_of_no_declared_type_is_invalid(how: str, faulty: Path, tmp_path: Path) -> None:
     """Whatever a method hands back beside its image is checked before anything is written."""

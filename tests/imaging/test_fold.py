@@ -25,6 +25,16 @@ def test_a_periodic_image_folds_and_unfolds_to_itself() -> None:
     np.testing.assert_allclose(tile.unfold((70, 90)), waves((70, 90), OBLIQUE), atol=0.04)
 
 
+def test_many_cells_tell_what_lies_between_the_pixels() -> None:
+    """Folded three samples a pixel, a periodic image is known between its pixels better than at one a pixel."""
+    image, errors = waves((160, 190), OBLIQUE), []
+    rows, columns = fold(image, OBLIQUE).counts.shape
+    for fineness in (1, 3):
+        tile = fold(image, OBLIQUE, grid=(fineness * rows, fineness * columns))
+        errors.append(np.abs(tile.unfold((70, 90), (0.4, 0.3)) - waves((70, 90), OBLIQUE.shifted((0.4, 0.3)))).max())
+    assert errors[1] < errors[0] / 2
+
+
 def test_noise_averages_out() -> None:
     """Folding n cells leaves 1/n of the noise's variance or less."""
     image, rng = waves((200, 200), OBLIQUE), np.random.default_rng(0)
@@ -61,3 +71,24 @@ def test_equal_cells_are_cut_alike() -> None:
     assert 10 < len(tiles) < len(points)
     assert inside.sum() == len(tiles)
     np.testing.assert_allclose(tiles, np.broadcast_to(tiles[0], tiles.shape), atol=0.02)
+
+
+def test_a_frozen_image_is_cut_like_any_other() -> None:
+    """What must not be changed - a score's sample and output - can be cut, whatever its order in memory."""
+    image = waves((60, 70), OBLIQUE)
+    points = OBLIQUE.points((60, 70))
+    frozen = np.asfortranarray(image)
+    frozen.setflags(write=False)
+    np.testing.assert_array_equal(cut_tiles(frozen, OBLIQUE, points)[0], cut_tiles(image, OBLIQUE, points)[0])
+    image.setflags(write=False)
+    np.testing.assert_array_equal(cut_tiles(image, OBLIQUE, points)[0], cut_tiles(frozen, OBLIQUE, points)[0])
+
+
+def test_images_that_must_not_be_written_fold_alike() -> None:
+    """A read-only image, as a method is handed, folds and unfolds like any other."""
+    image = waves((50, 60), OBLIQUE)
+    free = fold(image, OBLIQUE)
+    image.setflags(write=False)
+    held = fold(image, OBLIQUE)
+    held.values.setflags(write=False)
+    np.testing.assert_array_equal(held.unfold((20, 20)), free.unfold((20, 20)))

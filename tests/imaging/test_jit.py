@@ -14,6 +14,17 @@ def double(x: float) -> float:
     return 2 * x
 
 
+@jit.kernel("float64(float64)")
+def squared(x: float) -> float:
+    """Return the square."""
+    return x * x
+
+
+def sum_of_squares(x: float, y: float) -> float:
+    """Return what two calls of a kernel give together."""
+    return squared(x) + squared(y)
+
+
 @pytest.fixture
 def undeclared(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep the kernels declared in a test from the others."""
@@ -66,6 +77,27 @@ def test_numbas_own_cache_setting_is_left_alone(tmp_path: Path, monkeypatch: pyt
     before = numba.config.CACHE_DIR
     jit.kernel("float64(float64)")(double).load()
     assert before == numba.config.CACHE_DIR
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_a_kernel_may_call_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel that calls another is compiled with it, is read back from the cache, and gives what Python gives."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(sys, "platform", "linux")
+    for _ in range(2):
+        compiled = jit.kernel("float64(float64, float64)")(sum_of_squares).load()
+        assert compiled(3.0, 4.0) == 25.0
+    assert compiled.stats.cache_hits  # type: ignore[attr-defined]
+
+
+def test_the_cache_follows_the_kernels_that_are_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Machine code is made anew when the text of a called kernel's file changes, though the caller's has not."""
+    other = tmp_path / "other.py"
+    other.write_text("first")
+    monkeypatch.setattr(jit.inspect, "getfile", lambda f: str(other) if f is squared.function else __file__)
+    before = jit.cache_folder(sum_of_squares, "1.0")
+    other.write_text("second")
+    assert jit.cache_folder(sum_of_squares, "1.0") != before
 
 
 def test_the_cache_folder_is_keyed_by_source_and_version(tmp_path: Path) -> None:

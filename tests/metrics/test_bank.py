@@ -27,6 +27,20 @@ def test_the_product_equals_the_transforms(window: tuple[int, int], channels: in
     np.testing.assert_allclose(found[1], slope[:, one.where], atol=1e-5)
 
 
+def test_colors_of_a_template_may_lie_on_a_line() -> None:
+    """Where the template has two colors alone, one product stands for all channels, and the answer is the same."""
+    one = bank((12, 9), 1)
+    template = one.template
+    two = Bank(
+        Template(template.image * np.array([0.7, -0.2, 0.4], np.float32) + 0.3, template.weights, template.window),
+        one.where,
+    )
+    windows = np.random.default_rng(1).random((5, 12, 9, 3), np.float32)
+    ncc, slope = two.template.surfaces_and_slopes(windows)
+    np.testing.assert_allclose(two.compare(windows)[0], ncc[:, one.where], atol=1e-5)
+    np.testing.assert_allclose(two.compare(windows)[1], slope[:, one.where], atol=1e-5)
+
+
 def test_a_large_window_goes_by_the_transforms() -> None:
     """Where the product would cost more the answer is the same, and the maps say -1 outside."""
     one = bank((30, 30), 3, 300)

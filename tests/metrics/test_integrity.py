@@ -9,7 +9,7 @@ from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.door import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.integrity import Integrity
-from nrbench.metrics.joined import Joint, joined
+from nrbench.metrics.joined import Joint, Whole, joined
 from nrbench.synthesis import Observation, Score, Task
 from nrbench.synthesizers.rsgf import Rsgf
 from nrbench.texture import Texture
@@ -35,10 +35,15 @@ def test_a_fresh_draw_is_whole(case: Cases, name: str) -> None:
     assert np.mean([one["evidence_p90"] for one in values]) == pytest.approx(1, abs=0.3)
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_the_share_of_broken_tiles_grows_with_that_of_two_tone_ones(case: Cases, name: str) -> None:
-    """Over single images the rank correlation is 0.95 or more."""
-    pairs = [(size, seed) for seed, size in enumerate((0.05, 0.2, 0.4, 0.7, 1.0))]
+@pytest.mark.parametrize(
+    ("name", "sizes"),
+    [("brick", (0.05, 0.2, 0.4, 0.7, 1.0)), ("weave", (0.02, 0.08, 0.2, 0.5)), ("hexagon", (0.05, 0.2, 0.4, 0.7, 1.0))],
+)
+def test_the_share_of_broken_tiles_grows_with_that_of_two_tone_ones(
+    case: Cases, name: str, sizes: tuple[float, ...]
+) -> None:
+    """Over single images the rank correlation is 0.95 or more, up to where threads that cross tiles are whole again."""
+    pairs = [(size, seed) for seed, size in enumerate(sizes)]
     images = [case(name).planted("two-tone", size, seed)[0] for size, seed in pairs]
     shares = [integrity(case(name).seen(image)).values["broken_share"] for image in images]
     assert spearmanr([size for size, _ in pairs], shares).statistic >= 0.95
@@ -71,11 +76,24 @@ def test_a_method_that_cuts_bricks_breaks_them(case: Cases, model: bool) -> None
     assert score.pictures["worst"].ndim == 3
 
 
-@pytest.mark.parametrize(("kind", "size"), [("color-mean", 0.2), ("over-regular", 0.5), ("verbatim", 0.0)])
-def test_other_defects_break_no_tile(case: Cases, kind: str, size: float) -> None:
-    """Where all tiles change alike, or are alike, none is joined of two."""
-    image, _ = case("hexagon").planted(kind, size)
-    assert integrity(case("hexagon").seen(image)).values["broken_tiles"] == 0
+@pytest.mark.parametrize(
+    ("kind", "size"),
+    [
+        ("color-mean", 0.1),
+        ("over-regular", 0.5),
+        ("blurred-band", 0.15),
+        ("blurred-band", 1.0),
+        ("seam", 0.1),
+        ("warp", 0.1),
+        ("stretch", 0.01),
+    ],
+)
+@pytest.mark.parametrize("name", MODELS)
+def test_other_defects_break_no_tile(case: Cases, name: str, kind: str, size: float) -> None:
+    """Where tiles change alike, are blurred, lit or bent, hardly any is taken for joined: 2 % at most."""
+    score = integrity(case(name).seen(case(name).planted(kind, size)[0]))
+    assert score.values["broken_share"] is not None
+    assert score.values["broken_share"] <= 0.02
 
 
 def test_origin_and_basis_of_the_truth_do_not_matter(case: Cases) -> None:
@@ -123,7 +141,7 @@ def test_the_joint_tells_joined_from_whole() -> None:
     """Of tiles of one tone each, the directions are those of a step, and whole tiles show no evidence."""
     rng = np.random.default_rng(0)
     one, other = (np.repeat(rng.normal(size=(200, 1)), 49, 1) + 0.1 * rng.normal(size=(200, 49)) for _ in range(2))
-    joint = Joint.fit(one, other, np.full(49, 1e-4))
+    joint = Joint.fit(*(Whole(rows, np.zeros((49, 49))) for rows in (one, other)), np.full(49, 1e-4))
     whole, broken = joint.evidence(other), joint.evidence(joined(other, 49))
     assert np.median(broken) > 5 * np.quantile(whole, 0.95)
     assert (joint.joined > 2 * joint.whole).all()

@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -92,3 +93,26 @@ def test_the_network_compares_output_and_draws(case: Cases, monkeypatch: pytest.
     own, worse = (Perceptual().score(case("brick").seen(image)).values["dists"] for image in (fresh, blurred))
     assert own == pytest.approx(1, abs=0.05)
     assert worse is not None and worse > 1.03
+
+
+def test_the_network_is_shown_pixels_and_believed(case: Cases, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """With weights in their place the network sees the images' own values, the score is the ratio of its numbers."""
+    (tmp_path / "checkpoints").mkdir()
+    for name in perceptual.WEIGHTS:
+        (tmp_path / "checkpoints" / name).touch()
+    shown: list[NDArray[np.float32]] = []
+
+    def network(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
+        shown.append(one)
+        return 0.6 if len(shown) <= 3 else 0.2
+
+    hub = SimpleNamespace(get_dir=lambda: str(tmp_path))
+    fake = SimpleNamespace(hub=hub, no_grad=nullcontext, from_numpy=lambda array: array)
+    monkeypatch.setattr(perceptual, "find_spec", lambda name: object())
+    monkeypatch.setattr(perceptual, "torch", fake)
+    monkeypatch.setattr(perceptual, "piq", SimpleNamespace(DISTS=lambda: network))
+    output = case("brick").fresh()
+    score = Perceptual().score(case("brick").seen(output))
+    assert score.values["dists"] == pytest.approx(3)
+    assert len(shown) == 6
+    assert (shown[0] == np.moveaxis(output, -1, 0)[np.newaxis]).all()

@@ -1,11 +1,15 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from nrbench.metrics import limits
+from nrbench.datasets_procedural.weave import Weave
+from nrbench.imaging.door import quantize
+from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.judgement import judge
 from nrbench.metrics.scatter import scatter_suspicion
+from nrbench.metrics.strip_template import StripTemplate
 from nrbench.metrics.strips import strip_suspicion, strips
 
 from .conftest import MODELS, Case
@@ -16,13 +20,13 @@ Cases = Callable[[str], Case]
 
 @pytest.mark.parametrize("name", MODELS)
 def test_no_course_of_a_fresh_draw_has_slid(case: Cases, name: str) -> None:
-    """No course of a fresh draw fits elsewhere as well as in its place, and none is suspected."""
+    """Every course of a fresh draw is likelier in its place than elsewhere, and none is suspected."""
     judgement = judge(case(name).seen(case(name).fresh(256)))
     assert judgement is not None
     seen = judgement.output.strips
-    assert max(gain.max() for gain in seen.gain) < limits.STRIP_GAIN
+    assert max(gain.max() for gain in seen.gain) < 0
     own = [look.strips for look in judgement.references]
-    assert strip_suspicion(seen, own, judgement.output.tiles, 0.9).max() < 0.8
+    assert strip_suspicion(seen, own, judgement.output.tiles).max() < 0.8
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -32,6 +36,37 @@ def test_a_course_that_slid_by_little_is_seen(case: Cases, name: str) -> None:
     judgement = judge(case(name).seen(image))
     assert judgement is not None and judgement.preserved is False
     assert "a course of tiles has slid" in judgement.faults
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_course_within_the_tolerance_has_not_slid(case: Cases, name: str) -> None:
+    """A course that slid by 0.06 s, less than windows may be off, is no fault, though its exact place is unlikely."""
+    image, _ = case(name).planted("slipped-course", 0.06, seed=2, side=256)
+    judgement = judge(case(name).seen(image))
+    assert judgement is not None and judgement.course_suspicion.max() <= 1
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_a_course_of_yarns_that_differ_is_seen(seed: int) -> None:
+    """At a regular share of 0.4 a slip of 0.15 s is seen in a weave whose yarns differ; fresh draws stay in place."""
+    model = Weave(rotation=7.0 * (seed - 1), color=0.55, intensity=0.25, noise=0.05)
+    texture = model.render((128, 128), np.random.default_rng(seed))
+    one = Case(model, replace(texture, image=quantize(texture.image)))
+    slid = judge(one.seen(one.planted("slipped-course", 0.15, seed=seed, side=256)[0]))
+    assert slid is not None and slid.course_suspicion.max() > 1
+    right = judge(one.seen(one.fresh(256)))
+    assert right is not None and right.course_suspicion.max() < 0.8
+
+
+def test_a_color_added_everywhere_moves_no_course(case: Cases) -> None:
+    """Likelihoods do not change when every pixel is brighter by the same color."""
+    one = case("weave")
+    periodic, image = measure(one).periodic, one.fresh(128)
+    brighter = image + np.array([0.05, -0.03, 0.1], np.float32)
+    here, there = (strips(some, periodic.lattice, periodic) for some in (image, brighter))
+    for first, second in zip(here.gain, there.gain, strict=True):
+        seen = np.isfinite(first)
+        assert np.allclose(first[seen], second[seen], atol=1e-3)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -56,3 +91,13 @@ def test_courses_follow_the_lattice_origin(case: Cases) -> None:
     for first, second in zip(here.gain, there.gain, strict=True):
         seen = np.isfinite(first)
         assert len(first) == len(second) and np.allclose(first[seen], second[np.isfinite(second)], atol=0.02)
+
+
+@pytest.mark.parametrize("direction", range(4))
+def test_no_sample_of_a_template_is_left_out(direction: int) -> None:
+    """Where rows of pixels meet every second sample of an oblique course alone, the others take their neighbors'."""
+    lattice = Lattice((21.99866, 0.0), (10.99933, 19.0514), (-7.6336, 0.98495))
+    template = StripTemplate.of(
+        lattice, np.ones((153, 197, 3), np.float32), np.zeros((153, 197), np.float32), direction
+    )
+    assert np.allclose(template.mean, 1)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.distance import distance
-from nrbench.metrics.repetition import SIZES, Twins, pair_distances, twins
+from nrbench.metrics.repetition import SIZES, Share, Twins, twins, window_pairs
 from nrbench.metrics.tileset import TileSet, even_grid, quarters
 
 SQUARE = Lattice((16, 0), (0, 16))
@@ -35,6 +38,12 @@ def repeated(period: int, seed: int = 0) -> TileSet:
     places, few = tiles(12, 12, seed), tiles(period, period, seed + 1)
     number = places.numbers % period
     return with_tiles(places, few.tiles[number[:, 1] * period + number[:, 0]])
+
+
+def chosen(sources: NDArray[np.intp], seed: int = 0) -> TileSet:
+    """Return 12 x 12 tiles, each one of some few, as numbered."""
+    places, few = tiles(12, 12, seed), tiles(1, int(sources.max()) + 1, seed + 1)
+    return with_tiles(places, few.tiles[sources])
 
 
 def test_tiles_are_cut_where_the_lattice_says() -> None:
@@ -75,7 +84,7 @@ def test_quarters_lie_as_their_order_says() -> None:
 def test_pair_distances_are_mean_squared_differences() -> None:
     """At each size they equal those summed directly, weights included."""
     found, weights = tiles(2, 4), np.linspace(1, 2, 256).reshape(16, 16).astype(np.float32)
-    halves, whole, wide = pair_distances(found, weights)
+    halves, whole, wide = (pairs.distances for pairs in window_pairs(found, weights))
     i, j = np.triu_indices(8, 1)
     squares = ((found.tiles[i] - found.tiles[j]) ** 2).mean(-1)
     np.testing.assert_allclose(whole, (squares * weights).sum((1, 2)) / weights.sum(), rtol=1e-3, atol=1e-6)
@@ -89,11 +98,11 @@ def test_pair_distances_are_mean_squared_differences() -> None:
 
 @pytest.mark.parametrize("period", [3, 4, 6])
 def test_a_supercell_repeats_at_every_size(period: int) -> None:
-    """A period of p x p of N tiles makes N / p^2 - 1 of each tile's N - 1 pairs twins, at any width of windows."""
+    """A period of p x p of N tiles makes N / p^2 - 1 of each tile's N - 1 pairs twins, and all of these at few lags."""
     fresh = tuple(tiles(12, 12, seed) for seed in (10, 11))
     found = twins(repeated(period), fresh, FLAT, [float(period**2)] * 3, 1.0)
     assert [one.size for one in found] == list(SIZES)
-    expected = period**2 * (144 / period**2 - 1) / 143
+    expected = period**2 * math.sqrt((144 / period**2 - 1) / 143)
     assert [one.score for one in found[:2]] == pytest.approx([expected] * 2, rel=0.15)
     assert 0.7 * expected < found[2].score < 1.8 * expected
 
@@ -111,9 +120,24 @@ def test_weaker_departures_are_no_copies() -> None:
 
 def test_the_copier_reads_one() -> None:
     """One pair in M a twin besides chance is 1, chance alone 0, all pairs M."""
-    assert Twins(1.0, 0.02 + 0.98 / 50, 0.02, 50.0).score == pytest.approx(1)
-    assert Twins(1.0, 0.02, 0.02, 50.0).score == 0
-    assert Twins(1.0, 1.0, 0.02, 50.0).score == pytest.approx(50)
+    for share, expected in ((0.02 + 0.98 / 50, 1), (0.02, 0), (1.0, 50)):
+        found = Twins(1.0, Share(share, share), Share(0.02, 0.02), 50.0)
+        assert found.score == pytest.approx(expected)
+
+
+def test_strewn_twins_do_not_count_by_lag() -> None:
+    """Where each of M sources is chosen at random one pair in M is a twin, and no lag has most of its pairs."""
+    found = [chosen(np.random.default_rng(seed).integers(9, size=144)) for seed in range(12)]
+    shares = [Share.of([window_pairs(one, FLAT)[1]], 1e-6) for one in found]
+    assert np.mean([share.all for share in shares]) == pytest.approx(1 / 9, rel=0.1)
+    assert max(share.by_lag for share in shares) < 1 / 9
+
+
+def test_lags_are_the_same_both_ways() -> None:
+    """Numbering tiles in another order changes no pair's lag, so not the share by lag."""
+    one = repeated(4)
+    turned = one.some(np.random.default_rng(0).permutation(len(one)))
+    assert Share.of([window_pairs(turned, FLAT)[1]], 1e-6) == Share.of([window_pairs(one, FLAT)[1]], 1e-6)
 
 
 def test_the_energy_distance_of_one_distribution_is_nothing() -> None:

@@ -4,8 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nrbench.datasets_procedural.brick import Brick
+from nrbench.imaging.door import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.yardstick import DRAWS, sample_yardstick, yardstick
+from nrbench.metrics.judgement import compare
+from nrbench.metrics.limits import SURE_SHARE
+from nrbench.metrics.look import look_at_references
+from nrbench.metrics.yardstick import DRAWS, best_yardstick, sample_yardstick, yardstick
 from nrbench.texture import Texture
 
 from .conftest import MODELS, Case
@@ -73,3 +78,31 @@ def test_each_part_of_a_sample_is_judged_by_the_rest(case: Cases) -> None:
     first, last = sample_yardstick(sample, case("brick").texture.lattice.reduced()).references
     assert first.image.mean() < 0.7 * first.periodic.image((60, 60)).mean()
     assert last.periodic.image((60, 60)).mean() < 0.7 * last.image.mean()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_samples_regular_share_is_on_the_scale_of_its_models(case: Cases, name: str) -> None:
+    """What folding smooths away, and what a mean of few tiles keeps of the departures, is made up for."""
+    image, lattice = case(name).fresh(256), case(name).texture.lattice
+    assert lattice is not None
+    share = sample_yardstick(image, lattice).regular_share
+    assert share == pytest.approx(case(name).model.regular_share, abs=0.06)
+    periodic = case(name).again((256, 256), 0).ideal  # type: ignore[union-attr]
+    assert sample_yardstick(quantize(periodic), lattice).regular_share > 0.97
+
+
+def test_colors_that_swamp_the_joints_are_looked_through() -> None:
+    """Of bricks in colors of their own the detail is judged: a fresh draw is preserved, one of twice the size lost."""
+    model = Brick(width=18, height=18, joint=2, bond="stack", color=0.9, intensity=0.3, noise=0.03)
+    texture = model.render((128, 128), np.random.default_rng(0))
+    sample, lattice = quantize(texture.image), texture.lattice
+    fresh = model.again(texture, (256, 256), np.random.default_rng(1))
+    assert lattice is not None
+    assert fresh is not None
+    measure = best_yardstick(sample, lattice)
+    assert measure.detail
+    assert sample_yardstick(sample, lattice).regular_share < SURE_SHARE < measure.regular_share
+    looks = look_at_references(measure)
+    assert compare(quantize(fresh.image), measure, looks).preserved is True
+    enlarged = compare(np.repeat(np.repeat(sample, 2, 0), 2, 1), measure, looks)
+    assert enlarged.faults == ("many tiles fit better elsewhere",)

@@ -22,6 +22,7 @@ COLUMNS: dict[str, Column] = {
     "regularity.score": Column("Share of tiles in place and intact.", better="higher"),
     "randomness.variation": Column("Tile-by-tile variation against fresh draws.", "", (0.0, float("inf")), "one"),
     "randomness.repetition": Column("Excess of near-exact twins <b>over</b> fresh draws.", better="lower"),
+    "randomness.distance": Column("Energy distance to fresh draws.", better="lower"),
     "cost.note": Column("A number without a better way.", "px"),
 }
 HOSTILE = "<img src=x onerror=\"alert(1)\"> & 'co'"

@@ -19,7 +19,7 @@ from nrbench.reports.plane import drawn
 from nrbench.reports.text import TextTable
 
 Make = Callable[..., Any]
-SCORES = {"randomness.variation": 0.1, "randomness.repetition": 2.0}
+SCORES = {"randomness.variation": 0.1, "randomness.repetition": 2.0, "randomness.distance": 0.01}
 
 
 @pytest.fixture

@@ -8,7 +8,10 @@ import pytest
 from nrbench.records import Run
 from nrbench.reports.comparison import comparison
 from nrbench.reports.foot import others
-from nrbench.reports.summary import headlines_first
+from nrbench.reports.summary import COSTS, headlines_first
+from nrbench.reports.verdicts import SCORE
+
+from .conftest import COLUMNS
 
 Make = Callable[..., Any]
 
@@ -110,6 +113,29 @@ def test_other_scores_stand_apart_from_the_headlines(every_ending: Run, make_cel
     assert lines["cost.note"].values == ["3.00"]
     assert not lines.keys() & {line.name for line in found.foot}
     assert "cost.note" not in {line.name for line in others(every_ending, comparison(every_ending).summaries)}
+
+
+def test_costs_are_shown_once(make_cell: Make, make_run: Make) -> None:
+    """Seconds stand at the foot, memory among the other scores, and neither again as the metric has it."""
+    columns = {**COLUMNS, "cost.seconds": COSTS["seconds"], "cost.peak_mib": COSTS["peak_mib"]}
+    run = make_run([make_cell(values={"cost.seconds": 1.0, "cost.peak_mib": 2.0}, peak_mib=2.0)], columns=columns)
+    found = comparison(run)
+    names = [line.name for line in (*found.foot, *others(run, found.summaries))]
+    assert [name for name in names if name.endswith(("seconds", "peak_mib"))] == ["seconds", "peak_mib"]
+
+
+def test_undecided_scores_enter_no_mean_and_no_rank(make_cell: Make, make_run: Make) -> None:
+    """A texture on which nothing would be seen is left out of the mean and of the ranks, and of n."""
+    why = {"regularity.preserved": "undecided: too little power"}
+    run = make_run([
+        make_cell("a", "m", score=0.5), make_cell("a", "n", score=0.9),
+        make_cell("b", "m", score=1.0, preserved=None, reasons=why), make_cell("b", "n", score=0.8, preserved=False),
+    ])  # fmt: skip
+    one, other = comparison(run).summaries
+    assert (one.means[SCORE].value, one.means[SCORE].n, one.means[SCORE].of) == (0.5, 1, 2)
+    assert (one.ranks[SCORE].value, one.ranks[SCORE].n) == (2, 1)
+    assert (other.means[SCORE].n, other.ranks[SCORE].value) == (2, 1)
+    assert next(line for line in comparison(run).foot if line.name == SCORE).counts[0] == "1 of 2"
 
 
 def test_metrics_of_the_headlines_come_first() -> None:

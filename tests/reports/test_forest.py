@@ -49,4 +49,4 @@ def test_seconds_are_drawn_by_decades(make_cell: Make, make_run: Make) -> None:
 def test_nothing_known_is_drawn_as_nothing(make_cell: Make, make_run: Make) -> None:
     """A failed method has a line without a point."""
     run = make_run([make_cell(status="crash")])
-    assert [panel.strips[0].value for panel in panels(comparison(run).summaries, headlines(run))][1:] == [None] * 4
+    assert [panel.strips[0].value for panel in panels(comparison(run).summaries, headlines(run))][1:] == [None] * 5

@@ -16,7 +16,7 @@ from nrbench.errors import BadInput
 from nrbench.records import CellRecord, Run
 from nrbench.reports.captions import overlap, placed
 from nrbench.reports.comparison import comparison
-from nrbench.reports.kept import KEPT, kept
+from nrbench.reports.kept import KEPT, WALLPAPER, kept
 from nrbench.reports.perils import Place, caption, perils_table, places, wrapped
 from nrbench.reports.plane import PerilsPlane, drawn
 from nrbench.reports.statistics import Estimate
@@ -26,30 +26,44 @@ Make = Callable[..., Any]
 
 
 @pytest.mark.parametrize(
-    ("variation", "repetition", "expected"),
-    [(1, 0, 1), (0.5, 0, 0.5), (2, 0, 0.5), (1, 1, 0.5), (1, 3, 0.25), (0, 0, 0), (1, -0.2, 1), (0.8, 1, 0.5)],
+    ("variation", "repetition", "distance", "expected"),
+    [
+        *[(1, 0, 0, 1), (0.5, 0, 0, 0.5), (2, 0, 0, 0.5), (1, 1, 0, 0.5), (1, 3, 0, 0.25), (0, 0, 0, 0)],
+        *[(1, -0.2, -0.1, 1), (0.8, 1, 0, 0.5), (1, 0, WALLPAPER / 2, 0.5), (1, 0, 1, 0), (0.4, 0, WALLPAPER / 2, 0.4)],
+    ],
 )
-def test_kept_is_the_worse_of_two_departures(variation: float, repetition: float, expected: float) -> None:
-    """Half and twice the variation count alike, repetition counts on one side only, and the worse of both stands."""
-    assert kept(variation, repetition) == pytest.approx(expected)
+def test_kept_is_the_worst_departure(variation: float, repetition: float, distance: float, expected: float) -> None:
+    """Half and twice the variation count alike, the others on one side only, and the worst of the three stands."""
+    assert kept(variation, repetition, distance) == pytest.approx(expected)
 
 
-@given(st.floats(0, 1e9), st.floats(-1e9, 1e9))
-def test_kept_lies_between_zero_and_one(variation: float, repetition: float) -> None:
-    """Whatever the scores, what is kept is in [0, 1], and no more repetition ever helps."""
-    value, worse = float(kept(variation, repetition)), float(kept(variation, abs(repetition) + 1))
-    assert 0 <= worse <= value <= 1
+@given(st.floats(0, 1e9), st.floats(-1e9, 1e9), st.floats(-1e9, 1e9))
+def test_kept_lies_between_zero_and_one(variation: float, repetition: float, distance: float) -> None:
+    """Whatever the scores, what is kept is in [0, 1], and no more repetition or distance ever helps."""
+    value = float(kept(variation, repetition, distance))
+    worse = float(kept(variation, abs(repetition) + 1, distance)), float(kept(variation, repetition, abs(distance) + 1))
+    assert all(0 <= one <= value <= 1 for one in worse)
 
 
 def test_kept_of_an_unknown_score_is_unknown() -> None:
-    """One unknown score makes the worse of both unknown."""
-    assert np.isnan(kept([np.nan, 0.1, np.nan], [0.0, np.nan, np.nan])).all()
+    """One unknown score makes the worst of all unknown."""
+    nan = np.nan
+    assert np.isnan(kept([nan, 0.1, 1.0, nan], [0.0, nan, 0.0, nan], [0.0, 0.0, nan, nan])).all()
+
+
+def test_wallpaper_lies_as_far_as_normal_departures_say() -> None:
+    """The distance that counts as wallpaper is that of no departures to normal ones, in any number of dimensions."""
+    rng = np.random.default_rng(0)
+    for size in (1, 3, 40):
+        one, other = rng.standard_normal((2, 40_000, size))
+        apart = np.linalg.norm(one - other, axis=1).mean()
+        assert 2 * np.linalg.norm(one, axis=1).mean() / apart - 1 == pytest.approx(WALLPAPER, abs=0.02)
 
 
 def _cell(
     make_cell: Make, texture: str, method: str, score: float, v: float | None, r: float | None, **more: Any
 ) -> Any:
-    values = {"randomness.variation": v, "randomness.repetition": r}
+    values = {"randomness.variation": v, "randomness.repetition": r, "randomness.distance": None if v is None else 0.0}
     return make_cell(texture, method, "own", score=score, preserved=score > 0.5, values=values, **more)
 
 

@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from nrbench.imaging.fold import Tile
+from nrbench.lattice.geometry import Lattice
+from nrbench.metrics.placement import place
+from nrbench.metrics.refinement import Cell, refined
+from nrbench.metrics.yardstick import Yardstick, model_yardstick
+
+from .conftest import MODELS, Case, make_case
+
+LATTICE = Lattice((17.3, 2.6), (-3.1, 14.8), (4.2, 1.7))
+RNG = np.random.default_rng(0)
+VALUES = np.stack([ndimage.gaussian_filter(RNG.random((60, 70)), 3, mode="wrap") for _ in range(3)], -1)
+TILE = Tile((4 * VALUES).astype(np.float32), np.ones((60, 70)), LATTICE)
+FLAT = Tile(np.full((1, 1, 1), 0.01, np.float32), np.ones((1, 1)), LATTICE)
+CELL = Cell.of(TILE, FLAT, 0.01)
+CORNERS = np.array([(0, 0), (13, 5), (40, 31)])
+
+
+def measure(case: Case) -> Yardstick:
+    """Return the yardstick of a case."""
+    assert case.texture.lattice is not None
+    return model_yardstick(case.texture, case.texture.lattice, case.again)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
+def test_a_displacement_is_found_wherever_between_two_pixels_it_lies(x: float, y: float, dx: float, dy: float) -> None:
+    """From half a pixel away the displacement of a periodic image is found to 0.003 px, with a correlation of 1."""
+    image = TILE.unfold((70, 80), (x, y))
+    at, ncc = refined(image, CELL, CORNERS, (34, 36), np.array([(x + dx, y + dy)] * 3))
+    np.testing.assert_allclose(at, [(x, y)] * 3, atol=0.003)
+    np.testing.assert_allclose(ncc, 1, atol=1e-4)
+
+
+def test_light_moves_nothing() -> None:
+    """Brightness and contrast change neither place nor correlation; a negative correlates as much below zero."""
+    image = TILE.unfold((70, 80), (0.3, -0.4))
+    for gain, sign in ((0.3, 1), (-1.0, -1)):
+        at, ncc = refined(gain * image + np.float32(0.2), CELL, CORNERS, (34, 36), np.zeros((3, 2)))
+        np.testing.assert_allclose(at, [(0.3, -0.4)] * 3, atol=0.01)
+        np.testing.assert_allclose(ncc, sign, atol=1e-3)
+
+
+def test_what_shows_nothing_stays() -> None:
+    """Flat windows and noise keep the displacement from which they started, to the reach of a search."""
+    rough = np.array([(3.0, 2.0)] * 3)
+    at, ncc = refined(np.full((70, 80, 3), 0.5, np.float32), CELL, CORNERS, (34, 36), rough)
+    np.testing.assert_allclose(at, rough, atol=1.5)
+    assert np.abs(ncc).max() < 0.01
+    at, ncc = refined(RNG.random((70, 80, 3)).astype(np.float32), CELL, CORNERS, (34, 36), rough)
+    assert np.hypot(*(at - rough).T).max() <= 1.5
+    assert np.abs(ncc).max() < 0.3
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_windows_of_the_periodic_image_lie_in_their_places(name: str) -> None:
+    """On the model's own periodic image no window is displaced by more than 0.05 px, at any phase of whole pixels."""
+    periodic = measure(make_case(name)).periodic
+    ideal = periodic.image((150, 150))
+    for left, top in ((0, 0), (5, 3), (2, 11)):
+        found = place(np.ascontiguousarray(ideal[top:, left:]), periodic)
+        assert np.hypot(*periodic.lattice.wrap(np.add(found.phase, (left, top)))) < 0.02
+        assert np.hypot(*found.offsets.T).max() < 0.05
