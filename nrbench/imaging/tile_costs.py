@@ -93,4 +93,4 @@ def _classes(plane: NDArray[np.float64], size: Size) -> NDArray[np.float64]:
 def _spread(classes: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Return each pixel's class' value."""
     wide = classes[:, np.arange(shape[1]) % classes.shape[1]]
-    return wide[np.arange(shape[0]) % classes.shape[0]]
+    return np.asarray(wide[np.arange(shape[0]) % classes.shape[0]])

@@ -1,0 +1,177 @@
+"""Representative tile: the one tile that best retells the sample, and repeats without showing where."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.errors import checker
+from nrbench.imaging.door import Image
+from nrbench.imaging.tile_costs import Costs, continuity, resemblance
+from nrbench.lattice.geometry import Points
+from nrbench.lattice.ssdn import Ssdn
+from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
+
+from .laying import Laying, laid
+from .tile_frame import TileFrame, tile_frame
+from .wang import WangSet, colors_for, wang_set
+
+
+@dataclass(frozen=True)
+class RepresentativeTile:
+    """The tile of the sample that retells it best when repeated, and whose borders meet: periodic, tiny, fast.
+
+    The period gives the tile's size in whole pixels, to which the sample is scaled down (section 3). Of all places in
+    the scaled sample the tile is taken for which S = alpha h + beta SSDN is least (equation 6): h, the continuity,
+    compares its first row and column with its last (equation 5); SSDN, the resemblance, compares the sample with the
+    tile repeated over it from where it lies (section 4.2). The paper rates only the share ``p`` of places with the
+    least h; here integral images rate every place exactly.
+
+    The tile is the paper's, of whole pixels (``extras["tile"]``, a PNG beside a picture). The output is not made by
+    repeating its pixels, as in the paper, where the period of 21.37 px becomes 21: every output pixel shows the point
+    of the tile that the real-valued period calls equal, read from the sample by one spline, so that nothing drifts or
+    blurs, and copies where periods are whole (``rescale=false``: the paper's).
+
+    A lattice that is not rectangular gets the smallest rectangle that is a period of it, turned where it must be, of
+    several cells where it must be; sides may miss lattice vectors by ``tolerance``. With no lattice given the period
+    comes from ``ssdn``, as in the paper, along the sample's axes.
+
+    The output is periodic: it keeps regularity and loses randomness, as the paper says. With ``tiles`` some survives:
+    Wang tiles, the paper's future work (:func:`~nrbench.synthesizers.wang.wang_set`).
+
+    Extras: ``tile``, or ``tile-01`` ... of a set with their ``edges`` (north, east, south, west colors); ``frame``,
+    ``(3, 2)``: the tile's first pixel (x, y) in the sample, and the steps (x, y) in the sample of one pixel along its
+    rows and columns, of lengths r (equation 4); ``best``, ``(m, 5)``: x, y in the scaled sample, h, SSDN and S of the m
+    best; ``best-01`` ... those tiles, where m > 1.
+
+    Parameters
+    ----------
+    alpha, beta
+        Weights of continuity and resemblance, at least 0, not both 0 (the paper: 1 and 1).
+    p
+        Share in (0, 1] of the places, those of least h, of which the best is taken (the paper: 0.0001 to 0.02). None:
+        all of them.
+    m
+        The tile is drawn from the m best, uniformly, where the paper lets the user choose among them; 1: the best.
+    rescale
+        Output of the sample's period; false: of the tile's, the tile's own pixels repeated.
+    scale_down
+        Shrink periods to whole pixels (equation 4); false: the tile keeps the sample's scale and lacks the rest of
+        the period, as where the paper did without.
+    period
+        Where none is given: ``"fitted"``, sub-pixel, fitted to all minima, refused where no better than chance;
+        ``"last"``, x_n / n, the last minimum over its number (equation 3), whatever the sample.
+    tolerance
+        How far a side of the tile may be from a lattice vector, in shares of s, in [0, 0.5).
+    tiles
+        1, or how many Wang tiles: 4, or 6 and more.
+    """
+
+    alpha: float = 1.0
+    beta: float = 1.0
+    p: float | None = None
+    m: int = 1
+    rescale: bool = True
+    scale_down: bool = True
+    period: Literal["fitted", "last"] = "fitted"
+    tolerance: float = 0.1
+    tiles: int = 1
+
+    reference: ClassVar[bool] = False
+    uses_lattice: ClassVar[bool] = True
+    version: ClassVar[str] = "1"
+    paper: ClassVar[str] = Ssdn.paper
+
+    def __post_init__(self) -> None:
+        weights = min(self.alpha, self.beta) >= 0 and 0 < self.alpha + self.beta < math.inf
+        _check(weights, f"alpha {self.alpha}, beta {self.beta}; choose weights of 0 or more, not both 0")
+        _check(self.p is None or 0 < self.p <= 1, f"p {self.p}; choose a share above 0, at most 1, or leave it out")
+        _check(self.m >= 1, f"m {self.m}; choose 1 (the best tile) or more")
+        _check(0 <= self.tolerance < 0.5, f"tolerance {self.tolerance}; choose a share of s from 0 to below 0.5")
+        _check(self.tiles == 1 or colors_for(self.tiles) is not None, f"tiles {self.tiles}; choose 1, 4, or 6 and more")
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the synthesis; see :class:`RepresentativeTile`.
+
+        The source map's weight is 1 where a pixel was copied, else the bilinear weight of the nearest one.
+
+        Raises
+        ------
+        Refused
+            When no lattice is found, or the sample shows less than two periods or holds no rectangular tile.
+        """
+        paper = self.period == "last"
+        rejected: Literal["none", "surrogate"] = "none" if paper else "surrogate"
+        found = find_lattice(task, Ssdn(subpixel=not paper, primitive=False, reject=rejected))
+        if found.lattice is None:
+            raise Refused(f"no lattice found ({found.reason}): there is no period to cut a tile by")
+        frame = tile_frame(found.lattice, task.sample.shape, self.tolerance, self.scale_down)
+        image, known = frame.scaled(task)
+        best = self._best(image, known, frame)
+        task.progress(0.4)
+        chosen = best[task.rng.integers(len(best))] if len(best) > 1 else best[0]
+        place = (int(chosen[0]), int(chosen[1]))
+        tiles = wang_set(task, frame, found.lattice, place, self.tiles) if self.tiles > 1 else WangSet.single(frame)
+        laying = Laying(frame, place, tiles, self.rescale)
+        output, source = laid(replace(task, progress=lambda done: task.progress(0.4 + 0.6 * done)), laying)
+        extras = {**_extras(image, frame, place, best), **laying.extras(task)}
+        note = _note(frame, place)
+        return Synthesis(output, found.lattice, source, extras, found.seconds, note)
+
+    def _best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
+        """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S; of equals the first in reading order (section 4)."""
+        smooth, alike = continuity(image, frame.size), resemblance(image, frame.size, known)
+        allowed = np.isfinite(alike)
+        if not allowed.any():
+            size = f"{frame.size[1]}x{frame.size[0]} px"
+            raise Refused(f"turned as the lattice is, a tile of {size} is larger than the sample")
+        if self.p is not None:
+            allowed = preselected(np.where(allowed, smooth, np.inf), self.p * float(allowed.sum()))
+        rating = np.full(alike.shape, np.inf)
+        rating[allowed] = np.round(self.alpha * smooth[allowed] + self.beta * alike[allowed], 12)
+        order = _least(rating, min(self.m, int(allowed.sum())))
+        y, x = np.unravel_index(order, rating.shape)
+        return np.stack([x, y, smooth[y, x], alike[y, x], rating[y, x]], -1).astype(np.float64)
+
+
+def preselected(smooth: Costs, number: float) -> NDArray[np.bool_]:
+    """Return S1: the ``number`` places, at least one, that are smoothest; of equals the first (section 4.1)."""
+    chosen = np.zeros(smooth.shape, np.bool_)
+    chosen.flat[_least(np.round(smooth, 12), max(round(number), 1))] = True
+    return chosen
+
+
+def _least(values: Costs, number: int) -> NDArray[np.intp]:
+    """Return the flat indices of the ``number`` least values in order, of equals the first; O(n) for few."""
+    flat = values.ravel()
+    if number == 1:
+        return np.array([flat.argmin()])
+    limit = np.partition(flat, number - 1)[number - 1]
+    below = np.flatnonzero(flat <= limit)
+    return np.asarray(below[np.argsort(flat[below], kind="stable")][:number])
+
+
+def _extras(image: Image, frame: TileFrame, place: tuple[int, int], best: Points) -> dict[str, NDArray[Any]]:
+    """Return what is kept beside the output of the search: the frame, the m best and their tiles."""
+    rows, columns = frame.size
+    corner = frame.to_sample(np.array(place, np.float64))
+    kept: dict[str, NDArray[Any]] = {"frame": np.vstack([corner, frame.steps]), "best": best}
+    if len(best) > 1:
+        for number, (x, y) in enumerate(best[:, :2].astype(int), 1):
+            kept[f"best-{number:02d}"] = image[y : y + rows, x : x + columns]
+    return kept
+
+
+def _note(frame: TileFrame, place: tuple[int, int]) -> str:
+    x, y = frame.to_sample(np.array(place, np.float64))
+    size = f"tile of {frame.size[1]}x{frame.size[0]} px from ({x:.1f}, {y:.1f})"
+    cells = f", {frame.cells} cells" if frame.cells > 1 else ""
+    scale = "" if frame.plain else ", scale {:.4g} x {:.4g}".format(*frame.scale)
+    return size + cells + scale
+
+
+_check = checker("representative-tile")
