@@ -25,25 +25,22 @@ class Laying:
     ----------
     frame
         The tiles' size, and where their pixels lie in the sample.
-    place
-        (x, y) in the scaled sample of the first pixel of the tile that was chosen; there the output shows a first
-        pixel too, so that the output continues the sample's phase.
     tiles
-        One tile, or a set that is laid by its edges' colors.
+        One tile, or a set that is laid by its edges' colors. Where its corner lies in the sample the output shows a
+        tile's first pixel, so that the output continues the sample's phase.
     rescale
         Whether the periods are the sample's, or the tiles' whole pixels.
     """
 
     frame: TileFrame
-    place: tuple[int, int]
     tiles: WangSet
     rescale: bool
 
     @property
     def _corner(self) -> Points:
         """Where (x, y) in the output a tile's first pixel lies."""
-        place = np.array(self.place, np.float64)
-        return self.frame.to_sample(place) if self.rescale else place
+        corner = np.array(self.tiles.corner, np.float64)
+        return self.frame.to_sample(corner) if self.rescale else corner
 
     @property
     def _steps(self) -> Points:
@@ -69,12 +66,12 @@ class Laying:
         cells, inside, rest = self._split(pixels)
         column, row = np.moveaxis(cells - low, -1, 0)
         x, y = np.moveaxis(inside, -1, 0)
-        return self.frame.to_sample(self.tiles.sources[laid_out[row, column], y, x] + self.place + rest)
+        return self.frame.to_sample(self.tiles.sources[laid_out[row, column], y, x] + rest)
 
     def extras(self, task: Task) -> dict[str, NDArray[Any]]:
         """Return the tiles as pictures, by name, and of several the colors of their edges."""
         number, rows, columns = self.tiles.sources.shape[:3]
-        flat = self.tiles.sources.reshape(number * rows, columns, 2) + self.place
+        flat = self.tiles.sources.reshape(number * rows, columns, 2)
 
         def points(pixels: Points) -> Points:
             x, y = np.moveaxis(pixels, -1, 0).astype(np.intp)

@@ -115,8 +115,9 @@ class RepresentativeTile:
         task.progress(0.4)
         chosen = best[task.rng.integers(len(best))] if len(best) > 1 else best[0]
         place = (int(chosen[0]), int(chosen[1]))
-        tiles = wang_set(task, frame, found.lattice, place, self.tiles) if self.tiles > 1 else WangSet.single(frame)
-        laying = Laying(frame, place, tiles, self.rescale)
+        single = WangSet.single(frame, place)
+        tiles = wang_set(task, frame, found.lattice, place, self.tiles) if self.tiles > 1 else single
+        laying = Laying(frame, tiles, self.rescale)
         output, source = laid(replace(task, progress=lambda done: task.progress(0.4 + 0.6 * done)), laying)
         extras = {**_extras(image, frame, place, best), **laying.extras(task)}
         note = _note(frame, place)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from .tile_frame import TileFrame
 
 _CANDIDATES = 16
 """Places looked at for either direction's edges, drawn from all: each pair costs four seams."""
+_PHASES, _FEW = 4, 5
+"""Phases along each side of the tile, and places for either direction's edges by which each is rated."""
 _LEAST_SIDE = 6
 
 
@@ -27,19 +30,21 @@ class WangSet:
     Parameters
     ----------
     sources
-        ``float64 (k, rows, columns, 2)``: for each tile's pixel the point (x, y) of the scaled sample, less the place
-        of the tile that was chosen.
+        ``float64 (k, rows, columns, 2)``: for each tile's pixel the point (x, y) of the scaled sample.
     edges
         ``int64 (k, 4)``: the colors of the north, east, south and west edge; horizontal edges meet horizontal ones.
+    corner
+        (x, y) in the scaled sample of what a tile's first pixel is equal to, by the lattice.
     """
 
     sources: Points
     edges: NDArray[np.int64]
+    corner: tuple[int, int]
 
     @classmethod
-    def single(cls, frame: TileFrame) -> WangSet:
-        """Return the set of one tile, which fits itself."""
-        return cls(_pixels(frame.size)[np.newaxis], np.zeros((1, 4), np.int64))
+    def single(cls, frame: TileFrame, place: tuple[int, int]) -> WangSet:
+        """Return the set of the one tile at a place, which fits itself."""
+        return cls(_pixels(frame.size)[np.newaxis] + place, np.zeros((1, 4), np.int64), place)
 
     def lay_out(self, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.int64]:
         """Return which tile lies where, ``(rows, columns)``: row by row, drawn uniformly from those that fit.
@@ -80,33 +85,32 @@ def colors_for(tiles: int) -> tuple[int, int] | None:
 def wang_set(task: Task, frame: TileFrame, lattice: Lattice, place: tuple[int, int], tiles: int) -> WangSet:
     """Return a set of tiles made of samples that differ least where they meet.
 
-    Every color of an edge is a piece of the sample around that edge, from a place that the lattice calls equal to the
-    edges of the tile that was chosen. A tile shows its four edges' pieces, joined from its corners to its middle along
-    the lines on which they differ least (Cohen et al. 2003, section 3.2: there each is a square turned by 45 degrees;
-    here pieces lie as the tile does, and seams may leave the diagonals, so the lattice goes on and they find more).
+    Every color of an edge is a piece of the sample around that edge, from a place that the lattice calls equal. A tile
+    shows its four edges' pieces, joined from its corners to its middle along the lines on which they differ least
+    (Cohen et al. 2003, section 3.2: there each is a square turned by 45 degrees; here pieces lie as the tile does, and
+    seams may leave the diagonals, so that the lattice goes on and seams find more).
 
-    The first horizontal piece is drawn at random, the others are chosen one after the other, horizontal and vertical in
-    turn, each where its seams with those chosen differ least.
+    Where tiles are cut, relative to ``place``, is the phase of 16 at which seams differ least on average: pieces are
+    then whole bricks rather than halves. The first horizontal piece is drawn at random, the others are chosen one after
+    the other, horizontal and vertical in turn, each where its seams with those chosen differ least.
 
     Raises
     ------
     Refused
         When the sample has fewer places than there are colors, or the tile is too small for seams.
     """
-    if min(frame.size) < _LEAST_SIDE:
-        raise Refused(f"a tile of {frame.size[1]}x{frame.size[0]} px has no room for seams; choose tiles=1")
     colors = colors_for(tiles)
-    assert colors is not None
-    rows, columns = frame.size
-    middle = np.array([columns // 2, rows // 2])
-    pieces = [
-        _Pieces.found(task, frame, lattice, place, corner, axis, count)
-        for axis, corner, count in ((0, (0, middle[1] - rows), colors[0]), (1, (middle[0] - columns, 0), colors[1]))
-    ]
-    joints = _Joints(pieces[0], pieces[1], (int(middle[1]), int(middle[0])))
-    chosen = joints.compatible(colors, task.rng)
-    edges = _edges(colors, tiles, task.rng)
-    return WangSet(np.stack([joints.tile(frame.size, chosen, tuple(four)) for four in edges]), edges)
+    if min(frame.size) < _LEAST_SIDE or colors is None:
+        raise Refused(f"a tile of {frame.size[1]}x{frame.size[0]} px has no room for seams; choose tiles=1")
+    shifts = [(x * frame.size[1] // _PHASES, y * frame.size[0] // _PHASES) for y, x in np.ndindex(_PHASES, _PHASES)]
+    corners = [(place[0] + x, place[1] + y) for x, y in shifts]
+    costs = [_Joints.found(task, frame, lattice, corner, _FEW).costs for corner in corners]
+    rated = [cost.mean() if cost.size else np.inf for cost in costs]
+    corner = corners[int(np.argmin(np.round(rated, 9)))]
+    joints = _Joints.found(task, frame, lattice, corner, max(_CANDIDATES, *colors))
+    chosen, edges = joints.compatible(colors, task.rng), _edges(colors, tiles, task.rng)
+    sources = [joints.tile(frame.size, chosen, tuple(four)) + corner for four in edges]
+    return WangSet(np.stack(sources), edges, corner)
 
 
 def _pixels(size: tuple[int, int]) -> Points:
@@ -133,32 +137,17 @@ def _edges(colors: tuple[int, int], tiles: int, rng: np.random.Generator) -> NDA
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Pieces of the sample around one direction's edges: where from, less the place, and their pixels."""
+    """Pieces of the sample around one direction's edges: how far from the tile's own edge, and their pixels."""
 
     moves: Points
     pixels: NDArray[np.float32]
 
     @classmethod
-    def found(
-        cls,
-        task: Task,
-        frame: TileFrame,
-        lattice: Lattice,
-        place: tuple[int, int],
-        corner: tuple[int, int],
-        axis: int,
-        least: int,
-    ) -> _Pieces:
-        """Return some of the pieces equal, by the lattice, to that whose first pixel lies ``corner`` from the place."""
-        at = np.add(place, corner).astype(np.float64)
+    def found(cls, task: Task, frame: TileFrame, lattice: Lattice, at: Points, most: int) -> _Pieces:
+        """Return at most so many of the pieces equal, by the lattice, to that whose first pixel lies ``at``."""
         places = _equal_places(frame, lattice, at, task.sample.shape)
-        if len(places) < least:
-            raise Refused(
-                f"the sample holds {len(places)} whole pieces around a tile's {('horizontal', 'vertical')[axis]} edge, "
-                f"{least} colors need as many; choose fewer tiles"
-            )
-        if len(places) > _CANDIDATES:
-            places = places[np.sort(task.rng.choice(len(places), max(_CANDIDATES, least), replace=False))]
+        if len(places) > most:
+            places = places[np.sort(task.rng.choice(len(places), most, replace=False))]
         return cls(places - at, _cut(task, frame, places))
 
 
@@ -174,6 +163,8 @@ def _equal_places(frame: TileFrame, lattice: Lattice, at: Points, shape: tuple[i
 def _cut(task: Task, frame: TileFrame, places: Points) -> NDArray[np.float32]:
     """Return the pieces at real-valued places, ``(n, rows, columns, C)``."""
     rows, columns = frame.size
+    if not len(places):
+        return np.empty((0, rows, columns, task.sample.shape[2]), np.float32)
 
     def points(pixels: Points) -> Points:
         x, y = pixels[..., 0], pixels[..., 1]
@@ -195,6 +186,21 @@ class _Joints:
     down: _Pieces
     middle: tuple[int, int]
 
+    @classmethod
+    def found(cls, task: Task, frame: TileFrame, lattice: Lattice, corner: tuple[int, int], most: int) -> _Joints:
+        """Return those of at most so many pieces around the edges of a tile at ``corner``."""
+        rows, columns = frame.size
+        firsts = np.add(corner, [(0, rows // 2 - rows), (columns // 2 - columns, 0)]).astype(np.float64)
+        across, down = (_Pieces.found(task, frame, lattice, first, most) for first in firsts)
+        return cls(across, down, (rows // 2, columns // 2))
+
+    @cached_property
+    def costs(self) -> NDArray[np.float64]:
+        """How much each horizontal piece differs from each vertical one along their four seams."""
+        pairs = np.ndindex(len(self.across.moves), len(self.down.moves))
+        sums = [sum(self.seam(i, j, quarter)[1] for quarter in range(4)) for i, j in pairs]
+        return np.array(sums, np.float64).reshape(len(self.across.moves), len(self.down.moves))
+
     def seam(self, one: int, other: int, quarter: int) -> tuple[NDArray[np.bool_], float]:
         """Return which pixels of a quarter the horizontal piece takes, and how much the two differ along the seam."""
         south, east = divmod(quarter, 2)
@@ -211,14 +217,16 @@ class _Joints:
 
     def compatible(self, colors: tuple[int, int], rng: np.random.Generator) -> tuple[list[int], list[int]]:
         """Return the horizontal and vertical pieces chosen, greedily, for the least sum over all pairs' seams."""
-        shape = len(self.across.moves), len(self.down.moves)
-        costs = np.array(
-            [[sum(self.seam(i, j, q)[1] for q in range(4)) for j in range(shape[1])] for i in range(shape[0])]
-        )
-        chosen: tuple[list[int], list[int]] = ([int(rng.integers(shape[0]))], [])
+        held = len(self.across.moves), len(self.down.moves)
+        if held[0] < colors[0] or held[1] < colors[1]:
+            raise Refused(
+                f"the sample holds {held[0]} and {held[1]} whole pieces around a tile's horizontal and vertical edges, "
+                f"a set needs {colors[0]} and {colors[1]}; choose fewer tiles"
+            )
+        chosen: tuple[list[int], list[int]] = ([int(rng.integers(held[0]))], [])
         while len(chosen[0]) < colors[0] or len(chosen[1]) < colors[1]:
-            axis = 1 if len(chosen[1]) < min(colors[1], len(chosen[0])) or len(chosen[0]) == colors[0] else 0
-            met = costs[chosen[0]].sum(0) if axis else costs[:, chosen[1]].sum(1)
+            axis = int(len(chosen[1]) < min(colors[1], len(chosen[0])) or len(chosen[0]) == colors[0])
+            met = self.costs[chosen[0]].sum(0) if axis else self.costs[:, chosen[1]].sum(1)
             met[chosen[axis]] = np.inf
             chosen[axis].append(int(met.argmin()))
         return chosen
@@ -264,9 +272,9 @@ def corner_seam(difference: NDArray[np.float64]) -> tuple[NDArray[np.bool_], flo
     free = ((x > 0) | (y < 2)) & ((y > 0) | (x < 2)) & ((x < columns - 1) | (y > rows - 3))
     free &= (y < rows - 1) | (x > columns - 3)
     surface = np.full((rows + columns - 1, rows + columns - 1), np.inf)
-    surface[(x + y)[free], (x - y)[free] + rows - 1] = difference[free]
-    path = dynamic_seam(surface)
-    step = np.arange(rows + columns - 1)
+    along, aside = np.asarray(x + y), np.asarray(x - y + rows - 1)
+    surface[along[free], aside[free]] = difference[free]
+    path, step = dynamic_seam(surface), np.arange(rows + columns - 1)
     over, under = (step + path - rows + 1) // 2, (step - path + rows - 1) // 2
-    first = np.asarray(under)[np.searchsorted(over, np.arange(columns))]
+    first = np.take(under, np.searchsorted(over, np.arange(columns)))
     return y <= first, float(difference[under, over].sum())
