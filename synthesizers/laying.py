@@ -13,7 +13,7 @@ from nrbench.lattice.geometry import Points
 from nrbench.synthesis import SourceMap, Task
 
 from .splines import resampled
-from .tile_frame import TileFrame
+from .tile_rectangle import TileFrame
 from .wang import WangSet
 
 

@@ -17,7 +17,7 @@ from nrbench.lattice.ssdn import Ssdn
 from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
 
 from .laying import Laying, laid
-from .tile_frame import TileFrame, tile_frame
+from .tile_rectangle import TileFrame, tile_frame
 from .wang import WangSet, colors_for, wang_set
 
 

@@ -14,7 +14,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.synthesis import Refused, Task
 
 from .splines import resampled
-from .tile_frame import TileFrame
+from .tile_rectangle import TileFrame
 
 _CANDIDATES = 16
 """Places looked at for either direction's edges, drawn from all: each pair costs four seams."""
