@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from nrbench.imaging.door import Image
 from nrbench.lattice.geometry import Points
 from nrbench.synthesis import SourceMap, Task
 
-from .splines import resampled
+from .splines import Spline, resampled
 from .tile_rectangle import TileFrame
 from .wang import WangSet
 
@@ -68,26 +68,18 @@ class Laying:
         x, y = np.moveaxis(inside, -1, 0)
         return self.frame.to_sample(self.tiles.sources[laid_out[row, column], y, x] + rest)
 
-    def extras(self, task: Task) -> dict[str, NDArray[Any]]:
+    def extras(self, spline: Spline) -> dict[str, NDArray[Any]]:
         """Return the tiles as pictures, by name, and of several the colors of their edges."""
-        number, rows, columns = self.tiles.sources.shape[:3]
-        flat = self.tiles.sources.reshape(number * rows, columns, 2)
-
-        def points(pixels: Points) -> Points:
-            x, y = np.moveaxis(pixels, -1, 0).astype(np.intp)
-            return self.frame.to_sample(flat[y, x])
-
-        stack, _ = resampled(replace(task, shape=(number * rows, columns), progress=lambda done: None), points)
-        pictures = stack.reshape(number, rows, columns, -1)
-        if number == 1:
+        pictures = spline.at(self.frame.to_sample(self.tiles.sources))
+        if len(pictures) == 1:
             return {"tile": pictures[0]}
-        named = {f"tile-{k + 1:02d}": picture for k, picture in enumerate(pictures)}
+        named = {f"tile-{k:02d}": picture for k, picture in enumerate(pictures, 1)}
         return {**named, "edges": self.tiles.edges}
 
 
-def laid(task: Task, laying: Laying) -> tuple[Image, SourceMap]:
+def laid(task: Task, laying: Laying, spline: Spline) -> tuple[Image, SourceMap]:
     """Return the output and its source map."""
     low, high = laying.numbers(task.shape)
     columns, rows = high - low + 1
     laid_out = laying.tiles.lay_out((int(rows), int(columns)), task.rng)
-    return resampled(task, lambda pixels: laying.source(laid_out, low, pixels))
+    return resampled(task, lambda pixels: laying.source(laid_out, low, pixels), spline)

@@ -17,8 +17,10 @@ from nrbench.lattice.ssdn import Ssdn
 from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
 
 from .laying import Laying, laid
+from .splines import Spline
 from .tile_rectangle import TileFrame, tile_frame
 from .wang import WangSet, colors_for, wang_set
+from .wang_pieces import Cutter
 
 
 @dataclass(frozen=True)
@@ -110,16 +112,18 @@ class RepresentativeTile:
         if found.lattice is None:
             raise Refused(f"no lattice found ({found.reason}): there is no period to cut a tile by")
         frame = tile_frame(found.lattice, task.sample.shape, self.tolerance, self.scale_down)
-        image, known = frame.scaled(task)
+        spline = Spline(task.sample)
+        image, known = frame.scaled(task.sample, spline)
         best = self._best(image, known, frame)
         task.progress(0.4)
         chosen = best[task.rng.integers(len(best))] if len(best) > 1 else best[0]
         place = (int(chosen[0]), int(chosen[1]))
         single = WangSet.single(frame, place)
-        tiles = wang_set(task, frame, found.lattice, place, self.tiles) if self.tiles > 1 else single
+        cutter = Cutter(spline, task.sample.shape, frame, found.lattice, task.rng)
+        tiles = wang_set(cutter, place, self.tiles) if self.tiles > 1 else single
         laying = Laying(frame, tiles, self.rescale)
-        output, source = laid(replace(task, progress=lambda done: task.progress(0.4 + 0.6 * done)), laying)
-        extras = {**_extras(image, frame, place, best), **laying.extras(task)}
+        output, source = laid(replace(task, progress=lambda done: task.progress(0.4 + 0.6 * done)), laying, spline)
+        extras = {**_extras(image, frame, place, best), **laying.extras(spline)}
         note = _note(frame, place)
         return Synthesis(output, found.lattice, source, extras, found.seconds, note)
 

@@ -19,7 +19,32 @@ SPLINE: Final = 5
 """Order of the interpolating B-spline: no visible blur."""
 
 
-def resampled(task: Task, points: Callable[[Points], Points]) -> tuple[Image, NDArray[np.float32]]:
+class Spline:
+    """The interpolating spline of a sample, mirrored at its border.
+
+    Parameters
+    ----------
+    sample
+        ``(H, W, C)``.
+    """
+
+    def __init__(self, sample: Image) -> None:
+        self.planes = [ndimage.spline_filter(plane, SPLINE, mode="mirror") for plane in np.moveaxis(sample, 2, 0)]
+
+    def at(self, points: Points) -> NDArray[np.float32]:
+        """Return the values, clipped to [0, 1], at points (x, y) of the sample: ``(..., 2)`` to ``(..., C)``."""
+        found = np.empty((*points.shape[:-1], len(self.planes)), np.float32)
+        places = np.moveaxis(points, -1, 0)[::-1]
+        for channel, coefficients in enumerate(self.planes):
+            found[..., channel] = ndimage.map_coordinates(
+                coefficients, places, order=SPLINE, mode="mirror", prefilter=False
+            )
+        return np.clip(found, 0, 1)
+
+
+def resampled(
+    task: Task, points: Callable[[Points], Points], spline: Spline | None = None
+) -> tuple[Image, NDArray[np.float32]]:
     """Return the output whose pixels show given points of the sample, and its source map.
 
     Parameters
@@ -28,6 +53,8 @@ def resampled(task: Task, points: Callable[[Points], Points]) -> tuple[Image, ND
         The sample, and the output's shape.
     points
         From pixels (x, y) of the output, ``(h, W, 2)``, to the points (x, y) of the sample that they show.
+    spline
+        Of the sample, where it is at hand.
 
     Returns
     -------
@@ -36,21 +63,18 @@ def resampled(task: Task, points: Callable[[Points], Points]) -> tuple[Image, ND
         1 where a pixel was copied.
     """
     height, width = task.shape
-    spline = [ndimage.spline_filter(plane, SPLINE, mode="mirror") for plane in np.moveaxis(task.sample, 2, 0)]
+    spline = Spline(task.sample) if spline is None else spline
     image = np.empty((height, width, task.sample.shape[2]), np.float32)
     source = np.empty((height, width, 3), np.float32)
     rows = max(1, BAND // width)
     for top in range(0, height, rows):
         at = points(_pixels(top, min(top + rows, height), width))
-        for channel, coefficients in enumerate(spline):
-            image[top : top + rows, :, channel] = ndimage.map_coordinates(
-                coefficients, np.moveaxis(at, -1, 0)[::-1], order=SPLINE, mode="mirror", prefilter=False
-            )
+        image[top : top + rows] = spline.at(at)
         nearest = np.clip(np.rint(at), 0, np.array(task.sample.shape[1::-1]) - 1)
         source[top : top + rows, :, :2] = nearest
         source[top : top + rows, :, 2] = (1 - np.abs(at - nearest)).prod(-1)
         task.progress(min(1.0, (top + rows) / height))
-    return np.clip(image, 0, 1), source
+    return image, source
 
 
 def _pixels(top: int, bottom: int, width: int) -> Points:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from nrbench.imaging.door import Image
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.rectangle import Rectangle, free_rectangle, upright_rectangle
-from nrbench.synthesis import Refused, Task
+from nrbench.synthesis import Refused
 from nrbench.texture import Shape
 
-from .splines import resampled
+from .splines import Spline
 
 _WHOLE = 0.01
 """A period this little, px, under a whole number is that number: none is measured better."""
@@ -69,14 +69,13 @@ class TileFrame:
         """Return the points of the scaled image over points of the sample, ``(..., 2)``."""
         return np.asarray(points @ np.linalg.inv(self.steps) - np.array(self.first))
 
-    def scaled(self, task: Task) -> tuple[Image, NDArray[np.bool_] | None]:
+    def scaled(self, sample: Image, spline: Spline) -> tuple[Image, NDArray[np.bool_] | None]:
         """Return the sample scaled down (and turned upright), and which of its pixels lie inside; None: all."""
         if self.plain:
-            return task.sample, None
-        image, _ = resampled(replace(task, shape=self.shape, progress=_quietly), self.to_sample)
-        y, x = np.indices(self.shape)
-        inside = self.holds(np.stack([x, y], -1).astype(np.float64), task.sample.shape)
-        return image, None if inside.all() else inside
+            return sample, None
+        pixels = pixel_grid(self.shape)
+        inside = self.holds(pixels, sample.shape)
+        return spline.at(self.to_sample(pixels)), None if inside.all() else inside
 
     def holds(self, pixels: Points, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         """Tell which points of the scaled image lie inside a sample of ``shape``."""
@@ -165,5 +164,7 @@ def _cover(steps: Points, shape: tuple[int, ...]) -> tuple[tuple[int, int], Shap
     return (int(low[0]), int(low[1])), (int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1)
 
 
-def _quietly(fraction: float) -> None:
-    """Report progress to nobody."""
+def pixel_grid(shape: Shape) -> Points:
+    """Return the (x, y) of each pixel, ``(H, W, 2)``."""
+    y, x = np.indices(shape)
+    return np.stack([x, y], -1).astype(np.float64)
