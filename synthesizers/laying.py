@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,14 +66,6 @@ class Laying:
         column, row = np.moveaxis(cells - low, -1, 0)
         x, y = np.moveaxis(inside, -1, 0)
         return self.frame.to_sample(self.tiles.sources[laid_out[row, column], y, x] + rest)
-
-    def extras(self, spline: Spline) -> dict[str, NDArray[Any]]:
-        """Return the tiles as pictures, by name, and of several the colors of their edges."""
-        pictures = spline.at(self.frame.to_sample(self.tiles.sources))
-        if len(pictures) == 1:
-            return {"tile": pictures[0]}
-        named = {f"tile-{k:02d}": picture for k, picture in enumerate(pictures, 1)}
-        return {**named, "edges": self.tiles.edges}
 
 
 def laid(task: Task, laying: Laying, spline: Spline) -> tuple[Image, SourceMap]:

@@ -121,11 +121,11 @@ class RepresentativeTile:
         single = WangSet.single(frame, place)
         cutter = Cutter(spline, task.sample.shape, frame, found.lattice, task.rng)
         tiles = wang_set(cutter, place, self.tiles) if self.tiles > 1 else single
-        laying = Laying(frame, tiles, self.rescale)
-        output, source = laid(replace(task, progress=lambda done: task.progress(0.4 + 0.6 * done)), laying, spline)
-        extras = {**_extras(image, frame, place, best), **laying.extras(spline)}
-        note = _note(frame, place)
-        return Synthesis(output, found.lattice, source, extras, found.seconds, note)
+        told = replace(task, progress=lambda done: task.progress(0.4 + 0.6 * done))
+        output, source = laid(told, Laying(frame, tiles, self.rescale), spline)
+        shown = tiles.pictures(spline, frame) if self.tiles > 1 else {"tile": _cut(image, frame, place)}
+        extras = {**shown, **_search_extras(image, frame, place, best)}
+        return Synthesis(output, found.lattice, source, extras, found.seconds, _note(frame, place))
 
     def _best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
         """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S; of equals the first in reading order (section 4)."""
@@ -160,14 +160,19 @@ def _least(values: Costs, number: int) -> NDArray[np.intp]:
     return np.asarray(below[np.argsort(flat[below], kind="stable")][:number])
 
 
-def _extras(image: Image, frame: TileFrame, place: tuple[int, int], best: Points) -> dict[str, NDArray[Any]]:
-    """Return what is kept beside the output of the search: the frame, the m best and their tiles."""
-    rows, columns = frame.size
+def _cut(image: Image, frame: TileFrame, place: tuple[int, int]) -> Image:
+    """Return the tile at a place (x, y) of the scaled sample."""
+    x, y = place
+    return image[y : y + frame.size[0], x : x + frame.size[1]]
+
+
+def _search_extras(image: Image, frame: TileFrame, place: tuple[int, int], best: Points) -> dict[str, NDArray[Any]]:
+    """Return what is kept of the search: the frame, the m best and, of several, their tiles."""
     corner = frame.to_sample(np.array(place, np.float64))
     kept: dict[str, NDArray[Any]] = {"frame": np.vstack([corner, frame.steps]), "best": best}
     if len(best) > 1:
-        for number, (x, y) in enumerate(best[:, :2].astype(int), 1):
-            kept[f"best-{number:02d}"] = image[y : y + rows, x : x + columns]
+        places = best[:, :2].astype(int).tolist()
+        kept |= {f"best-{number:02d}": _cut(image, frame, (x, y)) for number, (x, y) in enumerate(places, 1)}
     return kept
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from nrbench.lattice.geometry import Points
 from nrbench.synthesis import Refused
 
+from .splines import Spline
 from .tile_rectangle import TileFrame, pixel_grid
 from .wang_pieces import Cutter, Joints
 
@@ -43,6 +45,11 @@ class WangSet:
     def single(cls, frame: TileFrame, place: tuple[int, int]) -> WangSet:
         """Return the set of the one tile at a place, which fits itself."""
         return cls(pixel_grid(frame.size)[np.newaxis] + place, np.zeros((1, 4), np.int64), place)
+
+    def pictures(self, spline: Spline, frame: TileFrame) -> dict[str, NDArray[Any]]:
+        """Return the tiles of the set, ``tile-01`` and on, and ``edges``."""
+        tiles = spline.at(frame.to_sample(self.sources))
+        return {**{f"tile-{number:02d}": tile for number, tile in enumerate(tiles, 1)}, "edges": self.edges}
 
     def lay_out(self, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.int64]:
         """Return which tile lies where, ``(rows, columns)``: row by row, drawn uniformly from those that fit.
