@@ -167,6 +167,13 @@ def test_a_centred_lattice_gets_a_rectangle_of_two_cells() -> None:
     assert made.extras["tile"].shape == (24, 27, 3) and "2 cells" in made.note
 
 
+def test_a_turned_tile_stands_back_behind_an_upright_one_unless_that_is_large() -> None:
+    """Squares turned by 45 degrees get an upright tile of two; turned by that of a 3-4-5 triangle, a turned one."""
+    for lattice, shape in ((Lattice((14, 14), (-14, 14)), (28, 28)), (Lattice((16, 12), (-12, 16)), (20, 20))):
+        made = synthesize(quantize(waves((128, 128), lattice)), (16, 16), lattice)
+        assert made.extras["tile"].shape[:2] == shape
+
+
 def test_an_oblique_lattice_gets_a_rectangle_within_tolerance_or_is_refused() -> None:
     """Without tolerance no rectangle repeats; with some, one does."""
     sample = quantize(waves((128, 128), OBLIQUE))
