@@ -16,10 +16,10 @@ from nrbench.texture import Shape
 
 from .splines import Spline
 
-_WHOLE = 0.01
+_WHOLE = 0.05
 """A period this little, px, under a whole number is that number: none is measured better."""
-_LEVELS = (0.0, 0.2, 1.0)
-"""Shares of the tolerance: a rectangle is taken from the first at which one fits."""
+_LEVELS = (0.0, 0.5, 1.0)
+"""Shares of the tolerance: a rectangle is taken from the first at which one fits, an exact one where there is one."""
 _TURNED = 4
 """A turned rectangle is taken where the upright one holds more than so many times its cells, or there is none."""
 _LEAST_SIDE = 2
@@ -89,9 +89,9 @@ def tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, scale
     """Return the frame of the smallest rectangular tile of a lattice for a sample of ``shape``.
 
     Of rectangles that are exact periods the smallest upright one counts, as in the paper, unless a turned one holds a
-    quarter of its cells or less; where none fits the sample, those within a fifth of the tolerance, then within all of
-    it. What the rectangle's sides lack of lattice vectors is put
-    into the frame's steps: the tile is deformed by no more than the tolerance, and the periods stay the lattice's.
+    quarter of its cells or less; where none fits the sample, those within half of the tolerance, then within all of it.
+    What the rectangle's sides lack of lattice vectors is put into the frame's steps: the tile is deformed by no more
+    than the tolerance, and the periods stay the lattice's.
 
     Parameters
     ----------
