@@ -22,6 +22,11 @@ from .tile_rectangle import TileFrame, tile_frame
 from .wang import WangSet, colors_for, wang_set
 from .wang_pieces import Cutter
 
+_DEPTH = 0.8
+"""Share of the deepest minima that a period's must reach to be found: more than the detector asks by itself, for a tile
+of several cells keeps the lattice, and one of a part of a cell breaks it. Of 27 procedural samples with departures
+(seeds 1 to 3, 128 x 128 px) 2 tiles are wrong, 8 at 0.7; larger shares find needlessly large tiles."""
+
 
 @dataclass(frozen=True)
 class RepresentativeTile:
@@ -108,7 +113,8 @@ class RepresentativeTile:
         """
         paper = self.period == "last"
         rejected: Literal["none", "surrogate"] = "none" if paper else "surrogate"
-        found = find_lattice(task, Ssdn(subpixel=not paper, primitive=False, reject=rejected))
+        detector = Ssdn(depth=_DEPTH, subpixel=not paper, primitive=False, reject=rejected)
+        found = find_lattice(task, detector)
         if found.lattice is None:
             raise Refused(f"no lattice found ({found.reason}): there is no period to cut a tile by")
         frame = tile_frame(found.lattice, task.sample.shape, self.tolerance, self.scale_down)
@@ -125,7 +131,8 @@ class RepresentativeTile:
         output, source = laid(told, Laying(frame, tiles, self.rescale), spline)
         shown = tiles.pictures(spline, frame) if self.tiles > 1 else {"tile": _cut(image, frame, place)}
         extras = {**shown, **_search_extras(image, frame, place, best)}
-        return Synthesis(output, found.lattice, source, extras, found.seconds, _note(frame, place))
+        note = f"a tile holds {frame.cells} cells" if frame.cells > 1 else ""
+        return Synthesis(output, found.lattice, source, extras, found.seconds, note)
 
     def _best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
         """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S; of equals the first in reading order (section 4)."""
@@ -174,14 +181,6 @@ def _search_extras(image: Image, frame: TileFrame, place: tuple[int, int], best:
         places = best[:, :2].astype(int).tolist()
         kept |= {f"best-{number:02d}": _cut(image, frame, (x, y)) for number, (x, y) in enumerate(places, 1)}
     return kept
-
-
-def _note(frame: TileFrame, place: tuple[int, int]) -> str:
-    x, y = frame.to_sample(np.array(place, np.float64))
-    size = f"tile of {frame.size[1]}x{frame.size[0]} px from ({x:.1f}, {y:.1f})"
-    cells = f", {frame.cells} cells" if frame.cells > 1 else ""
-    scale = "" if frame.plain else ", scale {:.4g} x {:.4g}".format(*frame.scale)
-    return size + cells + scale
 
 
 _check = checker("representative-tile")

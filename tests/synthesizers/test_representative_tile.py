@@ -1,14 +1,18 @@
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from nrbench.cli.pictures import synth_command
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.files import read_image, write_image
 from nrbench.imaging.tile_costs import continuity, resemblance
 from nrbench.lattice.detection import Detection, NoLatticeFound
 from nrbench.lattice.geometry import Lattice
@@ -235,7 +239,7 @@ def test_without_a_lattice_given_its_period_is_that_of_ssdn() -> None:
 
 def test_noise_is_refused_and_the_paper_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no period is better than chance there is no tile; the paper takes the last minimum all the same."""
-    sample = noise(64, 64, seed=6)
+    sample = noise(64, 64, seed=23)
     with pytest.raises(Refused, match="no lattice found"):
         synthesize(sample, (64, 64), None)
     assert PAPER.synthesize(Task(sample, (64, 64), None, np.random.default_rng(0))).image.shape == (64, 64, 3)
@@ -288,6 +292,18 @@ def test_a_flat_sample_gives_a_flat_output() -> None:
     """Nothing to rate is no error."""
     made = synthesize(np.full((60, 60, 1), 0.4, np.float32), (40, 40), UPRIGHT)
     np.testing.assert_allclose(made.image, 0.4, atol=1e-6)
+
+
+def test_the_command_line_writes_the_tile_beside_the_output(tmp_path: Path) -> None:
+    """``synth`` writes the tile as a picture of its own: repeated, it is the paper's output."""
+    sample = noise(60, 66, 1)
+    arguments = [write_image(tmp_path / "sample.png", sample), "-m", "representative-tile:rescale=false"]
+    arguments += ["--size", "40x30", "--lattice", "11,0,0,9", "-o", tmp_path / "out.png"]
+    done = CliRunner().invoke(synth_command, [str(word) for word in arguments])
+    assert done.exit_code == 0, done.output
+    tile, output = read_image(tmp_path / "out-tile.png"), read_image(tmp_path / "out.png")
+    windows = (output[y : y + 9, x : x + 11] for y, x in np.ndindex(9, 11))
+    assert tile.shape == (9, 11, 1) and any(np.array_equal(window, tile) for window in windows)
 
 
 def test_the_search_without_p_is_no_worse_than_any_with_it() -> None:
