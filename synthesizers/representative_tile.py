@@ -14,7 +14,7 @@ from nrbench.imaging.door import Image
 from nrbench.imaging.tile_costs import Costs, continuity, resemblance
 from nrbench.lattice.geometry import Points
 from nrbench.lattice.ssdn import Ssdn
-from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
+from nrbench.synthesis import Refused, SourceMap, Synthesis, Task, find_lattice
 
 from .laying import Laying, laid
 from .splines import Spline
@@ -26,6 +26,9 @@ _DEPTH = 0.8
 """Share of the deepest minima that a period's must reach to be found: more than the detector asks by itself, for a tile
 of several cells keeps the lattice, and one of a part of a cell breaks it. Of 27 procedural samples with departures
 (seeds 1 to 3, 128 x 128 px) 2 tiles are wrong, 8 at 0.7; larger shares find needlessly large tiles."""
+
+_SEARCHED = 0.4
+"""Share of the work that is done when the tile is chosen."""
 
 
 @dataclass(frozen=True)
@@ -111,28 +114,35 @@ class RepresentativeTile:
         Refused
             When no lattice is found, or the sample shows less than two periods or holds no rectangular tile.
         """
-        paper = self.period == "last"
-        rejected: Literal["none", "surrogate"] = "none" if paper else "surrogate"
-        detector = Ssdn(depth=_DEPTH, subpixel=not paper, primitive=False, reject=rejected)
-        found = find_lattice(task, detector)
+        found = find_lattice(task, self._detector())
         if found.lattice is None:
             raise Refused(f"no lattice found ({found.reason}): there is no period to cut a tile by")
         frame = tile_frame(found.lattice, task.sample.shape, self.tolerance, self.scale_down)
         spline = Spline(task.sample)
         image, known = frame.scaled(task.sample, spline)
         best = self._best(image, known, frame)
-        task.progress(0.4)
         chosen = best[task.rng.integers(len(best))] if len(best) > 1 else best[0]
         place = (int(chosen[0]), int(chosen[1]))
-        single = WangSet.single(frame, place)
+        task.progress(_SEARCHED)
+        several = self.tiles > 1
         cutter = Cutter(spline, task.sample.shape, frame, found.lattice, task.rng)
-        tiles = wang_set(cutter, place, self.tiles) if self.tiles > 1 else single
-        told = replace(task, progress=lambda done: task.progress(0.4 + 0.6 * done))
-        output, source = laid(told, Laying(frame, tiles, self.rescale), spline)
-        shown = tiles.pictures(spline, frame) if self.tiles > 1 else {"tile": _cut(image, frame, place)}
+        tiles = wang_set(cutter, place, self.tiles) if several else WangSet.single(frame, place)
+        output, source = self._laid(task, frame, tiles, spline)
+        shown = tiles.pictures(spline, frame) if several else {"tile": _cut(image, frame, place)}
         extras = {**shown, **_search_extras(image, frame, place, best)}
         note = f"a tile holds {frame.cells} cells" if frame.cells > 1 else ""
         return Synthesis(output, found.lattice, source, extras, found.seconds, note)
+
+    def _detector(self) -> Ssdn:
+        """Return the detector of the period: fitted and tested, or as the paper reads it off the curve."""
+        if self.period == "last":
+            return Ssdn(depth=_DEPTH, subpixel=False, primitive=False, reject="none")
+        return Ssdn(depth=_DEPTH, primitive=False)
+
+    def _laid(self, task: Task, frame: TileFrame, tiles: WangSet, spline: Spline) -> tuple[Image, SourceMap]:
+        """Return the output and its source map; progress goes on from where the search left it."""
+        told = replace(task, progress=lambda done: task.progress(_SEARCHED + (1 - _SEARCHED) * done))
+        return laid(told, Laying(frame, tiles, self.rescale), spline)
 
     def _best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
         """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S; of equals the first in reading order (section 4)."""
