@@ -67,10 +67,6 @@ class TileFrame:
         """Return the points (x, y) of the sample under points of the scaled image, ``(..., 2)``."""
         return np.asarray((pixels + np.array(self.first)) @ self.steps)
 
-    def from_sample(self, points: Points) -> Points:
-        """Return the points of the scaled image over points of the sample, ``(..., 2)``."""
-        return np.asarray(points @ np.linalg.inv(self.steps) - np.array(self.first))
-
     def scaled(self, sample: Image, spline: Spline) -> tuple[Image, NDArray[np.bool_] | None]:
         """Return the sample scaled down (and turned upright), and which of its pixels lie inside; None: all."""
         if self.plain:
