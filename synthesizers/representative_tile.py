@@ -61,7 +61,7 @@ class RepresentativeTile:
     Parameters
     ----------
     alpha, beta
-        Weights of continuity and resemblance, at least 0, not both 0 (the paper: 1 and 1).
+        Weights of continuity and resemblance, at least 0, not both 0 (the paper: alpha 1, 30 or 0, beta 1).
     p
         Share in (0, 1] of the places, those of least h, of which the best is taken (the paper: 0.0001 to 0.02). None:
         all of them.
