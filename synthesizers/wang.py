@@ -95,9 +95,10 @@ def wang_set(cutter: Cutter, place: tuple[int, int], tiles: int) -> WangSet:
     (Cohen et al. 2003, section 3.2: there each is a square turned by 45 degrees; here pieces lie as the tile does, and
     seams may leave the diagonals, so that the lattice goes on and seams find more).
 
-    Where tiles are cut, relative to ``place``, is the phase of 16 at which seams differ least on average: pieces are
-    then whole bricks rather than halves. The first horizontal piece is drawn at random, the others are chosen one after
-    the other, horizontal and vertical in turn, each where its seams with those chosen differ least.
+    Where tiles are cut, relative to ``place``, is the phase of 16, of those with pieces enough, at which seams differ
+    least on average: pieces are then whole bricks rather than halves. The first horizontal piece is drawn at random,
+    the others are chosen one after the other, horizontal and vertical in turn, each where its seams with those chosen
+    differ least.
 
     Raises
     ------
@@ -109,8 +110,8 @@ def wang_set(cutter: Cutter, place: tuple[int, int], tiles: int) -> WangSet:
         raise Refused(f"a tile of {frame.size[1]}x{frame.size[0]} px has no room for seams; choose tiles=1")
     shifts = [(x * frame.size[1] // _PHASES, y * frame.size[0] // _PHASES) for y, x in np.ndindex(_PHASES, _PHASES)]
     corners = [(place[0] + x, place[1] + y) for x, y in shifts]
-    costs = [Joints.found(cutter, corner, _FEW).costs for corner in corners]
-    rated = [cost.mean() if cost.size else np.inf for cost in costs]
+    costs = [Joints.found(cutter, corner, max(_FEW, *colors)).costs for corner in corners]
+    rated = [cost.mean() if cost.shape[0] >= colors[0] and cost.shape[1] >= colors[1] else np.inf for cost in costs]
     corner = corners[int(np.argmin(np.round(rated, 9)))]
     joints = Joints.found(cutter, corner, max(_CANDIDATES, *colors))
     chosen, edges = joints.compatible(colors, cutter.rng), _edges(colors, tiles, cutter.rng)

@@ -92,6 +92,12 @@ def test_a_set_shows_more_than_one_tile_does() -> None:
     assert np.abs(several[10:] - several[:-10]).mean() > 0.05
 
 
+def test_tiles_are_cut_where_there_are_pieces_enough() -> None:
+    """On a sample that holds two pieces an edge in some phases, but not in all, a set is found all the same."""
+    for seed in range(12):
+        assert len(synthesize(8, noise(24, 29, seed=seed), (20, 20), seed=seed).extras["edges"]) == 8
+
+
 def test_samples_with_too_few_pieces_are_refused() -> None:
     """The refusal says how many there are, and what to do."""
     with pytest.raises(Refused, match="choose fewer tiles"):
