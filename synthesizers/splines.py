@@ -16,7 +16,9 @@ BAND = 1 << 18
 """Pixels mapped at a time."""
 
 
-def resampled(task: Task, points: Callable[[Points], Points]) -> tuple[Image, NDArray[np.float32]]:
+def resampled(
+    task: Task, points: Callable[[Points], Points], patches: Patches | None = None
+) -> tuple[Image, NDArray[np.float32]]:
     """Return the output whose pixels show given points of the sample, and its source map.
 
     Parameters
@@ -25,6 +27,8 @@ def resampled(task: Task, points: Callable[[Points], Points]) -> tuple[Image, ND
         The sample, and the output's shape.
     points
         From pixels (x, y) of the output, ``(h, W, 2)``, to the points (x, y) of the sample that they show.
+    patches
+        Of the sample, where they are at hand.
 
     Returns
     -------
@@ -33,7 +37,7 @@ def resampled(task: Task, points: Callable[[Points], Points]) -> tuple[Image, ND
         1 where a pixel was copied.
     """
     height, width = task.shape
-    patches = Patches(task.sample)
+    patches = Patches(task.sample) if patches is None else patches
     image = np.empty((height, width, task.sample.shape[2]), np.float32)
     source = np.empty((height, width, 3), np.float32)
     rows = max(1, BAND // width)

@@ -14,13 +14,12 @@ from scipy.interpolate import BSpline
 from nrbench.lattice.geometry import Points
 
 from .door import Image
+from .quintic_kernels import PAD, quintic_at
 
 SPLINE: Final = 5
 """Order of the interpolating B-spline: at half a pixel it still shows 0.93 of a wave of 3 px."""
 FINEST: Final = 1 / 64
 """px; places are rounded to this, so that whole pixels are told from rounding errors, and copied."""
-_AROUND: Final = 3
-"""Coefficients needed beyond a patch on each side."""
 Source = NDArray[np.float32]
 """``float32 (h, w, 3)``: nearest pixel (x, y) of the sample and its bilinear weight, 1 where a pixel is copied."""
 
@@ -43,12 +42,15 @@ class Patches:
     sample: Image
 
     @cached_property
-    def _coefficients(self) -> NDArray[np.float32]:
+    def _spline(self) -> NDArray[np.float64]:
         planes = [
             ndimage.spline_filter(plane, SPLINE, np.float64, "mirror") for plane in np.moveaxis(self.sample, -1, 0)
         ]
-        around = ((_AROUND, _AROUND), (_AROUND, _AROUND), (0, 0))
-        return np.pad(np.stack(planes, -1), around, "reflect").astype(np.float32)
+        return np.pad(np.stack(planes, -1), ((PAD, PAD), (PAD, PAD), (0, 0)), "reflect")
+
+    @cached_property
+    def _coefficients(self) -> NDArray[np.float32]:
+        return self._spline.astype(np.float32)
 
     def cut(self, place: Points, shape: tuple[int, int]) -> tuple[Image, Source]:
         """Return a patch, and where its pixels come from.
@@ -74,7 +76,7 @@ class Patches:
 
     def _between(self, row: int, column: int, shape: tuple[int, int], fraction: tuple[float, float]) -> Image:
         height, width = shape
-        first = row + _AROUND - 2, column + _AROUND - 2
+        first = row + PAD - 2, column + PAD - 2
         window = self._coefficients[first[0] : first[0] + height + 5, first[1] : first[1] + width + 5]
         down = _mixed(window, _taps(fraction[1]), height)
         return _mixed(down.swapaxes(0, 1), _taps(fraction[0]), width).swapaxes(0, 1)
@@ -89,20 +91,20 @@ class Patches:
         source[..., 2] = np.outer(1 - np.abs(rows - near[1]), 1 - np.abs(columns - near[0]))
         return source
 
+    def read(self, points: Points) -> Image:
+        """Return the values, clipped to [0, 1], at points (x, y) of the sample: ``(..., 2)`` to ``(..., C)``."""
+        found = quintic_at(self._spline, np.ascontiguousarray(points, np.float64).reshape(-1, 2))
+        return np.asarray(np.clip(found, 0, 1)).reshape(*points.shape[:-1], -1)
+
     def at(self, points: Points) -> tuple[Image, Source]:
         """Return the pixels that show points (x, y) of the sample, ``(h, w, 2)``, and where they come from.
 
         As :meth:`cut` does, but each point is interpolated by itself.
         """
-        rows, columns = points[..., 1] + _AROUND, points[..., 0] + _AROUND
-        planes = [
-            ndimage.map_coordinates(plane, (rows, columns), np.float32, SPLINE, "nearest", prefilter=False)
-            for plane in np.moveaxis(self._coefficients, -1, 0)
-        ]
         nearest = np.clip(np.rint(points), 0, np.array(self.sample.shape[1::-1]) - 1)
         weight = np.clip(1 - np.abs(points - nearest), 0, 1).prod(-1, keepdims=True)
         x, y = np.moveaxis(nearest.astype(np.intp), -1, 0)
-        image = np.where(weight == 1, self.sample[y, x], np.clip(np.stack(planes, -1), 0, 1))
+        image = np.where(weight == 1, self.sample[y, x], self.read(points))
         return image, np.concatenate([nearest, weight], -1).astype(np.float32)
 
 

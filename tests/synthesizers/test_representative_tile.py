@@ -1,0 +1,315 @@
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from nrbench.cli.pictures import synth_command
+from nrbench.errors import BadInput
+from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.files import read_image, write_image
+from nrbench.imaging.tile_costs import continuity, resemblance
+from nrbench.lattice.detection import Detection, NoLatticeFound
+from nrbench.lattice.geometry import Lattice
+from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.synthesizers.representative_tile import RepresentativeTile, preselected
+
+TURN = math.radians(7)
+TURNED = Lattice((21.37 * math.cos(TURN), 21.37 * math.sin(TURN)), (-18.81 * math.sin(TURN), 18.81 * math.cos(TURN)))
+UPRIGHT = Lattice((21.37, 0), (0, 18.81))
+BOND = Lattice((27.3, 0), (13.65, 12.2))
+OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
+PAPER = RepresentativeTile(rescale=False, p=1e-2, period="last")
+
+
+def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
+    """Return noise of 8 bits."""
+    return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
+
+
+def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
+    """Return a smooth image with exactly this lattice."""
+    x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
+    u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
+    first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
+    third = np.cos(2 * math.pi * (u + 2 * v + 0.3))
+    return np.stack([0.5 + 0.2 * first + 0.2 * second, 0.5 + 0.3 * third, 0.5 + 0.4 * first * second], -1).astype("f4")
+
+
+def synthesize(
+    sample: Image, shape: tuple[int, int], lattice: Lattice | None, seed: int = 1, **parameters: Any
+) -> Synthesis:
+    """Run the method."""
+    task = Task(sample, shape, lattice, np.random.default_rng(seed))
+    return RepresentativeTile(**parameters).synthesize(task)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("shape", [(256, 256), (1, 300), (300, 1), (9, 5)])
+@pytest.mark.parametrize("rescale", [True, False])
+def test_a_whole_pixel_lattice_is_continued_exactly(shape: tuple[int, int], channels: int, rescale: bool) -> None:
+    """On a perfectly periodic sample the output is the periodic continuation, phase included, to the bit."""
+    picture = np.tile(noise(24, 30, channels), (13, 13, 1))
+    made = synthesize(picture[:100, :128], shape, Lattice((30, 0), (0, 24)), rescale=rescale)
+    np.testing.assert_array_equal(quantize(made.image), picture[: shape[0], : shape[1]])
+    assert made.source is not None and (made.source[..., 2] == 1).all()
+    assert made.extras["tile"].shape == (24, 30, channels)
+
+
+@pytest.mark.parametrize("lattice", [UPRIGHT, TURNED, BOND, OBLIQUE, Lattice((20.3, 0), (6.1, 18.7))])
+@pytest.mark.parametrize("tiles", [1, 8])
+def test_a_fractional_lattice_neither_drifts_nor_blurs(lattice: Lattice, tiles: int) -> None:
+    """Upright, turned, centred or oblique: over 1024 px the continuation comes back with a PSNR of over 35 dB."""
+    sample, truth = quantize(waves((128, 128), lattice)), waves((200, 1024), lattice)
+    made = synthesize(sample, (200, 1024), lattice, tiles=tiles)
+    assert -10 * np.log10(((made.image - truth) ** 2).mean()) > 35
+    corner = (made.image - truth)[-100:, -100:]
+    assert -10 * np.log10((corner**2).mean()) > 35
+
+
+@pytest.mark.parametrize("lattice", [UPRIGHT, TURNED, BOND, OBLIQUE])
+def test_sources_stay_on_the_lattice(lattice: Lattice) -> None:
+    """On a sample that does not repeat at all, every pixel of 1024 x 1024 comes from within a pixel of its equals."""
+    made = synthesize(noise(128, 128), (1024, 1024), lattice)
+    assert made.source is not None
+    y, x = np.indices((1024, 1024))
+    misplaced = lattice.wrap(made.source[::7, ::7, :2] - np.stack([x, y], -1)[::7, ::7])
+    assert np.abs(misplaced).max() <= 0.5 + 1e-3 < 0.1 * lattice.s
+
+
+def test_the_tile_is_the_best_of_all_by_brute_force() -> None:
+    """No place has a smaller alpha h + beta SSDN than the tile's, and the tile is what lies there."""
+    sample, lattice = noise(40, 50), Lattice((11, 0), (0, 9))
+    for alpha, beta in ((1.0, 1.0), (30.0, 1.0), (0.0, 1.0), (1.0, 0.0)):
+        made = synthesize(sample, (40, 50), lattice, alpha=alpha, beta=beta)
+        rating = alpha * continuity(sample, (9, 11)) + beta * resemblance(sample, (9, 11))
+        x, y, smooth, alike, total = made.extras["best"][0]
+        assert (int(y), int(x)) == np.unravel_index(rating.argmin(), rating.shape)
+        assert alpha * smooth + beta * alike == pytest.approx(total) == pytest.approx(rating.min())
+        np.testing.assert_array_equal(quantize(made.extras["tile"]), sample[int(y) :, int(x) :][:9, :11])
+
+
+def test_the_output_shows_the_sample_where_the_tile_lies() -> None:
+    """The tile stays in its place (figure 4), and is repeated around it."""
+    sample = noise(40, 50)
+    made = synthesize(sample, (40, 50), Lattice((11, 0), (0, 9)))
+    x, y = made.extras["best"][0, :2].astype(int)
+    np.testing.assert_array_equal(quantize(made.image)[y : y + 9, x : x + 11], sample[y : y + 9, x : x + 11])
+    np.testing.assert_array_equal(made.image[9:], made.image[:-9])
+    np.testing.assert_array_equal(made.image[:, 11:], made.image[:, :-11])
+
+
+def test_the_tile_is_floored_and_scaled_down_and_the_output_is_not() -> None:
+    """The period of 21.37 x 18.81 px becomes 21 x 18 (equation 4); the output keeps the sample's, unless told."""
+    sample = quantize(waves((128, 128), UPRIGHT))
+    made = synthesize(sample, (300, 300), UPRIGHT)
+    assert made.extras["tile"].shape == (18, 21, 3)
+    np.testing.assert_allclose(made.extras["frame"][1:], [[21.37 / 21, 0], [0, 18.81 / 18]])
+    paper = synthesize(sample, (300, 300), UPRIGHT, rescale=False)
+    np.testing.assert_array_equal(paper.image[18:, 21:], paper.image[:-18, :-21])
+    small = waves((300, 300), Lattice((21, 0), (0, 18)))
+    assert -10 * np.log10(((paper.image - small) ** 2).mean()) > 35
+
+
+def test_without_scale_down_the_tile_is_cut_from_the_sample_as_it_is() -> None:
+    """The tile's pixels are the sample's and lack the rest of the period; the output's period is as asked."""
+    sample = noise(128, 128)
+    made = synthesize(sample, (200, 200), UPRIGHT, scale_down=False, rescale=False)
+    x, y = made.extras["best"][0, :2].astype(int)
+    np.testing.assert_array_equal(quantize(made.extras["tile"]), sample[y : y + 18, x : x + 21])
+    np.testing.assert_array_equal(made.image[18:, 21:], made.image[:-18, :-21])
+    stretched = synthesize(sample, (60, 2000), UPRIGHT, scale_down=False)
+    assert stretched.source is not None
+    np.testing.assert_array_equal(stretched.extras["tile"], made.extras["tile"])
+    firsts = np.flatnonzero(stretched.source[0, :, 0] == np.floor(stretched.extras["frame"][0, 0]))
+    starts = firsts[np.flatnonzero(np.diff(firsts, prepend=-9) > 2)]
+    assert np.diff(starts).mean() == pytest.approx(21.37, abs=0.02)
+
+
+def test_p_takes_the_smoothest_places_first() -> None:
+    """With p only the share of places of least h is rated; with a small one the tile is the smoothest of all."""
+    sample, lattice = noise(40, 50), Lattice((11, 0), (0, 9))
+    smooth = continuity(sample, (9, 11))
+    kept = preselected(smooth, 0.05 * smooth.size)
+    assert kept.sum() == round(0.05 * smooth.size) and smooth[kept].max() <= smooth[~kept].min()
+    first = synthesize(sample, (9, 9), lattice, p=1e-4).extras["best"][0]
+    assert first[2] == pytest.approx(smooth.min())
+    alike = np.where(kept, smooth + resemblance(sample, (9, 11)), np.inf)
+    assert synthesize(sample, (9, 9), lattice, p=0.05).extras["best"][0, 4] == pytest.approx(alike.min())
+
+
+def test_of_the_m_best_each_is_drawn_equally_often() -> None:
+    """The tile is one of the m best, uniformly, and the m best are kept in order, with their pictures."""
+    sample, lattice = noise(20, 24, 1), Lattice((6, 0), (0, 5))
+    made = [synthesize(sample, (2, 2), lattice, seed, m=5) for seed in range(600)]
+    best = made[0].extras["best"]
+    assert best.shape == (5, 5) and (np.diff(best[:, 4]) >= 0).all()
+    pictures = [made[0].extras[f"best-{k:02d}"].tobytes() for k in range(1, 6)]
+    counts = [sum(one.extras["tile"].tobytes() == picture for one in made) for picture in pictures]
+    assert sum(counts) == 600 and stats.chisquare(counts).pvalue > 1e-3
+
+
+def test_a_turned_rectangle_is_cut_upright() -> None:
+    """Of a lattice turned by 7 degrees the tile stands upright: it is that of the lattice before the turn."""
+    made = synthesize(quantize(waves((128, 128), TURNED)), (64, 64), TURNED)
+    tile = made.extras["tile"]
+    assert tile.shape == (18, 21, 3)
+    steps = made.extras["frame"][1:]
+    np.testing.assert_allclose(np.degrees(np.arctan2(*steps[:, ::-1].T)), [7, 97], atol=1e-6)
+    upright = waves((18, 21), Lattice((21, 0), (0, 18), tuple(-TURNED.to_cell(made.extras["frame"][0]) * (21, 18))))
+    assert np.sqrt(((tile - upright) ** 2).mean()) < 0.01
+
+
+def test_a_centred_lattice_gets_a_rectangle_of_two_cells() -> None:
+    """A running bond is tiled by two bricks, and the note says so."""
+    made = synthesize(quantize(waves((128, 128), BOND)), (64, 64), BOND)
+    assert made.extras["tile"].shape == (24, 27, 3) and "2 cells" in made.note
+
+
+def test_a_turned_tile_stands_back_behind_an_upright_one_unless_that_is_large() -> None:
+    """Squares turned by 45 degrees get an upright tile of two; turned by that of a 3-4-5 triangle, a turned one."""
+    for lattice, shape in ((Lattice((14, 14), (-14, 14)), (28, 28)), (Lattice((16, 12), (-12, 16)), (20, 20))):
+        made = synthesize(quantize(waves((128, 128), lattice)), (16, 16), lattice)
+        assert made.extras["tile"].shape[:2] == shape
+
+
+def test_an_oblique_lattice_gets_a_rectangle_within_tolerance_or_is_refused() -> None:
+    """Without tolerance no rectangle repeats; with some, one does."""
+    sample = quantize(waves((128, 128), OBLIQUE))
+    with pytest.raises(Refused, match="larger than the sample"):
+        synthesize(sample, (64, 64), OBLIQUE, tolerance=0.0)
+    assert synthesize(sample, (64, 64), OBLIQUE).extras["tile"].ndim == 3
+
+
+def test_any_basis_of_the_lattice_gives_the_same_bytes() -> None:
+    """Long, skewed generating vectors of the same lattice change nothing."""
+    sample = noise(128, 128)
+    one = synthesize(sample, (100, 100), Lattice((20, 0), (10, 12)))
+    other = synthesize(sample, (100, 100), Lattice((30, 12), (10, 12)))
+    np.testing.assert_array_equal(one.image, other.image)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.tuples(st.integers(1, 70), st.integers(1, 70)),
+    st.sampled_from([UPRIGHT, TURNED, BOND, Lattice((12, 0), (0, 9)), Lattice((10, 10), (-10, 10))]),
+    st.sampled_from([1, 3]),
+    st.booleans(),
+    st.sampled_from([1, 8]),
+)
+def test_what_the_source_map_calls_a_copy_is_one(
+    shape: tuple[int, int], lattice: Lattice, channels: int, rescale: bool, tiles: int
+) -> None:
+    """Whatever the lattice and the shape: pixels of weight 1 are the sample's, all lie inside it."""
+    sample = noise(80, 90, channels)
+    made = synthesize(sample, shape, lattice, rescale=rescale, tiles=tiles)
+    assert made.image.shape == (*shape, channels) and made.source is not None
+    x, y, weight = np.moveaxis(made.source, -1, 0)
+    assert ((x >= 0) & (x <= 89) & (y >= 0) & (y <= 79) & (weight > 0) & (weight <= 1)).all()
+    copied = weight == 1
+    expected = sample[y[copied].astype(int), x[copied].astype(int)]
+    np.testing.assert_allclose(made.image[copied], expected, atol=1e-5)
+    assert ((made.image >= 0) & (made.image <= 1)).all()
+
+
+def test_progress_rises_to_one() -> None:
+    """Progress is told while searching and while laying."""
+    told: list[float] = []
+    task = Task(noise(80, 90), (500, 900), UPRIGHT, np.random.default_rng(0), progress=told.append)
+    RepresentativeTile().synthesize(task)
+    assert told == sorted(told) and told[-1] == 1 and len(told) > 2
+
+
+def test_without_a_lattice_given_its_period_is_that_of_ssdn() -> None:
+    """On a stacked wall without a lattice given the sub-pixel period is found, used and told, with its cost."""
+    sample = quantize(waves((128, 128), UPRIGHT))
+    made = synthesize(sample, (400, 400), None)
+    assert made.lattice is not None and made.detection_seconds > 0
+    assert np.abs(np.sort(np.abs(made.lattice.matrix).max(0)) - (18.81, 21.37)).max() < 0.05
+    last = synthesize(sample, (64, 64), None, period="last").lattice
+    assert last is not None and last != made.lattice
+    peaks = [round(5 * 21.37), round(6 * 18.81)]
+    assert np.abs(np.array([last.matrix.max(0)[0] * 5, last.matrix.max(0)[1] * 6]) - peaks).max() < 1
+
+
+def test_noise_is_refused_and_the_paper_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no period is better than chance there is no tile; the paper takes the last minimum all the same."""
+    sample = noise(64, 64, seed=23)
+    with pytest.raises(Refused, match="no lattice found"):
+        synthesize(sample, (64, 64), None)
+    assert PAPER.synthesize(Task(sample, (64, 64), None, np.random.default_rng(0))).image.shape == (64, 64, 3)
+
+    class FindsNone:
+        def __init__(self, **parameters: object) -> None:
+            pass
+
+        def detect(self, image: Image) -> Detection:
+            raise NoLatticeFound("nothing repeats")
+
+    monkeypatch.setattr("nrbench.synthesizers.representative_tile.Ssdn", FindsNone)
+    with pytest.raises(Refused, match="nothing repeats"):
+        synthesize(noise(64, 64), (64, 64), None)
+
+
+def test_samples_with_less_than_two_periods_are_refused() -> None:
+    """The refusal says how far the lattice reaches, and how much there is of it."""
+    with pytest.raises(Refused, match="less than two periods"):
+        synthesize(noise(70, 70), (256, 256), Lattice((36, 0), (0, 20)))
+
+
+def test_turned_tiles_that_do_not_fit_are_refused() -> None:
+    """Where the turned rectangle of several cells is larger than the sample, the refusal says so."""
+    long = Lattice((20 * math.cos(0.7), 20 * math.sin(0.7)), (15 * math.cos(1.6), 15 * math.sin(1.6)))
+    with pytest.raises(Refused, match="larger than the sample"):
+        synthesize(noise(40, 40), (64, 64), long, tolerance=0.0)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"alpha": -1.0},
+        {"alpha": 0.0, "beta": 0.0},
+        {"p": 0.0},
+        {"p": 1.5},
+        {"m": 0},
+        {"tolerance": 0.5},
+        {"tiles": 0},
+        {"tiles": 5},
+    ],
+)
+def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
+    """Each says which parameter it is, and what to choose."""
+    with pytest.raises(BadInput, match=f"^representative-tile: .*{next(iter(parameters))}.*choose"):
+        RepresentativeTile(**parameters)
+
+
+def test_a_flat_sample_gives_a_flat_output() -> None:
+    """Nothing to rate is no error."""
+    made = synthesize(np.full((60, 60, 1), 0.4, np.float32), (40, 40), UPRIGHT)
+    np.testing.assert_allclose(made.image, 0.4, atol=1e-6)
+
+
+def test_the_command_line_writes_the_tile_beside_the_output(tmp_path: Path) -> None:
+    """``synth`` writes the tile as a picture of its own: repeated, it is the paper's output."""
+    sample = noise(60, 66, 1)
+    arguments = [write_image(tmp_path / "sample.png", sample), "-m", "representative-tile:rescale=false"]
+    arguments += ["--size", "40x30", "--lattice", "11,0,0,9", "-o", tmp_path / "out.png"]
+    done = CliRunner().invoke(synth_command, [str(word) for word in arguments])
+    assert done.exit_code == 0, done.output
+    tile, output = read_image(tmp_path / "out-tile.png"), read_image(tmp_path / "out.png")
+    windows = (output[y : y + 9, x : x + 11] for y, x in np.ndindex(9, 11))
+    assert tile.shape == (9, 11, 1) and any(np.array_equal(window, tile) for window in windows)
+
+
+def test_the_search_without_p_is_no_worse_than_any_with_it() -> None:
+    """Every place rated finds a tile with no larger S than the paper's pre-selection does."""
+    for seed in range(5):
+        sample = noise(60, 60, 1, seed)
+        every = synthesize(sample, (8, 8), BOND.shifted((3, 4)), tolerance=0.1).extras["best"][0, 4]
+        some = synthesize(sample, (8, 8), BOND, p=0.02).extras["best"][0, 4]
+        assert every <= some
