@@ -66,7 +66,7 @@ def _copies(image: Image, parts: int) -> Iterator[NDArray[np.uint8]]:
     for fy in range(parts):
         rows = ndimage.correlate1d(spline, _weights(fy / parts), 0, mode="mirror")
         for fx in range(parts):
-            yield to_bytes(ndimage.correlate1d(rows, _weights(fx / parts), 1, mode="mirror"))
+            yield to_bytes(ndimage.correlate1d(rows, _weights(fx / parts), 1, np.float32, "mirror"))
 
 
 def _weights(fraction: float) -> NDArray[np.float64]:

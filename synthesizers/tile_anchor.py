@@ -60,11 +60,11 @@ def border_costs(sample: Image, lattice: Lattice, frame: Frame) -> tuple[NDArray
 
 
 def _borders(frame: Frame, count: int) -> Points:
-    """Return points all along the borders of a minimum tile around (0, 0) and of the next tile of the row."""
+    """Return points all along the borders of a minimum tile around (0, 0) and of the next ones in the row and below."""
     along, half = np.linspace(-0.5, 0.5, count, endpoint=False), np.full(count, 0.5)
     sides = np.concatenate([np.stack([along, half], -1), np.stack([half, along], -1)])
     border = np.concatenate([sides, -sides]) @ frame.core
-    return np.concatenate([border, border + frame.steps[0]])
+    return np.concatenate([border + np.array(shift) @ frame.steps for shift in np.ndindex(2, 2)])
 
 
 def _counts(lattice: Lattice, anchors: Points, frame: Frame, sample: Image) -> NDArray[np.int64]:

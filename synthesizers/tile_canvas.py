@@ -105,7 +105,7 @@ class Canvas:
         """Return the output and its source map."""
         (height, width), (x, y) = self.shape, self.margin
         window = np.s_[y : y + height, x : x + width]
-        return self.values[window] / np.float32(255), self.origins[window].copy()
+        return np.asarray(self.values[window] / np.float32(255), np.float32), self.origins[window].copy()
 
 
 def seams(surface: NDArray[np.float64], slope: int) -> Seams:

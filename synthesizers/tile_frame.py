@@ -112,10 +112,16 @@ def _across_and_down(first: Points, second: Points) -> Points:
 def _basis(lattice: Lattice) -> Points:
     """Return the two shortest vectors; of equally short pairs the one with a diagonal nearest to the x axis."""
     a, b = lattice.reduced().matrix
-    pairs = [(a, b), (a, b - a), (b, b - a)]
-    lengths = [max(p @ p, q @ q) for p, q in pairs]
+    pairs: list[tuple[Points, Points]] = [(a, b), (a, b - a), (b, b - a)]
+    lengths = [max(float(p @ p), float(q @ q)) for p, q in pairs]
     shortest = [pair for pair, length in zip(pairs, lengths, strict=True) if length <= min(lengths) * (1 + 1e-6)]
-    return np.stack(min(shortest, key=lambda pair: min(_slope(pair[0] + pair[1]), _slope(pair[1] - pair[0]))))
+    a, b = min(shortest, key=_diagonal_slope)
+    return np.stack([a, b])
+
+
+def _diagonal_slope(pair: tuple[Points, Points]) -> float:
+    """Return the least angle between one of a pair's diagonals and the x axis."""
+    return min(_slope(pair[0] + pair[1]), _slope(pair[1] - pair[0]))
 
 
 def _slope(vector: Points) -> float:

@@ -51,8 +51,9 @@ class TileSet:
         Of the maximum tiles. ``"upright"``: the smallest upright rectangle around the minimum tile (the paper).
         ``"lattice"``: sides along t1 + t2 and t2 - t1, the lattice's own coordinates (the paper's suggestion; on an
         upright rhombic lattice the same). ``"rectangle"``: sides 2 t1 and t2, t1 the shorter, laid along them.
-        ``"cell"``: sides t1 and t2, the minimum tile. ``"auto"``: a rectangle for rectangular and square lattices, else
-        the lattice's; the cell where the sample holds no larger tile.
+        ``"cell"``: sides t1 and t2, the minimum tile, laid along them. ``"auto"``: the cell for rectangular and square
+        lattices, where it is the smallest rectangle around the minimum tile, and where the sample holds nothing larger;
+        else the lattice's.
     quantile
         Which one of the differences between the sample's tiles is the threshold, in [0, 1].
     threshold
@@ -159,7 +160,8 @@ class _Laying:
     def numbers(self) -> NDArray[np.int64]:
         """Return (i, j) of every tile that touches the output, ``(n, 2)``: step in the row and row; in laying order."""
         height, width = self.task.shape
-        steps = Lattice(*(_pair(step) for step in self.frame.steps), self.lattice.origin)
+        across, down = self.frame.steps
+        steps = Lattice(_pair(across), _pair(down), self.lattice.origin)
         low, high = -self.frame.reach - 1, np.array([width, height]) + self.frame.reach
         numbers = steps.cell_numbers(_pair(low), _pair(high))
         places = steps.from_cell(numbers)
@@ -207,7 +209,7 @@ def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Latti
 
 
 def _shapes(lattice: Lattice) -> list[Shape]:
-    return ["rectangle" if lattice.kind in ("rectangular", "square") else "lattice", "cell"]
+    return ["cell"] if lattice.kind in ("rectangular", "square") else ["lattice", "cell"]
 
 
 def _whole(lattice: Lattice) -> bool:
