@@ -61,7 +61,8 @@ class TileSet:
     difference
         What is compared with it: ``"mean"`` over the pixels of the overlap, or their ``"sum"`` (the paper's).
     registration
-        How far, px, a tile may be moved from its place; 0 does not register. None: 0.05 s, at most 1.5 px.
+        How far, px, a tile may be moved from its place; 0 does not register. None: 0.025 s, at most 1 px: where
+        stripes fit at any shift along themselves, tiles that each follow the one before would shift whole courses.
     parts
         Tiles are placed to whole pixels (1), or to halves, thirds, ... of them, interpolated by splines of order 5.
         None: quarters where s is under 10 px; else whole pixels, so that all is copied and no noise is smoothed.
@@ -142,7 +143,7 @@ class _Laying:
         self.stock = Stock(self.frame, source, tuple(picture.lattice for picture in self.pictures))
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
         self.canvas = Canvas(task.shape, self.stock, self.pictures, method.slope, method.feather)
-        self.radius = min(1.5, 0.05 * lattice.s) if method.registration is None else method.registration
+        self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
 
     def lay_all(self) -> None:
         """Lay every tile that touches the output, row by row (step 2)."""

@@ -115,7 +115,7 @@ class Stock:
         Normalized cross-correlation over the overlap, each channel's mean taken out (step 4).
         """
         near = self._around(cut, radius)
-        return near.take(np.array([np.argmax(self._correlations(overlap, near))]))
+        return near.take(np.array([np.argmax(self._correlations(overlap, near))])) if len(near.copy) > 1 else cut
 
     def _around(self, cut: Cuts, radius: float) -> Cuts:
         """Return the tile, and it moved to wherever is within the radius of its true middle, nearest first."""
@@ -145,25 +145,23 @@ class Stock:
         return np.stack([cuts.copy, (cuts.pixel[:, 1] * width + cuts.pixel[:, 0]) * channels], -1)
 
     def threshold(self, quantile: float, difference: Difference) -> float:
-        """Return the quantile of the differences between the sample's own tiles.
+        """Return the least threshold at which each tile of the sample has candidates among the others.
 
-        Two tiles of the same set (upright and unmoved) are compared over what a tile overlaps with when all before it
-        are laid: its left and its upper half. Infinite where no set holds two.
+        Two tiles of a set (upright and unmoved) are compared over what a tile overlaps with when all before it are
+        laid: its left and its upper half. For each tile the quantile of its differences from the others is taken; of
+        these, the largest. With one quantile over all pairs, only its own continuation would follow the oddest tile,
+        and the sample be copied on and on. Infinite where no set holds two.
         """
-        steps, found = self._usual_overlap(), []
+        steps, found = self._usual_overlap(), [0.0]
         for shift in (0, 1):
             pictures, middles = self.middles(shift, 0)
             cuts = self.cut(pictures[pictures == 0], middles[pictures == 0])
             cuts = cuts.take(np.unique(np.linspace(0, len(cuts.copy) - 1, MOST).astype(np.int64)))
-            for n in range(len(cuts.copy) - 1):
-                copy, first = self._flat(cuts)[n]
+            for n, (copy, first) in enumerate(self._flat(cuts)):
                 values = self.source.values[copy][first + steps[:, np.newaxis] + np.arange(self.source.shape[2])]
-                rest = cuts.take(np.arange(n + 1, len(cuts.copy)))
-                found.append(self.differences(Overlap.of(values, steps), rest))
-        if not found:
-            return np.inf
-        size = len(steps) if difference == "mean" else 1
-        return float(np.quantile(np.concatenate(found), quantile)) / size
+                others = np.delete(self.differences(Overlap.of(values, steps), cuts), n)
+                found.append(float(np.quantile(others, quantile)) if len(others) else np.inf)
+        return max(found) / (len(steps) if difference == "mean" else 1)
 
     def _usual_overlap(self) -> NDArray[np.int64]:
         """Return the steps, from a tile's middle, of the pixels in its left and its upper half."""
