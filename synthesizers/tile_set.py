@@ -14,7 +14,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
 
 from .subpixel import fractions
-from .tile_anchor import anchored
+from .tile_anchor import By, anchored
 from .tile_canvas import Canvas
 from .tile_frame import Frame, Shape, frame_of
 from .tile_stock import Cuts, Difference, Stock, complete
@@ -39,9 +39,8 @@ class TileSet:
 
     What the paper does by hand is automatic. The lattice is anchored where the gradient energy of the mean tile, summed
     along the borders of all minimum tiles, is least, among the anchors that leave each set nearly as many tiles as any.
-    The threshold is a quantile of the differences between the tiles of the sample itself, each pair of one set, over
-    what a tile usually overlaps with: a candidate differs from what stands no more than the sample's tiles do from one
-    another.
+    The threshold comes from the differences between the tiles of the sample itself, over what a tile usually overlaps
+    with: it is the least at which every tile, however odd, accepts the share ``quantile`` of the others of its set.
 
     With no lattice given it finds one by ``consensus``.
 
@@ -55,7 +54,8 @@ class TileSet:
         lattices, where it is the smallest rectangle around the minimum tile, and where the sample holds nothing larger;
         else the lattice's.
     quantile
-        Which one of the differences between the sample's tiles is the threshold, in [0, 1].
+        Share of the others that the oddest tile of the sample accepts, in [0, 1]; more draws more freely, less joins
+        better.
     threshold
         A threshold of one's own instead (the paper's), in gray levels of 255, channels added.
     difference
@@ -72,7 +72,8 @@ class TileSet:
     feather
         Width in px of the ramp where the two seams conflict; 0 cuts.
     anchor
-        ``"quiet"``: as above; ``"given"``: at the lattice's origin.
+        ``"quiet"``: as above; ``"elements"``: where tiles differ most, so that a tile of T shows an element whole and
+        seams can pass along joints; ``"given"``: at the lattice's origin.
     symmetry
         Also take the tiles of the sample mirrored or turned, where that leaves its mean tile what it is (section 4.4).
     """
@@ -85,7 +86,7 @@ class TileSet:
     parts: int | None = None
     slope: int = 4
     feather: float = 3.0
-    anchor: Literal["quiet", "given"] = "quiet"
+    anchor: By | Literal["given"] = "quiet"
     symmetry: bool = False
 
     reference: ClassVar[bool] = False
@@ -194,7 +195,7 @@ def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Latti
     shapes: list[Shape] = [method.shape] if method.shape != "auto" else _shapes(lattice)
     for shape in shapes:
         frame = frame_of(lattice, shape)
-        at = anchored(task.sample, lattice, frame) if method.anchor == "quiet" else lattice
+        at = lattice if method.anchor == "given" else anchored(task.sample, lattice, frame, method.anchor)
         tiles = [
             len(complete(at.shifted(_pair(offset)), frame, task.sample.shape))
             for offset in (0 * frame.steps[0], frame.steps[0])

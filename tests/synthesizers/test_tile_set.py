@@ -181,6 +181,36 @@ def test_the_anchor_keeps_borders_off_the_detail() -> None:
     assert (away > 3).all()
 
 
+def test_elements_are_shown_whole_by_t() -> None:
+    """Anchored by elements, T's tiles lie around what differs from tile to tile, not around what is the same."""
+    lattice = Lattice((32, 0), (0, 32))
+    picture = np.full((160, 160, 3), 0.5, np.float32)
+    for place, color in zip(np.ndindex(5, 5), np.random.default_rng(0).random((25, 3)), strict=True):
+        row, column = np.array(place) * 32
+        picture[row + 4 : row + 20, column + 10 : column + 26] = color
+    task = Task(quantize(picture), (40, 40), lattice, np.random.default_rng(0))
+    laying = _Laying(TileSet(shape="cell", anchor="elements"), task, lattice)
+    assert np.abs(lattice.wrap(np.subtract(laying.lattice.origin, (17.5, 11.5)))).max() <= 2
+
+
+def test_the_oddest_tile_accepts_half_of_the_others() -> None:
+    """The threshold is the largest, over the tiles, of the medians of their differences from the others."""
+    sample, lattice = noise(70, 70, 1), Lattice((16, 0), (0, 16))
+    sample[:16, :16] = 1
+    laying = _Laying(
+        TileSet(shape="cell", anchor="given"), Task(sample, (9, 9), lattice, np.random.default_rng(0)), lattice
+    )
+    x, y, row, column, _ = laying.frame.pixels.T
+    covered = (row < 8) | (column < 8)
+    medians = []
+    for shift in (0, 1):
+        middles = laying.stock.cut(*laying.sets[shift, 0]).pixel
+        cut = np.stack([to_bytes(sample)[y0 + y[covered], x0 + x[covered], 0] for x0, y0 in middles]).astype(float)
+        apart = np.abs(cut[:, np.newaxis] - cut).mean(-1)
+        medians += [np.median(np.delete(line, n)) for n, line in enumerate(apart)]
+    assert laying.stock.threshold(0.5, "mean") == pytest.approx(max(medians))
+
+
 def test_progress_rises_to_one() -> None:
     """Progress never falls and ends at 1."""
     told: list[float] = []
