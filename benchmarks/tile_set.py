@@ -1,0 +1,83 @@
+"""Speed of tile-set, as multiples of the machine unit u.
+
+Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/tile_set.py``. The lattice is given, kernels are warm.
+Figures are medians of CPU seconds, and the unit is measured right before each: a busy machine shifts both alike.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+from scipy import fft
+
+from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.corduroy import Corduroy
+from nrbench.datasets_procedural.windows import Windows
+from nrbench.imaging.door import quantize
+from nrbench.imaging.jit import load_kernels
+from nrbench.synthesis import Synthesizer, Task
+from nrbench.synthesizers.tile_set import TileSet
+from nrbench.texture import Dataset
+
+METHODS: dict[str, Synthesizer] = {
+    "tile-set": TileSet(),
+    "tile-set registration=0": TileSet(registration=0),
+    "tile-set parts=4": TileSet(parts=4),
+    "tile-set shape=upright": TileSet(shape="upright"),
+    "tile-set symmetry=true": TileSet(symmetry=True),
+}
+MODELS: dict[str, Dataset] = {"brick": Brick(), "windows": Windows(), "corduroy": Corduroy()}
+
+
+def cpu_seconds(call: Callable[[], object], repeats: int) -> float:
+    """Return the median CPU seconds of a call, after one that warms up."""
+    call()
+    taken = []
+    for _ in range(repeats):
+        start = time.process_time()
+        call()
+        taken.append(time.process_time() - start)
+    return statistics.median(taken)
+
+
+def unit() -> float:
+    """Return u in CPU seconds."""
+    image = np.random.default_rng(0).random((1024, 1024), np.float32)
+    return cpu_seconds(lambda: fft.irfft2(fft.rfft2(image), image.shape), 9)
+
+
+def units(method: Synthesizer, model: Dataset, sample: int, output: int, repeats: int = 7) -> float:
+    """Return what a method takes, in u, from a square sample of a model to a square output of these sides."""
+    texture = model.render((sample, sample), np.random.default_rng(0))
+    pixels = quantize(texture.image)
+
+    def synthesize() -> object:
+        return method.synthesize(Task(pixels, (output, output), texture.lattice, np.random.default_rng(1)))
+
+    return cpu_seconds(synthesize, repeats) / unit()
+
+
+def main() -> None:
+    """Print the tables."""
+    load_kernels()
+    print(f"u = {unit() * 1e3:.2f} ms")
+    print("\n256 x 256 from 128 x 128, brick")
+    for name, method in METHODS.items():
+        print(f"{name:34} {units(method, MODELS['brick'], 128, 256):8.1f} u")
+    print("\n256 x 256 from 128 x 128, by lattice: the smaller the cell, the more tiles")
+    for name, model in MODELS.items():
+        print(f"{name:34} {units(TileSet(), model, 128, 256):8.1f} u")
+    print("\nbrick from 128 x 128: cost by output")
+    for side in (256, 512, 1024, 2048, 4096):
+        cost = units(TileSet(), MODELS["brick"], 128, side, 3 if side < 2048 else 1)
+        print(f"{side:5} x {side:<5} {cost:8.1f} u   {cost / side**2 * 256**2:6.2f} u per 256 x 256")
+    print("\nbrick to 256 x 256: cost by sample")
+    for side in (96, 128, 256, 512):
+        print(f"{side:5} x {side:<5} {units(TileSet(), MODELS['brick'], side, 256, 3):8.1f} u")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""Images moved by fractions of a pixel, ready to be copied from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.door import Image, to_bytes
+from nrbench.imaging.patches import Patches
+from nrbench.lattice.geometry import Points
+
+
+@dataclass(frozen=True, eq=False)
+class Fractions:
+    """Copies of images at every fraction 0, 1/n, ... of a pixel along x and y.
+
+    Parameters
+    ----------
+    values
+        ``uint8 (k * n * n, H * W * C)``: copy ``(m * n + fy) * n + fx`` shows at pixel (x, y) what the m-th image shows
+        at (x + fx / n, y + fy / n).
+    shape
+        (H, W, C) of the images.
+    parts
+        n: 1 where images are copied in whole pixels alone.
+    """
+
+    values: NDArray[np.uint8]
+    shape: tuple[int, int, int]
+    parts: int
+
+    def split(self, places: Points) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the first image's copy, ``(p,)``, and the pixel (x, y), ``(p, 2)``, nearest to each place (x, y)."""
+        units = np.floor(places * self.parts + 0.5).astype(np.int64)
+        whole, part = np.divmod(units, self.parts)
+        return part[:, 1] * self.parts + part[:, 0], whole
+
+
+def fractions(images: Sequence[Image], parts: int) -> Fractions:
+    """Return copies of some images at all fractions, interpolated by splines of order 5, mirrored at the border.
+
+    Parameters
+    ----------
+    images
+        ``(H, W, C)``, all of one shape.
+    parts
+        How many fractions a pixel has along each axis, at least 1; with 1 every copy is exact.
+    """
+    copies = [copy for image in images for copy in _copies(image, parts)]
+    height, width, channels = images[0].shape
+    return Fractions(np.stack(copies).reshape(len(copies), -1), (height, width, channels), parts)
+
+
+def _copies(image: Image, parts: int) -> Iterator[NDArray[np.uint8]]:
+    if parts == 1:
+        yield to_bytes(image)
+        return
+    patches, shape = Patches(image), image.shape[:2]
+    for fy in range(parts):
+        for fx in range(parts):
+            yield to_bytes(patches.cut(np.array([fx, fy]) / parts, shape)[0])

@@ -1,0 +1,129 @@
+"""The shape of a tile set's tiles, and the steps by which they are laid."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.lattice.geometry import Lattice, Points
+
+Shape = Literal["upright", "lattice", "rectangle", "cell"]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A maximum tile and how it is laid.
+
+    Parameters
+    ----------
+    steps
+        ``(2, 2)``: the step to the next tile of a row and the one to the next row, rows (x, y) px. Twice a step is a
+        lattice vector.
+    sides
+        ``(2, 2)``: the two sides of the maximum tile, a parallelogram around its middle.
+    core
+        ``(2, 2)``: the two sides of the minimum tile.
+    """
+
+    steps: Points
+    sides: Points
+    core: Points
+
+    @cached_property
+    def reach(self) -> Points:
+        """How far, along x and y in px, the tile reaches from its middle."""
+        return np.asarray(np.abs(self.sides).sum(0) / 2)
+
+    @cached_property
+    def grid(self) -> tuple[int, int]:
+        """Rows and columns, of a pixel or less, that divide the tile along its sides."""
+        columns, rows = np.ceil(np.hypot(*self.sides.T) - 1e-9).astype(int)
+        return max(int(rows), 1), max(int(columns), 1)
+
+    @cached_property
+    def pixels(self) -> NDArray[np.int64]:
+        """``(n, 5)``: (x, y) of each whole-pixel point of the tile from its middle, and its cell of the grid.
+
+        The cell is given by row, column, and how many cells lie between it and the tile's border.
+        """
+        x, y = np.floor(self.reach + 1e-9).astype(int)
+        offsets = np.stack(np.meshgrid(np.arange(-x, x + 1), np.arange(-y, y + 1)), -1).reshape(-1, 2)
+        ab = offsets @ np.linalg.inv(self.sides)
+        inside = (np.abs(ab) <= 0.5 + 1e-9).all(1)
+        rows, columns = self.grid
+        column = np.clip(np.floor((ab[inside, 0] + 0.5) * columns), 0, columns - 1)
+        row = np.clip(np.floor((ab[inside, 1] + 0.5) * rows), 0, rows - 1)
+        border = np.minimum.reduce([column, row, columns - 1 - column, rows - 1 - row])
+        return np.column_stack([offsets[inside], row, column, border]).astype(np.int64)
+
+    @cached_property
+    def box(self) -> NDArray[np.int64]:
+        """``(2, 2)``: the least and the greatest (x, y) of the tile's pixels."""
+        return np.stack([self.pixels[:, :2].min(0), self.pixels[:, :2].max(0)])
+
+    @cached_property
+    def cells(self) -> NDArray[np.int64]:
+        """``(rows, columns, 2)``: the whole-pixel (x, y), from the tile's middle, nearest to each cell of its grid."""
+        rows, columns = self.grid
+        a, b = (np.arange(columns) + 0.5) / columns - 0.5, (np.arange(rows) + 0.5) / rows - 0.5
+        at = np.stack(np.meshgrid(a, b), -1) @ self.sides
+        return np.clip(np.floor(at + 0.5).astype(np.int64), *self.box)
+
+
+def frame_of(lattice: Lattice, shape: Shape) -> Frame:
+    """Return the tiles' frame.
+
+    Parameters
+    ----------
+    lattice
+        Its two shortest vectors t1, t2 span the minimum tile.
+    shape
+        ``"upright"``: the smallest upright rectangle around the minimum tile, laid along t1 + t2 in half steps, rows
+        (t2 - t1) / 2 apart: what the paper does. ``"lattice"``: the same steps, and sides along t1 + t2 and t2 - t1:
+        what the paper suggests; where t1 and t2 are equally long a rectangle, on an upright rhombic lattice the same
+        one. ``"rectangle"``: sides t2 and 2 t1, the shorter vector doubled, in half steps along them: of two cells,
+        too; upright on an upright rectangular lattice. ``"cell"``: sides t1 and t2, the minimum tile itself, in half
+        steps along them.
+    """
+    t1, t2 = _basis(lattice)
+    if shape == "cell":
+        sides = _across_and_down(t1, t2)
+        return Frame(sides / 2, sides, sides)
+    if shape == "rectangle":
+        sides = _across_and_down(2 * t1, t2)
+        return Frame(sides / 2, sides, _across_and_down(t1, t2))
+    sides, core = _across_and_down(t1 + t2, t2 - t1), np.stack([t1, t2])
+    if shape == "lattice":
+        return Frame(sides / 2, sides, core)
+    return Frame(sides / 2, np.diag(np.abs(core).sum(0)), core)
+
+
+def _across_and_down(first: Points, second: Points) -> Points:
+    """Return the two vectors, the one nearer to the x axis first, pointing right, the other pointing down."""
+    across, down = sorted((first, second), key=_slope)
+    return np.stack([across * (1 if across[0] >= 0 else -1), down * (1 if down[1] >= 0 else -1)])
+
+
+def _basis(lattice: Lattice) -> Points:
+    """Return the two shortest vectors; of equally short pairs the one with a diagonal nearest to the x axis."""
+    a, b = lattice.reduced().matrix
+    pairs: list[tuple[Points, Points]] = [(a, b), (a, b - a), (b, b - a)]
+    lengths = [max(float(p @ p), float(q @ q)) for p, q in pairs]
+    shortest = [pair for pair, length in zip(pairs, lengths, strict=True) if length <= min(lengths) * (1 + 1e-6)]
+    a, b = min(shortest, key=_diagonal_slope)
+    return np.stack([a, b])
+
+
+def _diagonal_slope(pair: tuple[Points, Points]) -> float:
+    """Return the least angle between one of a pair's diagonals and the x axis."""
+    return min(_slope(pair[0] + pair[1]), _slope(pair[1] - pair[0]))
+
+
+def _slope(vector: Points) -> float:
+    """Return the angle between a vector's line and the x axis."""
+    return math.atan2(abs(vector[1]), abs(vector[0]))

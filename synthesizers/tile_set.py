@@ -1,0 +1,222 @@
+"""Tile sets: the tiles of a sample, laid at random over one another on its lattice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.errors import BadInput
+from nrbench.lattice.consensus import Consensus
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
+
+from .subpixel import fractions
+from .tile_anchor import By, anchored
+from .tile_canvas import Canvas
+from .tile_frame import Frame, Shape, frame_of
+from .tile_stock import Cuts, Difference, Stock, complete
+from .tile_symmetry import pictures, upright
+
+FINE: Final = 4
+"""Parts of a pixel to which tiles are placed where whole pixels are too coarse."""
+COARSE: Final = 10.0
+"""px; with s at least this long rounding to whole pixels misplaces a tile by at most 0.05 s along x and along y."""
+
+
+@dataclass(frozen=True)
+class TileSet:
+    """Tile set (Liu, Tsin and Lin 2005, section 3.1): tiles drawn at random, laid over one another on the lattice.
+
+    Two sets of maximum tiles are cut from the sample: T around the points of the lattice, Th around the points half-way
+    between. The output is laid with them in scan-line order, in half steps, T and Th in turn, from a random tile of T
+    at the top left; so each tile overlaps by half to three quarters with what stands. At every place the tiles of its
+    set that differ there by no more than a threshold are candidates; one is drawn, or the one that differs least is
+    taken where there is none. It is registered by correlation, stitched by dynamic programming along both directions,
+    and blended where these conflict. Places are real-valued lattice points, so that nothing drifts.
+
+    What the paper does by hand is automatic. The lattice is anchored where the gradient energy of the mean tile, summed
+    along the borders of all minimum tiles, is least, among the anchors that leave each set nearly as many tiles as any.
+    The threshold comes from the differences between the tiles of the sample itself, over what a tile usually overlaps
+    with: it is the least at which every tile, however odd, accepts the share ``quantile`` of the others of its set.
+
+    With no lattice given it finds one by ``consensus``.
+
+    Parameters
+    ----------
+    shape
+        Of the maximum tiles. ``"upright"``: the smallest upright rectangle around the minimum tile (the paper).
+        ``"lattice"``: sides along t1 + t2 and t2 - t1, the lattice's own coordinates (the paper's suggestion; on an
+        upright rhombic lattice the same). ``"rectangle"``: sides 2 t1 and t2, t1 the shorter, laid along them.
+        ``"cell"``: sides t1 and t2, the minimum tile, laid along them. ``"auto"``: the cell for rectangular and square
+        lattices, where it is the smallest rectangle around the minimum tile, and where the sample holds nothing larger;
+        else the lattice's.
+    quantile
+        Share of the others that the oddest tile of the sample accepts, in [0, 1]; more draws more freely, less joins
+        better.
+    threshold
+        A threshold of one's own instead (the paper's), in gray levels of 255, channels added.
+    difference
+        What is compared with it: ``"mean"`` over the pixels of the overlap, or their ``"sum"`` (the paper's).
+    registration
+        How far, px, a tile may be moved from its place; 0 does not register. None: 0.025 s, at most 1 px: where
+        stripes fit at any shift along themselves, tiles that each follow the one before would shift whole courses.
+    parts
+        Tiles are placed to whole pixels (1), or to halves, thirds, ... of them, interpolated by splines of order 5.
+        None: quarters where s is under 10 px; else whole pixels, so that all is copied and no noise is smoothed.
+        Without meaning where both vectors are whole pixels.
+    slope
+        How far, px, a seam may move aside from one row to the next (Efros and Freeman: 1). More lets it follow joints.
+    feather
+        Width in px of the ramp where the two seams conflict; 0 cuts.
+    anchor
+        ``"quiet"``: as above; ``"elements"``: where tiles differ most, so that a tile of T shows an element whole and
+        seams can pass along joints; ``"given"``: at the lattice's origin.
+    symmetry
+        Also take the tiles of the sample mirrored or turned, where that leaves its mean tile what it is (section 4.4).
+    """
+
+    shape: Shape | Literal["auto"] = "auto"
+    quantile: float = 0.5
+    threshold: float | None = None
+    difference: Difference = "mean"
+    registration: float | None = None
+    parts: int | None = None
+    slope: int = 4
+    feather: float = 3.0
+    anchor: By | Literal["given"] = "quiet"
+    symmetry: bool = False
+
+    reference: ClassVar[bool] = False
+    uses_lattice: ClassVar[bool] = True
+    version: ClassVar[str] = "1"
+    paper: ClassVar[str] = """@article{liu2005promise,
+  author = {Liu, Yanxi and Tsin, Yanghai and Lin, Wen-Chieh},
+  title = {The Promise and Perils of Near-Regular Texture},
+  journal = {International Journal of Computer Vision},
+  volume = {62},
+  number = {1-2},
+  pages = {145--159},
+  year = {2005}
+}"""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.quantile <= 1:
+            raise BadInput(f"quantile {self.quantile}; choose from 0 to 1")
+        for name in ("threshold", "registration", "feather"):
+            value = getattr(self, name)
+            if value is not None and not value >= 0:
+                raise BadInput(f"{name} {value}; choose 0 or more")
+        for name in ("parts", "slope"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise BadInput(f"{name} {value}; choose 1 or more")
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the synthesis; see :class:`TileSet`.
+
+        Raises
+        ------
+        Refused
+            When no lattice is found, or the sample does not hold two periods and a complete tile of both sets.
+        """
+        found = find_lattice(task, Consensus())
+        if found.lattice is None:
+            raise Refused(f"no lattice found ({found.reason}): there are no tiles")
+        laying = _Laying(self, task, found.lattice)
+        laying.lay_all()
+        image, source = laying.canvas.picture()
+        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds)
+
+
+class _Laying:
+    """One synthesis: the tiles, what they are laid on, and how far that is."""
+
+    def __init__(self, method: TileSet, task: Task, lattice: Lattice) -> None:
+        self.method, self.task = method, task
+        self.frame, self.lattice = _framed(method, task, lattice)
+        parts = method.parts or (1 if lattice.s >= COARSE else FINE)
+        turned = pictures if method.symmetry else lambda sample, one: [upright(sample, one)]
+        self.pictures = turned(task.sample, self.lattice)
+        source = fractions([picture.image for picture in self.pictures], 1 if _whole(lattice) else parts)
+        self.stock = Stock(self.frame, source, tuple(picture.lattice for picture in self.pictures))
+        self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
+        self.canvas = Canvas(task.shape, self.stock, self.pictures, method.slope, method.feather)
+        self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
+
+    def lay_all(self) -> None:
+        """Lay every tile that touches the output, row by row (step 2)."""
+        threshold = self.method.threshold
+        if threshold is None:
+            threshold = self.stock.threshold(self.method.quantile, self.method.difference)
+        numbers = self.numbers()
+        places = self.lattice.origin + numbers @ self.frame.steps
+        for done, ((i, j), place) in enumerate(zip(numbers.tolist(), places, strict=True)):
+            self._lay(i, j, place, threshold)
+            if done % 64 == 0:
+                self.task.progress(done / len(numbers))
+        self.task.progress(1.0)
+
+    def numbers(self) -> NDArray[np.int64]:
+        """Return (i, j) of every tile that touches the output, ``(n, 2)``: step in the row and row; in laying order."""
+        height, width = self.task.shape
+        across, down = self.frame.steps
+        steps = Lattice(_pair(across), _pair(down), self.lattice.origin)
+        low, high = -self.frame.reach - 1, np.array([width, height]) + self.frame.reach
+        numbers = steps.cell_numbers(_pair(low), _pair(high))
+        places = steps.from_cell(numbers)
+        numbers = numbers[((places > low) & (places < high)).all(1)]
+        return np.asarray(numbers[np.lexsort(numbers.T)])
+
+    def _lay(self, i: int, j: int, place: Points, threshold: float) -> None:
+        """Draw a tile and lay it (steps 3 to 6)."""
+        pixel = np.floor(place + 0.5)
+        turned, middles = self.sets[i % 2, j % 2]
+        cuts = self.stock.cut(turned, middles + (pixel - place))
+        left, top = (pixel.astype(int) + self.canvas.margin).tolist()
+        overlap = self.canvas.overlap(left, top)
+        if not len(overlap.values):
+            self.canvas.lay(left, top, self._drawn(cuts))
+            return
+        differences = self.stock.differences(overlap, cuts)
+        size = len(overlap.values) if self.method.difference == "mean" else 1
+        good = differences <= threshold * size
+        cut = self._drawn(cuts.take(good if good.any() else differences == differences.min()))
+        self.canvas.lay(left, top, self.stock.registered(overlap, cut, self.radius) if self.radius else cut)
+
+    def _drawn(self, cuts: Cuts) -> Cuts:
+        return cuts.take(np.array([self.task.rng.integers(len(cuts.copy))]))
+
+
+def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Lattice]:
+    """Return the tiles' frame, and the lattice anchored for it."""
+    shapes: list[Shape] = [method.shape] if method.shape != "auto" else _shapes(lattice)
+    for shape in shapes:
+        frame = frame_of(lattice, shape)
+        at = lattice if method.anchor == "given" else anchored(task.sample, lattice, frame, method.anchor)
+        tiles = [
+            len(complete(at.shifted(_pair(offset)), frame, task.sample.shape))
+            for offset in (0 * frame.steps[0], frame.steps[0])
+        ]
+        if all(tiles) and sum(tiles) > 2:
+            return frame, at
+    height, width, _ = task.sample.shape
+    across, down = 2 * frame.reach
+    raise Refused(
+        f"a tile takes {across:.0f}x{down:.0f} px, the sample is {width}x{height} px: it holds no complete tile, "
+        "or not two periods"
+    )
+
+
+def _shapes(lattice: Lattice) -> list[Shape]:
+    return ["cell"] if lattice.kind in ("rectangular", "square") else ["lattice", "cell"]
+
+
+def _whole(lattice: Lattice) -> bool:
+    return bool(np.abs(lattice.matrix - np.rint(lattice.matrix)).max() < 1e-6)
+
+
+def _pair(vector: Points) -> tuple[float, float]:
+    return float(vector[0]), float(vector[1])
