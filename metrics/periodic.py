@@ -16,8 +16,10 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.texture import Shape
 
 from .bank import Bank
+from .colors import Colors
 from .places import Places
 from .refinement import Cell
+from .scan import Scan
 from .strip_template import StripTemplate, strip_templates
 
 WINDOW_TILES = 2.0
@@ -34,6 +36,8 @@ _FINENESS, _LEAST_COUNT = (3, 2, 1), 0.5
 """Samples a pixel, each way, of one cell folded from many; as few as each has so many pixels."""
 _LARGE_CELL = 300
 """Windows of cells of more px are looked for with their pixels taken two by two, at every place."""
+_SIZES = (1, 2)
+"""One-tile windows are looked for in all of their pixels; those of their means and power are taken two by two."""
 _SHARPENED = 2
 """How often what a folded cell leaves of the image is folded in turn: sharing pixels among samples blurs it."""
 _LARGE = 8
@@ -48,19 +52,19 @@ class Search:
     ----------
     half
         Cell coordinates of the windows' middles.
-    bank
-        The patch, to be looked at within the cell.
+    bank, scan
+        The patch, to be looked at exactly near that place, and in the rest of the cell.
     place
         (x, y) px in the patch where the window's corner belongs.
-    near, far
-        Offsets within the tolerance of that place, and in the rest of the cell.
+    near
+        Offsets within the tolerance of that place.
     """
 
     half: tuple[float, float]
     bank: Bank
+    scan: Scan
     place: Points
     near: NDArray[np.bool_]
-    far: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,13 @@ class Periodic:
         window = window_shape(self.lattice, WINDOW_TILES)
         cell = np.ceil(np.abs(self.lattice.matrix).sum(0)).astype(int) + 2
         shape = (window[0] + int(cell[1]), window[1] + int(cell[0]))
-        return Template(self._patch(shape), self.weights(shape), window)
+        return Template(self.colors.along(self._patch(shape)), self.weights(shape), window)
+
+    @cached_property
+    def colors(self) -> Colors:
+        """The axes of color of all templates and windows."""
+        height, width = window_shape(self.lattice, WINDOW_TILES)
+        return Colors.of(self._patch((height, width)))
 
     def _patch(self, shape: Shape) -> Values:
         """Return :meth:`image`, cut from what is there already where that reaches."""
@@ -158,7 +168,7 @@ class Periodic:
         )
         y, x = np.indices((rows, columns))
         inside = _within_cell(np.stack([x - columns // 2, y - rows // 2], -1).astype(np.float64), self.lattice)
-        return Places(template, inside, 2 if self.lattice.area > _LARGE_CELL else 1)
+        return Places(template, inside, self.colors, 2 if self.lattice.area > _LARGE_CELL else 1)
 
     @cached_property
     def searches(self) -> tuple[Search, ...]:
@@ -178,8 +188,9 @@ class Periodic:
         x, y = (int(value) for value in np.floor(wanted + 0.5 + 1e-6))
         width, height = (int(value) for value in size + 2 * reach)
         image, weights = (plane((y + height, x + width))[y:, x:] for plane in (self._patch, self.weights))
-        bank = Bank(Template(image, weights, window), _ringed(near) | far)
-        return Search(half, bank, reach + wanted - (x, y), near, far)
+        template = Template(self.colors.along(image), weights, window)
+        bank = Bank(template, _ringed(near), self.colors.varies)
+        return Search(half, bank, Scan(template, far, self.colors, _SIZES), reach + wanted - (x, y), near)
 
 
 def tile_box(lattice: Lattice) -> NDArray[np.float64]:

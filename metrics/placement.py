@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image
-from nrbench.imaging.registration import cut_windows
 from nrbench.lattice.geometry import Lattice, Points
 
 from .periodic import Periodic
@@ -125,9 +124,9 @@ def place(image: Image, periodic: Periodic) -> Placement:
     grid, corners = _grid(image.shape[:2], template.window)
     if not len(corners):
         return Placement(periodic.lattice, template.window, grid, corners, np.zeros((0, 2)), np.zeros(0))
+    planes = periodic.colors.planes(image)
     few = np.array_split(corners, len(corners) // _AT_ONCE + 1)
-    found = [periodic.places.find(cut_windows(image, some, template.window))[0] for some in few]
-    at = np.concatenate(found)
+    at = np.concatenate([periodic.places.find(planes, some)[0] for some in few])
     displacement, structure = refined(image, periodic.cell, corners, template.window, corners - at)
     return Placement(periodic.lattice, template.window, grid, corners, periodic.lattice.wrap(displacement), structure)
 

@@ -50,8 +50,12 @@ def sums(
     """
     rows, columns, depth = cell.shape
     axes, channels = (depth - 1) // 3, image.shape[2]
+    length = (window[1] + step - 1) // step
     found = np.zeros((corners.shape[0], 10))
-    seen = np.zeros(depth)
+    seen = np.zeros((depth, length), np.float32)
+    value = np.zeros((channels, length), np.float32)
+    at, share = np.zeros((4, length), np.uint32), np.zeros((4, length), np.float32)
+    flat = cell.reshape(-1)
     linear = np.zeros((axes, 3))
     own = np.zeros(channels)
     for n in range(corners.shape[0]):
@@ -60,9 +64,12 @@ def sums(
         own[:] = 0.0
         tt = tp = tq = pp = pq = qq = it = ip = iq = ii = 0.0
         for y in range(0, window[0], step):
-            for x in range(0, window[1], step):
-                u = (start[n, 0] + x * inverse[0, 0] + y * inverse[1, 0]) % 1.0 * columns
-                v = (start[n, 1] + x * inverse[0, 1] + y * inverse[1, 1]) % 1.0 * rows
+            for x in range(length):
+                across = step * x
+                u = start[n, 0] + across * inverse[0, 0] + y * inverse[1, 0]
+                v = start[n, 1] + across * inverse[0, 1] + y * inverse[1, 1]
+                u = (u - np.floor(u)) * columns
+                v = (v - np.floor(v)) * rows
                 left, top = int(u), int(v)
                 u -= left
                 v -= top
@@ -72,34 +79,63 @@ def sums(
                     top = 0
                 right = left + 1 if left + 1 < columns else 0
                 below = top + 1 if top + 1 < rows else 0
-                a, b, c, d = (1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v
-                for k in range(depth):
-                    seen[k] = (
-                        a * cell[top, left, k]
-                        + b * cell[top, right, k]
-                        + c * cell[below, left, k]
-                        + d * cell[below, right, k]
+                at[0, x], at[1, x] = (top * columns + left) * depth, (top * columns + right) * depth
+                at[2, x], at[3, x] = (below * columns + left) * depth, (below * columns + right) * depth
+                share[0, x], share[1, x] = (1 - u) * (1 - v), u * (1 - v)
+                share[2, x], share[3, x] = (1 - u) * v, u * v
+            for k in range(depth):
+                for x in range(length):
+                    seen[k, x] = (
+                        share[0, x] * flat[at[0, x] + k]
+                        + share[1, x] * flat[at[1, x] + k]
+                        + share[2, x] * flat[at[2, x] + k]
+                        + share[3, x] * flat[at[3, x] + k]
                     )
-                w = seen[0]
-                total += w
-                for k in range(channels):
-                    value = image[corners[n, 1] + y, corners[n, 0] + x, k]
-                    own[k] += w * value
-                    ii += w * value * value
-                    if k < axes:
-                        t, p, q = seen[1 + k], seen[1 + axes + k], seen[1 + 2 * axes + k]
-                        linear[k, 0] += w * t
-                        linear[k, 1] += w * p
-                        linear[k, 2] += w * q
-                        tt += w * t * t
-                        tp += w * t * p
-                        tq += w * t * q
-                        pp += w * p * p
-                        pq += w * p * q
-                        qq += w * q * q
-                        it += w * value * t
-                        ip += w * value * p
-                        iq += w * value * q
+            for k in range(channels):
+                for x in range(length):
+                    value[k, x] = image[corners[n, 1] + y, corners[n, 0] + step * x, k]
+            zero = np.float32(0)
+            weight = zero
+            for x in range(length):
+                weight += seen[0, x]
+            total += float(weight)
+            for k in range(channels):
+                one = two = zero
+                for x in range(length):
+                    scaled = seen[0, x] * value[k, x]
+                    one += scaled
+                    two += scaled * value[k, x]
+                own[k] += one
+                ii += float(two)
+            for k in range(axes):
+                t0 = p0 = q0 = t1 = p1 = q1 = p2 = q2 = q3 = t4 = p4 = q4 = zero
+                for x in range(length):
+                    t, p, q = seen[1 + k, x], seen[1 + axes + k, x], seen[1 + 2 * axes + k, x]
+                    wt, wp, wq = seen[0, x] * t, seen[0, x] * p, seen[0, x] * q
+                    t0 += wt
+                    p0 += wp
+                    q0 += wq
+                    t1 += wt * t
+                    p1 += wt * p
+                    q1 += wt * q
+                    p2 += wp * p
+                    q2 += wp * q
+                    q3 += wq * q
+                    t4 += wt * value[k, x]
+                    p4 += wp * value[k, x]
+                    q4 += wq * value[k, x]
+                linear[k, 0] += t0
+                linear[k, 1] += p0
+                linear[k, 2] += q0
+                tt += float(t1)
+                tp += float(p1)
+                tq += float(q1)
+                pp += float(p2)
+                pq += float(q2)
+                qq += float(q3)
+                it += float(t4)
+                ip += float(p4)
+                iq += float(q4)
         for k in range(channels):
             ii -= own[k] * own[k] / total
             if k < axes:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image
-from nrbench.imaging.fold import Values
-from nrbench.imaging.registration import cut_windows, peaks
+from nrbench.imaging.registration import peaks
 from nrbench.lattice.geometry import Lattice, Points
 
+from .colors import Planes, cut_planes
 from .own_lattice import moved
 from .periodic import Periodic, Search
 
@@ -92,38 +92,45 @@ def inspect(image: Image, periodic: Periodic, phase: Points, drift: Points | Non
         left out: a drift of 2 % is 0.01 of a tile at its border.
     """
     lattice = moved(periodic.lattice, np.zeros((2, 2)) if drift is None else drift, phase)
-    parts = [_inspect(image, lattice, search) for search in periodic.searches]
+    planes = periodic.colors.planes(image)
+    parts = [_inspect(planes, lattice, search) for search in periodic.searches]
     centers, offsets, moved_by, here, elsewhere, slope = (np.concatenate(column) for column in zip(*parts, strict=True))
     whole = np.repeat([search.half == (0.0, 0.0) for search in periodic.searches], [len(part[0]) for part in parts])
     return Tiles(lattice, centers, offsets, moved_by, here, elsewhere, slope, whole)
 
 
-def _inspect(image: Image, lattice: Lattice, search: Search) -> tuple[NDArray[np.float64], ...]:
+def _inspect(planes: Planes, lattice: Lattice, search: Search) -> tuple[NDArray[np.float64], ...]:
     """Return the middles of the tiles at one place of the cell, and what :class:`Tiles` tells of each."""
-    size = np.array(search.bank.template.window[::-1])
+    shape, window = planes.values.shape[1:], search.bank.template.window
+    size = np.array(window[::-1])
     first = lattice.from_cell(search.half)
-    centers = Lattice(lattice.t1, lattice.t2, (float(first[0]), float(first[1]))).points(image.shape[:2])
+    centers = Lattice(lattice.t1, lattice.t2, (float(first[0]), float(first[1]))).points((shape[0], shape[1]))
     corners = np.floor(centers - (size - 1) / 2 + 0.5 + _TIE).astype(np.intp)
-    fits = (corners >= 0).all(1) & (corners + size <= image.shape[1::-1]).all(1)
+    fits = (corners >= 0).all(1) & (corners + size <= shape[::-1]).all(1)
     centers, corners = centers[fits], corners[fits]
     if not len(corners):
         return centers, centers, centers, np.zeros(0), np.zeros(0), np.zeros(0)
-    few = np.array_split(corners, len(corners) // _AT_ONCE + 1)
-    parts = [_compare(cut_windows(image, some, search.bank.template.window), search) for some in few]
-    at, best, *fits = (np.concatenate(column) for column in zip(*parts, strict=True))
+    at, here, slope = _near(planes, corners, search)
+    best, elsewhere = _far(planes, corners, search)
+    best = np.where((elsewhere > here)[:, np.newaxis], best, at)
     start = corners - (centers - (size - 1) / 2) + search.place
-    return centers, start - at, start - best, *fits
+    return centers, start - at, start - best, here, elsewhere, slope
 
 
-def _compare(windows: Values, search: Search) -> tuple[NDArray[np.float64], ...]:
-    """Return where each window fits best within the tolerance and at all, NCC here and elsewhere, and slope."""
-    ncc, slopes = search.bank.compare(windows)
+def _near(planes: Planes, corners: NDArray[np.intp], search: Search) -> tuple[NDArray[np.float64], ...]:
+    """Return where each window fits best within the tolerance, its NCC there, and its slope."""
+    few = np.array_split(corners, len(corners) // _AT_ONCE + 1)
+    windows = (cut_planes(planes.values, some, search.bank.template.window) for some in few)
+    ncc, slopes = (np.concatenate(column) for column in zip(*map(search.bank.compare, windows), strict=True))
     at, here = peaks(search.bank.surfaces(ncc), search.near)
     order = np.cumsum(search.bank.where).reshape(search.near.shape) - 1
-    slope = slopes[np.arange(len(at)), order[*np.rint(at).astype(int).T[::-1]]].astype(np.float64)
-    far = ncc[:, search.far[search.bank.where]]
-    if not far.shape[1]:
-        return at, at, here, np.full(len(at), -1.0), slope
-    elsewhere = far.max(1).astype(np.float64)
-    best = np.argwhere(search.far)[far.argmax(1), ::-1]
-    return at, np.where((elsewhere > here)[:, np.newaxis], best, at), here, elsewhere, slope
+    slope = slopes[np.arange(len(at)), order[*np.rint(at).astype(int).T[::-1]]]
+    return at, here, slope.astype(np.float64)
+
+
+def _far(planes: Planes, corners: NDArray[np.intp], search: Search) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where each window fits best in the rest of the cell, and its NCC there: -1 where there is no rest."""
+    if not search.scan.where.any():
+        return np.zeros((len(corners), 2)), np.full(len(corners), -1.0)
+    at, ncc = search.scan.find(planes, corners)
+    return at.astype(np.float64), ncc
