@@ -46,6 +46,13 @@ def checked_synthesis(made: Any, sample: Image, shape: Shape) -> Synthesis:
     )
 
 
+def is_picture(extra: NDArray[Any]) -> bool:
+    """Return whether a method's extra is a picture: ``(h, w, 1)`` or ``(h, w, 3)``, floats in [0, 1]."""
+    if extra.ndim != 3 or extra.shape[2] not in (1, 3) or extra.dtype.kind != "f" or not extra.size:
+        return False
+    return bool(extra.min() >= 0 and extra.max() <= 1)
+
+
 def _numbers(value: Any, what: str) -> NDArray[Any]:
     array = np.asarray(value)
     if array.dtype.kind not in "biufc":

@@ -12,7 +12,7 @@ from nrbench import plugins
 from nrbench.cell import Cell
 from nrbench.guard import cpu_seconds
 from nrbench.imaging.files import read_image, write_image
-from nrbench.outputs import InvalidOutput, checked_synthesis
+from nrbench.outputs import InvalidOutput, checked_synthesis, is_picture
 from nrbench.store import CellFolder, read_json, write_arrays
 from nrbench.streams import pixels_hash, stream
 from nrbench.synthesis import Again, Refused, Synthesis, Task, timed_detection
@@ -88,6 +88,8 @@ def _write(where: CellFolder, synthesis: Synthesis) -> None:
         write_arrays(where.source, source=synthesis.source)
     for name, array in synthesis.extras.items():
         write_arrays(where.extras / f"{Path(name).name}.npz", array=array)
+        if is_picture(array):
+            write_image(where.extras / f"{Path(name).name}.png", array)
     write_image(where.output, synthesis.image)
 
 

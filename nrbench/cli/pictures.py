@@ -21,6 +21,7 @@ def synth_command(image: Path, method: str, size: str, lattice: str | None, seed
     from nrbench.api import synthesize
     from nrbench.cli.outputs import check_output
     from nrbench.imaging.files import read_image, write_image
+    from nrbench.outputs import is_picture
     from nrbench.parameters import parse_spec
     from nrbench.suite import parse_size
 
@@ -30,7 +31,7 @@ def synth_command(image: Path, method: str, size: str, lattice: str | None, seed
     made = synthesize(name, read_image(image), parse_size(size), lattice, seed, **parameters)
     write_image(output, made.image)
     for title, array in made.extras.items():
-        if array.ndim == 3 and array.shape[2] in (1, 3):
+        if is_picture(array):
             write_image(output.with_name(f"{output.stem}-{title}.png"), array)
     click.echo(f"{output}" + (f" ({made.note})" if made.note else ""), err=True)
 
