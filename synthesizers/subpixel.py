@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image, to_bytes
 from nrbench.imaging.patches import Patches
-from nrbench.lattice.geometry import Points
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +30,6 @@ class Fractions:
     values: NDArray[np.uint8]
     shape: tuple[int, int, int]
     parts: int
-
-    def split(self, places: Points) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the first image's copy, ``(p,)``, and the pixel (x, y), ``(p, 2)``, nearest to each place (x, y)."""
-        units = np.floor(places * self.parts + 0.5).astype(np.int64)
-        whole, part = np.divmod(units, self.parts)
-        return part[:, 1] * self.parts + part[:, 0], whole
 
 
 def fractions(images: Sequence[Image], parts: int) -> Fractions:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image
-from nrbench.imaging.seams import dynamic_seam
 
+from .tile_choice_kernels import band_width, gather, wide_seam
 from .tile_kernels import error_surface, paste
 from .tile_stock import Cuts, Overlap, Stock
 from .tile_symmetry import Picture
@@ -53,7 +53,8 @@ class Canvas:
     def __init__(
         self, shape: tuple[int, int], stock: Stock, pictures: list[Picture], slope: int, feather: float
     ) -> None:
-        self.shape, self.source, self.pictures = shape, stock.source, pictures
+        self.shape, self.source = shape, stock.source
+        self.places = _places(pictures, stock.source.parts)
         self.slope, self.feather = slope, float(feather)
         _, width, channels = self.source.shape
         self.margin = np.ceil(2 * stock.frame.reach).astype(int) + 2
@@ -69,9 +70,9 @@ class Canvas:
 
     def overlap(self, left: int, top: int) -> Overlap:
         """Return what stands under a tile around pixel (left, top) of the canvas."""
-        x, y = left + self.pixels[:, 0], top + self.pixels[:, 1]
-        there = self.filled[y, x] != 0
-        return Overlap.of(self.values[y[there], x[there]], self.pixels[there, 2])
+        values, runs = np.empty((len(self.pixels), self.values.shape[2]), np.uint8), np.empty_like(self.pixels[:, :3])
+        count, number = gather(self.values, self.filled, self.pixels, left, top, values, runs)
+        return Overlap(values[:count], runs[:number])
 
     def lay(self, left: int, top: int, cut: Cuts) -> None:
         """Lay one tile around pixel (left, top) of the canvas, stitched to what stands there (steps 5 and 6)."""
@@ -95,17 +96,26 @@ class Canvas:
 
     def _place(self, cut: Cuts) -> NDArray[np.float64]:
         """Return where the tile's middle is in the sample, the weight of that pixel, and the turn of the tile."""
-        picture, part = divmod(int(cut.copy[0]), self.source.parts**2)
-        fraction = np.array([part % self.source.parts, part // self.source.parts]) / self.source.parts
-        matrix, offset = self.pictures[picture].matrix, self.pictures[picture].offset
-        near = matrix @ (cut.pixel[0] + np.floor(fraction + 0.5)) + offset
-        return np.array([*near, np.maximum(fraction, 1 - fraction).prod(), *matrix.ravel()])
+        place = self.places[cut.copy[0]].copy()
+        place[:2] += place[3:].reshape(2, 2) @ cut.pixel[0]
+        return place
 
     def picture(self) -> tuple[Image, NDArray[np.float32]]:
         """Return the output and its source map."""
         (height, width), (x, y) = self.shape, self.margin
         window = np.s_[y : y + height, x : x + width]
         return np.asarray(self.values[window] / np.float32(255), np.float32), self.origins[window].copy()
+
+
+def _places(pictures: list[Picture], parts: int) -> NDArray[np.float64]:
+    """Return where the sample shows pixel (0, 0) of each copy, that pixel's weight, and the picture's turn."""
+    found = []
+    for picture in pictures:
+        for fy, fx in np.ndindex(parts, parts):
+            fraction = np.array([fx, fy]) / parts
+            near = picture.matrix @ np.floor(fraction + 0.5) + picture.offset
+            found.append([*near, np.maximum(fraction, 1 - fraction).prod(), *picture.matrix.ravel()])
+    return np.array(found)
 
 
 def seams(surface: NDArray[np.float64], slope: int) -> Seams:
@@ -121,22 +131,7 @@ def seams(surface: NDArray[np.float64], slope: int) -> Seams:
     slope
         How far, px, a seam may move aside from one row to the next.
     """
-    missing = surface < 0
-    bands = np.array([_band(missing), _band(missing.T)])
-    error = np.where(missing, 0, surface)
-    rows, columns = surface.shape
-    across = _seam(error[:, : bands[0]], slope) if bands[0] else np.zeros(rows, np.int64)
-    down = _seam(error[: bands[1]].T, slope) if bands[1] else np.zeros(columns, np.int64)
+    bands = np.array([band_width(surface), band_width(np.ascontiguousarray(surface.T))])
+    across = wide_seam(surface, bands[0], slope)
+    down = wide_seam(np.ascontiguousarray(surface.T), bands[1], slope)
     return Seams(across, down, bands)
-
-
-def _band(missing: NDArray[np.bool_]) -> int:
-    """Return how far what stands reaches from the left, in rows where something is missing."""
-    some = missing.any(1)
-    return int(missing.argmax(1)[some].max()) if some.any() else 0
-
-
-def _seam(error: NDArray[np.float64], slope: int) -> NDArray[np.int64]:
-    """Return the seam through rows that are each taken ``slope`` times, so that one row lets it move so far."""
-    path = dynamic_seam(np.repeat(error, slope, axis=0))
-    return np.ascontiguousarray(path[slope // 2 :: slope])

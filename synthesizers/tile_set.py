@@ -178,16 +178,16 @@ class _Laying:
         left, top = (pixel.astype(int) + self.canvas.margin).tolist()
         overlap = self.canvas.overlap(left, top)
         if not len(overlap.values):
-            self.canvas.lay(left, top, self._drawn(cuts))
+            self.canvas.lay(left, top, self._drawn(cuts, np.arange(len(cuts.copy))))
             return
         differences = self.stock.differences(overlap, cuts)
         size = len(overlap.values) if self.method.difference == "mean" else 1
-        good = differences <= threshold * size
-        cut = self._drawn(cuts.take(good if good.any() else differences == differences.min()))
+        good = differences <= max(threshold * size, int(differences.min()))
+        cut = self._drawn(cuts, np.flatnonzero(good))
         self.canvas.lay(left, top, self.stock.registered(overlap, cut, self.radius) if self.radius else cut)
 
-    def _drawn(self, cuts: Cuts) -> Cuts:
-        return cuts.take(np.array([self.task.rng.integers(len(cuts.copy))]))
+    def _drawn(self, cuts: Cuts, among: NDArray[np.int64]) -> Cuts:
+        return cuts.take(among[self.task.rng.integers(len(among)), np.newaxis])
 
 
 def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Lattice]:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from nrbench.lattice.geometry import Lattice, Points
 
 from .subpixel import Fractions
+from .tile_choice_kernels import best_move, nearest_places
 from .tile_frame import Frame
-from .tile_kernels import absolute_differences, product_sums
+from .tile_kernels import absolute_differences
 
 Difference = Literal["mean", "sum"]
 MOST = 48
@@ -88,22 +89,14 @@ class Stock:
 
         Where rounding leaves none inside, all of them, moved inwards by less than a pixel.
         """
-        copy, pixel = self.source.split(middles)
-        inside = self.inside(copy, pixel)
+        height, width, _ = self.source.shape
+        found = nearest_places(np.ascontiguousarray(middles), self.source.parts, self.frame.box, height, width)
+        copy, pixel, inside = found[:, 0], found[:, 1:3], found[:, 3] == 1
         if not inside.any():
-            height, width, _ = self.source.shape
             (left, top), (right, bottom) = self.frame.box
             pixel = np.clip(pixel, (-left, -top), (width - 1 - right, height - 1 - bottom))
             copy, inside = np.zeros_like(copy), ~inside
         return Cuts(copy + pictures * self.source.parts**2, pixel, middles).take(inside)
-
-    def inside(self, copy: NDArray[np.int64], pixel: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which tiles lie inside the sample, the pixels that a copy is interpolated from included."""
-        height, width, _ = self.source.shape
-        low, high = self.frame.box
-        part = copy % self.source.parts**2
-        beyond = np.stack([part % self.source.parts, part // self.source.parts], -1) > 0
-        return np.asarray(((pixel + low >= 0) & (pixel + high + beyond <= (width - 1, height - 1))).all(1))
 
     def differences(self, overlap: Overlap, cuts: Cuts) -> NDArray[np.int64]:
         """Return the sum of absolute differences over the overlap, channels added, of each tile (step 3)."""
@@ -114,35 +107,29 @@ class Stock:
 
         Normalized cross-correlation over the overlap, each channel's mean taken out (step 4).
         """
-        near = self._around(cut, radius)
-        return near.take(np.array([np.argmax(self._correlations(overlap, near))])) if len(near.copy) > 1 else cut
-
-    def _around(self, cut: Cuts, radius: float) -> Cuts:
-        """Return the tile, and it moved to wherever is within the radius of its true middle, nearest first."""
-        parts = self.source.parts
-        reach = int(radius * parts + 0.5)
-        steps = np.arange(-reach, reach + 1)
-        moves = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) / parts
-        picture, part = divmod(int(cut.copy[0]), parts**2)
-        here = cut.pixel[0] + np.array([part % parts, part // parts]) / parts
-        away = np.hypot(*(here + moves - cut.middle[0]).T)
-        order = np.argsort(away, kind="stable")
-        copy, pixel = self.source.split((here + moves)[order])
-        good = (away[order] <= radius) & self.inside(copy, pixel)
-        rest = Cuts(copy + picture * parts**2, pixel, np.broadcast_to(cut.middle, pixel.shape)).take(good)
-        return Cuts(*(np.concatenate(pair) for pair in zip(cut, rest, strict=True)))
-
-    def _correlations(self, overlap: Overlap, cuts: Cuts) -> NDArray[np.float64]:
-        count, channels = overlap.values.shape
-        sums = product_sums(overlap.values.ravel(), overlap.runs, self.source.values, self._flat(cuts), channels)
-        plain, square, product = np.moveaxis(sums, -1, 0)
-        covariance = (product * count - plain * overlap.values.sum(0, dtype=np.int64)).sum(1)
-        variance = (square * count - plain * plain).sum(1)
-        return np.asarray(covariance / np.sqrt(np.maximum(variance, 1)))
+        source, (x, y) = self.source, cut.pixel[0]
+        picture, part = divmod(int(cut.copy[0]), source.parts**2)
+        here = np.array([x + part % source.parts / source.parts, y + part // source.parts / source.parts])
+        values, first = overlap.values.ravel(), picture * source.parts**2
+        found = best_move(
+            values,
+            overlap.runs,
+            source.values,
+            *source.shape,
+            source.parts,
+            here,
+            cut.middle[0],
+            radius,
+            self.frame.box,
+            first,
+        )
+        return Cuts(found[:1], found[np.newaxis, 1:], cut.middle)
 
     def _flat(self, cuts: Cuts) -> NDArray[np.int64]:
         _, width, channels = self.source.shape
-        return np.stack([cuts.copy, (cuts.pixel[:, 1] * width + cuts.pixel[:, 0]) * channels], -1)
+        flat = np.empty((len(cuts.copy), 2), np.int64)
+        flat[:, 0], flat[:, 1] = cuts.copy, (cuts.pixel[:, 1] * width + cuts.pixel[:, 0]) * channels
+        return flat
 
     def threshold(self, quantile: float, difference: Difference) -> float:
         """Return the least threshold at which each tile of the sample has candidates among the others.
