@@ -1,17 +1,13 @@
 """Speed of tile-set, as multiples of the machine unit u.
 
 Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/tile_set.py``. The lattice is given, kernels are warm.
-Figures are medians of CPU seconds, and the unit is measured right before each: a busy machine shifts both alike.
+Figures are medians of CPU seconds, each over a unit measured right before it: a busy machine shifts both alike.
 """
 
 from __future__ import annotations
 
-import statistics
-import time
-from collections.abc import Callable
-
 import numpy as np
-from scipy import fft
+from unit import machine_unit, median_units
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.corduroy import Corduroy
@@ -28,25 +24,10 @@ METHODS: dict[str, Synthesizer] = {
     "tile-set parts=4": TileSet(parts=4),
     "tile-set shape=upright": TileSet(shape="upright"),
     "tile-set symmetry=true": TileSet(symmetry=True),
+    "tile-set cells=2": TileSet(cells=2),
+    "tile-set stitch=graphcut": TileSet(stitch="graphcut"),
 }
 MODELS: dict[str, Dataset] = {"brick": Brick(), "windows": Windows(), "corduroy": Corduroy()}
-
-
-def cpu_seconds(call: Callable[[], object], repeats: int) -> float:
-    """Return the median CPU seconds of a call, after one that warms up."""
-    call()
-    taken = []
-    for _ in range(repeats):
-        start = time.process_time()
-        call()
-        taken.append(time.process_time() - start)
-    return statistics.median(taken)
-
-
-def unit() -> float:
-    """Return u in CPU seconds."""
-    image = np.random.default_rng(0).random((1024, 1024), np.float32)
-    return cpu_seconds(lambda: fft.irfft2(fft.rfft2(image), image.shape), 9)
 
 
 def units(method: Synthesizer, model: Dataset, sample: int, output: int, repeats: int = 7) -> float:
@@ -57,13 +38,13 @@ def units(method: Synthesizer, model: Dataset, sample: int, output: int, repeats
     def synthesize() -> object:
         return method.synthesize(Task(pixels, (output, output), texture.lattice, np.random.default_rng(1)))
 
-    return cpu_seconds(synthesize, repeats) / unit()
+    return median_units(synthesize, repeats)
 
 
 def main() -> None:
     """Print the tables."""
     load_kernels()
-    print(f"u = {unit() * 1e3:.2f} ms")
+    print(f"u = {machine_unit() * 1e3:.2f} ms")
     print("\n256 x 256 from 128 x 128, brick")
     for name, method in METHODS.items():
         print(f"{name:34} {units(method, MODELS['brick'], 128, 256):8.1f} u")

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image
+from nrbench.imaging.mincut import graphcut_seam
 
 from .tile_choice_kernels import band_width, gather, wide_seam
 from .tile_kernels import error_surface, paste
 from .tile_stock import Cuts, Overlap, Stock
 from .tile_symmetry import Picture
+
+Stitch = Literal["dynamic", "graphcut"]
 
 
 class Seams(NamedTuple):
@@ -48,10 +51,18 @@ class Canvas:
         How far, px, a seam may move aside from one row to the next.
     feather
         Width in px of the ramp where the two seams of a tile conflict; 0 cuts.
+    stitch
+        Two seams by dynamic programming, or the exact minimum cut of the overlap, which never conflicts with itself.
     """
 
     def __init__(
-        self, shape: tuple[int, int], stock: Stock, pictures: list[Picture], slope: int, feather: float
+        self,
+        shape: tuple[int, int],
+        stock: Stock,
+        pictures: list[Picture],
+        slope: int,
+        feather: float,
+        stitch: Stitch = "dynamic",
     ) -> None:
         self.shape, self.source = shape, stock.source
         self.places = _places(pictures, stock.source.parts)
@@ -67,6 +78,9 @@ class Canvas:
         x, y = np.moveaxis(stock.frame.cells, -1, 0)
         self.cells = np.ascontiguousarray(np.stack([x, y, (y * width + x) * channels], -1))
         self.surface = np.empty(stock.frame.grid, np.float64)
+        self.stitch, self.box = stitch, stock.frame.box
+        rows, columns = stock.frame.grid
+        self.uncut = Seams(np.zeros(rows, np.int64), np.zeros(columns, np.int64), np.zeros(2, np.int64))
 
     def overlap(self, left: int, top: int) -> Overlap:
         """Return what stands under a tile around pixel (left, top) of the canvas."""
@@ -79,24 +93,34 @@ class Canvas:
         _, width, channels = self.source.shape
         (x, y), copy = cut.pixel[0], int(cut.copy[0])
         source, first = self.source.values[copy], int(y * width + x) * channels
-        error_surface(self.values, self.filled, source, first, self.cells, left, top, self.surface)
-        paste(
-            self.values,
-            self.filled,
-            self.origins,
-            source,
-            first,
-            self.pixels,
-            left,
-            top,
-            *seams(self.surface, self.slope),
-            self.feather,
-            self._place(cut),
-        )
+        if self.stitch == "graphcut":
+            pixels, found, feather = self.pixels[self._new(left, top, source, first)], self.uncut, 0.0
+        else:
+            error_surface(self.values, self.filled, source, first, self.cells, left, top, self.surface)
+            pixels, found, feather = self.pixels, seams(self.surface, self.slope), self.feather
+        place = self._place(cut)
+        paste(self.values, self.filled, self.origins, source, first, pixels, left, top, *found, feather, place)
+
+    def _new(self, left: int, top: int, source: NDArray[np.uint8], first: int) -> NDArray[np.bool_]:
+        """Return which of the tile's pixels the exact minimum cut of the overlap shows, ``(n,)``.
+
+        Where nothing stands the tile is shown; where something stands, its outermost pixels are not. Differences count
+        by the gradients, so that seams run along outlines: plain ones break more elements than dynamic programming.
+        """
+        (x, y), (low, high) = self.pixels[:, :2].T, self.box
+        window = np.s_[top + low[1] : top + high[1] + 1, left + low[0] : left + high[0] + 1]
+        at = y - low[1], x - low[0]
+        old, new = self.values[window].copy(), self.values[window].copy()
+        inside, fresh = np.zeros(old.shape[:2], np.bool_), np.zeros(old.shape[:2], np.bool_)
+        new[at] = source[first + self.pixels[:, 2, np.newaxis] + np.arange(old.shape[2])]
+        inside[at], fresh[at] = self.pixels[:, 5] > 0, self.filled[window][at] == 0
+        old[fresh] = new[fresh]
+        shown = graphcut_seam(old, new, ~fresh & ~inside, fresh, normalized=True)
+        return np.asarray(shown[at])
 
     def _place(self, cut: Cuts) -> NDArray[np.float64]:
         """Return where the tile's middle is in the sample, the weight of that pixel, and the turn of the tile."""
-        place = self.places[cut.copy[0]].copy()
+        place: NDArray[np.float64] = self.places[cut.copy[0]].copy()
         place[:2] += place[3:].reshape(2, 2) @ cut.pixel[0]
         return place
 

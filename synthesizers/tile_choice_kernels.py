@@ -162,7 +162,7 @@ def best_move(
         for c in range(channels):
             covariance += sums[m, c, 2] * size - sums[m, c, 0] * total[c]
             variance += sums[m, c, 1] * size - sums[m, c, 0] * sums[m, c, 0]
-        correlation = covariance / math.sqrt(max(variance, 1))
+        correlation = covariance / math.sqrt(variance if variance > 1 else 1)
         if correlation > highest or (correlation == highest and away[m] < away[best]):
             best, highest = m, correlation
     return np.array([first + found[best, 0], found[best, 1], found[best, 2]])

@@ -75,7 +75,16 @@ class Frame:
         return np.clip(np.floor(at + 0.5).astype(np.int64), *self.box)
 
 
-def frame_of(lattice: Lattice, shape: Shape) -> Frame:
+def frame_of(lattice: Lattice, shape: Shape, cells: int = 1) -> Frame:
+    """Return the frame of tiles whose sides are ``cells`` times those of a shape (see :func:`_frame_of`).
+
+    Any tile of the lattice tiles the texture, and so does one of k x k cells: its steps are still half lattice vectors.
+    """
+    frame = _frame_of(lattice, shape)
+    return Frame(cells * frame.steps, cells * frame.sides, cells * frame.core)
+
+
+def _frame_of(lattice: Lattice, shape: Shape) -> Frame:
     """Return the tiles' frame.
 
     Parameters

@@ -15,7 +15,7 @@ from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
 
 from .subpixel import fractions
 from .tile_anchor import By, anchored
-from .tile_canvas import Canvas
+from .tile_canvas import Canvas, Stitch
 from .tile_frame import Frame, Shape, frame_of
 from .tile_stock import Cuts, Difference, Stock, complete
 from .tile_symmetry import pictures, upright
@@ -53,6 +53,9 @@ class TileSet:
         ``"cell"``: sides t1 and t2, the minimum tile, laid along them. ``"auto"``: the cell for rectangular and square
         lattices, where it is the smallest rectangle around the minimum tile, and where the sample holds nothing larger;
         else the lattice's.
+    cells
+        Times that a tile's sides are lengthened, 1 or more (the paper: 1). A larger piece of the sample breaks fewer
+        elements and takes less time, but the sample is copied on for longer; any tile of the lattice may be laid.
     quantile
         Share of the others that the oddest tile of the sample accepts, in [0, 1]; more draws more freely, less joins
         better.
@@ -67,6 +70,10 @@ class TileSet:
         Tiles are placed to whole pixels (1), or to halves, thirds, ... of them, interpolated by splines of order 5.
         None: quarters where s is under 10 px; else whole pixels, so that all is copied and no noise is smoothed.
         Without meaning where both vectors are whole pixels.
+    stitch
+        ``"dynamic"``: two seams by dynamic programming, blended where they conflict (the paper). ``"graphcut"``: the
+        exact minimum cut of the overlap, by differences over gradients (Kwatra et al. 2003, section 5); neither slope
+        nor feather count then. It breaks fewer elements where outlines enclose a cell, and copies on for longer.
     slope
         How far, px, a seam may move aside from one row to the next (Efros and Freeman: 1). More lets it follow joints.
     feather
@@ -79,11 +86,13 @@ class TileSet:
     """
 
     shape: Shape | Literal["auto"] = "auto"
+    cells: int = 1
     quantile: float = 0.5
     threshold: float | None = None
     difference: Difference = "mean"
     registration: float | None = None
     parts: int | None = None
+    stitch: Stitch = "dynamic"
     slope: int = 4
     feather: float = 3.0
     anchor: By | Literal["given"] = "quiet"
@@ -109,7 +118,7 @@ class TileSet:
             value = getattr(self, name)
             if value is not None and not value >= 0:
                 raise BadInput(f"{name} {value}; choose 0 or more")
-        for name in ("parts", "slope"):
+        for name in ("cells", "parts", "slope"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise BadInput(f"{name} {value}; choose 1 or more")
@@ -143,7 +152,7 @@ class _Laying:
         source = fractions([picture.image for picture in self.pictures], 1 if _whole(lattice) else parts)
         self.stock = Stock(self.frame, source, tuple(picture.lattice for picture in self.pictures))
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
-        self.canvas = Canvas(task.shape, self.stock, self.pictures, method.slope, method.feather)
+        self.canvas = Canvas(task.shape, self.stock, self.pictures, method.slope, method.feather, method.stitch)
         self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
 
     def lay_all(self) -> None:
@@ -194,7 +203,7 @@ def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Latti
     """Return the tiles' frame, and the lattice anchored for it."""
     shapes: list[Shape] = [method.shape] if method.shape != "auto" else _shapes(lattice)
     for shape in shapes:
-        frame = frame_of(lattice, shape)
+        frame = frame_of(lattice, shape, method.cells)
         at = lattice if method.anchor == "given" else anchored(task.sample, lattice, frame, method.anchor)
         tiles = [
             len(complete(at.shifted(_pair(offset)), frame, task.sample.shape))

@@ -72,6 +72,41 @@ def test_a_whole_pixel_lattice_is_continued_exactly(lattice: Lattice, shape: Any
 
 
 @pytest.mark.parametrize("lattice", LATTICES)
+@pytest.mark.parametrize("method", [TileSet(stitch="graphcut"), TileSet(cells=2), TileSet(cells=2, stitch="graphcut")])
+def test_minimum_cuts_and_larger_tiles_continue_exactly_too(method: TileSet, lattice: Lattice) -> None:
+    """Neither the exact minimum cut nor tiles of 2 x 2 cells change anything on such a sample."""
+    picture = periodic((160, 200), lattice)
+    made = synthesize(method, picture[:160, :160], (160, 200), lattice)
+    np.testing.assert_array_equal(to_bytes(made.image), to_bytes(picture))
+
+
+def test_larger_tiles_are_fewer() -> None:
+    """Tiles of 2 x 2 cells are laid in twice the steps, and as many of the sample's points are middles as fit."""
+    lattice, sample = Lattice((20, 5), (-4, 22)), noise(160, 160)
+    task = Task(sample, (400, 400), lattice, np.random.default_rng(0))
+    small, large = (_Laying(TileSet(shape="cell", cells=cells), task, lattice) for cells in (1, 2))
+    np.testing.assert_allclose(large.frame.steps, 2 * small.frame.steps)
+    assert len(large.numbers()) < 0.4 * len(small.numbers())
+    assert len(large.sets[0, 0][1]) > 20
+
+
+def test_the_minimum_cut_keeps_to_the_overlap() -> None:
+    """Of one tile laid over noise the cut shows all where nothing stood, and nothing of the outermost pixels else."""
+    lattice, sample = Lattice((20, 0), (0, 20)), noise(120, 120)
+    task = Task(sample, (60, 60), lattice, np.random.default_rng(0))
+    laying = _Laying(TileSet(shape="cell", stitch="graphcut", registration=0), task, lattice)
+    canvas, cuts = laying.canvas, laying.stock.cut(*laying.sets[0, 0])
+    canvas.lay(40, 40, cuts.take(np.array([0])))
+    before = canvas.values.copy()
+    canvas.lay(50, 40, cuts.take(np.array([1])))
+    x, y, border = canvas.pixels[:, 0] + 50, canvas.pixels[:, 1] + 40, canvas.pixels[:, 5]
+    assert canvas.filled[y, x].all()
+    ring = (before[y, x].any(-1)) & (border == 0)
+    assert ring.any()
+    np.testing.assert_array_equal(canvas.values[y, x][ring], before[y, x][ring])
+
+
+@pytest.mark.parametrize("lattice", LATTICES)
 def test_the_difference_of_the_paper_continues_exactly_too(lattice: Lattice) -> None:
     """With the raw sum, Efros and Freeman's seams, no blending, no registration, nothing changes on such a sample."""
     picture = periodic((160, 160), lattice)
@@ -136,7 +171,9 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     assert (one.image != other.image).any()
 
 
-@pytest.mark.parametrize("method", [TileSet(), TileSet(parts=4), TileSet(shape="upright"), TileSet(feather=0)])
+@pytest.mark.parametrize(
+    "method", [TileSet(), TileSet(parts=4), TileSet(shape="upright"), TileSet(feather=0), TileSet(stitch="graphcut")]
+)
 def test_the_map_points_at_what_was_copied(method: TileSet) -> None:
     """Pixels of weight 1 are the sample's, every pixel has a source inside it, and most weights are large."""
     sample = noise(90, 100)
@@ -246,7 +283,15 @@ def test_it_finds_a_lattice_itself() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"quantile": 1.2}, {"threshold": -1.0}, {"registration": -1.0}, {"feather": -1.0}, {"parts": 0}, {"slope": 0}],
+    [
+        {"quantile": 1.2},
+        {"threshold": -1.0},
+        {"registration": -1.0},
+        {"feather": -1.0},
+        {"parts": 0},
+        {"slope": 0},
+        {"cells": 0},
+    ],
 )
 def test_bad_parameters_are_refused(wrong: dict[str, Any]) -> None:
     """The error says what to choose."""
