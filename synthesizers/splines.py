@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image
 from nrbench.imaging.patches import Patches
+from nrbench.imaging.sampling import pixel_grid
 from nrbench.lattice.geometry import Points
 from nrbench.synthesis import Task
 
@@ -43,10 +44,7 @@ def resampled(
     rows = max(1, BAND // width)
     for top in range(0, height, rows):
         band = slice(top, top + rows)
-        image[band], source[band] = patches.at(points(_pixels(top, min(top + rows, height), width)))
+        pixels = pixel_grid(width, min(rows, height - top), top=top).astype(np.float64)
+        image[band], source[band] = patches.at(points(pixels))
         task.progress(min(1.0, (top + rows) / height))
     return image, source
-
-
-def _pixels(top: int, bottom: int, width: int) -> Points:
-    return np.stack(np.meshgrid(np.arange(width), np.arange(top, bottom)), -1).astype(np.float64)

@@ -11,7 +11,7 @@ from scipy.signal import fftconvolve
 from nrbench.imaging.door import Image
 from nrbench.imaging.fold import fold
 from nrbench.imaging.patches import Patches, snapped
-from nrbench.imaging.sampling import EqualPlaces
+from nrbench.imaging.sampling import EqualPlaces, pixel_grid
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.gncc import Gncc
 from nrbench.synthesis import Refused, Synthesis, Task, require_lattice
@@ -139,8 +139,8 @@ def whole_centres(lattice: Lattice, shape: tuple[int, ...]) -> Points:
         raise Refused(
             f"a tile takes {2 * x:.0f}x{2 * y:.0f} px, the sample is {width}x{height} px: it holds no whole tile"
         )
-    grid = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
-    return np.stack(grid, -1).reshape(-1, 2).astype(np.float64)
+    width, height = high - low + 1
+    return pixel_grid(width, height, *low).reshape(-1, 2).astype(np.float64)
 
 
 def _typical(sample: Image, lattice: Lattice, centres: Points) -> Points:
@@ -148,7 +148,7 @@ def _typical(sample: Image, lattice: Lattice, centres: Points) -> Points:
     mean = fold(sample, lattice.reduced()).unfold(sample.shape[:2])
     departure = ((sample - mean) ** 2).sum(-1, dtype=np.float64)
     x, y = np.ceil(reach(lattice)).astype(int)
-    around = np.stack(np.meshgrid(np.arange(-x, x + 1), np.arange(-y, y + 1)), -1) - np.array(ASIDE)
+    around = pixel_grid(2 * x + 1, 2 * y + 1, -x, -y) - np.array(ASIDE)
     inside = np.abs(lattice.wrap(around) - around).max(-1) < 1e-6
     total = fftconvolve(departure, inside[::-1, ::-1].astype(np.float64), mode="same")
     column, row = centres.astype(int).T

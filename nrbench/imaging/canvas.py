@@ -18,6 +18,7 @@ from .door import Image
 from .joints import Box, Joint, box_slices, dynamic_joint, graphcut_joint, visible_links
 from .mincut import Links, Mask
 from .patches import Patches, Source
+from .sampling import pixel_grid
 
 Seam = Literal["blend", "dynamic", "graphcut"]
 Places = NDArray[np.float64]
@@ -161,7 +162,7 @@ class Canvas:
         first = np.add(place, (x0, y0))
         if field is None:
             return self.patches.cut(first, (y1 - y0, x1 - x0))
-        points = first + np.stack(np.meshgrid(np.arange(x1 - x0), np.arange(y1 - y0)), -1) + field
+        points = first + pixel_grid(x1 - x0, y1 - y0) + field
         return self.patches.at(np.clip(points, -0.5, np.array(self.patches.sample.shape[1::-1]) - 0.5))
 
     def _strips(self, row: int, column: int) -> Iterator[tuple[int, Box]]:

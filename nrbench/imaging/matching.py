@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from .boxes import boxes_of, integral
 from .door import Image, to_bytes
 from .matching_kernels import LONGEST_RUN, correlate_at
 
@@ -115,7 +116,7 @@ class FrameMatcher:
     @cached_property
     def _integrals(self) -> tuple[Array, Array]:
         values = self.values.astype(np.float64)
-        return _integral(values), _integral(values**2)
+        return integral(values), integral(values**2)
 
     @cached_property
     def _known(self) -> dict[Hole, tuple[Array, Array]]:
@@ -129,11 +130,11 @@ class FrameMatcher:
             self._known[hole] = self._summary(sums, squares, int(_outside(hole, self.size).sum()))
         return self._known[hole]
 
-    def _box(self, integral: Array, box: Hole) -> Array:
+    def _box(self, table: Array, box: Hole) -> Array:
         rows, columns = self.room
         y0, y1, x0, x1 = box
-        down = integral[y1 : y1 + rows] - integral[y0 : y0 + rows]
-        return np.asarray(down[:, x1 : x1 + columns] - down[:, x0 : x0 + columns])
+        under = table[y0 : y1 + rows, x0 : x1 + columns]
+        return boxes_of(under, (y1 - y0, x1 - x0))
 
     def _runs(self, hole: Hole, channels: int) -> NDArray[np.int64]:
         """Return the template's rows less the hole, cut to what the kernel sums exactly."""
@@ -148,10 +149,6 @@ class FrameMatcher:
             ],
             np.int64,
         ).reshape(-1, 3)
-
-
-def _integral(values: Array) -> Array:
-    return np.pad(values.cumsum(0).cumsum(1), ((1, 0), (1, 0), (0, 0)))
 
 
 def _outside(hole: Hole, size: int) -> NDArray[np.bool_]:

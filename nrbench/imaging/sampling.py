@@ -76,6 +76,12 @@ class EqualPlaces:
         return np.asarray(integers_within(self._basis, low, high) @ self._basis)
 
 
+def pixel_grid(width: int, height: int, left: int = 0, top: int = 0) -> NDArray[np.int64]:
+    """Return the (x, y) of each pixel of a rectangle whose first one is (``left``, ``top``): ``int64 (h, w, 2)``."""
+    y, x = np.indices((height, width))
+    return np.stack([x + left, y + top], -1)
+
+
 def nearest_pixels(positions: Points, room: Room) -> Positions:
     """Return places rounded to whole pixels, halves up; each once, row by row, whatever the lattice's basis."""
     return _once(_round(positions), room)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .boxes import box_sums
+
 Values = NDArray[np.float32]
 """``float32 (H, W, C)``, any range."""
 Costs = NDArray[np.float64]
@@ -67,15 +69,6 @@ def continuity(image: Values, size: Size) -> Costs:
     down = _squares(image[rows - 1 :], image[: height - rows + 1])
     total = box_sums(across, (rows, 1)) + box_sums(down, (1, columns))
     return np.asarray(np.maximum(total, 0) / (2 * (columns + rows - 1)))
-
-
-def box_sums(values: NDArray[np.float64], size: Size) -> Costs:
-    """Return the sums over all boxes of ``size`` (rows, columns), by one integral image."""
-    rows, columns = size
-    table = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
-    np.cumsum(np.cumsum(values, 0), 1, out=table[1:, 1:])
-    bands = table[rows:] - table[: len(table) - rows]
-    return np.asarray(bands[:, columns:] - bands[:, : bands.shape[1] - columns])
 
 
 def _squares(one: Values, other: Values) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.imaging.sampling import around, equivalent_positions, nearest_pixels, room_for
+from nrbench.imaging.sampling import around, equivalent_positions, nearest_pixels, pixel_grid, room_for
 from nrbench.lattice.geometry import Lattice
 
 coordinate = st.floats(-3000, 3000)
@@ -45,3 +45,9 @@ def test_around_equals_brute_force(x: float, y: float, tolerance: float) -> None
     everywhere = np.stack([columns, rows], -1).reshape(-1, 1, 2)
     near = (np.abs(everywhere - centres) <= max(tolerance, 0.5) + 1e-9).all(-1).any(1)
     assert sorted(map(tuple, found.tolist())) == sorted(map(tuple, everywhere[near, 0].tolist()))
+
+
+def test_a_pixel_grid_counts_x_then_y_from_its_first_pixel() -> None:
+    """Row by row, x before y."""
+    assert pixel_grid(3, 2, -1, 7).tolist() == [[[-1, 7], [0, 7], [1, 7]], [[-1, 8], [0, 8], [1, 8]]]
+    assert pixel_grid(0, 2).shape == (2, 0, 2)

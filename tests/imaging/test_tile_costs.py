@@ -3,8 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nrbench.imaging.boxes import box_sums
 from nrbench.imaging.ssd import ssdn
-from nrbench.imaging.tile_costs import Costs, Mask, Size, Values, box_sums, continuity, resemblance
+from nrbench.imaging.tile_costs import Costs, Mask, Size, Values, continuity, resemblance
 
 
 def noise(height: int, width: int, channels: int, seed: int = 0) -> Values:
