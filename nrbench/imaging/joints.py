@@ -52,11 +52,16 @@ class Joint:
 
     @property
     def inner(self) -> Box:
-        """The hole in the box's own coordinates, widened to 2 px: what must be new."""
+        """The hole in the box's own coordinates, widened to 2 px where there is room: what must be new.
+
+        The box's edge beside a neighbour stays old: a small block at the sample's edge has a hole of less than 2 px.
+        """
         y0, y1, x0, x1 = self.hole
-        top, bottom = (y0, y1) if y1 - y0 >= 2 else (y0 - 1, y1 + 1)
-        left, right = (x0, x1) if x1 - x0 >= 2 else (x0 - 1, x1 + 1)
-        return top - self.box[0], bottom - self.box[0], left - self.box[2], right - self.box[2]
+        left, top, right, bottom = self.sides
+        return (
+            *_widened(y0 - self.box[0], y1 - self.box[0], int(top), self.old.shape[0] - bottom),
+            *_widened(x0 - self.box[2], x1 - self.box[2], int(left), self.old.shape[1] - right),
+        )
 
     def depth(self, side: int) -> int:
         """Return how far it is from the box's edge to the hole, px."""
@@ -76,6 +81,11 @@ class Joint:
         for edge, there in zip((mask[:, 0], mask[0], mask[:, -1], mask[-1]), self.sides, strict=True):
             edge |= there
         return mask
+
+
+def _widened(start: int, stop: int, first: int, last: int) -> tuple[int, int]:
+    """Return a range of less than 2 px made longer by one at both ends, from ``first`` to ``last`` at most."""
+    return (start, stop) if stop - start >= 2 else (max(start - 1, first), min(stop + 1, last))
 
 
 def dynamic_joint(joint: Joint) -> Mask:

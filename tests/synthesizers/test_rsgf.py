@@ -73,7 +73,7 @@ def test_so_it_is_with_every_joint(seam: Any, subpixel: bool, deform: float) -> 
 @settings(max_examples=40, deadline=None)
 @given(
     st.tuples(st.integers(1, 70), st.integers(1, 70)),
-    st.integers(4, 15),
+    st.integers(2, 15),
     st.integers(1, 7),
     st.sampled_from([1, 3]),
     st.sampled_from(SEAMS),
@@ -103,6 +103,17 @@ def test_what_the_source_map_calls_a_copy_is_one(
     np.testing.assert_array_equal(made.image[copied], sample[y[copied].astype(int), x[copied].astype(int)])
     assert (weight >= (1 / 3 if seam == "blend" else 1) * (1 if not (subpixel or deform) else 0.25) - 1e-6).all()
     assert ((made.image >= 0) & (made.image <= 1 + 1e-6)).all()
+
+
+@pytest.mark.parametrize("seam", SEAMS)
+@pytest.mark.parametrize("block", [2, 3])
+def test_the_smallest_blocks_have_no_room_for_seams_and_are_filled_all_the_same(seam: Any, block: int) -> None:
+    """Gaps whose patches lie at the sample's edge, with a hole of a pixel or none, are joined, too."""
+    sample = noise(12, 13)
+    for seed in range(5):
+        made = synthesize(Rsgf(block, 1, seam=seam), sample, (40, 41), Lattice((4.3, 0.2), (-0.1, 5.4)), seed)
+        checked_synthesis(made, sample, (40, 41))
+        assert made.source is not None and (made.source[..., 2] > 0).all()
 
 
 @pytest.mark.parametrize("seam", ["dynamic", "graphcut"])
