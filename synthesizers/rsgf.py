@@ -33,12 +33,14 @@ class Rsgf:
     around it; here it lies inside, so that it is also what is blended, and the sample needs no more room. Places
     on the lattice are computed from its real-valued vectors, so that nothing drifts.
 
-    The paper's own choice is ``rsgf:seam=blend,subpixel=false``: places rounded to whole pixels, linear blending. What
-    it leaves to future work (section 6) is the default where it proved better: places to fractions of a pixel, and
-    seams by graph cut, which run along the outlines of what the texture is made of (bricks in one color, not two).
+    The paper's own choice is ``rsgf:seam=blend,subpixel=false,tolerance=3``: places rounded to whole pixels, linear
+    blending, gaps' patches from 3 px around. What it leaves to future work (section 6) is the default where it proved
+    better: places to fractions of a pixel, and seams by graph cut, which run along the outlines of what the texture is
+    made of (bricks in one color, not two).
 
-    With no lattice given the method finds one by ``gncc``; where there is none it goes on in the paper's mode for
-    irregular textures, in which every position is a candidate, and says so in the note.
+    With no lattice given, be it that a detector of the lattice axis found none, the method finds one by ``gncc``; where
+    there is none it goes on in the paper's mode for irregular textures, in which every position is a candidate, and
+    says so in the note.
 
     Parameters
     ----------
@@ -80,6 +82,7 @@ class Rsgf:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
+    needs_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "2"
     paper: ClassVar[str] = Gncc.paper
 

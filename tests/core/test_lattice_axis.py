@@ -17,6 +17,7 @@ from nrbench.runner import Options, metrics_of
 from nrbench.suite import Suite, load_suite, validated_suite
 
 BRICK = {"name": "brick", "dataset": "brick", "parameters": {"color": 0.1}}
+METHODS = ("lattice_only", "rsgf:block=24,border=6", "tiling")
 NOISE = {"name": "noise", "dataset": "noise", "parameters": {"spectrum": "pink"}}
 
 
@@ -29,9 +30,8 @@ def suite(*lattice: str, methods: tuple[str, ...] = ("lattice_only",), **more: o
 
 @pytest.fixture(scope="module")
 def asked(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """Return a run of a method that needs a lattice and one that does not, the lattice found by gncc."""
-    where = tmp_path_factory.mktemp("asked")
-    return run(suite("gncc", methods=("lattice_only", "rsgf:block=24,border=6")), out=where, options=Options(jobs=0))
+    """Return a run of a method that needs a lattice and two that do not, the lattice found by gncc."""
+    return run(suite("gncc", methods=METHODS), out=tmp_path_factory.mktemp("asked"), options=Options(jobs=0))
 
 
 def test_a_manual_lattice_is_a_source_of_its_own() -> None:
@@ -79,7 +79,7 @@ def test_what_a_detector_said_is_in_the_record(asked: Run) -> None:
     found, none = records["brick", "lattice_only"], records["noise", "lattice_only"]
     assert found is not None and found.lattice is not None and found.confidence is not None and found.seconds > 0
     assert none is not None and none.lattice is None and "chance" in none.reason and none.seconds > 0
-    assert records["noise", "rsgf"] == none
+    assert records["noise", "tiling"] == none
 
 
 def test_no_lattice_refuses_only_who_needs_one(asked: Run) -> None:
@@ -89,8 +89,17 @@ def test_no_lattice_refuses_only_who_needs_one(asked: Run) -> None:
         ("brick", "lattice_only"): "ok",
         ("brick", "rsgf"): "ok",
         ("noise", "lattice_only"): "ok",
-        ("noise", "rsgf"): "refused",
+        ("noise", "rsgf"): "ok",
+        ("brick", "tiling"): "ok",
+        ("noise", "tiling"): "refused",
     }
+
+
+def test_rsgf_goes_on_in_stochastic_mode_and_says_so(asked: Run) -> None:
+    """Where the detector finds none every position is a candidate, as where the method looks for a lattice itself."""
+    noise = next(record for record in asked.cells if (record.texture, record.cell.method) == ("noise", "rsgf"))
+    assert noise.cell.lattice_given is None
+    assert "stochastic mode" in noise.note and "chance" in noise.note
 
 
 def test_the_answer_reaches_the_tables(asked: Run) -> None:
@@ -117,8 +126,7 @@ def test_a_detector_that_fails_is_no_answer(faulty: Path, tmp_path: Path) -> Non
 def test_a_finished_run_is_resumed(asked: Run) -> None:
     """The same suite again starts nothing, and the answers are those on disk."""
     before = {path: path.stat().st_mtime_ns for path in asked.root.rglob("*.json")}
-    methods = ("lattice_only", "rsgf:block=24,border=6")
-    again = run(suite("gncc", methods=methods), out=asked.root, options=Options(jobs=0))
+    again = run(suite("gncc", methods=METHODS), out=asked.root, options=Options(jobs=0))
     assert {path: path.stat().st_mtime_ns for path in asked.root.rglob("*.json")} == before
     assert [record.cell.detected for record in again.cells] == [record.cell.detected for record in asked.cells]
 
