@@ -17,7 +17,9 @@ from nrbench.imaging.jit import load_kernels
 from nrbench.metrics.judgement import judge
 from nrbench.streams import stream
 from nrbench.synthesis import Observation, Synthesizer, Task
+from nrbench.synthesizers.representative_tile import RepresentativeTile
 from nrbench.synthesizers.rsgf import Rsgf
+from nrbench.synthesizers.tile_set import TileSet
 from nrbench.synthesizers.tiling import Tiling
 from nrbench.texture import Shape, Texture
 
@@ -25,9 +27,11 @@ MODEL = Brick(width=21.37, height=18.81, bond="stack", rotation=7.0, color=0.2, 
 METHODS: dict[str, Synthesizer] = {
     "rsgf": Rsgf(),
     "rsgf:seam=blend": Rsgf(seam="blend"),
-    "rsgf:seam=blend,subpixel=false": Rsgf(seam="blend", subpixel=False),
+    "rsgf:seam=blend,subpixel=false,tolerance=3": Rsgf(seam="blend", subpixel=False, tolerance=3.0),
     "tiling": Tiling(),
     "tiling:tile=mean": Tiling(tile="mean"),
+    "tile-set": TileSet(),
+    "representative-tile": RepresentativeTile(),
 }
 
 
@@ -54,7 +58,7 @@ def main() -> None:
         print(f"{side} x {side}: worst and median misplacement over s")
         for name, method in METHODS.items():
             worst, median = worst_misplacement(method, 256, side)
-            print(f"  {name:32} {worst:6.3f} {median:6.3f}", flush=True)
+            print(f"  {name:44} {worst:6.3f} {median:6.3f}", flush=True)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from nrbench.synthesizers.filling import Filling, Rules
 from nrbench.synthesizers.rsgf import Rsgf
 
 SEAMS = get_args(Seam)
-PAPER = Rsgf(seam="blend", subpixel=False)
+PAPER = Rsgf(seam="blend", subpixel=False, tolerance=3.0)
 SMALL = replace(PAPER, block=8, border=2)
 TURNED = math.radians(7)
 FRACTIONAL = Lattice(
@@ -70,16 +70,15 @@ def test_any_basis_of_the_lattice_gives_the_same_bytes(method: Rsgf, lattice: La
 
 
 def test_a_fractional_lattice_does_not_drift() -> None:
-    """Over 800 px placed patches keep within half a pixel of the real-valued lattice, and gaps within the tolerance."""
+    """Over 800 px placed patches keep within half a pixel of the real-valued lattice, gaps within the paper's 3 px."""
     made = synthesize(PAPER, noise(128, 128), (800, 800), FRACTIONAL)
     found = places(made, 40)
     rows, columns = np.indices(found.shape[:2])
     output = np.stack([columns, rows], -1) * 40
     placed = (rows + columns) % 2 == 0
-    tolerance = 0.1 * FRACTIONAL.s
     misplaced = np.abs(FRACTIONAL.wrap(found - output)).max(-1)
     assert misplaced[placed].max() <= 0.5 + 1e-9
-    assert misplaced[~placed].max() <= tolerance + 1e-9
+    assert 0.1 * FRACTIONAL.s < misplaced[~placed].max() <= 3 + 1e-9
 
 
 @pytest.mark.parametrize("reach", [0.0, 0.3, 1.5])
