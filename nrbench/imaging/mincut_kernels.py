@@ -40,12 +40,13 @@ def grow_trees(residual: NDArray[np.float64], terminal: NDArray[np.float64], wid
     -----
     Boykov and Kolmogorov 2004 (An experimental comparison of min-cut/max-flow algorithms), section 3, with marked
     distances: two trees grow until they touch, the path is saturated, and the nodes that it cuts off look for new
-    parents. Every step keeps the flow valid, so the cut is exact whatever the order.
+    parents. Every step keeps the flow valid, so the cut is exact whatever the order. Most of the time goes into walking
+    up the trees: parents are kept as unsigned node numbers, which are read and followed without a look at their sign.
     """
     n = terminal.size
     offset = np.array([1, -1, width, -width])
     tree = np.zeros(n, np.uint8)
-    parent = np.full(n, _NONE, np.int8)
+    parent, up = np.full(n, _NONE, np.uint8), np.zeros(n, np.uint64)
     distance, mark = np.zeros(n, np.int64), np.zeros(n, np.int64)
     active, waiting = np.empty(n + 1, np.int64), np.zeros(n, np.bool_)
     orphans = np.empty(n + 1, np.int64)
@@ -72,7 +73,7 @@ def grow_trees(residual: NDArray[np.float64], terminal: NDArray[np.float64], wid
             if (residual[d, current] if out else residual[d ^ 1, j]) <= 0:
                 continue
             if tree[j] == 0:
-                tree[j], parent[j] = tree[current], d ^ 1
+                tree[j], parent[j], up[j] = tree[current], d ^ 1, current
                 distance[j], mark[j] = distance[current] + 1, mark[current]
                 if not waiting[j]:
                     active[tail], waiting[j] = j, True
@@ -81,7 +82,7 @@ def grow_trees(residual: NDArray[np.float64], terminal: NDArray[np.float64], wid
                 link = d
                 break
             elif mark[j] <= mark[current] and distance[j] > distance[current]:
-                parent[j], distance[j], mark[j] = d ^ 1, distance[current] + 1, mark[current]
+                parent[j], up[j], distance[j], mark[j] = d ^ 1, current, distance[current] + 1, mark[current]
         if link < 0:
             current = -1
             continue
@@ -90,40 +91,55 @@ def grow_trees(residual: NDArray[np.float64], terminal: NDArray[np.float64], wid
         across = link if out else link ^ 1
         last = first + offset[across]
         flow = residual[across, first]
-        i = first
-        while parent[i] != _ROOT:
-            d = parent[i]
-            i += offset[d]
-            flow = min(flow, residual[d ^ 1, i])
-        flow = min(flow, terminal[i])
-        i = last
-        while parent[i] != _ROOT:
-            d = parent[i]
-            flow = min(flow, residual[d, i])
-            i += offset[d]
-        flow = min(flow, -terminal[i])
+        k = np.uint64(first)
+        while parent[k] != _ROOT:
+            room = residual[parent[k] ^ np.uint8(1), up[k]]
+            k = up[k]
+            if room < flow:
+                flow = room
+        flow = min(flow, terminal[k])
+        k = np.uint64(last)
+        while parent[k] != _ROOT:
+            room = residual[parent[k], k]
+            k = up[k]
+            if room < flow:
+                flow = room
+        flow = min(flow, -terminal[k])
         residual[across, first] -= flow
         residual[across ^ 1, last] += flow
         begin, end = 0, 0
-        for side in range(2):
-            i = first if side == 0 else last
-            while parent[i] != _ROOT:
-                d = parent[i]
-                up = i + offset[d]
-                spent, gained = (residual[d ^ 1], residual[d]) if side == 0 else (residual[d], residual[d ^ 1])
-                at, back = (up, i) if side == 0 else (i, up)
-                spent[at] -= flow
-                gained[back] += flow
-                if spent[at] <= 0:
-                    parent[i] = _ORPHAN
-                    orphans[end] = i
-                    end += 1
-                i = up
-            terminal[i] += -flow if side == 0 else flow
-            if terminal[i] == 0:
-                parent[i] = _ORPHAN
-                orphans[end] = i
+        k = np.uint64(first)
+        while parent[k] != _ROOT:
+            e, above = parent[k], up[k]
+            left = residual[e ^ np.uint8(1), above] - flow
+            residual[e ^ np.uint8(1), above] = left
+            residual[e, k] += flow
+            if left <= 0:
+                parent[k] = _ORPHAN
+                orphans[end] = k
                 end += 1
+            k = above
+        terminal[k] -= flow
+        if terminal[k] == 0:
+            parent[k] = _ORPHAN
+            orphans[end] = k
+            end += 1
+        k = np.uint64(last)
+        while parent[k] != _ROOT:
+            e, above = parent[k], up[k]
+            left = residual[e, k] - flow
+            residual[e, k] = left
+            residual[e ^ np.uint8(1), above] += flow
+            if left <= 0:
+                parent[k] = _ORPHAN
+                orphans[end] = k
+                end += 1
+            k = above
+        terminal[k] += flow
+        if terminal[k] == 0:
+            parent[k] = _ORPHAN
+            orphans[end] = k
+            end += 1
         while begin != end:
             i = orphans[begin]
             begin = (begin + 1) % (n + 1)
@@ -132,24 +148,24 @@ def grow_trees(residual: NDArray[np.float64], terminal: NDArray[np.float64], wid
                 j = i + offset[d]
                 if tree[j] != own or (residual[d ^ 1, j] if own == SOURCE else residual[d, i]) <= 0:
                     continue
-                steps, k = 0, j
-                while mark[k] != time and parent[k] < _ROOT:
+                steps, m = 0, np.uint64(j)
+                while mark[m] != time and parent[m] < _ROOT:
                     steps += 1
-                    k += offset[parent[k]]
-                if mark[k] != time and parent[k] != _ROOT:
+                    m = up[m]
+                if mark[m] != time and parent[m] != _ROOT:
                     continue
-                if mark[k] != time:
-                    mark[k], distance[k] = time, 1
-                steps += distance[k]
+                if mark[m] != time:
+                    mark[m], distance[m] = time, 1
+                steps += distance[m]
                 if steps < best:
                     best, found = steps, d
-                k = j
-                while mark[k] != time:
-                    mark[k], distance[k] = time, steps
+                m = np.uint64(j)
+                while mark[m] != time:
+                    mark[m], distance[m] = time, steps
                     steps -= 1
-                    k += offset[parent[k]]
+                    m = up[m]
             if found != _NONE:
-                parent[i], mark[i], distance[i] = found, time, best + 1
+                parent[i], up[i], mark[i], distance[i] = found, i + offset[found], time, best + 1
                 continue
             tree[i], parent[i] = 0, _NONE
             for d in range(4):
