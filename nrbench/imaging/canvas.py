@@ -25,7 +25,7 @@ Places = NDArray[np.float64]
 """``float64 (rows, columns, 2)``: the real-valued (x, y) in the sample of every block's first pixel."""
 Map = NDArray[np.float64]
 Layers = tuple[Image, Source]
-"""``(5, block, block, C)`` and ``(5, block, block, 3)``: what each neighbour's patch, continued, shows in a gap, NaN
+"""``(5, block, block, C)`` and ``(5, block, block, 3)``: what each neighbour's patch, continued, shows in a gap, 0
 where it does not reach; the last is the gap's own."""
 
 
@@ -174,7 +174,7 @@ class Canvas:
 
     def _layers(self, row: int, column: int) -> Layers:
         block = self.grid.block
-        image = np.full((5, block, block, self.image.shape[2]), np.nan, np.float32)
+        image = np.zeros((5, block, block, self.image.shape[2]), np.float32)
         source = np.ones((5, block, block, 3), np.float32)
         for side, box in self._strips(row, column):
             dx, dy = STEPS[side]
@@ -210,7 +210,7 @@ class Canvas:
         half = self.grid.block // 2
         beside = np.concatenate([layers[0][:, :half], layers[2][:, half:]], 1)
         above = np.concatenate([layers[1][:half], layers[3][half:]], 0)
-        costs = visible_links(np.nan_to_num(beside), np.nan_to_num(above))
+        costs = visible_links(beside, above)
         owners = wedges(self.grid.block, self.grid.border, self.grid.sides(row, column)).owners
         kept = _inside(self._seams, self.window(row, column))
         kept.across[...] = _between_layers(owners[:, 1:], owners[:, :-1], costs.across)

@@ -22,7 +22,7 @@ from nrbench.synthesizers.rsgf import Rsgf
 
 SEAMS = get_args(Seam)
 PAPER = Rsgf(seam="blend", subpixel=False, tolerance=3.0)
-SMALL = replace(PAPER, block=8, border=2)
+SMALL = replace(PAPER, block=8, border=2, tolerance=None)
 TURNED = math.radians(7)
 FRACTIONAL = Lattice(
     (21.37 * math.cos(TURNED), 21.37 * math.sin(TURNED)), (-18.81 * math.sin(TURNED), 18.81 * math.cos(TURNED))
