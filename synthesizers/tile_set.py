@@ -16,7 +16,7 @@ from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
 from .subpixel import fractions
 from .tile_anchor import By, anchored
 from .tile_canvas import Canvas, Stitch
-from .tile_frame import Frame, Shape, frame_of
+from .tile_frame import Frame, Tile, frame_of
 from .tile_stock import Cuts, Difference, Stock, complete
 from .tile_symmetry import pictures, upright
 
@@ -46,8 +46,8 @@ class TileSet:
 
     Parameters
     ----------
-    shape
-        Of the maximum tiles. ``"upright"``: the smallest upright rectangle around the minimum tile (the paper).
+    tile
+        Shape of the maximum tiles. ``"upright"``: the smallest upright rectangle around the minimum tile (the paper).
         ``"lattice"``: sides along t1 + t2 and t2 - t1, the lattice's own coordinates (the paper's suggestion; on an
         upright rhombic lattice the same). ``"rectangle"``: sides 2 t1 and t2, t1 the shorter, laid along them.
         ``"cell"``: sides t1 and t2, the minimum tile, laid along them. ``"auto"``: the cell for rectangular and square
@@ -85,7 +85,7 @@ class TileSet:
         Also take the tiles of the sample mirrored or turned, where that leaves its mean tile what it is (section 4.4).
     """
 
-    shape: Shape | Literal["auto"] = "auto"
+    tile: Tile | Literal["auto"] = "auto"
     cells: int = 1
     quantile: float = 0.5
     threshold: float | None = None
@@ -201,9 +201,8 @@ class _Laying:
 
 def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Lattice]:
     """Return the tiles' frame, and the lattice anchored for it."""
-    shapes: list[Shape] = [method.shape] if method.shape != "auto" else _shapes(lattice)
-    for shape in shapes:
-        frame = frame_of(lattice, shape, method.cells)
+    for tile in _tiles(lattice) if method.tile == "auto" else [method.tile]:
+        frame = frame_of(lattice, tile, method.cells)
         at = lattice if method.anchor == "given" else anchored(task.sample, lattice, frame, method.anchor)
         tiles = [
             len(complete(at.shifted(_pair(offset)), frame, task.sample.shape))
@@ -219,7 +218,7 @@ def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Latti
     )
 
 
-def _shapes(lattice: Lattice) -> list[Shape]:
+def _tiles(lattice: Lattice) -> list[Tile]:
     return ["cell"] if lattice.kind in ("rectangular", "square") else ["lattice", "cell"]
 
 
