@@ -34,6 +34,17 @@ class Frame:
     sides: Points
     core: Points
 
+    def distinct(self, lattice: Lattice) -> list[tuple[int, int]]:
+        """Return the steps (in the row, to the next row) from a lattice point to the middles of each set of tiles.
+
+        Tiles are of one set where a lattice vector leads from one's place to the other's. Sides that are diagonals of
+        the cell have two sets, T and Th; those along the lattice's vectors up to four; twice as large ones one, T.
+        """
+        numbers = list(np.ndindex(2, 2))
+        halves = np.rint(2 * np.array(numbers) @ self.steps @ np.linalg.inv(lattice.matrix)).astype(int) % 2
+        _, first = np.unique(halves, axis=0, return_index=True)
+        return [numbers[n] for n in sorted(first.tolist())]
+
     @cached_property
     def reach(self) -> Points:
         """How far, along x and y in px, the tile reaches from its middle."""
@@ -81,7 +92,10 @@ def frame_of(lattice: Lattice, tile: Tile, cells: int = 1) -> Frame:
     Any tile of the lattice tiles the texture, and so does one of k x k cells: its steps are still half lattice vectors.
     """
     frame = _frame_of(lattice, tile)
-    return Frame(cells * frame.steps, cells * frame.sides, cells * frame.core)
+    sides = cells * frame.sides
+    if tile == "upright":
+        sides = np.diag(_without_gaps(np.diag(sides)))
+    return Frame(cells * frame.steps, sides, cells * frame.core)
 
 
 def _frame_of(lattice: Lattice, tile: Tile) -> Frame:
@@ -110,6 +124,16 @@ def _frame_of(lattice: Lattice, tile: Tile) -> Frame:
     if tile == "lattice":
         return Frame(sides / 2, sides, core)
     return Frame(sides / 2, np.diag(np.abs(core).sum(0)), core)
+
+
+def _without_gaps(lengths: Points) -> Points:
+    """Return the lengths of sides, some rounded up, whose pixels meet where tiles lie that far apart.
+
+    A tile has an odd number of pixels around its middle, and whole-pixel places may lie the next whole number apart. On
+    a rectangular lattice an upright tile is the minimum tile itself, and two such gaps would cross half-way along a side.
+    """
+    whole = np.ceil(lengths - 1e-9)
+    return np.where(2 * np.floor(lengths / 2 + 1e-9) + 1 < whole, whole, lengths)
 
 
 def _across_and_down(first: Points, second: Points) -> Points:

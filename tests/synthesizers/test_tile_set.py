@@ -4,13 +4,10 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import stats
 
-from nrbench.errors import BadInput
 from nrbench.imaging.door import Image, quantize, to_bytes
-from nrbench.lattice.detection import NoLatticeFound
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.synthesis import Synthesis, Task
 from nrbench.synthesizers.tile_set import TileSet, _Laying
 
 TURNED = math.radians(7)
@@ -132,35 +129,6 @@ def test_a_fractional_lattice_does_not_drift(parts: int | None) -> None:
     assert off[-256:, -256:].mean() == pytest.approx(off[:256, :256].mean(), rel=0.15)
 
 
-def test_the_random_choice_is_uniform_over_the_candidates() -> None:
-    """The first tile is drawn equally often from all of T; with a threshold of everything, so is the next one."""
-    sample, lattice = noise(60, 60, 1), Lattice((14, 0), (0, 14))
-    drawn: list[list[tuple[int, int]]] = [[], []]
-    everything = TileSet(threshold=1e9, registration=0, tile="lattice")
-    for seed in range(1500):
-        laying = _Laying(everything, Task(sample, (8, 8), lattice, np.random.default_rng(seed)), lattice)
-        for which, (i, j) in enumerate(laying.numbers()[:2].tolist()):
-            laying._lay(i, j, laying.lattice.origin + np.array([i, j]) @ laying.frame.steps, 1e9)
-            middle = laying.canvas.margin + np.rint(laying.lattice.origin + np.array([i, j]) @ laying.frame.steps)
-            x, y = middle.astype(int) + laying.frame.box[1] // 2 * (1, 0)
-            drawn[which].append(tuple(laying.canvas.origins[y, x, :2].astype(int).tolist()))
-    for places, (i, j) in zip(drawn, laying.numbers()[:2].tolist(), strict=True):
-        counts = {place: places.count(place) for place in set(places)}
-        assert len(counts) == len(laying.sets[i % 2, j % 2][1])
-        assert stats.chisquare(list(counts.values())).pvalue > 1e-3
-
-
-def test_candidates_differ_by_no_more_than_the_threshold() -> None:
-    """With a threshold of 0 only the best tile follows: the sample is continued where it can be, without a seam."""
-    sample, lattice = noise(100, 100), Lattice((20, 0), (0, 16))
-    made = synthesize(TileSet(threshold=0, registration=0, anchor="given"), sample, (40, 40), lattice)
-    assert made.source is not None
-    run = np.abs(np.diff(made.source[..., 0], axis=1) - 1) < 0.1
-    loose = synthesize(TileSet(threshold=1e9, registration=0, anchor="given"), sample, (40, 40), lattice)
-    assert loose.source is not None
-    assert run.mean() > (np.abs(np.diff(loose.source[..., 0], axis=1) - 1) < 0.1).mean() + 0.02
-
-
 def test_the_same_seed_gives_the_same_bytes() -> None:
     """Equal tasks give equal outputs and maps; another seed gives another output."""
     sample = noise(90, 90)
@@ -230,24 +198,6 @@ def test_elements_are_shown_whole_by_t() -> None:
     assert np.abs(lattice.wrap(np.subtract(laying.lattice.origin, (17.5, 11.5)))).max() <= 2
 
 
-def test_the_oddest_tile_accepts_half_of_the_others() -> None:
-    """The threshold is the largest, over the tiles, of the medians of their differences from the others."""
-    sample, lattice = noise(70, 70, 1), Lattice((16, 0), (0, 16))
-    sample[:16, :16] = 1
-    laying = _Laying(
-        TileSet(tile="cell", anchor="given"), Task(sample, (9, 9), lattice, np.random.default_rng(0)), lattice
-    )
-    x, y, row, column, _ = laying.frame.pixels.T
-    covered = (row < 8) | (column < 8)
-    medians = []
-    for shift in (0, 1):
-        middles = laying.stock.cut(*laying.sets[shift, 0]).pixel
-        cut = np.stack([to_bytes(sample)[y0 + y[covered], x0 + x[covered], 0] for x0, y0 in middles]).astype(float)
-        apart = np.abs(cut[:, np.newaxis] - cut).mean(-1)
-        medians += [np.median(np.delete(line, n)) for n, line in enumerate(apart)]
-    assert laying.stock.threshold(0.5, "mean") == pytest.approx(max(medians))
-
-
 def test_progress_rises_to_one() -> None:
     """Progress never falls and ends at 1."""
     told: list[float] = []
@@ -256,44 +206,8 @@ def test_progress_rises_to_one() -> None:
     assert told[-1] == 1
 
 
-def test_samples_that_hold_too_little_are_refused() -> None:
-    """Without a complete tile of both sets, or under two periods, the reason tells sizes."""
-    for size in ((30, 128), (128, 30), (40, 40)):
-        with pytest.raises(Refused, match="holds no complete tile, or not two periods"):
-            synthesize(TileSet(), noise(*size), (64, 64), Lattice((33, 0), (0, 35)))
-
-
-def test_no_lattice_no_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the detector finds none, the method refuses and passes the reason on."""
-
-    def none(self: object, image: Image) -> None:
-        raise NoLatticeFound("nothing repeats")
-
-    monkeypatch.setattr("nrbench.synthesizers.tile_set.Consensus.detect", none)
-    with pytest.raises(Refused, match="nothing repeats"):
-        synthesize(TileSet(), noise(60, 60), (64, 64), None)
-
-
 def test_it_finds_a_lattice_itself() -> None:
     """With none given it detects one, uses it and says what that took."""
     made = synthesize(TileSet(), quantize(waves((96, 96), FRACTIONAL)), (100, 100), None)
     assert made.lattice is not None and made.lattice.is_equivalent(FRACTIONAL, 0.3)
     assert made.detection_seconds > 0
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"quantile": 1.2},
-        {"threshold": -1.0},
-        {"registration": -1.0},
-        {"feather": -1.0},
-        {"parts": 0},
-        {"slope": 0},
-        {"cells": 0},
-    ],
-)
-def test_bad_parameters_are_refused(wrong: dict[str, Any]) -> None:
-    """The error says what to choose."""
-    with pytest.raises(BadInput, match="choose"):
-        TileSet(**wrong)
