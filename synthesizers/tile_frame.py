@@ -130,7 +130,7 @@ def _without_gaps(lengths: Points) -> Points:
     """Return the lengths of sides, some rounded up, whose pixels meet where tiles lie that far apart.
 
     A tile has an odd number of pixels around its middle, and whole-pixel places may lie the next whole number apart. On
-    a rectangular lattice an upright tile is the minimum tile itself, and two such gaps would cross half-way along a side.
+    a rectangular lattice an upright tile is the minimum tile itself, and two such gaps would cross at its border.
     """
     whole = np.ceil(lengths - 1e-9)
     return np.where(2 * np.floor(lengths / 2 + 1e-9) + 1 < whole, whole, lengths)
