@@ -22,7 +22,7 @@ METHODS: dict[str, Synthesizer] = {
     "tile-set": TileSet(),
     "tile-set registration=0": TileSet(registration=0),
     "tile-set parts=4": TileSet(parts=4),
-    "tile-set shape=upright": TileSet(shape="upright"),
+    "tile-set tile=upright": TileSet(tile="upright"),
     "tile-set symmetry=true": TileSet(symmetry=True),
     "tile-set cells=2": TileSet(cells=2),
     "tile-set stitch=graphcut": TileSet(stitch="graphcut"),

@@ -23,10 +23,21 @@ from nrbench.synthesis import Column
 
 @dataclass(frozen=True)
 class Form:
-    """What a kind of plugin must offer: its methods, each with the number of arguments it is called with."""
+    """What a kind of plugin must offer.
+
+    Parameters
+    ----------
+    noun
+        What one is called.
+    methods
+        Each with the number of arguments it is called with.
+    taken
+        Names of the arguments that :mod:`nrbench.api` takes beside the parameters: none of these may be called so.
+    """
 
     noun: str
     methods: Mapping[str, int]
+    taken: tuple[str, ...] = ()
 
     @property
     def method(self) -> str:
@@ -35,9 +46,9 @@ class Form:
 
 
 FORMS: Mapping[str, Form] = {
-    "datasets": Form("dataset", {"render": 2, "again": 3}),
-    "detectors": Form("detector", {"detect": 1}),
-    "synthesizers": Form("method", {"synthesize": 1}),
+    "datasets": Form("dataset", {"render": 2, "again": 3}, ("model", "shape", "seed")),
+    "detectors": Form("detector", {"detect": 1}, ("image", "detector")),
+    "synthesizers": Form("method", {"synthesize": 1}, ("method", "image", "shape", "lattice", "seed", "progress")),
     "metrics": Form("metric", {"score": 1}),
     "reports": Form("report", {"write": 2}),
 }
@@ -193,7 +204,7 @@ def _load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
 
 def fault(kind: str, cls: Any) -> str:
     """Return what keeps a class from being a plugin of ``kind``, in one sentence; empty where nothing does."""
-    checks = (_form_fault, _method_fault, _column_fault)
+    checks = (_form_fault, _field_fault, _method_fault, _column_fault)
     return next((found for check in checks if (found := check(kind, cls))), "")
 
 
@@ -203,14 +214,23 @@ def _form_fault(kind: str, cls: Any) -> str:
         return f"{label} is no dataclass; decorate it with @dataclass(frozen=True)"
     if not cls.__dataclass_params__.frozen:  # type: ignore[attr-defined]
         return f"{label} is not frozen; decorate it with @dataclass(frozen=True)"
-    missing = [field.name for field in dataclasses.fields(cls) if not _has_default(field)]
-    if missing and kind in ("detectors", "metrics", "reports"):
-        return f"{label}: parameter {missing[0]!r} has no default; give it one"
     name = str(getattr(cls, "name", "x"))
     if not re.fullmatch(r"[\w.-]+", name):
         return f"{label}: its name {name!r} cannot be called; use letters, digits, '.', '-' and '_'"
     own_page = cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
     return "" if own_page else f"{label} has no docstring; write one, it is the plugin's page"
+
+
+def _field_fault(kind: str, cls: Any) -> str:
+    form = FORMS[kind]
+    label = f"{form.noun} {cls.__name__!r}: parameter"
+    for field in dataclasses.fields(cls):
+        if field.name in form.taken:
+            taken = ", ".join(form.taken)
+            return f"{label} {field.name!r} has the name of an argument of the call; rename it (taken: {taken})"
+        if not _has_default(field) and kind in ("detectors", "metrics", "reports"):
+            return f"{label} {field.name!r} has no default; give it one"
+    return ""
 
 
 def _has_default(field: dataclasses.Field[Any]) -> bool:

@@ -18,7 +18,7 @@ from nrbench.lattice.ssdn import Ssdn
 from nrbench.synthesis import Refused, SourceMap, Synthesis, Task, find_lattice
 
 from .laying import Laying, laid
-from .tile_rectangle import TileFrame, tile_frame
+from .tile_rectangle import TileFrame, rectangle_frame
 from .wang import WangSet, colors_for, wang_set
 from .wang_pieces import Cutter
 
@@ -66,7 +66,7 @@ class RepresentativeTile:
         Share in (0, 1] of the places, those of least h, of which the best is taken (the paper: 0.0001 to 0.02). None:
         all of them.
     m
-        The tile is drawn from the m best, uniformly, where the paper lets the user choose among them; 1: the best.
+        The tile is drawn from the m best, 1 to 99, uniformly, where the paper lets the user choose; 1: the best.
     rescale
         Output of the sample's period; false: of the tile's, the tile's own pixels repeated.
     scale_down
@@ -100,7 +100,7 @@ class RepresentativeTile:
         weights = min(self.alpha, self.beta) >= 0 and 0 < self.alpha + self.beta < math.inf
         _check(weights, f"alpha {self.alpha}, beta {self.beta}; choose weights of 0 or more, not both 0")
         _check(self.p is None or 0 < self.p <= 1, f"p {self.p}; choose a share above 0, at most 1, or leave it out")
-        _check(self.m >= 1, f"m {self.m}; choose 1 (the best tile) or more")
+        _check(1 <= self.m <= 99, f"m {self.m}; choose from 1 (the best tile) to 99")
         _check(0 <= self.tolerance < 0.5, f"tolerance {self.tolerance}; choose a share of s from 0 to below 0.5")
         _check(self.tiles == 1 or colors_for(self.tiles) is not None, f"tiles {self.tiles}; choose 1, 4, or 6 and more")
 
@@ -117,7 +117,7 @@ class RepresentativeTile:
         found = find_lattice(task, self._detector())
         if found.lattice is None:
             raise Refused(f"no lattice found ({found.reason}): there is no period to cut a tile by")
-        frame = tile_frame(found.lattice, task.sample.shape, self.tolerance, self.scale_down)
+        frame = rectangle_frame(found.lattice, task.sample.shape, self.tolerance, self.scale_down)
         patches = Patches(task.sample)
         image, known = frame.scaled(task.sample, patches)
         best = self._best(image, known, frame)

@@ -42,15 +42,15 @@ def anchored(sample: Image, lattice: Lattice, frame: Frame, by: By) -> Lattice:
     costs, anchors = border_costs(sample, lattice, frame) if by == "quiet" else element_costs(sample, lattice)
     order = np.argsort(costs, kind="stable")
     order = order[np.unique(np.linspace(0, len(order) - 1, MOST).astype(np.int64))]
-    counts = np.minimum(*(_counts(lattice, anchors[order] + shift * frame.steps[0], frame, sample) for shift in (0, 1)))
-    x, y = anchors[order[np.argmax(counts >= ROOM * counts.max())]]
-    return Lattice(lattice.t1, lattice.t2, (float(x), float(y)))
+    offsets = np.array(frame.distinct(lattice)) @ frame.steps
+    counts = np.min([_counts(lattice, anchors[order] + offset, frame, sample) for offset in offsets], 0)
+    return Lattice.from_basis(lattice.matrix, anchors[order[np.argmax(counts >= ROOM * counts.max())]])
 
 
 def border_costs(sample: Image, lattice: Lattice, frame: Frame) -> tuple[Array, Points]:
     """Return the mean gradient energy along the tiles' borders for each anchor, ``(n,)``, and the anchors.
 
-    The borders are those of all minimum tiles, T's and Th's. The energy of every anchor is one circular correlation of
+    The borders are those of the minimum tiles of every set. The energy of every anchor is one circular correlation of
     the mean tile's gradients with the borders: O(n log n) for a tile of n px.
     """
     lattice = lattice.reduced()

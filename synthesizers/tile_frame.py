@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nrbench.lattice.geometry import Lattice, Points
 
-Shape = Literal["upright", "lattice", "rectangle", "cell"]
+Tile = Literal["upright", "lattice", "rectangle", "cell"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +33,17 @@ class Frame:
     steps: Points
     sides: Points
     core: Points
+
+    def distinct(self, lattice: Lattice) -> list[tuple[int, int]]:
+        """Return the steps (in the row, to the next row) from a lattice point to the middles of each set of tiles.
+
+        Tiles are of one set where a lattice vector leads from one's place to the other's. Sides that are diagonals of
+        the cell have two sets, T and Th; those along the lattice's vectors up to four; twice as large ones one, T.
+        """
+        numbers = list(np.ndindex(2, 2))
+        halves = np.rint(2 * np.array(numbers) @ self.steps @ np.linalg.inv(lattice.matrix)).astype(int) % 2
+        _, first = np.unique(halves, axis=0, return_index=True)
+        return [numbers[n] for n in sorted(first.tolist())]
 
     @cached_property
     def reach(self) -> Points:
@@ -75,23 +86,26 @@ class Frame:
         return np.clip(np.floor(at + 0.5).astype(np.int64), *self.box)
 
 
-def frame_of(lattice: Lattice, shape: Shape, cells: int = 1) -> Frame:
-    """Return the frame of tiles whose sides are ``cells`` times those of a shape (see :func:`_frame_of`).
+def frame_of(lattice: Lattice, tile: Tile, cells: int = 1) -> Frame:
+    """Return the frame of tiles whose sides are ``cells`` times those of a tile (see :func:`_frame_of`).
 
     Any tile of the lattice tiles the texture, and so does one of k x k cells: its steps are still half lattice vectors.
     """
-    frame = _frame_of(lattice, shape)
-    return Frame(cells * frame.steps, cells * frame.sides, cells * frame.core)
+    frame = _frame_of(lattice, tile)
+    sides = cells * frame.sides
+    if tile == "upright":
+        sides = np.diag(_without_gaps(np.diag(sides)))
+    return Frame(cells * frame.steps, sides, cells * frame.core)
 
 
-def _frame_of(lattice: Lattice, shape: Shape) -> Frame:
+def _frame_of(lattice: Lattice, tile: Tile) -> Frame:
     """Return the tiles' frame.
 
     Parameters
     ----------
     lattice
         Its two shortest vectors t1, t2 span the minimum tile.
-    shape
+    tile
         ``"upright"``: the smallest upright rectangle around the minimum tile, laid along t1 + t2 in half steps, rows
         (t2 - t1) / 2 apart: what the paper does. ``"lattice"``: the same steps, and sides along t1 + t2 and t2 - t1:
         what the paper suggests; where t1 and t2 are equally long a rectangle, on an upright rhombic lattice the same
@@ -100,16 +114,26 @@ def _frame_of(lattice: Lattice, shape: Shape) -> Frame:
         steps along them.
     """
     t1, t2 = _basis(lattice)
-    if shape == "cell":
+    if tile == "cell":
         sides = _across_and_down(t1, t2)
         return Frame(sides / 2, sides, sides)
-    if shape == "rectangle":
+    if tile == "rectangle":
         sides = _across_and_down(2 * t1, t2)
         return Frame(sides / 2, sides, _across_and_down(t1, t2))
     sides, core = _across_and_down(t1 + t2, t2 - t1), np.stack([t1, t2])
-    if shape == "lattice":
+    if tile == "lattice":
         return Frame(sides / 2, sides, core)
     return Frame(sides / 2, np.diag(np.abs(core).sum(0)), core)
+
+
+def _without_gaps(lengths: Points) -> Points:
+    """Return the lengths of sides, some rounded up, whose pixels meet where tiles lie that far apart.
+
+    A tile has an odd number of pixels around its middle, and whole-pixel places may lie the next whole number apart. On
+    a rectangular lattice an upright tile is the minimum tile itself, and two such gaps would cross at its border.
+    """
+    whole = np.ceil(lengths - 1e-9)
+    return np.where(2 * np.floor(lengths / 2 + 1e-9) + 1 < whole, whole, lengths)
 
 
 def _across_and_down(first: Points, second: Points) -> Points:

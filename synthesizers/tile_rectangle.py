@@ -15,8 +15,8 @@ from nrbench.lattice.rectangle import Rectangle, free_rectangle, upright_rectang
 from nrbench.synthesis import Refused
 from nrbench.texture import Shape
 
-_WHOLE = 0.05
-"""A period this little, px, under a whole number is that number: none is measured better."""
+from .periods import WHOLE, require_two_periods
+
 _LEVELS = (0.0, 0.5, 1.0)
 """Shares of the tolerance: a rectangle is taken from the first at which one fits, an exact one where there is one."""
 _TURNED = 4
@@ -80,7 +80,7 @@ class TileFrame:
         return np.asarray(((at >= -1e-6) & (at <= np.array(shape[1::-1]) - 1 + 1e-6)).all(-1))
 
 
-def tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, scale_down: bool) -> TileFrame:
+def rectangle_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, scale_down: bool) -> TileFrame:
     """Return the frame of the smallest rectangular tile of a lattice for a sample of ``shape``.
 
     Of rectangles that are exact periods the smallest upright one counts, as in the paper, unless a turned one holds a
@@ -100,7 +100,7 @@ def tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, scale
     Refused
         Where the sample shows less than two periods, or holds no rectangle that repeats.
     """
-    _require_two_periods(lattice, shape)
+    require_two_periods(lattice, shape)
     lattice = lattice.canonical()
     found = _smallest(lattice, shape, tolerance)
     if found is None:
@@ -110,22 +110,12 @@ def tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, scale
         )
     periods = _nearest_upright(found.numbers @ lattice.matrix)
     lengths = np.hypot(*periods.T)
-    columns, rows = (int(length + _WHOLE) for length in lengths)
+    columns, rows = (int(length + WHOLE) for length in lengths)
     if min(rows, columns) < _LEAST_SIDE:
         raise Refused(f"the lattice repeats every {lengths.min():.2f} px: a tile of less than 2 px shows nothing")
     steps = periods / (np.array([[columns], [rows]]) if scale_down else lengths[:, np.newaxis])
     first, covered = _cover(steps, shape)
     return TileFrame(periods, (rows, columns), steps, first, covered, found.cells)
-
-
-def _require_two_periods(lattice: Lattice, shape: tuple[int, ...]) -> None:
-    extent = np.abs(lattice.canonical().matrix).max(0)
-    room = np.array(shape[1::-1], np.float64)
-    if (2 * extent > room + 2 * _WHOLE).any():
-        raise Refused(
-            f"the lattice reaches {extent[0]:.1f}x{extent[1]:.1f} px, the sample is {shape[1]}x{shape[0]} px: it shows "
-            "less than two periods"
-        )
 
 
 def _smallest(lattice: Lattice, shape: tuple[int, ...], tolerance: float) -> Rectangle | None:
@@ -144,7 +134,7 @@ def _smallest(lattice: Lattice, shape: tuple[int, ...], tolerance: float) -> Rec
 
 def _fits(found: Rectangle, lattice: Lattice, shape: tuple[int, ...]) -> bool:
     """Tell whether the box around the rectangle is no larger than the sample."""
-    return bool((np.abs(found.numbers @ lattice.matrix).sum(0) <= np.array(shape[1::-1]) + _WHOLE).all())
+    return bool((np.abs(found.numbers @ lattice.matrix).sum(0) <= np.array(shape[1::-1]) + WHOLE).all())
 
 
 def _nearest_upright(vectors: Points) -> Points:

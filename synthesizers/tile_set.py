@@ -13,10 +13,11 @@ from nrbench.lattice.consensus import Consensus
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
 
+from .periods import require_two_periods
 from .subpixel import fractions
 from .tile_anchor import By, anchored
 from .tile_canvas import Canvas, Stitch
-from .tile_frame import Frame, Shape, frame_of
+from .tile_frame import Frame, Tile, frame_of
 from .tile_stock import Cuts, Difference, Stock, complete
 from .tile_symmetry import pictures, upright
 
@@ -25,15 +26,20 @@ FINE: Final = 4
 COARSE: Final = 10.0
 """px; with s at least this long rounding to whole pixels misplaces a tile by at most 0.05 s along x and along y."""
 
+FEATHER: Final = 3.0
+"""px; the ramp where seams conflict, and what registration and feather may reach where s is less."""
+
 
 @dataclass(frozen=True)
 class TileSet:
     """Tile set (Liu, Tsin and Lin 2005, section 3.1): tiles drawn at random, laid over one another on the lattice.
 
     Two sets of maximum tiles are cut from the sample: T around the points of the lattice, Th around the points half-way
-    between. The output is laid with them in scan-line order, in half steps, T and Th in turn, from a random tile of T
-    at the top left; so each tile overlaps by half to three quarters with what stands. At every place the tiles of its
-    set that differ there by no more than a threshold are candidates; one is drawn, or the one that differs least is
+    between. (Tiles of shape ``cell`` have four sets: half-way along either vector, and along both; tiles of an even
+    number of ``cells`` have T alone.) The output is laid with them in scan-line order, in half steps, the sets in turn,
+    from a random tile of whichever set is due at its top left: it keeps the sample's phase, so that this is not always
+    T, as it is in the paper. Each tile overlaps by half to three quarters with what stands. At every place the tiles of
+    its set that differ there by no more than a threshold are candidates; one is drawn, or the one that differs least is
     taken where there is none. It is registered by correlation, stitched by dynamic programming along both directions,
     and blended where these conflict. Places are real-valued lattice points, so that nothing drifts.
 
@@ -42,19 +48,20 @@ class TileSet:
     The threshold comes from the differences between the tiles of the sample itself, over what a tile usually overlaps
     with: it is the least at which every tile, however odd, accepts the share ``quantile`` of the others of its set.
 
-    With no lattice given it finds one by ``consensus``.
+    With no lattice given it finds one by ``consensus``. The paper's own settings are ``tile=upright, slope=1,
+    difference=sum, parts=1, anchor=given`` and a ``threshold`` set by hand for the texture.
 
     Parameters
     ----------
-    shape
-        Of the maximum tiles. ``"upright"``: the smallest upright rectangle around the minimum tile (the paper).
+    tile
+        Shape of the maximum tiles. ``"upright"``: the smallest upright rectangle around the minimum tile (the paper).
         ``"lattice"``: sides along t1 + t2 and t2 - t1, the lattice's own coordinates (the paper's suggestion; on an
         upright rhombic lattice the same). ``"rectangle"``: sides 2 t1 and t2, t1 the shorter, laid along them.
         ``"cell"``: sides t1 and t2, the minimum tile, laid along them. ``"auto"``: the cell for rectangular and square
         lattices, where it is the smallest rectangle around the minimum tile, and where the sample holds nothing larger;
         else the lattice's.
     cells
-        Times that a tile's sides are lengthened, 1 or more (the paper: 1). A larger piece of the sample breaks fewer
+        Times that a tile's sides are lengthened, 1 to 64 (the paper: 1). A larger piece of the sample breaks fewer
         elements and takes less time, but the sample is copied on for longer; any tile of the lattice may be laid.
     quantile
         Share of the others that the oddest tile of the sample accepts, in [0, 1]; more draws more freely, less joins
@@ -64,20 +71,22 @@ class TileSet:
     difference
         What is compared with it: ``"mean"`` over the pixels of the overlap, or their ``"sum"`` (the paper's).
     registration
-        How far, px, a tile may be moved from its place; 0 does not register. None: 0.025 s, at most 1 px: where
-        stripes fit at any shift along themselves, tiles that each follow the one before would shift whole courses.
+        How far, px, at most s, a tile may be moved from its place; 0 does not register. None: 0.025 s, at most 1 px:
+        where stripes fit at any shift along themselves, tiles that each follow the one before would shift whole
+        courses. Less than half a part of a pixel moves nothing: so it is by default where s is 10 to 20 px.
     parts
-        Tiles are placed to whole pixels (1), or to halves, thirds, ... of them, interpolated by splines of order 5.
-        None: quarters where s is under 10 px; else whole pixels, so that all is copied and no noise is smoothed.
+        Tiles are placed to whole pixels (1), or to halves, thirds, ... 16ths, interpolated by splines of order 5. None:
+        quarters where s is under 10 px; else whole pixels, so that all is copied and no noise is smoothed.
         Without meaning where both vectors are whole pixels.
     stitch
         ``"dynamic"``: two seams by dynamic programming, blended where they conflict (the paper). ``"graphcut"``: the
         exact minimum cut of the overlap, by differences over gradients (Kwatra et al. 2003, section 5); neither slope
         nor feather count then. It breaks fewer elements where outlines enclose a cell, and copies on for longer.
     slope
-        How far, px, a seam may move aside from one row to the next (Efros and Freeman: 1). More lets it follow joints.
+        How far, px, a seam may move aside from one row to the next, 1 to 64 (Efros and Freeman: 1). More lets it follow
+        joints.
     feather
-        Width in px of the ramp where the two seams conflict; 0 cuts.
+        Width in px, at most s, of the ramp where the two seams conflict; 0 cuts.
     anchor
         ``"quiet"``: as above; ``"elements"``: where tiles differ most, so that a tile of T shows an element whole and
         seams can pass along joints; ``"given"``: at the lattice's origin.
@@ -85,7 +94,7 @@ class TileSet:
         Also take the tiles of the sample mirrored or turned, where that leaves its mean tile what it is (section 4.4).
     """
 
-    shape: Shape | Literal["auto"] = "auto"
+    tile: Tile | Literal["auto"] = "auto"
     cells: int = 1
     quantile: float = 0.5
     threshold: float | None = None
@@ -94,7 +103,7 @@ class TileSet:
     parts: int | None = None
     stitch: Stitch = "dynamic"
     slope: int = 4
-    feather: float = 3.0
+    feather: float = FEATHER
     anchor: By | Literal["given"] = "quiet"
     symmetry: bool = False
 
@@ -114,14 +123,16 @@ class TileSet:
     def __post_init__(self) -> None:
         if not 0 <= self.quantile <= 1:
             raise BadInput(f"quantile {self.quantile}; choose from 0 to 1")
-        for name in ("threshold", "registration", "feather"):
+        if self.threshold is not None and not self.threshold >= 0:
+            raise BadInput(f"threshold {self.threshold}; choose 0 or more")
+        for name in ("registration", "feather"):
             value = getattr(self, name)
-            if value is not None and not value >= 0:
-                raise BadInput(f"{name} {value}; choose 0 or more")
-        for name in ("cells", "parts", "slope"):
+            if value is not None and not 0 <= value < np.inf:
+                raise BadInput(f"{name} {value}; choose 0 or more px, at most s")
+        for name, most in (("cells", 64), ("parts", 16), ("slope", 64)):
             value = getattr(self, name)
-            if value is not None and value < 1:
-                raise BadInput(f"{name} {value}; choose 1 or more")
+            if value is not None and not 1 <= value <= most:
+                raise BadInput(f"{name} {value}; choose from 1 to {most}")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`TileSet`.
@@ -129,15 +140,23 @@ class TileSet:
         Raises
         ------
         Refused
-            When no lattice is found, or the sample does not hold two periods and a complete tile of both sets.
+            When no lattice is found, when the sample does not show two periods, or not a complete tile of each set and
+            two of one, or when registration or feather is larger than s.
         """
         found = find_lattice(task, Consensus())
         if found.lattice is None:
             raise Refused(f"no lattice found ({found.reason}): there are no tiles")
+        self._require_within_s(found.lattice.s)
         laying = _Laying(self, task, found.lattice)
         laying.lay_all()
         image, source = laying.canvas.picture()
         return Synthesis(image, found.lattice, source, detection_seconds=found.seconds)
+
+    def _require_within_s(self, s: float) -> None:
+        most = max(s, FEATHER)
+        for name, value in (("registration", self.registration or 0), ("feather", self.feather)):
+            if value > most:
+                raise Refused(f"{name} {value:g} px reaches farther than s, {s:.1f} px; choose at most {most:.1f}")
 
 
 class _Laying:
@@ -171,10 +190,10 @@ class _Laying:
     def numbers(self) -> NDArray[np.int64]:
         """Return (i, j) of every tile that touches the output, ``(n, 2)``: step in the row and row; in laying order."""
         height, width = self.task.shape
-        across, down = self.frame.steps
-        steps = Lattice(_pair(across), _pair(down), self.lattice.origin)
-        low, high = -self.frame.reach - 1, np.array([width, height]) + self.frame.reach
-        numbers = steps.cell_numbers(_pair(low), _pair(high))
+        steps = Lattice.from_basis(self.frame.steps, self.lattice.origin)
+        x, y = self.frame.reach.tolist()
+        low, high = (-x - 1, -y - 1), (width + x, height + y)
+        numbers = steps.cell_numbers(low, high)
         places = steps.from_cell(numbers)
         numbers = numbers[((places > low) & (places < high)).all(1)]
         return np.asarray(numbers[np.lexsort(numbers.T)])
@@ -201,31 +220,25 @@ class _Laying:
 
 def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Lattice]:
     """Return the tiles' frame, and the lattice anchored for it."""
-    shapes: list[Shape] = [method.shape] if method.shape != "auto" else _shapes(lattice)
-    for shape in shapes:
-        frame = frame_of(lattice, shape, method.cells)
+    require_two_periods(lattice, task.sample.shape)
+    for tile in _tiles(lattice) if method.tile == "auto" else [method.tile]:
+        frame = frame_of(lattice, tile, method.cells)
         at = lattice if method.anchor == "given" else anchored(task.sample, lattice, frame, method.anchor)
-        tiles = [
-            len(complete(at.shifted(_pair(offset)), frame, task.sample.shape))
-            for offset in (0 * frame.steps[0], frame.steps[0])
-        ]
-        if all(tiles) and sum(tiles) > 2:
+        offsets = np.array(frame.distinct(lattice)) @ frame.steps
+        tiles = [len(complete(at.shifted((x, y)), frame, task.sample.shape)) for x, y in offsets.tolist()]
+        if all(tiles) and max(tiles) > 1:
             return frame, at
     height, width, _ = task.sample.shape
     across, down = 2 * frame.reach
     raise Refused(
-        f"a tile takes {across:.0f}x{down:.0f} px, the sample is {width}x{height} px: it holds no complete tile, "
-        "or not two periods"
+        f"a tile takes {across:.0f}x{down:.0f} px, the sample is {width}x{height} px: it does not hold "
+        "a complete tile of each set and two of one"
     )
 
 
-def _shapes(lattice: Lattice) -> list[Shape]:
+def _tiles(lattice: Lattice) -> list[Tile]:
     return ["cell"] if lattice.kind in ("rectangular", "square") else ["lattice", "cell"]
 
 
 def _whole(lattice: Lattice) -> bool:
     return bool(np.abs(lattice.matrix - np.rint(lattice.matrix)).max() < 1e-6)
-
-
-def _pair(vector: Points) -> tuple[float, float]:
-    return float(vector[0]), float(vector[1])

@@ -77,7 +77,7 @@ class Stock:
     def middles(self, i: int, j: int) -> tuple[NDArray[np.int64], Points]:
         """Return picture and middle (x, y) of every complete tile like the one at row step i and column step j.
 
-        With i + j even that is the set T, else the half-way shifted set Th (section 3.1).
+        With i and j even that is the set T; see :meth:`~nrbench.synthesizers.tile_frame.Frame.distinct` for the others.
         """
         offset = np.array([i % 2, j % 2]) @ self.frame.steps
         found = [complete(lattice.shifted(tuple(offset)), self.frame, self.source.shape) for lattice in self.lattices]
@@ -139,16 +139,16 @@ class Stock:
         these, the largest. With one quantile over all pairs, only its own continuation would follow the oddest tile,
         and the sample be copied on and on. Infinite where no set holds two.
         """
-        steps, found = self._usual_overlap(), [0.0]
-        for shift in (0, 1):
-            pictures, middles = self.middles(shift, 0)
+        steps, found = self._usual_overlap(), []
+        for number in self.frame.distinct(self.lattices[0]):
+            pictures, middles = self.middles(*number)
             cuts = self.cut(pictures[pictures == 0], middles[pictures == 0])
             cuts = cuts.take(np.unique(np.linspace(0, len(cuts.copy) - 1, MOST).astype(np.int64)))
             for n, (copy, first) in enumerate(self._flat(cuts)):
                 values = self.source.values[copy][first + steps[:, np.newaxis] + np.arange(self.source.shape[2])]
                 others = np.delete(self.differences(Overlap.of(values, steps), cuts), n)
-                found.append(float(np.quantile(others, quantile)) if len(others) else np.inf)
-        return max(found) / (len(steps) if difference == "mean" else 1)
+                found += [float(np.quantile(others, quantile))] if len(others) else []
+        return max(found, default=np.inf) / (len(steps) if difference == "mean" else 1)
 
     def _usual_overlap(self) -> NDArray[np.int64]:
         """Return the steps, from a tile's middle, of the pixels in its left and its upper half."""

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from nrbench import plugins
+from nrbench import api, plugins
 from nrbench.errors import BadInput
 from nrbench.parameters import parse_spec, validated
 
@@ -18,6 +22,16 @@ def test_every_plugin_of_ours_works(kind: str) -> None:
     """Each registered plugin loads, fits its form, and has a docstring."""
     assert plugins.inventory(kind)
     assert [plugin.error for plugin in plugins.inventory(kind) if plugin.error] == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "call"),
+    [("datasets", api.texture), ("detectors", api.detect_lattice), ("synthesizers", api.synthesize)],
+)
+def test_names_taken_by_the_call_are_those_of_its_arguments(kind: str, call: Callable[..., Any]) -> None:
+    """No parameter can be called like an argument of the Python call that takes it."""
+    own = {name for name, one in inspect.signature(call).parameters.items() if one.kind is not one.VAR_KEYWORD}
+    assert set(plugins.FORMS[kind].taken) == own
 
 
 def test_an_unknown_name_names_the_nearest() -> None:
@@ -109,6 +123,11 @@ FILES = {
     HEAD + "@dataclass\nclass X:\n    'Page.'\n    def synthesize(self, task): ...": "is not frozen",
     FROZEN + "class X:\n    'Page.'\n    def synthesize(self): ...": "must take self and 1 argument",
     FROZEN + "class X:\n    def synthesize(self, task): ...": "has no docstring",
+    FROZEN
+    + "class X:\n    'Page.'\n    shape: str = 'x'\n    def synthesize(self, task): ...": "rename it (taken: method",
+    FROZEN + "class X:\n    'Page.'\n    seed: int = 0\n    def render(self, s, r): ...": "rename it (taken: model",
+    FROZEN + "class X:\n    'Page.'\n    image: int = 0\n    def detect(self, i): ...": "rename it (taken: image",
+    FROZEN + "class X:\n    'Page.'\n    size: int\n    def detect(self, i): ...": "'size' has no default",
     FROZEN + "class X:\n    'Page.'\n    def score(self, o): ...": "declares no columns",
     FROZEN + "class X:\n    'Page.'\n    def render(self, s, r): ...": "lacks the method again",
     FROZEN + "class Rsgf:\n    'Page.'\n    def synthesize(self, t): ...": "the name 'rsgf' is taken",
@@ -122,6 +141,6 @@ def test_a_file_that_holds_no_plugin_says_what_is_missing(text: str, tmp_path: P
     """Each way to miss a plugin's form is answered with what to change, and nothing is registered."""
     file = tmp_path / "mine.py"
     file.write_text(text)
-    with pytest.raises(BadInput, match=FILES[text].replace("(", r"\(")):
+    with pytest.raises(BadInput, match=re.escape(FILES[text])):
         plugins.add_file(file)
     assert str(file) not in plugins.files()

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
 from nrbench.synthesis import Refused
-from nrbench.synthesizers.tile_rectangle import pixel_grid, tile_frame
+from nrbench.synthesizers.tile_rectangle import pixel_grid, rectangle_frame
 
 SHAPE = (128, 150, 3)
 
@@ -24,7 +24,7 @@ def test_periods_are_lattice_vectors_at_nearly_a_right_angle(
         (other * math.cos(turn + angle), other * math.sin(turn + angle)),
     )
     try:
-        frame = tile_frame(lattice, SHAPE, tolerance, scale_down=True)
+        frame = rectangle_frame(lattice, SHAPE, tolerance, scale_down=True)
     except Refused as refusal:
         assert "less than two periods" in refusal.reason or "larger than the sample" in refusal.reason
         return
@@ -40,11 +40,11 @@ def test_periods_are_lattice_vectors_at_nearly_a_right_angle(
 
 def test_the_scaled_image_covers_the_sample_and_no_more() -> None:
     """Its pixels lie on the sample up to its last row and column; turned, the corners of its box lie outside."""
-    upright = tile_frame(Lattice((21.37, 0), (0, 18.81)), SHAPE, 0.1, scale_down=True)
+    upright = rectangle_frame(Lattice((21.37, 0), (0, 18.81)), SHAPE, 0.1, scale_down=True)
     at = upright.to_sample(pixel_grid(upright.shape))
     assert upright.first == (0, 0) and upright.holds(pixel_grid(upright.shape), SHAPE).all()
     assert (np.array([149, 127]) - at[-1, -1] < upright.steps.max()).all()
-    turned = tile_frame(Lattice((20, 6), (-6, 20)), SHAPE, 0.1, scale_down=True)
+    turned = rectangle_frame(Lattice((20, 6), (-6, 20)), SHAPE, 0.1, scale_down=True)
     inside = turned.holds(pixel_grid(turned.shape), SHAPE)
     assert inside.sum() == pytest.approx(149 * 127 / abs(np.linalg.det(turned.steps)), rel=0.01) and not inside.all()
 
@@ -52,17 +52,17 @@ def test_the_scaled_image_covers_the_sample_and_no_more() -> None:
 def test_a_period_just_under_a_whole_number_is_that_number() -> None:
     """29.97 px are 30, not 29; 29.9 px are 29: what is measured no better does not shrink a tile by a pixel."""
     for period, pixels in ((29.97, 30), (29.9, 29), (30.0, 30), (30.9, 30)):
-        assert tile_frame(Lattice((period, 0), (0, 20)), SHAPE, 0.1, scale_down=True).size == (20, pixels)
+        assert rectangle_frame(Lattice((period, 0), (0, 20)), SHAPE, 0.1, scale_down=True).size == (20, pixels)
 
 
 def test_without_scale_down_steps_are_pixels_long() -> None:
     """The tile keeps the sample's scale, turned or not."""
     for lattice in (Lattice((21.37, 0), (0, 18.81)), Lattice((20.2, 6.1), (-6.1, 20.2))):
-        assert tile_frame(lattice, SHAPE, 0.1, scale_down=False).scale == pytest.approx((1, 1))
-    assert tile_frame(Lattice((21.37, 0), (0, 18.81)), SHAPE, 0.1, scale_down=False).plain
+        assert rectangle_frame(lattice, SHAPE, 0.1, scale_down=False).scale == pytest.approx((1, 1))
+    assert rectangle_frame(Lattice((21.37, 0), (0, 18.81)), SHAPE, 0.1, scale_down=False).plain
 
 
 def test_patterns_finer_than_two_pixels_are_refused() -> None:
     """A tile of a pixel's width shows nothing."""
     with pytest.raises(Refused, match="less than 2 px"):
-        tile_frame(Lattice((1.5, 0), (0, 20)), SHAPE, 0.1, scale_down=True)
+        rectangle_frame(Lattice((1.5, 0), (0, 20)), SHAPE, 0.1, scale_down=True)

@@ -4,20 +4,17 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import stats
 
-from nrbench.errors import BadInput
 from nrbench.imaging.door import Image, quantize, to_bytes
-from nrbench.lattice.detection import NoLatticeFound
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.synthesis import Synthesis, Task
 from nrbench.synthesizers.tile_set import TileSet, _Laying
 
 TURNED = math.radians(7)
 FRACTIONAL = Lattice(
     (21.37 * math.cos(TURNED), 21.37 * math.sin(TURNED)), (-18.81 * math.sin(TURNED), 18.81 * math.cos(TURNED))
 )
-SHAPES = ["auto", "upright", "lattice", "rectangle", "cell"]
+TILES = ["auto", "upright", "lattice", "rectangle", "cell"]
 LATTICES = [
     Lattice((30, 0), (0, 24)),
     Lattice((15, 12), (15, -12)),
@@ -61,13 +58,13 @@ def misplacement(made: Synthesis, lattice: Lattice) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("lattice", LATTICES)
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("channels", [1, 3])
-def test_a_whole_pixel_lattice_is_continued_exactly(lattice: Lattice, shape: Any, channels: int) -> None:
+def test_a_whole_pixel_lattice_is_continued_exactly(lattice: Lattice, tile: Any, channels: int) -> None:
     """On a perfectly periodic sample the output is the periodic continuation, phase included, to the bit."""
     picture = periodic((160, 300), lattice, channels)
     for size in ((160, 200), (1, 300), (150, 1), (9, 5)):
-        made = synthesize(TileSet(shape=shape), picture[:128, :128], size, lattice)
+        made = synthesize(TileSet(tile=tile), picture[:128, :128], size, lattice)
         np.testing.assert_array_equal(to_bytes(made.image), to_bytes(picture[: size[0], : size[1]]))
 
 
@@ -84,7 +81,7 @@ def test_larger_tiles_are_fewer() -> None:
     """Tiles of 2 x 2 cells are laid in twice the steps, and as many of the sample's points are middles as fit."""
     lattice, sample = Lattice((20, 5), (-4, 22)), noise(160, 160)
     task = Task(sample, (400, 400), lattice, np.random.default_rng(0))
-    small, large = (_Laying(TileSet(shape="cell", cells=cells), task, lattice) for cells in (1, 2))
+    small, large = (_Laying(TileSet(tile="cell", cells=cells), task, lattice) for cells in (1, 2))
     np.testing.assert_allclose(large.frame.steps, 2 * small.frame.steps)
     assert len(large.numbers()) < 0.4 * len(small.numbers())
     assert len(large.sets[0, 0][1]) > 20
@@ -94,7 +91,7 @@ def test_the_minimum_cut_keeps_to_the_overlap() -> None:
     """Of one tile laid over noise the cut shows all where nothing stood, and nothing of the outermost pixels else."""
     lattice, sample = Lattice((20, 0), (0, 20)), noise(120, 120)
     task = Task(sample, (60, 60), lattice, np.random.default_rng(0))
-    laying = _Laying(TileSet(shape="cell", stitch="graphcut", registration=0), task, lattice)
+    laying = _Laying(TileSet(tile="cell", stitch="graphcut", registration=0), task, lattice)
     canvas, cuts = laying.canvas, laying.stock.cut(*laying.sets[0, 0])
     canvas.lay(40, 40, cuts.take(np.array([0])))
     before = canvas.values.copy()
@@ -110,7 +107,7 @@ def test_the_minimum_cut_keeps_to_the_overlap() -> None:
 def test_the_difference_of_the_paper_continues_exactly_too(lattice: Lattice) -> None:
     """With the raw sum, Efros and Freeman's seams, no blending, no registration, nothing changes on such a sample."""
     picture = periodic((160, 160), lattice)
-    method = TileSet(difference="sum", slope=1, feather=0, registration=0, shape="upright", anchor="given")
+    method = TileSet(difference="sum", slope=1, feather=0, registration=0, tile="upright", anchor="given")
     made = synthesize(method, picture[:128, :128], (160, 160), lattice)
     np.testing.assert_array_equal(to_bytes(made.image), to_bytes(picture))
 
@@ -132,35 +129,6 @@ def test_a_fractional_lattice_does_not_drift(parts: int | None) -> None:
     assert off[-256:, -256:].mean() == pytest.approx(off[:256, :256].mean(), rel=0.15)
 
 
-def test_the_random_choice_is_uniform_over_the_candidates() -> None:
-    """The first tile is drawn equally often from all of T; with a threshold of everything, so is the next one."""
-    sample, lattice = noise(60, 60, 1), Lattice((14, 0), (0, 14))
-    drawn: list[list[tuple[int, int]]] = [[], []]
-    everything = TileSet(threshold=1e9, registration=0, shape="lattice")
-    for seed in range(1500):
-        laying = _Laying(everything, Task(sample, (8, 8), lattice, np.random.default_rng(seed)), lattice)
-        for which, (i, j) in enumerate(laying.numbers()[:2].tolist()):
-            laying._lay(i, j, laying.lattice.origin + np.array([i, j]) @ laying.frame.steps, 1e9)
-            middle = laying.canvas.margin + np.rint(laying.lattice.origin + np.array([i, j]) @ laying.frame.steps)
-            x, y = middle.astype(int) + laying.frame.box[1] // 2 * (1, 0)
-            drawn[which].append(tuple(laying.canvas.origins[y, x, :2].astype(int).tolist()))
-    for places, (i, j) in zip(drawn, laying.numbers()[:2].tolist(), strict=True):
-        counts = {place: places.count(place) for place in set(places)}
-        assert len(counts) == len(laying.sets[i % 2, j % 2][1])
-        assert stats.chisquare(list(counts.values())).pvalue > 1e-3
-
-
-def test_candidates_differ_by_no_more_than_the_threshold() -> None:
-    """With a threshold of 0 only the best tile follows: the sample is continued where it can be, without a seam."""
-    sample, lattice = noise(100, 100), Lattice((20, 0), (0, 16))
-    made = synthesize(TileSet(threshold=0, registration=0, anchor="given"), sample, (40, 40), lattice)
-    assert made.source is not None
-    run = np.abs(np.diff(made.source[..., 0], axis=1) - 1) < 0.1
-    loose = synthesize(TileSet(threshold=1e9, registration=0, anchor="given"), sample, (40, 40), lattice)
-    assert loose.source is not None
-    assert run.mean() > (np.abs(np.diff(loose.source[..., 0], axis=1) - 1) < 0.1).mean() + 0.02
-
-
 def test_the_same_seed_gives_the_same_bytes() -> None:
     """Equal tasks give equal outputs and maps; another seed gives another output."""
     sample = noise(90, 90)
@@ -172,7 +140,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 
 @pytest.mark.parametrize(
-    "method", [TileSet(), TileSet(parts=4), TileSet(shape="upright"), TileSet(feather=0), TileSet(stitch="graphcut")]
+    "method", [TileSet(), TileSet(parts=4), TileSet(tile="upright"), TileSet(feather=0), TileSet(stitch="graphcut")]
 )
 def test_the_map_points_at_what_was_copied(method: TileSet) -> None:
     """Pixels of weight 1 are the sample's, every pixel has a source inside it, and most weights are large."""
@@ -212,7 +180,7 @@ def test_the_anchor_keeps_borders_off_the_detail() -> None:
     motif[4:12, 18:26] = noise(8, 8)
     picture = quantize(np.tile(motif, (5, 5, 1)))
     task = Task(picture, (40, 40), lattice, np.random.default_rng(0))
-    laying = _Laying(TileSet(shape="cell"), task, lattice)
+    laying = _Laying(TileSet(tile="cell"), task, lattice)
     spot = np.array([21.5, 7.5])
     away = np.abs((spot - laying.lattice.origin + 8) % 16 - 8)
     assert (away > 3).all()
@@ -226,26 +194,8 @@ def test_elements_are_shown_whole_by_t() -> None:
         row, column = np.array(place) * 32
         picture[row + 4 : row + 20, column + 10 : column + 26] = color
     task = Task(quantize(picture), (40, 40), lattice, np.random.default_rng(0))
-    laying = _Laying(TileSet(shape="cell", anchor="elements"), task, lattice)
+    laying = _Laying(TileSet(tile="cell", anchor="elements"), task, lattice)
     assert np.abs(lattice.wrap(np.subtract(laying.lattice.origin, (17.5, 11.5)))).max() <= 2
-
-
-def test_the_oddest_tile_accepts_half_of_the_others() -> None:
-    """The threshold is the largest, over the tiles, of the medians of their differences from the others."""
-    sample, lattice = noise(70, 70, 1), Lattice((16, 0), (0, 16))
-    sample[:16, :16] = 1
-    laying = _Laying(
-        TileSet(shape="cell", anchor="given"), Task(sample, (9, 9), lattice, np.random.default_rng(0)), lattice
-    )
-    x, y, row, column, _ = laying.frame.pixels.T
-    covered = (row < 8) | (column < 8)
-    medians = []
-    for shift in (0, 1):
-        middles = laying.stock.cut(*laying.sets[shift, 0]).pixel
-        cut = np.stack([to_bytes(sample)[y0 + y[covered], x0 + x[covered], 0] for x0, y0 in middles]).astype(float)
-        apart = np.abs(cut[:, np.newaxis] - cut).mean(-1)
-        medians += [np.median(np.delete(line, n)) for n, line in enumerate(apart)]
-    assert laying.stock.threshold(0.5, "mean") == pytest.approx(max(medians))
 
 
 def test_progress_rises_to_one() -> None:
@@ -256,44 +206,8 @@ def test_progress_rises_to_one() -> None:
     assert told[-1] == 1
 
 
-def test_samples_that_hold_too_little_are_refused() -> None:
-    """Without a complete tile of both sets, or under two periods, the reason tells sizes."""
-    for size in ((30, 128), (128, 30), (40, 40)):
-        with pytest.raises(Refused, match="holds no complete tile, or not two periods"):
-            synthesize(TileSet(), noise(*size), (64, 64), Lattice((33, 0), (0, 35)))
-
-
-def test_no_lattice_no_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the detector finds none, the method refuses and passes the reason on."""
-
-    def none(self: object, image: Image) -> None:
-        raise NoLatticeFound("nothing repeats")
-
-    monkeypatch.setattr("nrbench.synthesizers.tile_set.Consensus.detect", none)
-    with pytest.raises(Refused, match="nothing repeats"):
-        synthesize(TileSet(), noise(60, 60), (64, 64), None)
-
-
 def test_it_finds_a_lattice_itself() -> None:
     """With none given it detects one, uses it and says what that took."""
     made = synthesize(TileSet(), quantize(waves((96, 96), FRACTIONAL)), (100, 100), None)
     assert made.lattice is not None and made.lattice.is_equivalent(FRACTIONAL, 0.3)
     assert made.detection_seconds > 0
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"quantile": 1.2},
-        {"threshold": -1.0},
-        {"registration": -1.0},
-        {"feather": -1.0},
-        {"parts": 0},
-        {"slope": 0},
-        {"cells": 0},
-    ],
-)
-def test_bad_parameters_are_refused(wrong: dict[str, Any]) -> None:
-    """The error says what to choose."""
-    with pytest.raises(BadInput, match="choose"):
-        TileSet(**wrong)
