@@ -11,6 +11,7 @@ import numpy as np
 
 from nrbench.synthesis import Column, Observation, Score, Value
 
+from . import limits
 from .defect_map import defect_map
 from .judgement import Judgement, judge, obstacle
 from .own_lattice import spread
@@ -146,7 +147,7 @@ def _placements(judgement: Judgement) -> dict[str, Value]:
 
 def _lattice(judgement: Judgement) -> dict[str, Value]:
     """Return the output's own lattice beside the true one: the model's, or the given one as fitted to the sample."""
-    own = judgement.own
+    own = judgement.own if judgement.structure >= limits.STRUCTURE else None
     error = own.error(judgement.yardstick.lattice, judgement.output.image.shape[:2]) if own else None
     return {
         "drift": 100 * float(np.linalg.norm(spread(judgement.drift) - np.eye(2), 2)) if error else None,
@@ -170,6 +171,8 @@ def _reason(name: str, judgement: Judgement) -> str:
         return "not measured: no course of two whole tiles"
     if name == "structure_spread":
         return "not measured: the windows of the reference hardly differ"
+    if judgement.structure < limits.STRUCTURE:
+        return f"not measured: windows show {max(judgement.structure, 0):.0%} of the structure of the references'"
     if judgement.own is None:
         return "not measured: fewer than 3 x 3 windows"
     return f"not measured: only {judgement.own.followers:.0%} of the windows lie on one lattice"
