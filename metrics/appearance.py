@@ -78,7 +78,7 @@ class Appearance:
     def score(self, observation: Observation) -> Score:
         """Return the scores, and the picture ``seam``: the line that stands out most."""
         output, references = observation.output, reference_images(observation)
-        lattice = observation.truth.lattice if observation.truth else None
+        lattice = _repeated(observation)
         values: dict[str, Value] = dict(_distributions(output, references))
         reasons: dict[str, str] = {}
         width = _window(lattice, min(min(image.shape[:2]) for image in (output, *references)))
@@ -97,6 +97,13 @@ class Appearance:
         pictures = {} if line is None else {"seam": line_map(output, line)}
         records = {"reference": "sample" if references[0] is observation.sample else "fresh draws"}
         return Score({name: values[name] for name in self.columns}, reasons, pictures, records)
+
+
+def _repeated(observation: Observation) -> Lattice | None:
+    """Return the lattice where sample and output hold two cells along each side: else all would be regular."""
+    lattice = observation.truth.lattice if observation.truth else None
+    room = np.minimum(observation.sample.shape[1::-1], observation.output.shape[1::-1])
+    return lattice if lattice is not None and (2 * tile_box(lattice.canonical()) <= room).all() else None
 
 
 def reference_images(observation: Observation) -> list[Image]:

@@ -34,19 +34,6 @@ def course_gains(tiles: Tiles) -> Ratios:
     return gains
 
 
-def course_displacement(tiles: Tiles) -> float | None:
-    """Return the largest displacement px that the tiles of one course share (their median); None without courses."""
-    at = np.rint(2 * tiles.lattice.to_cell(tiles.centers)).astype(np.intp)
-    found = []
-    for direction in _DIRECTIONS:
-        key = at @ direction
-        order = np.argsort(key, kind="stable")
-        ends = np.flatnonzero(np.diff(key[order])) + 1
-        courses = (some for some in np.split(tiles.moved[order], ends) if len(some) >= _LEAST_TILES)
-        found += [float(np.hypot(*np.median(some, 0))) for some in courses]
-    return max(found, default=None)
-
-
 def course_suspicion(tiles: Tiles, references: list[Tiles]) -> Ratios:
     """Return, for each tile, how far the worst of its courses exceeds its limits: above 1 the course has slid.
 

@@ -145,7 +145,7 @@ def _ratios(
         return dict.fromkeys(names, f"not measured: no part of output and {which} alike holds enough tiles")
     sizes = [math.sqrt(float(np.mean([field.amplitude**2 for field in fields]))) for fields in (one, other)]
     if sizes[1] < LEAST_AMPLITUDE * other[0].lattice.s:
-        return dict.fromkeys(names, f"not applicable: the {which} is hardly deformed")
+        return dict.fromkeys(names, f"not applicable: hardly any deformation in the {which}")
     lengths = [_typical(fields) for fields in (one, other)]
     if lengths[0] is None or lengths[1] is None:
         long = "not measured: displacements are too small, or correlate across the whole part"

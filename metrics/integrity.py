@@ -59,7 +59,7 @@ class Integrity:
         """Return the scores, and two pictures: the ``broken`` tiles in their places, and the ``worst`` of them."""
         judgement = judge(observation)
         if judgement is None or obstacle(judgement):
-            return no_score(self.columns, obstacle(judgement))
+            return no_score(self.columns, obstacle(judgement, observation))
         broken = find_broken(judgement, observation.sample, observation.again)
         if isinstance(broken, str):
             return no_score(self.columns, broken)

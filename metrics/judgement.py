@@ -17,13 +17,13 @@ from .courses import course_suspicion
 from .known_lattice import NO_LATTICE, known_lattice
 from .look import Look, look_at_references
 from .own_lattice import OwnLattice, own_lattice
-from .periodic import TOLERANCE
+from .periodic import TOLERANCE, WINDOW_TILES, window_shape
 from .placement import affine_part, place
 from .scatter import neighborhood_suspicion, scatter_suspicion
 from .single_tiles import breakage_suspicion, displacement_suspicion, elsewhere_suspicion
 from .strips import strip_suspicion
 from .tiles import Tiles, inspect
-from .yardstick import Yardstick, yardstick
+from .yardstick import LATTICE_UNCERTAINTY, Yardstick, yardstick
 
 Flags = NDArray[np.bool_]
 Ratios = NDArray[np.float64]
@@ -201,6 +201,11 @@ class Judgement:
         return ""
 
     @property
+    def unsure(self) -> bool:
+        """Whether the lattice was given for a sample in which the judge is blind: it may as well be a wrong one."""
+        return self.yardstick.source == "sample" and bool(self.blindness)
+
+    @property
     def preserved(self) -> bool | None:
         """The verdict: True, False, or None where nothing is seen and nothing would be."""
         if min(self.output.placement.grid) < limits.LEAST_WINDOWS:
@@ -211,10 +216,11 @@ class Judgement:
 
     @property
     def intact(self) -> bool | None:
-        """The verdict on single tiles: True, False, or None where one bad tile might not be seen."""
+        """The verdict on single tiles: True, False, or None where one bad tile might not be seen, or all are."""
         if bool(self.bad.any()):
             return False
-        return None if self.blindness or self.yardstick.regular_share < limits.SINGLE_TILE_SHARE else True
+        blind = self.blindness or self.preserved is False or self.yardstick.regular_share < limits.INTACT_SHARE
+        return None if blind else True
 
     @cached_property
     def worst_neighborhood(self) -> float:
@@ -242,11 +248,24 @@ class Judgement:
 def obstacle(judgement: Judgement | None, observation: Observation | None = None) -> str:
     """Return why nothing can be measured; empty where something can."""
     if judgement is None:
-        return known_lattice(observation).reason if observation is not None else NO_LATTICE
+        return (known_lattice(observation).reason or _too_small(observation)) if observation else NO_LATTICE
+    if judgement.yardstick.regular_share < limits.NO_SHARE:
+        return f"undecided: the lattice explains {judgement.yardstick.regular_share:.0%} of the sample's variance"
     for name, looks in (("output", (judgement.output,)), (judgement.yardstick.source, judgement.references)):
         if not all(len(look.placement.corners) and look.tiles.whole.any() for look in looks):
             return f"undecided: the {name} is smaller than a window of 2 tiles"
     return ""
+
+
+def _too_small(observation: Observation) -> str:
+    """Return which picture is smaller than a window; empty where none is. Large lattices cost much, and say nothing."""
+    lattice = known_lattice(observation).lattice
+    if lattice is None:
+        return ""
+    pictures = {"output": observation.output} | ({} if observation.again else {"sample": observation.sample})
+    window = np.array(window_shape(lattice.canonical(), WINDOW_TILES)) * (1 - LATTICE_UNCERTAINTY)
+    small = [name for name, picture in pictures.items() if (picture.shape[:2] < window).any()]
+    return f"undecided: the {small[0]} is smaller than a window of 2 tiles" if small else ""
 
 
 _LAST: list[tuple[Observation, Judgement | None]] = []
@@ -260,7 +279,7 @@ def judge(observation: Observation) -> Judgement | None:
     for seen, judgement in _LAST:
         if all(getattr(seen, name) is getattr(observation, name) for name in ("sample", "output", "truth", "again")):
             return judgement
-    measure = yardstick(observation)
+    measure = None if _too_small(observation) else yardstick(observation)
     found = None if measure is None else compare(observation.output, measure, look_at_references(measure))
     _LAST[:] = [(observation, found)]
     return found

@@ -21,6 +21,9 @@ FIT_FLOOR = 0.6
 """A broken tile's NCC, or its slope, is below this share of the references' median."""
 SINGLE_TILE_SHARE = 0.6
 """Regular share from which a single tile is looked for with :data:`TILE_SURPRISE`."""
+INTACT_SHARE = 0.85
+"""Regular share from which a tile that is not seen is not there: at 0.93 all bad tiles of 0.3 s or more are called
+lost, at 0.8 a covered one is missed in one image of six, at 0.7 in four of ten."""
 FAINT_TILE_SURPRISE = 20.0
 """The same below that share, where single tiles of fresh draws fit by chance elsewhere."""
 NEIGHBORHOOD_SURPRISE = 8.0
@@ -45,6 +48,8 @@ STRUCTURE = 0.5
 """Structure, as a share of the references', below which regularity is lost; too much of it is the other peril's."""
 LEAST_SHARE = 0.35
 """Regular share below which only what is gross counts."""
+NO_SHARE = 0.05
+"""Regular share below which there is nothing to follow: chance explains as much."""
 LEAST_WINDOWS = 3
 """Windows along each side below which nothing seen does not mean nothing there."""
 REFERENCE_MISPLACED = 0.03

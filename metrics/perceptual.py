@@ -67,8 +67,9 @@ class Perceptual:
 
 def _missing() -> str:
     """Return what is not there; empty where all is."""
-    if find_spec("piq") is None:
-        return "piq is not installed: pip install 'nrbench[perceptual]'"
+    absent = [name for name in ("torch", "piq") if find_spec(name) is None]
+    if absent:
+        return f"{' and '.join(absent)}: not installed; pip install 'nrbench[perceptual]'"
     folder = Path(torch.hub.get_dir()) / "checkpoints"
     absent = [name for name in WEIGHTS if not (folder / name).is_file()]
     return f"weights {', '.join(absent)} are not in {folder}: make piq.DISTS() once on line" if absent else ""

@@ -36,12 +36,13 @@ _FINENESS, _LEAST_COUNT = (3, 2, 1), 0.5
 """Samples a pixel, each way, of one cell folded from many; as few as each has so many pixels."""
 _LARGE_CELL = 300
 """Windows of cells of more px are looked for with their pixels taken two by two, at every place."""
-_SIZES = (1, 2)
-"""One-tile windows are looked for in all of their pixels; those of their means and power are taken two by two."""
+_SIZES, _LARGE_SIZES, _LARGE_TILE = (1, 2), (2, 2), 600
+"""One-tile windows are looked for in all of their pixels, or in cells of more than 600 px two by two; those of their
+means and power are always taken two by two."""
 _SHARPENED = 2
 """How often what a folded cell leaves of the image is folded in turn: sharing pixels among samples blurs it."""
-_LARGE = 8
-"""Cells each way over which a cell is averaged: some 60 pixels fall on each of its samples."""
+LARGE = 7
+"""Cells each way over which a cell is averaged: some 50 pixels fall on each of its samples."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class Periodic:
         A tenth of the mean variance (and that of rounding to 8 bits) is added to every pixel's, so that no few pixels
         carry all the weight.
         """
-        variance = self.variance.unfold(shape)[..., 0]
+        variance = self._variance(shape)
         weights = 1 / (variance + _VARIANCE_FLOOR * self.variance.values.mean() + 1 / 255**2)
         return np.asarray(weights / weights.mean(), np.float32)
 
@@ -132,14 +133,24 @@ class Periodic:
 
     @cached_property
     def large(self) -> Values:
-        """The periodic image over :data:`_LARGE` cells or more each way: every place of a cell."""
-        side = np.ceil(_LARGE * tile_box(self.lattice)).astype(int)
+        """The periodic image over :data:`LARGE` cells or more each way: every place of a cell."""
+        side = np.ceil(LARGE * tile_box(self.lattice)).astype(int)
         return self.image((int(side[1]), int(side[0])))
+
+    def _variance(self, shape: Shape) -> Values:
+        """Return the variance ``(H, W)``, cut from what is there already where that reaches."""
+        there = self._large_variance
+        enough = shape[0] <= there.shape[0] and shape[1] <= there.shape[1]
+        return there[: shape[0], : shape[1]] if enough else self.variance.unfold(shape)[..., 0]
+
+    @cached_property
+    def _large_variance(self) -> Values:
+        return self.variance.unfold(self.large.shape[:2])[..., 0]
 
     @cached_property
     def courses(self) -> tuple[StripTemplate, ...]:
         """One cell of its courses in each direction."""
-        return strip_templates(self.lattice, self.large, self.variance.unfold(self.large.shape[:2])[..., 0])
+        return strip_templates(self.lattice, self.large, self._large_variance)
 
     @cached_property
     def cell(self) -> Cell:
@@ -190,7 +201,8 @@ class Periodic:
         image, weights = (plane((y + height, x + width))[y:, x:] for plane in (self._patch, self.weights))
         template = Template(self.colors.along(image), weights, window)
         bank = Bank(template, _ringed(near), self.colors.varies)
-        return Search(half, bank, Scan(template, far, self.colors, _SIZES), reach + wanted - (x, y), near)
+        sizes = _LARGE_SIZES if self.lattice.area > _LARGE_TILE else _SIZES
+        return Search(half, bank, Scan(template, far, self.colors, sizes), reach + wanted - (x, y), near)
 
 
 def tile_box(lattice: Lattice) -> NDArray[np.float64]:

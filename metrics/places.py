@@ -47,4 +47,4 @@ class Places:
     @cached_property
     def _scan(self) -> Scan:
         """All offsets, and those around them that a parabola through a peak needs."""
-        return Scan(self.template, ndimage.binary_dilation(self.inside), self.colors, (self.size, self.size))
+        return Scan(self.template, ndimage.binary_dilation(self.inside), self.colors, (self.size, 2 * self.size))

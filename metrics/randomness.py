@@ -83,7 +83,9 @@ class Randomness:
     def of(self, observation: Observation, judgement: Judgement | None) -> Score:
         """Return the scores, given what regularity has found (None: no lattice in the truth)."""
         if judgement is None or obstacle(judgement):
-            return no_score(self.columns, obstacle(judgement))
+            return no_score(self.columns, obstacle(judgement, observation))
+        if judgement.unsure:
+            return no_score(self.columns, f"not scored: the lattice may not be the sample's ({judgement.blindness})")
         if judgement.preserved is False:
             return no_score(self.columns, f"not scored: regularity is lost ({judgement.faults[0]})")
         variety = Variety.of(observation, judgement)

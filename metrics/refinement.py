@@ -15,6 +15,8 @@ from .refinement_kernels import sums
 
 _STEPS = (2, 2, 1, 1)
 """Every so many pixels are looked at in each step: the first comes near, the last settles."""
+_SETTLED = 0.005
+"""Step, px, after which a window has arrived: what is left is a small part of it."""
 _REACH = 1.5
 """How far, px, a window may move in all; one that moves further has lost its peak, and stays."""
 _FLAT = 1e-6
@@ -88,10 +90,12 @@ def refined(
         start = cell.lattice.to_cell(corners[which] - at)
         return _solved(sums(rotated, cell.table, corners[which], start, rows, inverse, every))
 
-    at, everything = np.ascontiguousarray(displacement), np.ones(len(corners), np.bool_)
+    at = np.array(displacement, np.float64)
+    ncc, going = np.zeros(len(corners)), np.ones(len(corners), np.bool_)
     for every in _STEPS:
-        move, ncc = step(everything, at, every)
-        at = at + np.clip(move, -1, 1)
+        move, ncc[going] = step(going, at[going], every)
+        at[going] += np.clip(move, -1, 1)
+        going[going] = (every > 1) | (np.abs(move).max(1) > _SETTLED)
     lost = np.hypot(*(at - displacement).T) > _REACH
     at[lost], ncc[lost] = displacement[lost], step(lost, displacement[lost], 1)[1]
     return at, ncc

@@ -11,7 +11,7 @@ import numpy as np
 
 from nrbench.synthesis import Column, Observation, Score, Value
 
-from .courses import course_displacement
+from . import limits
 from .defect_map import defect_map
 from .judgement import Judgement, judge, obstacle
 from .own_lattice import spread
@@ -83,7 +83,7 @@ class Regularity:
             better="lower",
         ),
         "worst_tile_displacement": _distance("Displacement of the single tile that fits better elsewhere by most"),
-        "worst_course": _distance("Largest displacement that the tiles of one course share"),
+        "worst_course": _distance("Displacement of the course that is likelier elsewhere than in its place by most"),
         "drift": Column("Stretch or turn of the whole output against the true lattice.", "%", (0.0, math.inf), "lower"),
         "lattice_exact": Column(
             "The output's own least-squares lattice is the true one, to 1 px of its vectors.", better="higher"
@@ -115,11 +115,11 @@ def measured(judgement: Judgement) -> dict[str, Value]:
 
 
 def _verdicts(judgement: Judgement) -> dict[str, Value]:
-    course = course_displacement(judgement.output.tiles)
+    course = judgement.output.strips.worst_slide
     return {
         "preserved": judgement.preserved,
         "intact": judgement.intact,
-        "score": judgement.score,
+        "score": None if judgement.unsure else judgement.score,
         "bad_tiles": float(len(judgement.bad_places)),
         "worst_tile": float(judgement.tile_suspicion.max(initial=0.0)),
         "worst_tile_displacement": judgement.worst_tile_displacement,
@@ -147,10 +147,10 @@ def _placements(judgement: Judgement) -> dict[str, Value]:
 
 def _lattice(judgement: Judgement) -> dict[str, Value]:
     """Return the output's own lattice beside the true one: the model's, or the given one as fitted to the sample."""
-    own = judgement.own
+    own = judgement.own if judgement.structure >= limits.STRUCTURE else None
     error = own.error(judgement.yardstick.lattice, judgement.output.image.shape[:2]) if own else None
     return {
-        "drift": 100 * float(np.linalg.norm(spread(judgement.drift) - np.eye(2), 2)) if own else None,
+        "drift": 100 * float(np.linalg.norm(spread(judgement.drift) - np.eye(2), 2)) if error else None,
         "lattice_exact": error.relation == "exact" if error else None,
         "lattice_vector_error": error.vector if error else None,
         "lattice_area_ratio": error.area_ratio if error else None,
@@ -159,7 +159,9 @@ def _lattice(judgement: Judgement) -> dict[str, Value]:
 
 def _reason(name: str, judgement: Judgement) -> str:
     """Return why a column of a judged output is None."""
-    if name in ("preserved", "intact"):
+    if name == "intact" and judgement.preserved is False:
+        return "undecided: regularity is lost, and no single tile stands out"
+    if name in ("preserved", "intact", "score"):
         what = "one bad tile" if name == "intact" else "a course that slid by 0.15 s"
         faint = f"{what} might not be seen at the regular share {judgement.yardstick.regular_share:.2f}"
         return f"undecided: {judgement.blindness or faint}"
@@ -169,6 +171,8 @@ def _reason(name: str, judgement: Judgement) -> str:
         return "not measured: no course of two whole tiles"
     if name == "structure_spread":
         return "not measured: the windows of the reference hardly differ"
+    if judgement.structure < limits.STRUCTURE:
+        return f"not measured: windows show {max(judgement.structure, 0):.0%} of the structure of the references'"
     if judgement.own is None:
         return "not measured: fewer than 3 x 3 windows"
     return f"not measured: only {judgement.own.followers:.0%} of the windows lie on one lattice"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from nrbench.imaging.registration import Map, Template
@@ -50,11 +51,17 @@ class Scan:
     sizes: tuple[int, int]
 
     def find(self, planes: Planes, corners: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        """Return where in the patch, (x, y), each window at ``corners`` fits best, and the exact NCC there."""
-        best = np.concatenate([ncc.argmax(1) for ncc in self.maps(planes, corners)])
-        at = np.ascontiguousarray(self._offsets[best], np.int64)
+        """Return where in the patch, (x, y), each window at ``corners`` fits best, and the exact NCC there.
+
+        It is the best of the highest where every pixel is looked at, of the two highest where they are taken two by
+        two: their NCC comes near enough to tell these from the rest, not from each other.
+        """
+        highest = np.concatenate([_highest(ncc, self.sizes[0]) for ncc in self.maps(planes, corners)], 1)
         window, first = np.array(self.template.window), np.ascontiguousarray(corners, np.int64)
-        return at, correlations(planes.smoothed(1, 1), first, self._exact, at, window)
+        offsets = np.ascontiguousarray(self._offsets[highest], np.int64)
+        ncc = np.stack([correlations(planes.smoothed(1, 1), first, self._exact, at, window) for at in offsets])
+        best = ncc.argmax(0)
+        return offsets[best, np.arange(len(best))], ncc.max(0)
 
     def maps(self, planes: Planes, corners: NDArray[np.intp]) -> Iterator[Map]:
         """Yield the NCC of some windows after the other at every offset, ``(n, q)``."""
@@ -101,16 +108,23 @@ class Scan:
         """Return, a row an offset, the weighted template and the weights (of sum 1), its sums ``(A, q)``, and scale."""
         fine, coarse = (smoothed(self.template.weights[np.newaxis], size) for size in self.sizes)
         image = smoothed(np.moveaxis(self.template.image[..., : self.colors.main], -1, 0), self.sizes[0])
-        extra = np.concatenate([fine, (fine * image**2).sum(0, keepdims=True)])
-        weighted = self._cut(fine * image, self._offsets, self.sizes[0])
-        total, squares = self._cut(extra, self._offsets, self.sizes[0]).sum(2).T
-        sums = weighted.sum(2)
-        energy = squares / total - ((sums / total[:, np.newaxis]) ** 2).sum(1)
+        shapes = fine * image
+        total, squares, *sums = self._sums(np.concatenate([fine, (shapes * image).sum(0, keepdims=True), shapes]))
+        energy = squares / total - sum((one / total) ** 2 for one in sums)
         scale = np.where(energy > _FLAT, 1 / np.sqrt(np.maximum(energy, _FLAT)), 0) / total
         weights = self._cut(coarse, self._offsets, self.sizes[1])[:, 0]
-        weights /= weights.sum(1, keepdims=True)
-        rows = weighted.reshape(len(weighted), -1)
-        return rows, weights, np.ascontiguousarray(sums.T), scale.astype(np.float32)
+        weights /= (weights @ np.ones(weights.shape[-1], np.float32))[:, np.newaxis]
+        rows = self._cut(shapes, self._offsets, self.sizes[0]).reshape(len(weights), -1)
+        return rows, weights, np.stack(sums), scale.astype(np.float32)
+
+    def _sums(self, planes: Map) -> Map:
+        """Return the sums over windows of planes at each offset, ``(C, q)``: along one axis, then the other."""
+        size = self.sizes[0]
+        for axis, side in zip((1, 2), self.template.window, strict=True):
+            span = (side // size - 1) * size + 1
+            planes = sliding_window_view(planes, span, axis=axis)[..., ::size].sum(-1)
+        rows, columns = self.where.shape
+        return planes[:, :rows, :columns][:, self.where]
 
     @cached_property
     def _exact(self) -> Map:
@@ -119,3 +133,12 @@ class Scan:
         weighted = weights * image
         squares = (weighted * image).sum(0, keepdims=True)
         return np.ascontiguousarray(np.concatenate([weights, squares, weighted[: self.colors.varies]]))
+
+
+def _highest(ncc: Map, count: int) -> NDArray[np.intp]:
+    """Return the indices of the ``count`` highest values of each row, ``(count, n)``; these are overwritten."""
+    found, rows = [], np.arange(len(ncc))
+    for _ in range(count):
+        found.append(ncc.argmax(1))
+        ncc[rows, found[-1]] = -np.inf
+    return np.stack(found)

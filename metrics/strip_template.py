@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from nrbench.imaging.fold import Values
@@ -22,6 +22,8 @@ _RARE = 0.25
 """Samples that fewer pixels fall on, over the mean, take those of their neighbors too: where a course runs obliquely
 to the rows of pixels, these may fall on every second sample along it, but no more rarely while the lattice is reduced.
 """
+_AT_ONCE = 1 << 22
+"""Numbers of slid rows of a template that are held at a time: 32 MiB."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +107,8 @@ class StripTemplate:
         """Sample the periodic image and its ``variance`` across tiles, both of one shape that shows all of a cell."""
         grid, channels = Grid.of(lattice, direction), image.shape[2]
         sums, first = grid.sums(image, channels * variance)
-        whole = np.zeros((grid.rows, *sums.shape[1:]))
-        np.add.at(whole, (np.arange(len(sums)) + first * (grid.rows // 2)) % grid.rows, sums)
+        halves = sums.reshape(-1, grid.rows // 2, *sums.shape[1:])
+        whole = np.concatenate([halves[(half + first) % 2 :: 2].sum(0) for half in (0, 1)])
         rare = whole[..., :1] < _RARE * whole[..., 0].mean()
         whole = np.where(rare, whole + np.roll(whole, 1, 1) + np.roll(whole, -1, 1), whole)
         count = np.maximum(whole[..., 0], 1)
@@ -114,13 +116,55 @@ class StripTemplate:
         spread = np.maximum(whole[..., -1] / count - (mean**2).sum(-1), 0) / channels
         return cls(grid, mean, spread + _VARIANCE_FLOOR * spread.mean() + 1 / 255**2)
 
-    @cached_property
-    def spectra(self) -> tuple[NDArray[np.complex128], ...]:
-        """What counts, squares and values of a row are to be correlated with: conjugate spectra along the course."""
-        precision, channels = 1 / self.variance, self.mean.shape[-1]
-        constant = precision * (self.mean**2).sum(-1) + channels * np.log(self.variance)
-        slopes = precision[..., np.newaxis] * self.mean
-        return tuple(np.conj(np.fft.rfft(one, axis=1)) for one in (constant, precision, slopes))
+    def correlated(self, halves: Samples, half: int) -> tuple[Samples, Samples, Samples]:
+        """Hold half courses against one half of the template slid by k samples along it, k = 0 .. columns - 1.
+
+        The slid rows are laid out for matrix products: rows x columns x columns x (3 C + 3) multiplications a course,
+        which for tiles of up to some 10 000 px is less than FFTs along rows this short cost.
+
+        Parameters
+        ----------
+        halves
+            ``(n, rows / 2, columns, C + 2)``: sums of :meth:`Grid.sums`.
+        half
+            Which half of the template's rows: 0 or 1.
+
+        Returns
+        -------
+        fit
+            ``(n, columns)``: sum over pixels of their squared departures over the variance, plus its logarithm.
+        weight
+            ``(n, columns)``: sum over pixels of the inverse variance.
+        lacks
+            ``(C, n, columns)``: sums over pixels of their departures over the variance.
+        """
+        first, middle = half * self.grid.rows // 2, (half + 1) * self.grid.rows // 2
+        step = max(_AT_ONCE // (self.grid.columns**2 * (self.mean.shape[-1] + 2)), 1)
+        parts = []
+        for start in range(first, middle, step):
+            rows = slice(start, min(start + step, middle))
+            seen = halves[:, rows.start - first : rows.stop - first]
+            parts.append(_products(np.moveaxis(seen, -1, 0).reshape(seen.shape[-1], len(seen), -1), self._slid(rows)))
+        fit, weight, lacks = (sum(some[1:], some[0]) for some in zip(*parts, strict=True))
+        return fit, weight, lacks
+
+    def _slid(self, rows: slice) -> Samples:
+        """Return constant, precision and slopes of some rows, ``(C + 2, rows * columns, columns)``, slid by k."""
+        mean, variance, columns = self.mean[rows], self.variance[rows], self.grid.columns
+        precision, channels = 1 / variance, mean.shape[-1]
+        constant = precision * (mean**2).sum(-1) + channels * np.log(variance)
+        planes = np.stack([constant, precision, *np.moveaxis(precision[..., np.newaxis] * mean, -1, 0)])
+        backwards = np.concatenate([planes, planes], -1)[..., :0:-1]
+        windows = sliding_window_view(backwards, columns, -1)[..., ::-1, :]
+        return windows.reshape(len(planes), -1, columns)
+
+
+def _products(seen: Samples, slid: Samples) -> tuple[Samples, Samples, Samples]:
+    """Return what :meth:`StripTemplate.correlated` does, of sums ``(C + 2, n, m)`` and rows ``(C + 2, m, columns)``."""
+    count, values, squares = seen[0], seen[1:-1], seen[-1]
+    alone = count @ slid
+    fit = alone[0] + squares @ slid[1] - 2 * (values @ slid[2:]).sum(0)
+    return fit, alone[1], values @ slid[1] - alone[2:]
 
 
 def strip_templates(lattice: Lattice, image: Values, variance: Values) -> tuple[StripTemplate, ...]:

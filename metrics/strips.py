@@ -34,13 +34,22 @@ class Strips:
     gain
         For each direction, ``(n,)``: by how much likelier a course is somewhere beyond the tolerance than in its place,
         as the mean log-likelihood ratio a pixel and channel; -inf where it is too short.
+    slide
+        For each direction, ``(n,)``: px from its place to where a course is likeliest of all.
     beyond
-        For each direction, ``bool (n,)``: whether a course is likeliest of all beyond the tolerance.
+        For each direction, ``bool (n,)``: whether that is beyond the tolerance.
     """
 
     first: tuple[int, ...]
     gain: tuple[Ratios, ...]
+    slide: tuple[Ratios, ...]
     beyond: tuple[NDArray[np.bool_], ...]
+
+    @property
+    def worst_slide(self) -> float | None:
+        """How far, px, the course has slid that is likelier elsewhere by most; None where all are too short."""
+        gain, slide = np.concatenate(self.gain), np.concatenate(self.slide)
+        return float(slide[gain.argmax()]) if np.isfinite(gain).any() else None
 
     def at(self, values: list[Ratios], lattice: Lattice, points: Points) -> Ratios:
         """Return the courses' values for the four in whose middle each point (x, y) lies, ``(4, n)``; -inf for none."""
@@ -60,7 +69,7 @@ def strips(image: Image, lattice: Lattice, periodic: Periodic) -> Strips:
     place in the cell has across tiles. What hardly varies - the joint between bricks of any color, the gap between
     yarns - so tells most, wherever it is found and wherever it lacks, and yarns that differ tell little. Only sums of
     pixels and of their squares over the cells of a course are needed: one pass over the image a direction, then
-    correlations along one cell.
+    products along one cell.
 
     Parameters
     ----------
@@ -72,8 +81,8 @@ def strips(image: Image, lattice: Lattice, periodic: Periodic) -> Strips:
         What the image should follow.
     """
     found = [_slid(image, one.grid.on(lattice), one) for one in periodic.courses]
-    first, gain, beyond = zip(*found, strict=True)
-    return Strips(first, gain, beyond)
+    first, gain, slide, beyond = zip(*found, strict=True)
+    return Strips(first, gain, slide, beyond)
 
 
 def strip_suspicion(seen: Strips, references: list[Strips], tiles: Tiles) -> Ratios:
@@ -104,36 +113,36 @@ def _finite(values: Ratios) -> Ratios:
     return values[np.isfinite(values)]
 
 
-def _slid(image: Image, grid: Grid, template: StripTemplate) -> tuple[int, Ratios, NDArray[np.bool_]]:
-    """Return the number of the first course along one direction, every course's gain, and where it lies beyond."""
+def _slid(image: Image, grid: Grid, template: StripTemplate) -> tuple[int, Ratios, Ratios, NDArray[np.bool_]]:
+    """Return the first course's number along one direction, and every course's gain, slide, and whether it is far."""
     sums, first = grid.sums(image, np.zeros(image.shape[:2], np.float32))
-    order = (np.arange(len(sums)) + first * (grid.rows // 2)) % grid.rows
-    likelihood = _likelihood(sums, order, template)
-    count = _windowed(sums[..., 0].sum(1), grid.rows)
+    halves = sums.reshape(-1, grid.rows // 2, *sums.shape[1:])
+    likelihood = _likelihood(halves, first, template)
+    count = _doubled(halves[..., 0].sum((1, 2)))
     likelihood /= np.maximum(count, 1)[:, np.newaxis] * image.shape[2]
     far = grid.slides > max(TOLERANCE * grid.lattice.s, grid.slides[1])
     best = likelihood[:, far].max(1, initial=-np.inf)
     gain = np.where(count >= _LEAST_LENGTH * grid.lattice.area, best - likelihood[:, 0], -np.inf)
-    return first + 1, gain, best > likelihood[:, ~far].max(1)
+    likeliest = likelihood.argmax(1)
+    return first + 1, gain, grid.slides[likeliest], far[likeliest]
 
 
-def _likelihood(sums: Ratios, order: NDArray[np.intp], template: StripTemplate) -> Ratios:
+def _likelihood(halves: Ratios, first: int, template: StripTemplate) -> Ratios:
     """Return the log-likelihood of every course on the template slid by k samples along it, ``(courses, columns)``.
 
     Each channel is held against the template at whatever brightness of the course fits best, for every k: light that
     changes slowly, or a color that is added everywhere, moves no course.
     """
-    constant, precision, slopes = (one[order] for one in template.spectra)
-    seen = np.fft.rfft(sums, axis=1)
-    count, values, squares = seen[..., 0], seen[..., 1:-1], seen[..., -1]
-    fit = count * constant + squares * precision - 2 * (values * slopes).sum(-1)
-    lacks = values * precision[..., np.newaxis] - count[..., np.newaxis] * slopes
-    spectra = np.concatenate([fit[..., np.newaxis], (count * precision)[..., np.newaxis], lacks], -1)
-    found = _windowed(np.fft.irfft(spectra, sums.shape[1], axis=1), template.grid.rows)
-    return np.asarray((found[..., 2:] ** 2).sum(-1) / np.maximum(found[..., 1], 1e-9) - found[..., 0]) / 2
+    channels, columns = halves.shape[-1] - 2, halves.shape[2]
+    fit, weight = np.empty((2, len(halves), columns))
+    lacks = np.empty((channels, len(halves), columns))
+    for half in (0, 1):
+        which = slice((half + first) % 2, None, 2)
+        fit[which], weight[which], lacks[:, which] = template.correlated(halves[which], half)
+    lacks = np.stack([_doubled(one) for one in lacks])
+    return np.asarray((lacks**2).sum(0) / np.maximum(_doubled(weight), 1e-9) - _doubled(fit)) / 2
 
 
-def _windowed(values: NDArray[np.float64], height: int) -> NDArray[np.float64]:
-    """Return the sum over each course's ``height`` rows, half of which it shares with the next."""
-    halves = values.reshape(-1, height // 2, *values.shape[1:]).sum(1)
-    return np.asarray(halves[1:] + halves[:-1])
+def _doubled(values: Ratios) -> Ratios:
+    """Return the sum over each course's two halves, one of which it shares with the next."""
+    return np.asarray(values[1:] + values[:-1])

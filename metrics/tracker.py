@@ -23,6 +23,8 @@ FIRST_TILES = 1.5
 REFINED_TILES = (1.5, 1.2, 1.0, 1.0)
 """Width of the windows by which places are refined, in turn."""
 _COLORS = 0.98
+FLAT = 1e-7
+"""Variance of a mean tile, of values in [0, 1], below which there is nothing to follow: less than a gray step."""
 STRONGEST = 32
 """Harmonics of the mean tile that are compared."""
 _FIRST_STEPS, _NEXT_STEPS = 4, 2
@@ -150,7 +152,7 @@ def track(image: Image, lattice: Lattice, tile: MeanTile) -> Track:
     planes = _centered(image) @ tile.colors
     nodes = Nodes.of(lattice, image.shape[:2], FIRST_TILES)
     product = tile.product(nodes.coefficients(planes, tile.harmonics.frequencies))
-    strength = np.sqrt(tile.power * _energy(nodes, planes))[..., np.newaxis, np.newaxis]
+    strength = np.sqrt(max(tile.power, FLAT) * _energy(nodes, planes))[..., np.newaxis, np.newaxis]
     wrapped = unwrap(np.asarray(_surfaces(product, tile.harmonics) / strength, np.float32), lattice)
     field = _undone(nodes, _refined(product, tile.harmonics, wrapped, _FIRST_STEPS))
     for tiles in REFINED_TILES:
@@ -161,7 +163,7 @@ def track(image: Image, lattice: Lattice, tile: MeanTile) -> Track:
         rest = _refined(tile.product(found), tile.harmonics, np.zeros_like(field), _NEXT_STEPS)
         field = rest + _between(nodes, field, nodes.places + rest)
     heights = _heights(tile.unweighted().product(found), tile.harmonics, rest)
-    return Track(image, lattice, nodes, field, heights / np.sqrt(tile.power * _energy(nodes, still)), tile)
+    return Track(image, lattice, nodes, field, heights / np.sqrt(max(tile.power, FLAT) * _energy(nodes, still)), tile)
 
 
 def _relearned(tile: MeanTile, found: Coefficients) -> MeanTile:

@@ -9,7 +9,7 @@ from nrbench.imaging.door import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.synthesis import Again, Observation
 
-from .tracker import MeanTile, Track, track
+from .tracker import FLAT, MeanTile, Track, track
 from .yardstick import FIRST_DRAW
 
 LEAST_POINTS = 9
@@ -52,7 +52,7 @@ _LAST: list[tuple[Observation, Tracks | None]] = []
 
 
 def tracks(observation: Observation) -> Tracks | None:
-    """Return the tracks of an observation; None where no lattice is known.
+    """Return the tracks of an observation; None where no lattice is known or its mean tile is flat.
 
     What is looked for is the mean tile: of the ideal image where the truth has one, else of the sample by the known
     lattice. The last tracks are kept: metrics that need the same ones, one after the other, share them.
@@ -76,7 +76,7 @@ def known_lattice(observation: Observation) -> Lattice | None:
 def obstacle(found: Tracks | None) -> str:
     """Return why nothing can be measured; empty where something can."""
     if found is None:
-        return "not applicable: no lattice is known"
+        return "not applicable: no lattice is known, or its mean tile is flat"
     for name, one in (("sample", found.sample), ("output", found.output)):
         if len(one.numbers) < LEAST_POINTS:
             return f"not measured: the {name} holds {len(one.numbers)} whole tiles, at least {LEAST_POINTS} are needed"
@@ -86,10 +86,13 @@ def obstacle(found: Tracks | None) -> str:
     return ""
 
 
-def _followed(observation: Observation, lattice: Lattice) -> Tracks:
+def _followed(observation: Observation, lattice: Lattice) -> Tracks | None:
     truth = observation.truth
     ideal = truth.ideal if truth is not None else None
-    sample = track(observation.sample, lattice, MeanTile.of(observation.sample if ideal is None else ideal, lattice))
+    first = MeanTile.of(observation.sample if ideal is None else ideal, lattice)
+    if not first.power > FLAT:
+        return None
+    sample = track(observation.sample, lattice, first)
     tile = sample.tile.unweighted() if ideal is None else MeanTile.of(ideal, lattice)
     output = track(observation.output, lattice, tile)
     return Tracks(sample, output, tile, observation.again)

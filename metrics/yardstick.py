@@ -18,18 +18,18 @@ from nrbench.texture import Shape, Texture
 from . import limits
 from .known_lattice import KnownLattice, Origin, known_lattice, settled
 from .own_lattice import moved, spread
-from .periodic import WINDOW_TILES, Periodic, tile_box, window_shape
+from .periodic import LARGE, WINDOW_TILES, Periodic, tile_box, window_shape
 from .placement import affine_part, place
 
 FIRST_DRAW = 1 << 16
 """Fresh draws from here on are the judge's own: the oracle and the planted defects use others."""
 DRAWS = 3
-"""Fresh draws looked at: with :data:`_TILES_A_SIDE`, some 150 tiles and 600 one-tile windows."""
+"""Fresh draws looked at: of :data:`~.periodic.LARGE` tiles a side, some 150 tiles and 600 one-tile windows."""
 LATTICE_UNCERTAINTY = 0.02
 """How far a lattice that was given for a photograph may be off, as a fraction of its vectors: three pixels over the
 five to six tiles of a sample of 128 px, which is what marking it by hand comes to."""
-_TILES_A_SIDE, _LEAST_TILES_A_SIDE = 7, 5
-"""Tiles along each side of a fresh draw, and fewest where that would be too large."""
+_LEAST_TILES_A_SIDE = 5
+"""Fewest tiles along each side of a fresh draw, where :data:`~.periodic.LARGE` would be too large."""
 _SIDES = (128, 320)
 """Least and largest side of a fresh draw, px, as long as the fewest tiles fit."""
 _DETAIL = 0.2
@@ -130,12 +130,17 @@ def model_yardstick(truth: Texture, lattice: Lattice, again: Again) -> Yardstick
     """Return the yardstick of a texture whose model is known."""
     lattice = settled(lattice)
     box = tile_box(lattice)
-    side = np.ceil(np.maximum(np.clip(_TILES_A_SIDE * box, *_SIDES), _LEAST_TILES_A_SIDE * box)).astype(int)
+    side = np.ceil(np.maximum(np.clip(LARGE * box, *_SIDES), _LEAST_TILES_A_SIDE * box)).astype(int)
     shape = (int(side[1]), int(side[0]))
     draws = [_draw(again, shape, FIRST_DRAW + k) for k in range(DRAWS)]
     departures = np.mean([(draw.image - _ideal(draw)) ** 2 for draw in draws], 0).mean(-1, keepdims=True)
     variance = fold(departures, lattice)
-    periodic = Periodic(lattice, lambda wanted: _ideal(_draw(again, wanted, FIRST_DRAW)), variance)
+
+    def ideal(wanted: Shape) -> Values:
+        enough = wanted[0] <= shape[0] and wanted[1] <= shape[1]
+        return _ideal(draws[0])[: wanted[0], : wanted[1]] if enough else _ideal(_draw(again, wanted, FIRST_DRAW))
+
+    periodic = Periodic(lattice, ideal, variance)
     share = truth.regular_share
     if share is None:
         share = _share(_ideal(draws[0]), float(departures.mean()))

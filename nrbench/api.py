@@ -21,9 +21,10 @@ from nrbench.outputs import checked_synthesis
 from nrbench.plan import make_plan
 from nrbench.records import Run
 from nrbench.runner import Options, Progress, execute, working_metrics
+from nrbench.scoring import failure, scored
 from nrbench.streams import pixels_hash, stream
 from nrbench.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
-from nrbench.synthesis import Observation, Refused, Synthesis, Task, Value
+from nrbench.synthesis import Observation, Refused, Score, Synthesis, Task, Value
 from nrbench.texture import Shape, Texture
 
 Latticelike = Lattice | tuple[Vector, Vector] | str | None
@@ -178,22 +179,24 @@ def score(sample: Any, output: Any, lattice: Latticelike = None) -> Sheet:
 
 
 def judge(observation: Observation) -> Sheet:
-    """Score an observation by every metric."""
+    """Score an observation by every metric; one that raises is None in all columns, with the error as the reason."""
     values: dict[str, Value] = {}
     reasons: dict[str, str] = {}
     pictures: dict[str, Image] = {}
     for name in working_metrics():
-        rng = stream("metric", pixels_hash(observation.output), name)
-        found = plugins.build("metrics", name).score(dataclasses.replace(observation, rng=rng))
-        values.update({f"{name}.{column}": _plain(value) for column, value in found.values.items()})
+        found = _guarded(observation, name)
+        values.update({f"{name}.{column}": value for column, value in found.values.items()})
         reasons.update({f"{name}.{column}": why for column, why in found.reasons.items()})
         pictures.update({f"{name}.{title}": picture for title, picture in found.pictures.items()})
     return Sheet(values, reasons, pictures)
 
 
-def _plain(value: Any) -> Value:
-    plain: Value = value.item() if isinstance(value, np.generic) else value
-    return plain
+def _guarded(observation: Observation, name: str) -> Score:
+    try:
+        return scored(observation, name)
+    except Exception as error:
+        columns = plugins.build("metrics", name).columns
+        return Score(dict.fromkeys(columns), dict.fromkeys(columns, failure(error)))
 
 
 def run(

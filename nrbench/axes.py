@@ -41,7 +41,7 @@ class Method:
         parameters = plugins.parameters_of(plugins.build("synthesizers", name, given))
         plugin = plugins.find("synthesizers", name)
         version = f"{plugin.version}{fingerprint(plugins.build('synthesizers', name, given))}"
-        shown = label(name, parameters, _defaults(plugin.cls))
+        shown = label(name, parameters, _defaults(plugin.cls), getattr(plugin.cls, "always_told", ()))
         reference = bool(getattr(plugin.cls, "reference", False))
         return cls(name, version, parameters, shown, reference, bool(getattr(plugin.cls, "uses_lattice", True)))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
@@ -33,9 +33,13 @@ def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
     return name, parameters
 
 
-def label(name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:
-    """Return ``name:param=value,...`` with only the parameters that differ from their defaults."""
-    changed = [f"{key}={value}" for key, value in parameters.items() if value != defaults.get(key, dataclasses.MISSING)]
+def label(name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any], always: Collection[str] = ()) -> str:
+    """Return ``name:param=value,...`` of the parameters that differ from their defaults and those ``always`` told."""
+
+    def told(key: str, value: Any) -> bool:
+        return key in always or value != defaults.get(key, dataclasses.MISSING)
+
+    changed = [f"{key}={value}" for key, value in parameters.items() if told(key, value)]
     return f"{name}:{','.join(changed)}" if changed else name
 
 

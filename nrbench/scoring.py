@@ -38,22 +38,43 @@ def score(folder: Path, metrics: list[str], send: Send) -> None:
             _score_one(where, observation, name)
         except (Exception, SystemExit) as error:
             traceback.print_exc()
-            record_failure(where, name, f"failed: {type(error).__name__}: {error}")
+            record_failure(where, name, failure(error))
         send({"scored": name})
 
 
 def _score_one(where: CellFolder, observation: Observation, name: str) -> None:
-    metric = plugins.build("metrics", name)
-    rng = stream("metric", pixels_hash(observation.output), name)
-    found: Score = metric.score(dataclasses.replace(observation, rng=rng))
-    values = _checked_values(found, metric.columns)
+    found = scored(observation, name)
     where.scores.mkdir(exist_ok=True)
     pictures = {}
     for title, picture in found.pictures.items():
         pictures[title] = f"{metric_key(name)}-{Path(title).name}.png"
         write_image(where.scores / pictures[title], quantize(picture))
-    content = {"values": values, "reasons": dict(found.reasons), "records": dict(found.records), "pictures": pictures}
+    content = {
+        "values": dict(found.values),
+        "reasons": dict(found.reasons),
+        "records": dict(found.records),
+        "pictures": pictures,
+    }
     write_json(score_file(where, name), {"metric": name, **content})
+
+
+def scored(observation: Observation, name: str) -> Score:
+    """Return what a metric answers, its values plain and checked.
+
+    Raises
+    ------
+    ValueError
+        Where a declared column is missing, None without a reason, or no finite number or truth value.
+    """
+    metric = plugins.build("metrics", name)
+    rng = stream("metric", pixels_hash(observation.output), name)
+    found: Score = metric.score(dataclasses.replace(observation, rng=rng))
+    return dataclasses.replace(found, values=_checked_values(found, metric.columns))
+
+
+def failure(error: BaseException) -> str:
+    """Return the reason of all columns of a metric that raised."""
+    return f"failed: {type(error).__name__}: {error}"
 
 
 def _checked_values(found: Score, columns: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nrbench.records import CellRecord, Run
+from nrbench.synthesis import Value
 
 from .cheats import sentence
 from .pictures import Picture, Pictures
@@ -67,6 +68,10 @@ class Figure:
     no_cheat: str = ""
 
 
+_LOST = 3
+"""Lightest shade of what is lost."""
+
+
 def shade(score: float | None) -> int | None:
     """Return a score's shade, 0 (worst) to 10."""
     return None if score is None else round(10 * min(1.0, max(0.0, score)))
@@ -82,6 +87,12 @@ def head_of(record: CellRecord) -> Head:
     return Head(record.method, record.lattice_source, record.reference, record.parameters)
 
 
+def _shade_of(score: Value, word: str) -> int | None:
+    """Return a verdict's shade: its score's, but no lost one looks like one that passed."""
+    found = shade(None if score is None else float(score))
+    return found if found is None or word != "lost" else min(found, _LOST)
+
+
 def figure(run: Run, record: CellRecord, pictures: Pictures) -> Figure:
     """Return a cell's figure."""
     score, word = record.values.get(SCORE), verdict(record)
@@ -91,7 +102,7 @@ def figure(run: Run, record: CellRecord, pictures: Pictures) -> Figure:
         head=head_of(record),
         verdict=word,
         mark=MARKS[word],
-        shade=shade(None if score is None else float(score)),
+        shade=_shade_of(score, word),
         explanation=explanation(record),
         output=pictures.picture(record.folder / "output.png") if record.status == "ok" else None,
         layers=_layers(record, pictures, layer_titles(run)),

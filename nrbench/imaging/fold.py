@@ -44,8 +44,13 @@ class Tile:
 
 def cell_coordinates(lattice: Lattice, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Return the cell coordinates (u, v) of every pixel centre, as ``(H, W, 2)``."""
-    y, x = np.indices(shape)
-    return lattice.to_cell(np.stack([x, y], -1))
+    height, width = shape
+    across = lattice.to_cell(np.stack([np.arange(width), np.zeros(width)], -1))
+    down = np.arange(height)[:, np.newaxis] * (lattice.to_cell((0.0, 1.0)) - lattice.to_cell((0.0, 0.0)))
+    found = np.empty((height, width, 2))
+    for axis in (0, 1):
+        np.add(across[:, axis], down[:, axis, np.newaxis], out=found[..., axis])
+    return found
 
 
 def tile_grid(lattice: Lattice) -> tuple[int, int]:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nrbench.imaging.fold import cut_tiles, fold
+from nrbench.imaging.fold import cell_coordinates, cut_tiles, fold
 from nrbench.lattice.geometry import Lattice
 
 OBLIQUE = Lattice((17.3, 2.6), (-3.1, 14.8), (4.2, 1.7))
@@ -92,3 +92,10 @@ def test_images_that_must_not_be_written_fold_alike() -> None:
     held = fold(image, OBLIQUE)
     held.values.setflags(write=False)
     np.testing.assert_array_equal(held.unfold((20, 20)), free.unfold((20, 20)))
+
+
+def test_cell_coordinates_are_those_of_every_pixel() -> None:
+    """Every pixel's cell coordinates are the lattice's own, of an oblique lattice with an origin too."""
+    lattice = Lattice((7.3, 1.2), (-2.1, 9.4), (3.5, -11.25))
+    y, x = np.indices((13, 17))
+    np.testing.assert_allclose(cell_coordinates(lattice, (13, 17)), lattice.to_cell(np.stack([x, y], -1)), atol=1e-12)

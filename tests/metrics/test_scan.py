@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nrbench.metrics.colors import Colors
+from nrbench.metrics.colors import Colors, smoothed
 from nrbench.metrics.scan import Scan
 from nrbench.metrics.yardstick import model_yardstick
 
@@ -44,6 +44,26 @@ def test_with_all_pixels_nothing_is_missed(name: str) -> None:
     planes = colors.planes(image)
     found = np.concatenate(list(whole.maps(planes, corners)))
     np.testing.assert_allclose(found, whole._transforms(planes, corners), atol=1e-4)
+
+
+def test_the_better_of_two_makes_up_for_half_the_resolution() -> None:
+    """With pixels taken two by two the NCC found is exact, and within 0.001 of the highest nearly always."""
+    scan, image, corners = searched("hexagon")
+    coarse, planes = replace(scan, sizes=(2, 2)), scan.colors.planes(image)
+    at, ncc = coarse.find(planes, corners)
+    exact = np.full((len(corners), *scan.where.shape), -1.0)
+    exact[:, scan.where] = scan._transforms(planes, corners)
+    np.testing.assert_allclose(ncc, exact[np.arange(len(at)), at[:, 1], at[:, 0]], atol=1e-4)
+    assert (exact.max((1, 2)) - ncc < 1e-3).mean() > 0.9
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_sums_along_the_axes_are_sums_over_windows(size: int) -> None:
+    """What is summed along one axis and then the other is what each window's pixels sum to."""
+    scan = replace(searched("weave")[0], sizes=(size, 2))
+    planes = smoothed(np.moveaxis(scan.template.image, -1, 0), size)
+    cut = scan._cut(planes, scan._offsets, size)
+    np.testing.assert_allclose(scan._sums(planes), cut.sum(2).T, atol=1e-3)
 
 
 def test_flat_windows_show_nothing() -> None:

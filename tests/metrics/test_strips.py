@@ -7,6 +7,7 @@ import pytest
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.door import quantize
 from nrbench.lattice.geometry import Lattice
+from nrbench.metrics import strip_template
 from nrbench.metrics.judgement import judge
 from nrbench.metrics.scatter import scatter_suspicion
 from nrbench.metrics.strip_template import StripTemplate
@@ -36,6 +37,8 @@ def test_a_course_that_slid_by_little_is_seen(case: Cases, name: str) -> None:
     judgement = judge(case(name).seen(image))
     assert judgement is not None and judgement.preserved is False
     assert "a course of tiles has slid" in judgement.faults
+    slide = judgement.output.strips.worst_slide
+    assert slide is not None and slide / judgement.yardstick.lattice.s == pytest.approx(0.15, abs=0.03)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -101,3 +104,25 @@ def test_no_sample_of_a_template_is_left_out(direction: int) -> None:
         lattice, np.ones((153, 197, 3), np.float32), np.zeros((153, 197), np.float32), direction
     )
     assert np.allclose(template.mean, 1)
+
+
+@pytest.mark.parametrize("at_once", [1, 1 << 22])
+@pytest.mark.parametrize("half", [0, 1])
+def test_products_are_those_with_the_slid_template(half: int, at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sums over half a course are weighed as the template rolled by k columns weighs them, however many at once."""
+    monkeypatch.setattr(strip_template, "_AT_ONCE", at_once)
+    rng, lattice = np.random.default_rng(half), Lattice((9.0, 0.0), (2.0, 8.0))
+    image, variance = rng.random((64, 64, 3), np.float32), rng.random((64, 64), np.float32)
+    template = StripTemplate.of(lattice, image, variance, 1)
+    middle = template.grid.rows // 2
+    halves = rng.random((3, middle, template.grid.columns, 5))
+    fit, weight, lacks = template.correlated(halves, half)
+    rows = slice(half * middle, (half + 1) * middle)
+    for k in range(template.grid.columns):
+        mean, spread = np.roll(template.mean[rows], k, 1), np.roll(template.variance[rows], k, 1)
+        count, values, squares = halves[..., 0], halves[..., 1:4], halves[..., 4]
+        square = count * (mean**2).sum(-1) - 2 * (values * mean).sum(-1) + squares
+        assert np.allclose(fit[:, k], (square / spread + 3 * count * np.log(spread)).sum((1, 2)))
+        assert np.allclose(weight[:, k], (count / spread).sum((1, 2)))
+        lack = (values - count[..., np.newaxis] * mean) / spread[..., np.newaxis]
+        assert np.allclose(lacks[..., k], lack.sum((1, 2)).T)
