@@ -105,7 +105,7 @@ def test_an_interrupted_cell_has_no_result(tmp_path: Path) -> None:
         time.sleep(0.02)
     time.sleep(0.5)
     started.send_signal(signal.SIGINT)
-    assert started.wait(30) == 130
+    assert started.wait(90) == 130
     assert list(cells.glob("*/result.json")) == []
 
 
