@@ -99,13 +99,18 @@ def test_an_interrupted_cell_has_no_result(tmp_path: Path) -> None:
     )
     program = "import sys; from nrbench.cli.main import main; main(sys.argv[1:])"
     words = ["--plugin", str(FAULTS), "run", str(suite), "--jobs", "2", "--memory", "1e6", "--out", "run"]
-    started = subprocess.Popen([sys.executable, "-c", program, *words], cwd=tmp_path, stderr=subprocess.DEVNULL)
+    started = subprocess.Popen(
+        [sys.executable, "-c", program, *words],
+        cwd=tmp_path,
+        stderr=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # where the tests run in the background
+    )
     cells = tmp_path / "run" / "cells"
     while started.poll() is None and len(list(cells.glob("*/log.txt"))) < 1:
         time.sleep(0.02)
     time.sleep(0.5)
     started.send_signal(signal.SIGINT)
-    assert started.wait(90) == 130
+    assert started.wait(60) == 130
     assert list(cells.glob("*/result.json")) == []
 
 
