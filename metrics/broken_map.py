@@ -24,9 +24,7 @@ def broken_map(output: Image, broken: Broken) -> Image:
         x0, y0 = np.maximum(np.floor(place - reach), 0).astype(int)
         x1, y1 = np.ceil(place + reach).astype(int) + 1
         y, x = np.indices(output[y0:y1, x0:x1].shape[:2])
-        uv = np.abs(
-            broken.lattice.shifted(_pair(place - broken.lattice.origin)).to_cell(np.stack([x + x0, y + y0], -1))
-        )
+        uv = np.abs(broken.lattice.shifted(place - broken.lattice.origin).to_cell(np.stack([x + x0, y + y0], -1)))
         inside, edge = (uv < 0.5).all(-1), (uv.max(-1) >= 0.5 - 1.0 / np.sqrt(broken.lattice.area))
         faint[y0:y1, x0:x1][inside] = colored[y0:y1, x0:x1][inside]
         faint[y0:y1, x0:x1][inside & edge] = _MARK
@@ -54,7 +52,3 @@ def _enlarged(crop: Image) -> Image:
     """Return a crop, each pixel repeated so that the crop is about 96 px high."""
     times = max(round(_SIDE / crop.shape[0]), 1)
     return np.asarray(crop.repeat(times, 0).repeat(times, 1))
-
-
-def _pair(point: Values) -> tuple[float, float]:
-    return float(point[0]), float(point[1])

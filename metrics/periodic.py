@@ -103,7 +103,7 @@ class Periodic:
     def stretched(self, matrix: Points) -> Periodic:
         """Return the same tile on the lattice that the affine displacement ``matrix @ (x, y)`` moves this one to."""
         moved = np.vstack([self.lattice.matrix, self.lattice.origin]) @ (np.eye(2) + matrix).T
-        return self.on(Lattice(_pair(moved[0]), _pair(moved[1]), _pair(moved[2])))
+        return self.on(Lattice.from_basis(moved[:2], moved[2]))
 
     def on(self, lattice: Lattice) -> Periodic:
         """Return the same tile on another lattice."""
@@ -236,7 +236,3 @@ def _within_cell(offsets: Points, lattice: Lattice) -> NDArray[np.bool_]:
 def _ringed(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask with the pixels next to it along both axes: what a parabola through a peak needs."""
     return np.asarray(ndimage.binary_dilation(mask))
-
-
-def _pair(point: Points) -> tuple[float, float]:
-    return float(point[0]), float(point[1])

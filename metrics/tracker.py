@@ -114,7 +114,7 @@ class Track:
         """``(n, 2)``: cell coordinates of the lattice points that were found at least half a tile within the image."""
         reach = np.sqrt(3 * np.diag(cell_covariance(self.lattice)))
         low, high = -reach, np.array(self.image.shape[1::-1]) + reach
-        numbers = self.lattice.cell_numbers(_pair(low), _pair(high))
+        numbers = self.lattice.cell_numbers(low, high)
         at = self.found(numbers)
         inside = ((at >= reach - 0.5) & (at <= np.array(self.image.shape[1::-1]) - 0.5 - reach)).all(1)
         return np.asarray(numbers[inside])
@@ -267,7 +267,3 @@ def _energy(nodes: Nodes, planes: Values) -> Field:
 
 def _centered(image: Values) -> Values:
     return np.asarray(image - image.mean((0, 1), dtype=np.float64).astype(np.float32), np.float32)
-
-
-def _pair(point: Points) -> tuple[float, float]:
-    return float(point[0]), float(point[1])

@@ -33,7 +33,7 @@ def placed(anchors: NDArray[np.float64], sizes: NDArray[np.float64], obstacles: 
         ``(4,)``: where captions may be.
     """
     choices = [_candidates(anchor, size) for anchor, size in zip(anchors, sizes, strict=True)]
-    fixed = [_fixed_cost(a, boxes, obstacles, frame) for a, boxes in zip(anchors, choices, strict=True)]
+    fixed = [_fixed_cost(boxes, obstacles, frame) for boxes in choices]
     chosen = np.array([boxes[np.argmin(cost)] for boxes, cost in zip(choices, fixed, strict=True)]).reshape(-1, 4)
     for _ in range(_SWEEPS):
         before = chosen.copy()
@@ -55,7 +55,7 @@ def _candidates(anchor: NDArray[np.float64], size: NDArray[np.float64]) -> Boxes
     return np.concatenate([middle - size / 2, middle + size / 2], 1)
 
 
-def _fixed_cost(anchor: NDArray[np.float64], boxes: Boxes, obstacles: Boxes, frame: Boxes) -> NDArray[np.float64]:
+def _fixed_cost(boxes: Boxes, obstacles: Boxes, frame: Boxes) -> NDArray[np.float64]:
     outside = 1 - overlap(boxes, frame[None])[:, 0]
     distance = np.repeat(_REACHES, len(_ANGLES))
     covered = overlap(boxes, obstacles)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.dirichlet import Array
-from nrbench.imaging.harmonic_fit import Fit, Waves, refine
-from nrbench.imaging.pursuit import APART, Found, wave_powers
+from nrbench.imaging.harmonic_fit import Fit, refine
+from nrbench.imaging.pursuit import APART, Found
 from nrbench.lattice.fundamentals import Basis, Waveset, find_fundamental, find_fundamentals
 
 TOLERANCE = 0.05
@@ -158,11 +158,3 @@ def _taken(f: Array, others: Array, size: Array) -> NDArray[np.bool_]:
         return np.zeros(len(f), np.bool_)
     apart = [np.hypot(*np.moveaxis((f[:, np.newaxis] - sign * others) * size, 2, 0)).min(1) for sign in (1, -1)]
     return np.asarray(np.minimum(*apart) < APART)
-
-
-def group_waves(tied: Tied, group: int) -> NDArray[np.intp]:
-    """Return the numbers of a group's waves, strongest first."""
-    start = sum(tied.groups[:group])
-    members = np.flatnonzero((tied.orders[:, start : start + tied.groups[group]] != 0).any(1))
-    power = wave_powers(Waves(tied.fit.waves.spectrum, tied.fit.waves.frequencies)).sum(1)
-    return members[np.argsort(-power[members], kind="stable")]

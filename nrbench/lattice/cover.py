@@ -69,7 +69,7 @@ def cells(lattice: Lattice, shape: tuple[int, int]) -> Cells:
     height, width = shape
     low, high = np.array([-0.5, -0.5]), np.array([width - 0.5, height - 0.5])
     first, last = np.minimum(lattice.matrix, 0).sum(0), np.maximum(lattice.matrix, 0).sum(0)
-    numbers = lattice.cell_numbers(_pair(low - last), _pair(high - first))
+    numbers = lattice.cell_numbers(low - last, high - first)
     starts = lattice.from_cell(numbers) + first
     ends = starts + last - first
     meets = ((starts < high - TOUCH) & (ends > low + TOUCH)).all(1) & _beside(lattice, numbers, low, high)
@@ -82,7 +82,3 @@ def _beside(lattice: Lattice, numbers: Integers, low: Points, high: Points) -> N
     corners = lattice.to_cell([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])])
     slack = TOUCH * np.hypot(*lattice.matrix[::-1].T) / lattice.area
     return np.asarray(((numbers + 1 > corners.min(0) + slack) & (numbers < corners.max(0) - slack)).all(1))
-
-
-def _pair(point: Points) -> tuple[float, float]:
-    return float(point[0]), float(point[1])

@@ -187,7 +187,7 @@ class Lattice:
         xy = self.from_cell(self.cell_numbers((low, low), (high[0], high[1])))
         return xy[((xy >= low) & (xy < high)).all(1)]
 
-    def cell_numbers(self, low: Vector, high: Vector) -> NDArray[np.int64]:
+    def cell_numbers(self, low: ArrayLike, high: ArrayLike) -> NDArray[np.int64]:
         """Return the whole cell coordinates (u, v) of all lattice points in a box, and of some just outside.
 
         ``int64 (n, 2)``, sorted; ``low`` and ``high`` are the box's corners (x, y), px.
@@ -197,9 +197,9 @@ class Lattice:
         found = integers_within(basis, np.subtract(low, self.origin), np.subtract(high, self.origin)) @ change
         return np.asarray(found[np.lexsort((found[:, 1], found[:, 0]))])
 
-    def shifted(self, offset: Vector) -> Lattice:
+    def shifted(self, offset: ArrayLike) -> Lattice:
         """Return the lattice moved by ``offset`` (x, y) px: that of an image cropped at ``-offset``."""
-        return Lattice(self.t1, self.t2, (self.origin[0] + offset[0], self.origin[1] + offset[1]))
+        return Lattice.from_basis(self.matrix, np.add(self.origin, offset))
 
     def as_dict(self) -> dict[str, list[float]]:
         """Return ``{"t1": [x, y], "t2": [x, y], "origin": [x, y]}``, ready for JSON."""
