@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.registration import Map, Template, box_sum
+from nrbench.imaging.boxes import box_sums
+from nrbench.imaging.registration import Map, Template
 
 from .colors import cut_planes
 
@@ -89,7 +90,7 @@ class Bank:
         template, offsets = self.template, np.argwhere(self.where)[:, ::-1]
         image = np.moveaxis(template.image[..., : self.varies], -1, 0)
         planes = np.concatenate([template.weights[np.newaxis], template.weights * image])
-        squares = box_sum((planes[1:] * image).sum(0), template.window)[self.where]
+        squares = box_sums((planes[1:] * image).sum(0), template.window).astype(np.float32)[self.where]
         rows = cut_planes(planes, offsets, template.window)
         total = rows[:, 0].sum((1, 2))
         rows /= total[:, np.newaxis, np.newaxis, np.newaxis]

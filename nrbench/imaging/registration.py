@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 import scipy.fft
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from nrbench.imaging.boxes import box_sums
 from nrbench.imaging.fold import Values
 
 Map = NDArray[np.float32]
@@ -58,9 +58,9 @@ class Template:
     @cached_property
     def _sums(self) -> tuple[Map, Values, Map]:
         """Return, over a window at every offset: sum of weights, weighted sums of channels, template's energy."""
-        weights = box_sum(self.weights, self.window)
-        sums = np.stack([box_sum(plane, self.window) for plane in np.moveaxis(self._weighted, -1, 0)])
-        squares = box_sum((self._weighted * (self.image - self.mean)).sum(-1), self.window)
+        weights = box_sums(self.weights, self.window).astype(np.float32)
+        sums = np.moveaxis(box_sums(self._weighted, self.window), -1, 0).astype(np.float32)
+        squares = box_sums((self._weighted * (self.image - self.mean)).sum(-1), self.window).astype(np.float32)
         energy = squares - (sums**2).sum(0) / weights
         return weights, sums, energy
 
@@ -107,20 +107,6 @@ class Template:
     def _valid(self, spectrum: NDArray[np.complex64]) -> Map:
         rows, columns = self._sums[0].shape
         return np.asarray(scipy.fft.irfft2(spectrum, self._size)[..., :rows, :columns])
-
-
-def box_sum(plane: Map, window: tuple[int, int]) -> Map:
-    """Return the sum over a window at every offset where it fits, by integral image in float64."""
-    total = np.zeros((plane.shape[0] + 1, plane.shape[1] + 1))
-    total[1:, 1:] = plane.cumsum(0, dtype=np.float64).cumsum(1)
-    h, w = window
-    return np.asarray(total[h:, w:] - total[:-h, w:] - total[h:, :-w] + total[:-h, :-w], np.float32)
-
-
-def cut_windows(image: Values, corners: NDArray[np.intp], window: tuple[int, int]) -> Values:
-    """Return the windows whose top-left pixels are ``corners``, ``(n, 2)`` as (x, y), as ``(n, h, w, C)``."""
-    views = sliding_window_view(image, window, axis=(0, 1))
-    return np.moveaxis(views[corners[:, 1], corners[:, 0]], 1, -1)
 
 
 def peaks(surfaces: Map, where: NDArray[np.bool_] | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
