@@ -88,5 +88,5 @@ class KdTree:
         """
         keys, found = np.full((len(queries), k), UNBOUNDED), np.full((len(queries), k), -1, np.int64)
         labels = np.zeros(len(queries), np.int64) if groups is None else groups
-        search_all(self.arrays, self.roots, labels, queries, (1 + eps) ** 2, keys, found)
+        search_all(self.arrays, self.roots, labels, queries, (1.0 + eps) ** 2, keys, found)
         return np.where(found < 0, -1, self.order[found]), np.where(found < 0, -1, keys >> 32)

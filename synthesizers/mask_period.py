@@ -1,0 +1,79 @@
+"""Masks that repeat with the output: what makes it tileable."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.harmonics import Harmonics
+from nrbench.synthesis import Refused
+from nrbench.texture import Shape
+
+from .fftm_mask import TextureMask
+
+Array = NDArray[np.float64]
+
+SLACK = 0.1
+"""Share of s by which the mask may be stretched or sheared over the whole output, so that it repeats."""
+
+
+def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
+    """Return the mask with its fundamentals fitted to the output: whole numbers of waves along both its sides.
+
+    Equation 7 divides by the components of one frequency pair, which can be 0; here a side is a period where it is a
+    vector of the mask's lattice (or a period of its strongest stripes), give or take :data:`SLACK`, over which the
+    lattice is then fitted to it. What else the mask has, further groups of waves, is fitted as it comes.
+
+    Parameters
+    ----------
+    mask
+        Of tied harmonics.
+    shape
+        (height, width) px of the output.
+
+    Raises
+    ------
+    Refused
+        Where a side is no period, naming the nearest sizes that are.
+    """
+    height, width = shape
+    fundamentals = _strongest(mask.harmonics)
+    near = [_nearest(fundamentals[:, axis], fundamentals, side) for axis, side in enumerate((width, height))]
+    if near != [width, height]:
+        sides = "x".join("?" if side is None else str(side) for side in near)
+        raise Refused(f"{width}x{height} px is no period of the mask, so that the output cannot tile; nearest: {sides}")
+    harmonics = mask.harmonics
+    fitted = np.rint(harmonics.fundamentals * (width, height)) / (width, height)
+    return replace(
+        mask, harmonics=replace(harmonics, fundamentals=fitted, frequencies=harmonics.orders @ fitted)
+    )
+
+
+def _strongest(harmonics: Harmonics) -> Array:
+    """Return the fundamentals of the strongest group of two, ``(2, 2)``; where all are stripes, ``(1, 2)``."""
+    ends = np.cumsum(harmonics.groups)
+    pairs = [end for end, count in zip(ends, harmonics.groups, strict=True) if count == 2]
+    stop = int(pairs[0] if pairs else ends[0])
+    return np.asarray(harmonics.fundamentals[stop - (2 if pairs else 1) : stop])
+
+
+def _nearest(turns: Array, fundamentals: Array, side: int) -> int | None:
+    """Return the length nearest to ``side``, at most twice as long, that is a period.
+
+    Parameters
+    ----------
+    turns
+        ``(g,)``: cycles of each fundamental a px along the side.
+    fundamentals
+        ``(g, 2)``.
+    """
+    vectors = np.linalg.pinv(fundamentals).T
+    slack = SLACK * math.sqrt(float((vectors**2).sum(1).min()))
+    lengths = np.arange(1, 2 * side + 1)
+    cycles = lengths[:, np.newaxis] * turns
+    off = np.hypot(*((cycles - np.rint(cycles)) @ vectors).T)
+    good = lengths[(off <= slack) & (lengths > 2 * slack)]
+    return int(good[np.abs(good - side).argmin()]) if len(good) else None
