@@ -4,38 +4,93 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Literal
 
-import numpy as np
-
-from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, to_bytes
+from nrbench.errors import checker
+from nrbench.imaging.door import Image
 from nrbench.imaging.harmonics import Harmonic, Signal
 from nrbench.lattice.frdft import Frdft
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.synthesis import Synthesis, Task
 
 from .fftm_mask import Analysis, TextureMask
 from .mask_clusters import Clusters
 from .mask_period import tileable_mask
-from .neighborhoods import Integers, Layers, Neighborhood
-from .pixel_growth import Growth, Rules, Search, Stock, stock_of
+from .neighborhoods import Neighborhood, layers_of
+from .pixel_growth import Candidates, Growth, Rules, Search, sources
 
 Match = Literal["full", "cluster"]
 
 
 @dataclass(frozen=True)
 class FftmPixel:
-    """TODO."""
+    """Fractional Fourier texture masks, pixel-based (Nicoll et al. 2005, sections 4.1 and 4.3).
+
+    The regular part of the sample, its mask, is drawn at the output's size. The output is then synthesized pixel by
+    pixel in scan-line order: each takes the pixel of the sample whose neighborhood is nearest. What is synthesized
+    already (N_upper) is compared in the texture, the pixel itself and what follows (N_lower) in the mask, by the sum of
+    squared differences d_TT + c d_MM (equations 8 and 9): one vector, so that one tree finds it. The weight c is the
+    mask's wherever it stands; section 4.2 prints d_MM + c d_TT, which contradicts what 4.1 says of small and large c.
+
+    Where the paper's best results owe their quality to a search library that happens to favor neighbors of the sample
+    (its figure 5), ``coherence`` says so openly: among sources that fit about as well the one is taken that continues a
+    neighbor's. Beyond the output's top and sides the mask stands for the texture. Equally good sources are chosen by a
+    random order, drawn once.
+
+    Distances are whole numbers: principal components are rounded to fractions of a gray level, and so are the mask's
+    colors, so that the nearest neighborhood is the same on every machine. Linear in the pixels of the output; each
+    costs the logarithm of the sample's (ann), all of them (exhaustive), or a constant (k-coherence).
+
+    With a lattice given, the mask's fundamentals are its; with none they are found.
+
+    Parameters
+    ----------
+    neighborhood
+        Side N in px, 2 to 6, of the window from -N//2 to N - 1 - N//2 around the pixel. (The paper: 2 for simple
+        structures, 3, 6 for knitted wool.)
+    weight
+        c, 0 to 100: what squared differences in the mask count against those in the texture. Below 0.1 the mask has no
+        effect, above 5 the texture has little. Only for match ``full``.
+    match
+        ``"full"``: as above. ``"cluster"``: pixels are sorted by the mask around them (k-means over the whole window);
+        those of the sample in the output pixel's cluster are candidates, compared by d_TT alone.
+    search
+        ``"ann"``: kd-tree, exact with ``eps`` 0. ``"exhaustive"``: every candidate. ``"k-coherence"``: for each pixel
+        synthesized in the window its source, continued, and what is similar to that in the sample (Tong et al. 2002).
+    coherence
+        A neighbor's continued source is taken when its distance is at most so many times the best's: 1 or more; 0: it
+        has no advantage.
+    eps
+        A source may be (1 + eps) times as far as the nearest: 0 or more, only for search ``ann``. A neighbor's
+        continued source may be farther by both factors.
+    dimensions
+        Principal components that are compared; 0, or as many as there are values: all values.
+    similar
+        How many similar ones, 1 to 64, in search ``k-coherence``, else to be left out. None: 4.
+    clusters
+        How many, 2 to 4096, in match ``cluster``, else to be left out. None: 64.
+    tileable
+        Whether the output can be repeated without a seam: the mask is fitted to its size, neighborhoods go on at the
+        opposite side, and a second pass replaces the pixels at the top and the left whose opposite ones were not
+        there in the first. Then all around them is synthesized and compared in the texture. The size asked for must be
+        a period of the mask, up to a tenth of s; another is refused with the nearest ones that are.
+    threshold
+        Least amplitude of a wave of the mask, units of 1/255; 0: automatic.
+    harmonics
+        ``"tied"`` to whole combinations of common fundamentals, or ``"free"`` (the paper's), which cannot tile.
+    signal
+        How waves are searched: ``"real"``, or ``"analytic"`` (the paper's).
+    """
 
     neighborhood: int = 3
     weight: float = 1.0
     match: Match = "full"
     search: Search = "ann"
-    coherence: float | None = 1.5
-    eps: float = 1.0
+    coherence: float = 3.0
+    eps: float = 0.0
     dimensions: int = 16
-    similar: int = 4
-    clusters: int = 64
+    similar: int | None = None
+    clusters: int | None = None
     tileable: bool = False
     threshold: float = 0.0
     harmonics: Harmonic = "tied"
@@ -47,63 +102,104 @@ class FftmPixel:
     version: ClassVar[str] = "1"
     paper: ClassVar[str] = Frdft.paper
 
-    def synthesize(self, task: Task) -> Synthesis:
-        start = time.perf_counter()
-        mask = Analysis(self.threshold, self.harmonics, self.signal).of(task.sample)
-        seconds = time.perf_counter() - start
-        return self.guided(task, mask, seconds)
+    def __post_init__(self) -> None:
+        _check(2 <= self.neighborhood <= 6, f"neighborhood {self.neighborhood}; choose from 2 to 6 px")
+        _check(0 <= self.weight <= 100, f"weight {self.weight}; choose from 0 to 100")
+        _check(
+            self.match == "full" or self.weight == 1.0,
+            f"weight {self.weight} with match 'cluster', which compares no mask; choose match 'full', or leave it out",
+        )
+        _check(
+            self.match == "cluster" or self.clusters is None,
+            f"clusters {self.clusters} with match 'full'; choose match 'cluster', or leave them out",
+        )
+        _check(self.clusters is None or 2 <= self.clusters <= 4096, f"clusters {self.clusters}; choose from 2 to 4096")
+        _check(
+            not (self.tileable and self.harmonics == "free"),
+            "tileable with harmonics 'free', which have no common period; choose harmonics 'tied'",
+        )
+        _ = self.rules, self.analysis
 
     @property
     def rules(self) -> Rules:
-        return Rules(self.search, self.eps, self.similar, self.dimensions, self.coherence or 0.0)
+        """How sources are chosen."""
+        return Rules(self.search, self.coherence, self.eps, self.dimensions, self.similar)
+
+    @property
+    def analysis(self) -> Analysis:
+        """How the mask is made."""
+        return Analysis(self.threshold, self.harmonics, self.signal)
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the synthesis; see :class:`FftmPixel`.
+
+        Raises
+        ------
+        Refused
+            When the sample has no regular part, when it does not hold a neighborhood, and when a tileable output is
+            asked for at a size that is no period of the mask.
+        """
+        start = time.perf_counter()
+        mask = self.analysis.of(task.sample)
+        return self.guided(task, mask, 0.0 if task.lattice else time.perf_counter() - start)
 
     def guided(self, task: Task, mask: TextureMask, seconds: float = 0.0) -> Synthesis:
-        return _Guided(self, task, mask).synthesis(seconds)
+        """Return the synthesis by a mask, which took so many seconds to find; the mask is among its extras."""
+        guide = _Guide(self, task, mask)
+        guide.grow()
+        image, source = guide.growth.finished()
+        task.progress(1.0)
+        return Synthesis(image, mask.lattice, source, {"mask": guide.picture}, seconds)
 
 
-class _Guided:
-    """One synthesis."""
+_check = checker("fftm-pixel")
+
+
+class _Guide:
+    """One synthesis: the sample and the output, each with its mask."""
 
     def __init__(self, method: FftmPixel, task: Task, mask: TextureMask) -> None:
-        self.method, self.task, self.mask = method, task, mask
-        size = method.neighborhood
-        left, top, right, bottom = Neighborhood.of_mask(size).box
-        height, width = task.shape
-        fitted = tileable_mask(mask, task.shape) if method.tileable else mask
-        drawn = fitted.picture((height + top + bottom, width + left + right), (-left, -top))
-        self.picture = drawn[top : top + height, left : left + width]
-        self.sample = _layers(task.sample, mask.picture(task.sample.shape[:2]))
-        self.growth = Growth(task, _layers(drawn, drawn), (top, left), method.tileable)
-        self.pixels = Neighborhood.of_mask(size).complete(task.sample.shape[:2])
-        if not len(self.pixels):
-            raise Refused("")
-        self.ranks = task.rng.permutation(len(self.pixels))
-        self.clusters = None
+        self.method, self.task = method, task
+        self.window = Neighborhood.of_mask(method.neighborhood)
+        self.layers = layers_of(task.sample, mask.picture(task.sample.shape[:2]))
+        self.drawn = self._drawn(tileable_mask(mask, task.shape) if method.tileable else mask)
+        left, top, _, _ = self.window.box
+        self.growth = Growth(task, layers_of(self.drawn, self.drawn), (top, left), method.tileable)
+        self.candidates = sources(self.layers, self.window, task.rng)
         if method.match == "cluster":
-            whole = Neighborhood.of_mask(size)
-            self.clusters = Clusters.of(self.sample, whole, self.pixels, method.clusters, task.rng)
+            groups = self.clusters.labels
+            self.candidates = Candidates(self.candidates.pixels, self.candidates.ranks, groups)
 
-    def synthesis(self, seconds: float) -> Synthesis:
-        height, width = self.task.shape
-        size, masked = self.method.neighborhood, self.clusters is None
-        groups = None
-        if self.clusters is not None:
-            groups = self.clusters.of_output(self.growth.layers, self.task.shape, self.growth.corner)
-        stock = self._stock(Neighborhood.growing(size, masked))
-        self.growth.grow(stock, self.method.rules, range(height), range(width), groups)
-        if self.method.tileable:
-            stock = self._stock(Neighborhood.closing(size, masked))
-            edge = size // 2
-            self.growth.grow(stock, self.method.rules, range(min(edge, height)), range(width), groups, 0)
-            self.growth.grow(stock, self.method.rules, range(edge, height), range(min(edge, width)), groups, 0)
-        image, source = self.growth.finished()
-        return Synthesis(image, self.mask.lattice, source, {"mask": self.picture}, seconds)
+    def _drawn(self, mask: TextureMask) -> Image:
+        """Return the mask of the output and of the border that its neighborhoods reach into."""
+        (height, width), (left, top, right, bottom) = self.task.shape, self.window.box
+        return mask.picture((height + top + bottom, width + left + right), (-left, -top))
 
-    def _stock(self, neighborhood: Neighborhood) -> Stock:
-        labels = None if self.clusters is None else self.clusters.labels
-        method = self.method
-        return stock_of(self.sample, neighborhood, method.rules, method.weight, self.pixels, self.ranks, labels)
+    @property
+    def picture(self) -> Image:
+        """The mask of the output."""
+        (height, width), (left, top, _, _) = self.task.shape, self.window.box
+        return self.drawn[top : top + height, left : left + width]
 
+    @cached_property
+    def clusters(self) -> Clusters:
+        """The sample's pixels sorted by what the mask shows around them."""
+        count = self.method.clusters or 64
+        return Clusters.of(self.layers, self.window, self.candidates.pixels, count, self.task.rng)
 
-def _layers(texture: Image, mask: Image) -> Layers:
-    return np.stack([to_bytes(texture), to_bytes(mask)])
+    def grow(self) -> None:
+        """Synthesize all pixels; of tileable outputs those at the top and the left once more."""
+        method, (height, width) = self.method, self.task.shape
+        masked = method.match == "full"
+        groups = None if masked else self.clusters.of_output(self.growth.layers, self.task.shape, self.growth.corner)
+        first = self.candidates.stock(
+            self.layers, Neighborhood.growing(method.neighborhood, masked), method.rules, method.weight
+        )
+        self.growth.grow(first, range(height), range(width), groups)
+        if method.tileable:
+            second = self.candidates.stock(
+                self.layers, Neighborhood.closing(method.neighborhood, masked), method.rules, method.weight
+            )
+            edge = method.neighborhood // 2
+            self.growth.grow(second, range(min(edge, height)), range(width), groups)
+            self.growth.grow(second, range(edge, height), range(min(edge, width)), groups)

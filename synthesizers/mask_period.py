@@ -47,9 +47,7 @@ def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
         raise Refused(f"{width}x{height} px is no period of the mask, so that the output cannot tile; nearest: {sides}")
     harmonics = mask.harmonics
     fitted = np.rint(harmonics.fundamentals * (width, height)) / (width, height)
-    return replace(
-        mask, harmonics=replace(harmonics, fundamentals=fitted, frequencies=harmonics.orders @ fitted)
-    )
+    return replace(mask, harmonics=replace(harmonics, fundamentals=fitted, frequencies=harmonics.orders @ fitted))
 
 
 def _strongest(harmonics: Harmonics) -> Array:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.imaging.door import Image, to_bytes
+
 Layers = NDArray[np.uint8]
 """``uint8 (L, H, W, C)``: the texture, and (L = 2) its mask."""
 Integers = NDArray[np.int64]
@@ -78,7 +80,12 @@ class Neighborhood:
 
     def vectors(self, layers: Layers, pixels: Integers) -> NDArray[np.uint8]:
         """Return the neighborhoods of some pixels, ``uint8 (n, t C)``."""
-        return layers.reshape(-1)[pixels[:, np.newaxis] * layers.shape[3] + self.steps(layers)]
+        return np.asarray(layers.reshape(-1)[pixels[:, np.newaxis] * layers.shape[3] + self.steps(layers)])
+
+
+def layers_of(*pictures: Image) -> Layers:
+    """Return the texture, and its mask, as layers."""
+    return np.stack([to_bytes(picture) for picture in pictures])
 
 
 def _window(size: int) -> tuple[Integers, Integers]:

@@ -9,19 +9,21 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.errors import checker
 from nrbench.imaging.door import Image
 from nrbench.imaging.kdtree import KdTree
 from nrbench.imaging.projection import Projection
-from nrbench.synthesis import SourceMap, Task
-from nrbench.texture import Shape
+from nrbench.synthesis import Refused, SourceMap, Task
 
 from .neighborhoods import Integers, Layers, Neighborhood
-from .pixel_growth_kernels import CanvasArrays, StockArrays, grow
+from .pixel_growth_kernels import CanvasArrays, QueryArrays, StockArrays, grow
 
 Search = Literal["ann", "exhaustive", "k-coherence"]
 
 BAND = 8
 """Rows that are synthesized between two reports of progress."""
+SIMILAR = 4
+LEAF = 8
 
 
 @dataclass(frozen=True)
@@ -30,17 +32,74 @@ class Rules:
 
     Parameters
     ----------
-    search
-        See :class:`~nrbench.synthesizers.fftm_pixel.FftmPixel`, like all the rest.
-    eps, similar, dimensions, coherence
-        Coherence 0: off.
+    search, coherence, eps, dimensions, similar
+        See :class:`~nrbench.synthesizers.fftm_pixel.FftmPixel`.
     """
 
     search: Search
-    eps: float
-    similar: int
-    dimensions: int
     coherence: float
+    eps: float
+    dimensions: int
+    similar: int | None
+
+    def __post_init__(self) -> None:
+        _check(
+            self.coherence == 0 or 1 <= self.coherence < np.inf, f"coherence {self.coherence}; choose 0, or 1 or more"
+        )
+        _check(0 <= self.eps < np.inf, f"eps {self.eps}; choose 0 or more")
+        _check(
+            self.search == "ann" or self.eps == 0,
+            f"eps {self.eps} with search {self.search!r}; choose search 'ann', or leave it out",
+        )
+        _check(self.dimensions >= 0, f"dimensions {self.dimensions}; choose 1 or more, or 0 for all")
+        _check(
+            self.search == "k-coherence" or self.similar is None,
+            f"similar {self.similar} with search {self.search!r}; choose search 'k-coherence', or leave it out",
+        )
+        _check(self.similar is None or 1 <= self.similar <= 64, f"similar {self.similar}; choose from 1 to 64")
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """The sample's pixels that may be sources.
+
+    Parameters
+    ----------
+    pixels
+        ``(n,)``: row * width + column.
+    ranks
+        ``(n,)``: of two that fit equally well the one of lower rank is taken.
+    groups
+        ``(n,)``: which may stand for which; None: any for any.
+    """
+
+    pixels: Integers
+    ranks: Integers
+    groups: Integers | None = None
+
+    def stock(self, layers: Layers, neighborhood: Neighborhood, rules: Rules, weight: float) -> Stock:
+        """Return the candidates ready to be searched, O(n D dimensions + n log n).
+
+        Parameters
+        ----------
+        layers
+            The sample, and its mask.
+        neighborhood
+            What is compared.
+        rules
+            How sources are chosen.
+        weight
+            What the mask's squared differences count.
+        """
+        vectors = neighborhood.vectors(layers, self.pixels)
+        projection = Projection.of(vectors, neighborhood.weights(weight, layers.shape[3]), rules.dimensions)
+        points = projection.points(vectors)
+        leaf = len(points) if rules.search == "exhaustive" else LEAF
+        tree = KdTree.of(points, self.ranks, self.groups, leaf)
+        similar = np.zeros((len(points), 0), np.int64)
+        if rules.search == "k-coherence":
+            similar = _similar(tree, points, rules.similar or SIMILAR, self.groups)
+        return Stock(layers, neighborhood, rules, projection, tree, self.pixels, similar)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,22 +108,21 @@ class Stock:
 
     Parameters
     ----------
-    layers
-        The sample, and its mask.
-    neighborhood
-        What is compared.
+    layers, neighborhood, rules
+        As in :meth:`Candidates.stock`.
     projection
         Neighborhood vectors to points.
     tree
         Of the points of ``pixels``.
     pixels
-        ``(n,)``: those whose neighborhoods are complete, row * width + column.
+        ``(n,)``: row * width + column.
     similar
-        ``(n, k)``: for each place of the tree those that are most like it.
+        ``(n, k)``: for each place of the tree those that are most like it, -1 where there are fewer.
     """
 
     layers: Layers
     neighborhood: Neighborhood
+    rules: Rules
     projection: Projection
     tree: KdTree
     pixels: Integers
@@ -79,41 +137,37 @@ class Stock:
         places[placed] = np.arange(len(placed))
         return self.layers[0].reshape(-1, channels), placed, places, self.similar, width
 
+    def query(self, layers: Layers) -> QueryArrays:
+        """Return what kernels make a query with, in the layers of an output."""
+        steps, projection = self.neighborhood.steps(layers), self.projection
+        return steps, projection.matrix, projection.shift, projection.bits, self.neighborhood.causes
 
-def stock_of(
-    layers: Layers,
-    neighborhood: Neighborhood,
-    rules: Rules,
-    weight: float,
-    pixels: Integers,
-    ranks: Integers,
-    groups: Integers | None = None,
-) -> Stock:
-    """Build a stock, O(n D dimensions + n log n).
 
-    Parameters
-    ----------
-    layers, neighborhood, rules
-        As in :class:`Stock`.
-    weight
-        What the mask's squared differences count.
-    pixels
-        Those that may be sources.
-    ranks, groups
-        ``(n,)``: which of two that fit equally well is taken, and which may stand for which, see :class:`KdTree`.
+def sources(layers: Layers, neighborhood: Neighborhood, rng: np.random.Generator) -> Candidates:
+    """Return the pixels of a sample whose neighborhoods are complete, in a random order of preference.
+
+    Raises
+    ------
+    Refused
+        Where there are none.
     """
-    vectors = neighborhood.vectors(layers, pixels)
-    projection = Projection.of(vectors, neighborhood.weights(weight, layers.shape[3]), rules.dimensions)
-    points = projection.points(vectors)
-    tree = KdTree.of(points, ranks, groups, leaf=len(points) if rules.search == "exhaustive" else 8)
-    similar = np.zeros((len(points), 0), np.int64)
-    if rules.search == "k-coherence" and rules.similar:
-        similar = _similar(tree, points, rules.similar, groups)
-    return Stock(layers, neighborhood, projection, tree, pixels, similar)
+    _, height, width, _ = layers.shape
+    pixels = neighborhood.complete((height, width))
+    if not len(pixels):
+        left, top, right, bottom = neighborhood.box
+        raise Refused(
+            f"a neighborhood takes {left + right + 1}x{top + bottom + 1} px, the sample is {width}x{height} px"
+        )
+    return Candidates(pixels, rng.permutation(len(pixels)))
+
+
+def scattered(layers: Layers, shape: tuple[int, int], rng: np.random.Generator) -> Layers:
+    """Return layers of ``shape`` (height, width) of random pixels of a sample's."""
+    colors = layers.reshape(len(layers), -1, layers.shape[3])
+    return np.ascontiguousarray(colors[:, rng.integers(colors.shape[1], size=shape)])
 
 
 def _similar(tree: KdTree, points: NDArray[np.int16], k: int, groups: Integers | None) -> Integers:
-    """Return the places of the k others that are nearest to each place of the tree, -1 where there are fewer."""
     numbers, _ = tree.nearest(points, k + 1, groups=groups)
     own = numbers == np.arange(len(points))[:, np.newaxis]
     others = np.take_along_axis(numbers, np.argsort(own, 1, kind="stable"), 1)[:, :k]
@@ -130,17 +184,17 @@ class Growth:
     task
         The sample, the output's shape, progress.
     layers
-        ``uint8 (L, P, Q, C)``: what stands in the texture before it is synthesized, and the mask.
+        ``uint8 (L, P, Q, C)``: what stands for the texture before it is synthesized, and the mask; written.
     corner
         Rows and columns of the border at the top and left.
     wraps
-        Whether neighborhoods go on at the opposite side, and the border repeats what stands there.
+        Whether neighborhoods go on at the opposite side: the border repeats what stands there.
     """
 
     def __init__(self, task: Task, layers: Layers, corner: tuple[int, int], wraps: bool = False) -> None:
-        self.task, self.layers = task, np.ascontiguousarray(layers)
-        self.corner, self.wraps = corner, wraps
+        self.task, self.layers, self.corner, self.wraps = task, layers, corner, wraps
         self.sources = np.full(layers.shape[1:3], -1, np.int64)
+        self.told = 0.0
 
     @property
     def arrays(self) -> CanvasArrays:
@@ -148,44 +202,37 @@ class Growth:
         period = self.task.shape if self.wraps else self.sources.shape
         return self.layers.reshape(-1), self.sources, np.array([*period, *self.corner])
 
-    def grow(
-        self, stock: Stock, rules: Rules, rows: range, columns: range, groups: Integers | None, done: float = 1.0
-    ) -> None:
-        """Synthesize some rows and columns in scan-line order.
+    def grow(self, stock: Stock, rows: range, columns: range, groups: Integers | None = None) -> None:
+        """Synthesize some rows and columns of the output in scan-line order.
 
         Parameters
         ----------
         stock
             What the pixels are taken from.
-        rules
-            How they are chosen.
         rows, columns
             Of the output.
         groups
-            ``(height, width)`` of the output: from which group of the stock. None: there is but one.
-        done
-            The progress to report at the end; 0 reports none.
+            ``(height, width)`` of the output: from which group of the stock; None: there is but one.
         """
-        projection = stock.projection
-        steps, causes = stock.neighborhood.steps(self.layers), stock.neighborhood.causes
-        query = steps, projection.matrix, projection.shift, projection.bits, causes
+        query, rules = stock.query(self.layers), stock.rules
         for start in range(rows.start, rows.stop, BAND):
-            stop = min(start + BAND, rows.stop)
-            box = np.array([start, stop, columns.start, columns.stop])
-            among = np.zeros((stop - start, len(columns)), np.int64)
+            box = np.array([start, min(start + BAND, rows.stop), columns.start, columns.stop])
+            among = np.zeros((box[1] - start, len(columns)), np.int64)
             if groups is not None:
-                among = np.ascontiguousarray(groups[start:stop, columns.start : columns.stop])
+                among[:] = groups[start : box[1], columns.start : columns.stop]
             grow(
                 self.arrays, stock.arrays, query, stock.tree.arrays, stock.tree.roots, among, box,
                 float(rules.coherence) ** 2, (1.0 + rules.eps) ** 2, rules.search != "k-coherence",
             )  # fmt: skip
-            if done:
-                self.task.progress(done * (stop - rows.start) / len(rows))
+            self.told = max(self.told, float(box[1]) / self.task.shape[0])
+            self.task.progress(self.told)
 
     def finished(self) -> tuple[Image, SourceMap]:
         """Return the output and its source map."""
         (top, left), (height, width) = self.corner, self.task.shape
         image = self.layers[0, top : top + height, left : left + width] / np.float32(255)
-        numbers = self.sources[top : top + height, left : left + width]
-        y, x = np.divmod(numbers, self.task.sample.shape[1])
-        return image, np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)
+        y, x = np.divmod(self.sources[top : top + height, left : left + width], self.task.sample.shape[1])
+        return np.asarray(image, np.float32), np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)
+
+
+_check = checker("pixels")

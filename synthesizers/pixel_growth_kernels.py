@@ -59,9 +59,7 @@ def put(canvas: CanvasArrays, row: int, column: int, source: int, color: NDArray
                 values[(r * width + c) * channels + k] = color[k]
 
 
-@kernel(
-    f"void({CANVAS}, {STOCK}, {QUERY}, {TREE}, int64[::1], int64[:, ::1], int64[::1], float64, float64, boolean)"
-)
+@kernel(f"void({CANVAS}, {STOCK}, {QUERY}, {TREE}, int64[::1], int64[:, ::1], int64[::1], float64, float64, boolean)")
 def grow(
     canvas: CanvasArrays,
     stock: StockArrays,

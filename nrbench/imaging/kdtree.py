@@ -37,9 +37,7 @@ class KdTree:
     order: Integers
 
     @classmethod
-    def of(
-        cls, points: Points, ranks: Integers | None = None, groups: Integers | None = None, leaf: int = 8
-    ) -> KdTree:
+    def of(cls, points: Points, ranks: Integers | None = None, groups: Integers | None = None, leaf: int = 8) -> KdTree:
         """Build the tree, O(n d log n).
 
         Parameters

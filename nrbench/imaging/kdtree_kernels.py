@@ -118,7 +118,7 @@ def build(
 
 
 @kernel("int32(int16[::1], int16[::1])")
-def squared_distance(one: NDArray[np.int16], other: NDArray[np.int16]) -> int:
+def squared_distance(one: NDArray[np.int16], other: NDArray[np.int16]) -> np.int32:
     """Return the squared distance of two points."""
     total = np.int32(0)
     for a in range(one.size):
@@ -191,7 +191,12 @@ def search(
             farther = distance - gaps[axis] + cut * cut
             if farther * shrink <= keys[last] >> 32:
                 stack[top, 0], stack[top, 1], stack[top, 2] = -1, gaps[axis], axis
-                stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2], stack[top + 1, 3] = far, farther, axis, cut * cut
+                stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2], stack[top + 1, 3] = (
+                    far,
+                    farther,
+                    axis,
+                    cut * cut,
+                )
                 top += 2
             at = near
         for p in range(nodes[at, 0], nodes[at, 1]):
