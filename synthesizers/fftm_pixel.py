@@ -17,9 +17,12 @@ from .fftm_mask import Analysis, TextureMask
 from .mask_clusters import Clusters
 from .mask_period import tileable_mask
 from .neighborhoods import Neighborhood, layers_of
-from .pixel_growth import Candidates, Growth, Rules, Search, sources
+from .pixel_growth import Candidates, Growth, Rules, Search, Stock, sources
 
 Match = Literal["full", "cluster"]
+
+CLUSTERS = 64
+"""Of which each takes some hundred pixels of a sample of 128 x 128."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +74,10 @@ class FftmPixel:
         How many, 2 to 4096, in match ``cluster``, else to be left out. None: 64.
     tileable
         Whether the output can be repeated without a seam: the mask is fitted to its size, neighborhoods go on at the
-        opposite side, and a second pass replaces the pixels at the top and the left whose opposite ones were not
-        there in the first. Then all around them is synthesized and compared in the texture. The size asked for must be
-        a period of the mask, up to a tenth of s; another is refused with the nearest ones that are.
+        opposite side, and a second pass replaces the pixels within N px of the border. Then all around them is
+        synthesized, and compared in the texture. (The paper replaces those alone whose opposite neighborhoods were not
+        there: lines too thin to mediate between both sides.) The size asked for must be a period of the mask, up to a
+        tenth of s; another is refused with the nearest ones that are.
     threshold
         Least amplitude of a wave of the mask, units of 1/255; 0: automatic.
     harmonics
@@ -86,7 +90,7 @@ class FftmPixel:
     weight: float = 1.0
     match: Match = "full"
     search: Search = "ann"
-    coherence: float = 3.0
+    coherence: float = 2.0
     eps: float = 0.0
     dimensions: int = 16
     similar: int | None = None
@@ -160,7 +164,8 @@ class _Guide:
 
     def __init__(self, method: FftmPixel, task: Task, mask: TextureMask) -> None:
         self.method, self.task = method, task
-        self.window = Neighborhood.of_mask(method.neighborhood)
+        size = method.neighborhood
+        self.window = Neighborhood.of_mask(size // 2 * 2 + 1 if method.tileable else size)
         self.layers = layers_of(task.sample, mask.picture(task.sample.shape[:2]))
         self.drawn = self._drawn(tileable_mask(mask, task.shape) if method.tileable else mask)
         left, top, _, _ = self.window.box
@@ -184,22 +189,26 @@ class _Guide:
     @cached_property
     def clusters(self) -> Clusters:
         """The sample's pixels sorted by what the mask shows around them."""
-        count = self.method.clusters or 64
-        return Clusters.of(self.layers, self.window, self.candidates.pixels, count, self.task.rng)
+        window, count = Neighborhood.of_mask(self.method.neighborhood), self.method.clusters or CLUSTERS
+        return Clusters.of(self.layers, window, self.candidates.pixels, count, self.task.rng)
 
     def grow(self) -> None:
-        """Synthesize all pixels; of tileable outputs those at the top and the left once more."""
-        method, (height, width) = self.method, self.task.shape
-        masked = method.match == "full"
+        """Synthesize all pixels; of tileable outputs those near the border once more."""
+        size, masked = self.method.neighborhood, self.method.match == "full"
+        height, width = self.task.shape
         groups = None if masked else self.clusters.of_output(self.growth.layers, self.task.shape, self.growth.corner)
-        first = self.candidates.stock(
-            self.layers, Neighborhood.growing(method.neighborhood, masked), method.rules, method.weight
-        )
-        self.growth.grow(first, range(height), range(width), groups)
-        if method.tileable:
-            second = self.candidates.stock(
-                self.layers, Neighborhood.closing(method.neighborhood, masked), method.rules, method.weight
-            )
-            edge = method.neighborhood // 2
-            self.growth.grow(second, range(min(edge, height)), range(width), groups)
-            self.growth.grow(second, range(edge, height), range(min(edge, width)), groups)
+        self.growth.grow(self._stock(Neighborhood.growing(size, masked)), range(height), range(width), groups)
+        if self.method.tileable:
+            stock = self._stock(Neighborhood.closing(size, masked))
+            for rows in _border(height, size):
+                self.growth.grow(stock, rows, range(width), groups)
+            for columns in _border(width, size):
+                self.growth.grow(stock, range(height), columns, groups)
+
+    def _stock(self, neighborhood: Neighborhood) -> Stock:
+        return self.candidates.stock(self.layers, neighborhood, self.method.rules, self.method.weight)
+
+
+def _border(length: int, reach: int) -> tuple[range, range]:
+    """Return the last and the first places of a side, in the order in which they follow each other round it."""
+    return range(max(length - reach, 0), length), range(min(reach, length))

@@ -39,8 +39,8 @@ class Neighborhood:
 
     @classmethod
     def closing(cls, size: int, masked: bool) -> Neighborhood:
-        """Return the same window where all has been synthesized before: the mask counts at the pixel itself alone."""
-        x, y = _window(size)
+        """Return the window of size//2 px on all sides, all synthesized before: the mask counts at the pixel alone."""
+        x, y = _window(size // 2 * 2 + 1)
         own = (y == 0) & (x == 0)
         return cls(np.stack([x, y, own], -1)[masked | ~own])
 

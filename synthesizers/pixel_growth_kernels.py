@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.jit import kernel
 from nrbench.imaging.kdtree_kernels import DEEPEST, TREE, Arrays, search, squared_distance
 
-FAR = np.int64(2**62)
+FAR = np.int64(2**63 - 1)
 CANVAS = "Tuple((uint8[::1], int64[:, ::1], int64[::1]))"
 STOCK = "Tuple((uint8[:, ::1], int64[::1], int64[::1], int64[:, ::1], int64))"
 QUERY = "Tuple((int64[::1], int16[:, ::1], int32[::1], int64, int64[:, ::1]))"

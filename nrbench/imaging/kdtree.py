@@ -14,7 +14,7 @@ Points = NDArray[np.int16]
 what is within 32 767 of each other."""
 Integers = NDArray[np.int64]
 
-UNBOUNDED = np.int64(2**62)
+UNBOUNDED = np.int64(2**63 - 1)
 """A key beyond that of any point."""
 
 
