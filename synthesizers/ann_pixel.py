@@ -33,7 +33,7 @@ class AnnPixel:
 
     neighborhood: int = 8
     search: Search = "ann"
-    coherence: float = 2.0
+    coherence: float = 2.5
     eps: float = 0.0
     dimensions: int = 16
     similar: int | None = None

@@ -90,7 +90,7 @@ class FftmPixel:
     weight: float = 1.0
     match: Match = "full"
     search: Search = "ann"
-    coherence: float = 2.0
+    coherence: float = 2.5
     eps: float = 0.0
     dimensions: int = 16
     similar: int | None = None
