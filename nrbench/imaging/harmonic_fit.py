@@ -99,7 +99,16 @@ class Waves:
 
     @cached_property
     def normal(self) -> tuple[Array, Array]:
-        """The normal equations of the frequencies with the amplitudes eliminated (variable projection).
+        """The normal equations of the frequencies with the amplitudes eliminated, all waves weighted alike."""
+        return self.weighted_normal(np.ones((len(self.frequencies), 1)))
+
+    def weighted_normal(self, weights: Array) -> tuple[Array, Array]:
+        """Return the normal equations of the frequencies with the amplitudes eliminated (variable projection).
+
+        Parameters
+        ----------
+        weights
+            ``(n, C)`` or ``(n, 1)``: how much each wave counts, the inverse of the noise's power where it is.
 
         Returns
         -------
@@ -107,13 +116,15 @@ class Waves:
             The matrix ``(n, 2, n, 2)`` and the right side ``(n, 2)``, for steps in cycles/px.
         """
         (p, q), (cosines, sines) = self.amplitudes, self._grams
+        root = np.sqrt(np.pad(weights, ((1, 0), (0, 0))))
         apart, together = self._kernels
         crossing = (together.slope - apart.slope) / 2, -(together.slope + apart.slope) / 2
         sine_bend, cosine_bend = (together.curvature - apart.curvature) / 2, -(together.curvature + apart.curvature) / 2
-        matrix = _projected(sine_bend, crossing[0], cosines, p) + _projected(cosine_bend, crossing[1], sines, q)
+        matrix = _projected(sine_bend, crossing[0], cosines, p * root)
+        matrix += _projected(cosine_bend, crossing[1], sines, q * root)
         by_sine = -self._transforms[1].imag * 2 * np.pi + np.einsum("ajk,jc->akc", crossing[0], p)
         by_cosine = self._transforms[1].real * 2 * np.pi - np.einsum("ajk,jc->akc", crossing[1], q)
-        right = (-p * by_sine + q * by_cosine).sum(2)
+        right = ((-p * by_sine + q * by_cosine) * root**2).sum(2)
         return np.ascontiguousarray(np.transpose(matrix, (2, 0, 3, 1))[1:, :, 1:]), np.ascontiguousarray(right.T[1:])
 
 
@@ -140,7 +151,13 @@ class Fit(NamedTuple):
     waves: Waves
 
 
-def refine(spectrum: Spectrum, fundamentals: Array, orders: Array | None = None, steps: int = 20) -> Fit:
+def refine(
+    spectrum: Spectrum,
+    fundamentals: Array,
+    orders: Array | None = None,
+    steps: int = 20,
+    weights: Array | None = None,
+) -> Fit:
     """Return the joint least-squares fit nearest to a start: Levenberg's method on the variable projection.
 
     Parameters
@@ -153,24 +170,26 @@ def refine(spectrum: Spectrum, fundamentals: Array, orders: Array | None = None,
         ``(n, g)`` whole numbers: the frequencies are ``orders @ fundamentals``. None: each is its own fundamental.
     steps
         At most so many.
+    weights
+        ``(n, C)``: how much each wave counts where noise is not alike at all: the inverse of its power there. None: 1.
     """
     orders = np.eye(len(fundamentals)) if orders is None else orders
     fit, damping = Fit(fundamentals, Waves(spectrum, orders @ fundamentals)), 1e-6
     for _ in range(steps if len(fundamentals) else 0):
-        step = _step(fit, orders, damping)
+        step = _step(fit, orders, damping, weights)
         longest = float(np.abs(orders @ step * spectrum.size).max())
         step *= min(1.0, LONGEST_STEP / max(longest, 1e-300))
         moved = fit.fundamentals + step
         trial = Fit(moved, Waves(spectrum, orders @ moved))
-        better = trial.waves.explained.sum() >= fit.waves.explained.sum() * (1 - 1e-12)
+        better = weights is not None or trial.waves.explained.sum() >= fit.waves.explained.sum() * (1 - 1e-12)
         fit, damping = (trial, damping / 10) if better else (fit, max(damping, 1e-6) * 100)
         if longest < 1e-5 or damping > 1e6:
             break
     return fit
 
 
-def _step(fit: Fit, orders: Array, damping: float) -> Array:
-    matrix, right = fit.waves.normal
+def _step(fit: Fit, orders: Array, damping: float, weights: Array | None) -> Array:
+    matrix, right = fit.waves.normal if weights is None else fit.waves.weighted_normal(weights)
     g = orders.shape[1]
     half = np.tensordot(orders, matrix, (0, 0))
     small = np.tensordot(half, orders, (2, 0)).transpose(0, 1, 3, 2).reshape(2 * g, 2 * g)

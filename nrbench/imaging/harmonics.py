@@ -13,8 +13,9 @@ from nrbench.imaging.analytic_signal import pursue_analytic
 from nrbench.imaging.dirichlet import Array
 from nrbench.imaging.harmonic_fit import Waves
 from nrbench.imaging.pursuit import pursue
+from nrbench.imaging.regular_part import regular_part
 from nrbench.imaging.spectrum import Planes, Spectrum
-from nrbench.imaging.tying import tie
+from nrbench.imaging.wave_sum import about_origin, wave_sum
 
 Harmonic = Literal["free", "tied"]
 Signal = Literal["real", "analytic"]
@@ -58,9 +59,7 @@ class Harmonics:
         return np.hypot(self.cosine, self.sine)
 
     def evaluate(self, shape: tuple[int, int], offset: tuple[float, float] = (0.0, 0.0)) -> Array:
-        """Return the picture on any window, ``(H, W, C)``, not clipped (equation 6 of the paper).
-
-        Each wave is a product of functions of x and of y: two matrix products a channel, O(n H W) in all.
+        """Return the picture on any window, ``(H, W, C)``, not clipped (equation 6 of the paper); see :func:`wave_sum`.
 
         Parameters
         ----------
@@ -69,17 +68,7 @@ class Harmonics:
         offset
             (x, y) px of the window's first pixel, any real numbers.
         """
-        x, y = (
-            2 * np.pi * np.outer(f, np.arange(n) + o)
-            for f, n, o in zip(self.frequencies.T, shape[::-1], offset, strict=True)
-        )
-        rows = np.concatenate([np.cos(y), np.sin(y)]).T
-        cos, sin = np.cos(x), np.sin(x)
-        planes = [
-            rows @ np.concatenate([c * cos + s * sin, s * cos - c * sin]) + mean
-            for c, s, mean in zip(self.cosine.T[..., np.newaxis], self.sine.T[..., np.newaxis], self.mean, strict=True)
-        ]
-        return np.stack(planes, -1)
+        return wave_sum(self.frequencies, self.cosine, self.sine, self.mean, shape, offset)
 
 
 def analyze(
@@ -147,27 +136,41 @@ def analyze(
 def _analyze(
     planes: Planes, threshold: float | None, harmonics: Harmonic, false_alarms: float, most: int, signal: Signal
 ) -> Harmonics:
+    spectrum = Spectrum(planes)
+    if harmonics == "tied":
+        part = regular_part(spectrum, threshold, false_alarms, most)
+        f = part.orders @ part.fundamentals
+        return _sorted(part.waves, f, part.fundamentals, part.orders, part.groups, part.kept)
     search = pursue if signal == "real" else pursue_analytic
-    found = search(Spectrum(planes), threshold, false_alarms, most)
-    if harmonics == "free":
-        n = len(found.waves.frequencies)
-        return to_harmonics(found.waves, found.waves.frequencies, np.eye(n), (1,) * n)
-    tied = tie(found, threshold, false_alarms, most)
-    return to_harmonics(tied.fit.waves, tied.fit.fundamentals, tied.orders, tied.groups)
+    waves = search(spectrum, threshold, false_alarms, most).waves
+    n = len(waves.frequencies)
+    return _sorted(waves, waves.frequencies, waves.frequencies, np.eye(n), (1,) * n, None)
 
 
-def to_harmonics(waves: Waves, fundamentals: Array, orders: Array, groups: tuple[int, ...]) -> Harmonics:
+def _sorted(
+    waves: Waves,
+    frequencies: Array,
+    fundamentals: Array,
+    orders: Array,
+    groups: tuple[int, ...],
+    kept: NDArray[np.bool_] | None,
+) -> Harmonics:
     """Return fitted waves as seen from pixel (0, 0), the strongest first."""
-    spectrum, (p, q) = waves.spectrum, waves.amplitudes
-    phase = 2 * np.pi * (waves.frequencies @ ((spectrum.size - 1) / 2))[:, np.newaxis]
-    cosine = p[1:] * np.cos(phase) - q[1:] * np.sin(phase)
-    sine = p[1:] * np.sin(phase) + q[1:] * np.cos(phase)
-    order = np.argsort(-(p[1:] ** 2 + q[1:] ** 2).sum(1), kind="stable")
-    total = float(spectrum.energy.sum())
-    share = min(max(float(waves.explained.sum()) / total, 0.0), 1.0) if total > 0 else 0.0
+    cosine, sine, mean = about_origin(waves, kept)
+    power = (cosine**2 + sine**2).sum(1)
+    order = np.argsort(-power, kind="stable")
     whole = np.rint(orders[order]).astype(np.int64)
-    mean = spectrum.mean + p[0]
-    return Harmonics(waves.frequencies[order], cosine[order], sine[order], mean, fundamentals, whole, groups, share)
+    share = _share(
+        waves, None if kept is None else wave_sum(waves.frequencies, cosine, sine, mean, waves.spectrum.shape)
+    )
+    return Harmonics(frequencies[order], cosine[order], sine[order], mean, fundamentals, whole, groups, share)
+
+
+def _share(waves: Waves, picture: Array | None) -> float:
+    """Return the share of the variance that waves explain: with all amplitudes fitted, or as pictured."""
+    planes, total = waves.spectrum.planes, float(waves.spectrum.energy.sum())
+    explained = waves.explained.sum() if picture is None else total - np.square(planes - picture).sum()
+    return min(max(float(explained) / total, 0.0), 1.0) if total > 0 else 0.0
 
 
 def _joined(parts: list[Harmonics], planes: Planes) -> Harmonics:

@@ -1,0 +1,74 @@
+"""The places of lattices of frequencies in a spectrum, with those beyond Nyquist that sampling folds back into it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.dirichlet import Array
+
+NEAREST = 0.75
+"""Bins between two waves at least: nearer ones share their amplitudes at will."""
+FARTHEST = 0.95
+"""Cycles/px along either axis up to which waves are looked for: pixels average over their area, which is blind to 1."""
+
+
+def folded(frequencies: Array) -> Array:
+    """Return frequencies as pixels see them, each component within half a cycle/px."""
+    return np.asarray(frequencies - np.rint(frequencies))
+
+
+def places_of(fundamentals: Array, groups: tuple[int, ...], size: Array) -> Array:
+    """Return the orders of every place of every group, ``(n, g)``: one of each pair f, -f, none near the mean.
+
+    Parameters
+    ----------
+    fundamentals
+        ``(g, 2)`` cycles/px.
+    groups
+        How many of them each group has.
+    size
+        (width, height) px.
+    """
+    rows, start = [np.zeros((0, len(fundamentals)))], 0
+    for count in groups:
+        columns = np.arange(start, start + count)
+        start += count
+        grid = _grid(fundamentals[columns])
+        row = np.zeros((len(grid), len(fundamentals)))
+        row[:, columns] = grid
+        rows.append(row)
+    orders = np.concatenate(rows)
+    return np.asarray(orders[inside(folded(orders @ fundamentals), size)])
+
+
+def _grid(fundamentals: Array) -> Array:
+    """Return the orders of one of each pair of places f, -f."""
+    reach = np.ceil(np.abs(np.linalg.pinv(fundamentals)).sum(0) * FARTHEST).astype(int)
+    axes = [np.arange(-r, r + 1) for r in reach]
+    orders = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(reach)).astype(np.float64)
+    f = orders @ fundamentals
+    half = (orders[:, 0] > 0) | ((orders[:, 0] == 0) & (orders[:, -1] > 0))
+    return np.asarray(orders[half & (np.abs(f) < FARTHEST).all(1)])
+
+
+def inside(frequencies: Array, size: Array) -> NDArray[np.bool_]:
+    """Return which frequencies are within the spectrum, and a bin from its border and from the mean."""
+    within = (np.abs(frequencies) < 0.5 - NEAREST / size).all(1)
+    return np.asarray(within & (np.hypot(*(frequencies * size).T) > NEAREST))
+
+
+def spaced(frequencies: Array, priority: Array, size: Array) -> NDArray[np.intp]:
+    """Return which frequencies ``(n, 2)`` are nearer than a bin to none of higher priority ``(n,)``, highest first."""
+    order = np.argsort(-priority, kind="stable")
+    crowd = near(frequencies[order], frequencies[order], size)
+    kept = np.ones(len(order), np.bool_)
+    for k in np.flatnonzero(np.tril(crowd, -1).any(1)):
+        kept[k] = not (crowd[k, :k] & kept[:k]).any()
+    return np.asarray(order[kept])
+
+
+def near(f: Array, others: Array, size: Array) -> NDArray[np.bool_]:
+    """Return which frequencies pixels can hardly tell from which others or their mirror images, ``(n, m)``."""
+    apart = [np.hypot(*np.moveaxis(folded(f[:, np.newaxis] - sign * others) * size, 2, 0)) for sign in (1, -1)]
+    return np.asarray(np.minimum(*apart) < NEAREST)

@@ -1,0 +1,222 @@
+"""The regular part of a texture: which groups of waves are regular, all their harmonics, and nothing else."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.dirichlet import Array
+from nrbench.imaging.harmonic_fit import Waves, refine
+from nrbench.imaging.line_floor import line_floor
+from nrbench.imaging.places import folded, inside, near, places_of, spaced
+from nrbench.imaging.pursuit import QUICK, Found, pursue, wave_powers
+from nrbench.imaging.spectrum import Spectrum
+from nrbench.imaging.tying import MOST_GROUPS, beyond, next_basis, waveset
+from nrbench.imaging.wave_sum import about_origin, wave_sum
+
+LEADERS = 24
+"""Waves looked for to find a group's fundamentals."""
+VOTERS = 60
+"""Waves, the strongest, by which the fundamentals are fitted: more change them no more."""
+HARMONIC = 4.0
+"""Power over the irregular structure's, from which on a wave at a place of a lattice is taken to be there."""
+FINEST = 0.25
+"""Cycles/px: finer waves have no say in where the fundamentals lie, as others, beyond Nyquist, are folded on them."""
+SAME = 0.3
+"""Bins between waves whose difference is taken to be a whole combination."""
+CLEAR = 100.0
+"""The same for a wave that no harmonic supports."""
+STRIPED = 10.0
+"""Log-likelihood, beyond the best wave, above which one fundamental with harmonics is regular."""
+FOLDED = 0.25
+"""How much the power counts of a wave beyond Nyquist, against that of one below that pixels cannot tell from it."""
+CROWD = 900
+"""Places of a lattice that are fitted at most, those of the highest power."""
+
+
+class Regular(NamedTuple):
+    """The regular waves of a picture.
+
+    Parameters
+    ----------
+    waves
+        At ``orders @ fundamentals``, fitted.
+    kept
+        ``(n, C)``: the channels in which each stands out of the irregular structure.
+    fundamentals
+        ``(g, 2)`` cycles/px.
+    orders
+        ``(n, g)`` whole numbers.
+    groups
+        How many fundamentals, 1 or 2, each group has; they follow each other in ``fundamentals``.
+    """
+
+    waves: Waves
+    kept: NDArray[np.bool_]
+    fundamentals: Array
+    orders: Array
+    groups: tuple[int, ...]
+    weights: Array
+
+
+def regular_part(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> Regular:
+    """Return the regular waves of a picture, group by group, as long as any is left.
+
+    The strongest waves propose a lattice of frequencies, or one fundamental; it is fitted to them, all its harmonics
+    are taken that stand out of the irregular structure at their places, and it is fitted again to those. What is left
+    of the picture proposes the next group.
+
+    Parameters
+    ----------
+    spectrum
+        Of the picture.
+    threshold
+        Amplitude of a wave, units of 1/255; None: by the irregular structure.
+    false_alarms
+        Probability that noise alone yields a wave of those that propose.
+    most
+        At most so many waves.
+    """
+    none = np.zeros((0, 2))
+    part = Regular(Waves(spectrum, none), np.zeros((0, spectrum.channels), np.bool_), none, np.zeros((0, 0)), (), none)
+    while len(part.groups) < MOST_GROUPS:
+        more = _next_group(part, threshold, false_alarms, most)
+        if more is None:
+            break
+        part = more
+    return part
+
+
+def _next_group(part: Regular, threshold: float | None, false_alarms: float, most: int) -> Regular | None:
+    """Return the part with one more group, None where nothing regular is left."""
+    spectrum = part.waves.spectrum
+    left = Spectrum(_left(part)) if part.groups else spectrum
+    found = pursue(left, threshold, false_alarms, min(LEADERS, most), QUICK)
+    order = _news(found, part)
+    order = order[_out_of_line(found, threshold)[order]]
+    while len(order):
+        basis = next_basis(waveset(found, order))
+        if (
+            len(basis.vectors) == 2
+            or beyond(basis, waveset(found, order)) > STRIPED
+            or _is_clear(found, order[0], threshold)
+        ):
+            seeds = basis.orders[basis.explained]
+            grown = _grown(part, basis.vectors / spectrum.size, seeds, threshold, most)
+            if grown is not None:
+                return grown
+        order = order[1:]
+    return None
+
+
+def _left(part: Regular) -> Array:
+    """Return the planes without the waves."""
+    spectrum = part.waves.spectrum
+    return spectrum.planes - wave_sum(
+        part.waves.frequencies, *about_origin(part.waves, part.kept), spectrum.shape, (0, 0)
+    )
+
+
+def _news(found: Found, part: Regular) -> NDArray[np.intp]:
+    """Return the waves, strongest first, that lie at no place of the groups found, and differ by no vector of them."""
+    order = np.argsort(-found.powers.sum(1), kind="stable")
+    size, start = found.waves.spectrum.size, 0
+    f = found.waves.frequencies
+    order = order[(inside(f, size) & ~near(f, part.waves.frequencies, size).any(1))[order]]
+    for count in part.groups:
+        basis, start = part.fundamentals[start : start + count], start + count
+        order = order[_first_of_class(f[order], basis, size)]
+    return order
+
+
+def _first_of_class(f: Array, basis: Array, size: Array) -> NDArray[np.bool_]:
+    """Return which frequencies differ from none before them by a whole combination of the basis."""
+    alike = np.zeros((len(f), len(f)), np.bool_)
+    for sign in (1, -1):
+        apart = f[:, np.newaxis] - sign * f
+        rest = apart - np.rint(apart @ np.linalg.pinv(basis)) @ basis
+        alike |= np.hypot(*np.moveaxis(rest * size, 2, 0)) < SAME
+    return np.asarray(~np.tril(alike, -1).any(1))
+
+
+def _out_of_line(found: Found, threshold: float | None, limit: float = 16.0) -> NDArray[np.bool_]:
+    """Return which waves stand out of the lines of the spectrum through them, too, ``(n,)``."""
+    waves = found.waves
+    power = np.abs(waves.residual_bins()) ** 2
+    floor = line_floor(power, waves.spectrum.shape, waves.frequencies, np.zeros((0, 2)))
+    return (found.powers > limit * floor).any(1)
+
+
+def _is_clear(found: Found, wave: np.intp, threshold: float | None) -> bool:
+    if threshold is not None:
+        return True
+    waves = found.waves
+    power = np.abs(waves.residual_bins()) ** 2
+    f = waves.frequencies[wave : wave + 1]
+    floor = line_floor(power, waves.spectrum.shape, f, f)
+    return bool((found.powers[wave] > CLEAR * floor[0]).any())
+
+
+def _grown(part: Regular, vectors: Array, seeds: Array, threshold: float | None, most: int) -> Regular | None:
+    """Return the part with a group of given fundamentals and first waves, with all its harmonics."""
+    spectrum = part.waves.spectrum
+    fundamentals = np.concatenate([part.fundamentals, vectors])
+    groups = (*part.groups, len(vectors))
+    n, g = part.orders.shape
+    orders = np.zeros((n + len(seeds), g + len(vectors)))
+    orders[:n, :g], orders[n:, g:] = part.orders, seeds
+    fundamentals = refine(spectrum, fundamentals, _strongest(spectrum, fundamentals, orders), steps=8).fundamentals
+    chosen = _chosen(spectrum, fundamentals, groups, threshold, most)
+    fundamentals = _aligned(chosen)
+    chosen = _chosen(spectrum, fundamentals, groups, threshold, most)
+    if not (chosen.orders[:, g:] != 0).any():
+        return None
+    return chosen
+
+
+def _aligned(part: Regular) -> Array:
+    """Return the fundamentals fitted to the waves, each weighted by the irregular structure there."""
+    f = part.orders @ part.fundamentals
+    baseband = (np.abs(f) < 0.5).all(1)
+    voters = (np.abs(f) < FINEST).all(1)
+    if np.linalg.matrix_rank(part.orders[voters]) < len(part.fundamentals):
+        voters = baseband
+    return refine(part.waves.spectrum, part.fundamentals, part.orders[voters], 4, part.weights[voters]).fundamentals
+
+
+def _strongest(spectrum: Spectrum, fundamentals: Array, orders: Array) -> Array:
+    """Return the strongest of the waves below Nyquist."""
+    orders = orders[(np.abs(orders @ fundamentals) < 0.5).all(1)]
+    power = wave_powers(Waves(spectrum, orders @ fundamentals)).sum(1)
+    return np.asarray(orders[np.argsort(-power, kind="stable")[:VOTERS]])
+
+
+def _spaced_places(spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...]) -> Array:
+    """Return the orders of the groups' places, of such as pixels cannot tell apart the one with more power."""
+    orders = places_of(fundamentals, groups, spectrum.size)
+    f = orders @ fundamentals
+    power = (np.abs(spectrum.values(folded(f))) ** 2).sum(1) * np.where((np.abs(f) < 0.5).all(1), 1, FOLDED)
+    best = np.argsort(-power, kind="stable")[:CROWD]
+    return np.asarray(orders[best[spaced(folded(f[best]), power[best], spectrum.size)]])
+
+
+def _chosen(
+    spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...], threshold: float | None, most: int
+) -> Regular:
+    """Return all harmonics of the groups that stand out of the irregular structure."""
+    orders = _spaced_places(spectrum, fundamentals, groups)
+    f = folded(orders @ fundamentals)
+    waves = Waves(spectrum, f)
+    floor = line_floor(np.abs(waves.residual_bins()) ** 2, spectrum.shape, f, f)
+    power = wave_powers(waves)
+    if threshold is None:
+        kept = power > HARMONIC * floor + 1e-12 * spectrum.energy.max() * spectrum.size.prod()
+    else:
+        height, width = spectrum.shape
+        kept = power > (threshold / 255 * height * width / 2) ** 2
+        kept |= kept.any(1, keepdims=True)
+    there = np.flatnonzero(kept.any(1))
+    there = there[np.argsort(-power[there].sum(1), kind="stable")[:most]]
+    return Regular(Waves(spectrum, f[there]), kept[there], fundamentals, orders[there], groups, (kept / floor)[there])
