@@ -1,0 +1,97 @@
+"""Where patches go: which window of an output is covered next, and by which part of the sample.
+
+Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts), section 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .boxes import box_sums
+from .patchwork import Patchwork, Window
+from .translations import Features, Layer, Translations, drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Covers windows of an output by patches that match what they show (sub-patch matching).
+
+    Parameters
+    ----------
+    work
+        The output.
+    colors
+        ``int32 (H, W, C)``: what the sample's pixels are matched by.
+    randomness
+        The paper's k: places are drawn with a probability proportional to exp(-cost / (k sigma^2)), the cost being the
+        mean squared difference of the window's pixels, sigma the standard deviation of the sample's colors, channels
+        summed in both. 0: one of the best.
+    rng
+        Where places are drawn from.
+    guide
+        What every pixel of the output should be like, synthesized or not, beside the same of the sample's pixels: two
+        ``int32 (H, W, M)``, of the output and of the sample; None: nothing.
+    """
+
+    work: Patchwork
+    colors: Features
+    randomness: float
+    rng: np.random.Generator
+    guide: tuple[Features, Features] | None = None
+    _tries: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_tries", np.zeros(self.work.shape, np.int64))
+
+    def cover(self, window: Window) -> int:
+        """Lay a patch into a window, and return how many pixels it gives; 0 where nothing would be better."""
+        costs = self._translations.rate(self._layers(window))
+        count = (window[1] - window[0]) * (window[3] - window[2])
+        return self.work.lay(window, drawn(costs, self.randomness * self._variance * count, self.rng))
+
+    def improve(self, size: tuple[int, int]) -> int:
+        """Cover, anew, the window of a size whose seams cost most; what was tried counts half each time."""
+        window = self.worst(size)
+        self._tries[self.work.pixels(window)] += 1
+        return self.cover(window)
+
+    def worst(self, size: tuple[int, int]) -> Window:
+        """Return the window whose seams cost most, per pixel halved with each try."""
+        cost = self.work.seams.sum(0) * 0.5 ** np.minimum(self._tries, 50)
+        if self.work.wrap:
+            cost = np.pad(cost, ((0, size[0] - 1), (0, size[1] - 1)), "wrap")
+        sums = box_sums(cost, size)
+        y, x = divmod(int(sums.argmax()), sums.shape[1])
+        return y, y + size[0], x, x + size[1]
+
+    def _layers(self, window: Window) -> list[Layer]:
+        pixels = self.work.pixels(window)
+        known = self.work.known[pixels]
+        layers = [Layer(self.work.shown(self.colors, window), None if known.all() else known)]
+        if self.guide is not None:
+            layers.append(Layer(self.guide[0][pixels]))
+        return layers
+
+    @cached_property
+    def _translations(self) -> Translations:
+        return Translations((self.colors,) if self.guide is None else (self.colors, self.guide[1]))
+
+    @cached_property
+    def _variance(self) -> float:
+        return float(self.colors.astype(np.float64).var((0, 1)).sum())
+
+
+def scan_lines(shape: tuple[int, int], size: tuple[int, int], step: tuple[int, int], wrap: bool) -> Iterator[Window]:
+    """Yield windows of a size that cover an output, line by line, each ``step`` (rows, columns) after the last.
+
+    The last of a line, and the last line, are cut off at the output's edge; where it wraps, they go beyond.
+    """
+    for top in range(0, shape[0] if wrap else max(shape[0] - size[0] + step[0], 1), step[0]):
+        for left in range(0, shape[1] if wrap else max(shape[1] - size[1] + step[1], 1), step[1]):
+            bottom, right = top + size[0], left + size[1]
+            yield top, bottom if wrap else min(bottom, shape[0]), left, right if wrap else min(right, shape[1])
