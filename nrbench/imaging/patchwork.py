@@ -48,8 +48,8 @@ class Patchwork:
         False: a change from patch A to B between pixels s and t costs ``|A(s) - B(s)| + |A(t) - B(t)|``, Euclidean over
         the features (equation 1). True: its square over the gradients of both at both pixels along the link (section
         3.2 with the squares of :func:`~nrbench.imaging.joints.visible_links`). That is no metric: an old seam that
-        costs more than two new ones would counts as those two while it is weighed, so that the cut is not always the
-        least, but never costs more than what was there.
+        costs more than two new ones counts as those two while it is weighed: the cut is not always the least, but never
+        costs more than what was there.
     wrap
         Whether the output's edges meet their opposites.
     """
@@ -114,7 +114,7 @@ class Patchwork:
         """
         around, ring = self._around(window)
         pixels = self.pixels(around)
-        known, origin = (np.ascontiguousarray(each[pixels]) for each in (self.known, self.origin))
+        known, origin = np.ascontiguousarray(self.known[pixels]), np.ascontiguousarray(self.origin[pixels])
         x, y = place[0] + around[2] - window[2], place[1] + around[0] - window[0]
         choices = link_choices(self.features, self._slopes, self.normalized, origin, known, x, y)
         new = least_seams(choices, ring, ~known & ~ring)

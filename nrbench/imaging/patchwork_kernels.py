@@ -40,13 +40,13 @@ def step_cost(
         m, n = min(max(m, 0), height - 1), min(max(n, 0), width - 1)
         squares = 0
         for c in range(channels):
-            difference = np.int64(features[j, i, c]) - np.int64(features[m, n, c])
+            difference = int(features[j, i, c]) - int(features[m, n, c])
             squares += difference * difference
         apart += np.sqrt(np.float64(squares))
         busy += slopes[axis, j, i] + slopes[axis, m, n]
     if normalized:
-        return np.int64(np.rint(UNIT * UNIT * apart * apart / (busy + UNIT)))
-    return np.int64(np.rint(UNIT * apart))
+        return int(np.rint(UNIT * UNIT * apart * apart / (busy + UNIT)))
+    return int(np.rint(UNIT * apart))
 
 
 @kernel(

@@ -72,18 +72,16 @@ class Translations:
         """
         height, width = window[0].values.shape[:2]
         rows, columns = self.layers[0].shape[0] - height + 1, self.layers[0].shape[1] - width + 1
-        product: _Spectra | None = None
-        total = np.zeros((rows, columns))
+        product, total = np.zeros(self._prepared[1][0].shape, np.complex128), np.zeros((rows, columns))
         for spectra, squares, table, layer in zip(*self._prepared, window, strict=True):
             known = 1 if layer.known is None else layer.known[..., np.newaxis]
             values = layer.values * known
-            part = (spectra * self._transformed(-2 * values).conj()).sum(-1)
+            product += (spectra * self._transformed(-2 * values).conj()).sum(-1)
             total += float((values.astype(np.int64) ** 2).sum())
             if layer.known is None:
                 total += boxes_of(table, (height, width))
             else:
-                part += squares * self._transformed(layer.known).conj()
-            product = part if product is None else product + part
+                product += squares * self._transformed(layer.known).conj()
         products = fft.irfft(fft.ifft(product, axis=0)[:rows], self._fast_shape[1], axis=1)
         return np.asarray(total + np.rint(products[:, :columns]))
 

@@ -1,0 +1,200 @@
+"""Fractional Fourier texture masks, patch by patch."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from nrbench.errors import BadInput
+from nrbench.imaging.door import Image
+from nrbench.imaging.harmonics import Harmonic
+from nrbench.imaging.patchwork import Patchwork
+from nrbench.imaging.placement import Placement, scan_lines
+from nrbench.imaging.translations import Features
+from nrbench.lattice.frdft import Frdft
+from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.texture import Shape
+
+from .fftm_mask import Analysis, TextureMask
+
+Judged = Literal["color", "mask"]
+LEAST_PATCH = 24
+"""px a side of an automatic patch, where the sample is large enough: smaller tiles are taken several at a time."""
+NO_TILE = 40
+"""px a side of an automatic patch where no upright rectangle is a tile (the paper's example of a size, section 5)."""
+LARGEST_WEIGHT = 100.0
+
+
+@dataclass(frozen=True)
+class FftmPatch:
+    """Patches that follow the sample's regular part, cut into the output along the least visible seams (section 4.2).
+
+    The regular part, a sum of waves that is known everywhere, is drawn at the size of the output: the mask. Each pixel
+    is compared by its color and, scaled by the weight, its mask value. Windows of the output are covered line by line,
+    each by a part of the sample: of all translations that cover it, one that matches the colors that are there already
+    and, everywhere, the mask (sub-patch matching, Kwatra et al. 2003, section 4); where nothing is synthesized yet only
+    the mask counts. A minimum cut finds which of the window's pixels it gives. Afterwards the windows whose seams cost
+    most are covered anew, again and again; no such step makes all seams together cost more.
+
+    The paper prints the sum as d_MM + c d_TT, with the weight on the texture, against its own section 4.1; here c
+    scales the mask, squared like everything in the sum, so that the mask has no effect at 0. It cuts in all six
+    dimensions; that is ``seam="mask"``, and the default cuts by color alone, since places that agree with the mask
+    agree with each other, and what is left of the mask then only blurs where seams show. Where Kwatra et al. force some
+    pixel of each new patch into the output, here a patch that makes nothing better is left out.
+
+    With a lattice given, the waves are tied to it.
+
+    Parameters
+    ----------
+    weight
+        c, the mask's weight beside the colors (the paper: about 1; no effect under 0.1, too large over 5); 0 to 100.
+    patch
+        Side of a patch, px; 0: automatic, from the mask's smallest upright tile: the least number of tiles of 24 px or
+        more a side, 40 px where there is none, and never more than half the sample.
+    overlap
+        Share of a patch, along each side, that lies over patches there already; 0 to 0.9.
+    randomness
+        k: a translation is drawn with a probability proportional to exp(-cost / (k sigma^2)) (Kwatra et al., section 4:
+        0.001 to 1), cost being the mean squared difference, sigma^2 the variance of the sample; 0: one of the best.
+    refinements
+        How many times as many windows are covered anew as were covered first.
+    seam
+        What seams are judged by: ``"color"``, or ``"mask"``: color and mask together.
+    normalized
+        Whether seams prefer to run where the texture is busy: squared differences over gradients (after section 3.2 of
+        Kwatra et al.), or, False, by differences alone (their equation 1, the paper's).
+    tileable
+        Whether the output's edges continue at their opposites (section 4.3); refused where the mask does not, within
+        what a move by half a pixel changes.
+    threshold
+        Least amplitude of a wave of the mask, units of 1/255; 0: automatic.
+    harmonics
+        ``"tied"``: waves are whole combinations of common fundamentals; ``"free"``: each by itself (the paper's).
+    """
+
+    weight: float = 2.0
+    patch: int = 0
+    overlap: float = 0.25
+    randomness: float = 0.03
+    refinements: int = 1
+    seam: Judged = "color"
+    normalized: bool = True
+    tileable: bool = False
+    threshold: float = 0.0
+    harmonics: Harmonic = "tied"
+
+    reference: ClassVar[bool] = False
+    uses_lattice: ClassVar[bool] = True
+    needs_lattice: ClassVar[bool] = False
+    version: ClassVar[str] = "1"
+    paper: ClassVar[str] = Frdft.paper
+
+    def __post_init__(self) -> None:
+        self._analysis()
+        if not 0 <= self.weight <= LARGEST_WEIGHT:
+            raise BadInput(f"weight {self.weight}; choose from 0 (no mask) to {LARGEST_WEIGHT:g}")
+        if self.patch < 0 or self.patch in (1, 2):
+            raise BadInput(f"patch {self.patch}; choose 0 (automatic), or 3 px or more")
+        if not 0 <= self.overlap <= 0.9:
+            raise BadInput(f"overlap {self.overlap}; choose a share of the patch from 0 to 0.9")
+        if not 0 <= self.randomness < math.inf:
+            raise BadInput(f"randomness {self.randomness}; choose 0 (one of the best) or more")
+        if self.refinements < 0:
+            raise BadInput(f"refinements {self.refinements}; choose 0 or more passes")
+
+    def _analysis(self) -> Analysis:
+        return Analysis(self.threshold, self.harmonics)
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the synthesis; see :class:`FftmPatch`. The mask is kept as the extra picture ``mask``.
+
+        Raises
+        ------
+        Refused
+            When the sample has no regular part or is smaller than the patch, or the output cannot be tiled.
+        """
+        start = time.perf_counter()
+        mask = self._analysis().of(task.sample)
+        seconds = time.perf_counter() - start
+        size = self._size(mask, task)
+        if self.tileable:
+            require_period(mask, task.shape)
+        picture = mask.picture(task.shape)
+        work = self._covered(task, mask.picture(_shape(task.sample)), picture, size)
+        image, source = work.finished()
+        task.progress(1.0)
+        return Synthesis(image, mask.lattice, source, {"mask": picture}, seconds)
+
+    def _size(self, mask: TextureMask, task: Task) -> Shape:
+        """Return the patches' (height, width), px."""
+        room = _shape(task.sample)
+        if self.patch > min(room):
+            raise Refused(
+                f"the sample is {room[1]}x{room[0]} px, a patch {self.patch}x{self.patch} px; "
+                f"choose patch <= {min(room)}, or leave it out"
+            )
+        size = (self.patch, self.patch) if self.patch else automatic_size(mask, room)
+        margin = 2 if self.tileable else 0
+        return min(size[0], task.shape[0] - margin), min(size[1], task.shape[1] - margin)
+
+    def _covered(self, task: Task, inside: Image, outside: Image, size: Shape) -> Patchwork:
+        """Return the output: covered window by window, then improved."""
+        colors, guide = whole(task.sample), (whole(outside, self.weight), whole(inside, self.weight))
+        features = colors if self.seam == "color" else np.concatenate([colors, guide[1]], -1)
+        work = Patchwork(task.sample, features, task.shape, self.normalized, self.tileable)
+        placement = Placement(work, colors, self.randomness, task.rng, guide)
+        rows, columns = (max(1, round(side * (1 - self.overlap))) for side in size)
+        windows = list(scan_lines(task.shape, size, (rows, columns), self.tileable))
+        steps = len(windows) * (1 + self.refinements)
+        for done, window in enumerate(windows):
+            placement.cover(window)
+            task.progress(done / steps)
+        for done in range(len(windows), steps):
+            placement.improve(size)
+            task.progress(done / steps)
+        return work
+
+
+def _shape(image: Image) -> Shape:
+    return image.shape[0], image.shape[1]
+
+
+def whole(image: Image, weight: float = 1.0) -> Features:
+    """Return an image as whole gray levels, times a weight."""
+    return np.ascontiguousarray(np.rint(image.astype(np.float64) * (255 * weight)), np.int32)
+
+
+def automatic_size(mask: TextureMask, room: Shape) -> Shape:
+    """Return the (height, width) of patches, px, that suits a mask and a sample of (height, width) ``room``."""
+    half = (max(room[0] // 2, 1), max(room[1] // 2, 1))
+    tile = None
+    if mask.lattice is not None:
+        tile = mask.tileable(min(1.0, mask.lattice.s / 4), float(max(half)))
+    if tile is None:
+        return min(NO_TILE, half[0]), min(NO_TILE, half[1])
+    sides = (side * math.ceil(LEAST_PATCH / side) for side in tile.size[::-1])
+    height, width = (min(round(side), most) for side, most in zip(sides, half, strict=True))
+    return height, width
+
+
+def require_period(mask: TextureMask, shape: Shape) -> None:
+    """Raise :class:`Refused` unless a mask repeats at an output's sides as well as if moved by half a pixel."""
+    height, width = shape
+    here = mask.picture(shape).astype(np.float64)
+    for axis, side in ((0, width), (1, height)):
+        step = np.eye(2)[axis]
+        across, near = (mask.picture(shape, (float(x), float(y))) for x, y in (side * step, step / 2))
+        if ((across - here) ** 2).sum() > ((near - here) ** 2).sum():
+            raise Refused(f"an output of {width}x{height} px is no period of the texture; {_advice(mask)}")
+
+
+def _advice(mask: TextureMask) -> str:
+    tile = None if mask.lattice is None else mask.tileable(min(0.5, mask.lattice.s / 4))
+    if tile is None:
+        return "leave tileable out"
+    width, height = (round(side) for side in tile.size)
+    return f"choose a multiple of {width}x{height} px, the smallest that is"
