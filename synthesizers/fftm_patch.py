@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from nrbench.imaging.door import Image
 from nrbench.imaging.harmonics import Harmonic
 from nrbench.imaging.patchwork import Patchwork
 from nrbench.imaging.placement import Placement, scan_lines
+from nrbench.imaging.seam_heat import SeamHeat
 from nrbench.imaging.translations import Features
 from nrbench.lattice.frdft import Frdft
 from nrbench.synthesis import Refused, Synthesis, Task
@@ -120,6 +122,10 @@ class FftmPatch:
         start = time.perf_counter()
         mask = self._analysis().of(task.sample)
         seconds = time.perf_counter() - start
+        return dataclasses.replace(self.follow(task, mask), detection_seconds=seconds)
+
+    def follow(self, task: Task, mask: TextureMask) -> Synthesis:
+        """Return the synthesis that a mask of the task's sample guides, and raise as :meth:`synthesize` does."""
         size = self._size(mask, task)
         if self.tileable:
             require_period(mask, task.shape)
@@ -127,7 +133,7 @@ class FftmPatch:
         work = self._covered(task, mask.picture(_shape(task.sample)), picture, size)
         image, source = work.finished()
         task.progress(1.0)
-        return Synthesis(image, mask.lattice, source, {"mask": picture}, seconds)
+        return Synthesis(image, mask.lattice, source, {"mask": picture})
 
     def _size(self, mask: TextureMask, task: Task) -> Shape:
         """Return the patches' (height, width), px."""
@@ -139,6 +145,8 @@ class FftmPatch:
             )
         size = (self.patch, self.patch) if self.patch else automatic_size(mask, room)
         margin = 2 if self.tileable else 0
+        if min(task.shape) <= margin:
+            raise Refused("an output of less than 3 px a side has no inside to its edges; leave tileable out")
         return min(size[0], task.shape[0] - margin), min(size[1], task.shape[1] - margin)
 
     def _covered(self, task: Task, inside: Image, outside: Image, size: Shape) -> Patchwork:
@@ -153,8 +161,9 @@ class FftmPatch:
         for done, window in enumerate(windows):
             placement.cover(window)
             task.progress(done / steps)
+        heat = SeamHeat(work, size)
         for done in range(len(windows), steps):
-            placement.improve(size)
+            placement.improve(heat)
             task.progress(done / steps)
         return work
 

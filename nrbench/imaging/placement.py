@@ -6,14 +6,13 @@ Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video syn
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .boxes import box_sums
 from .patchwork import Patchwork, Window
+from .seam_heat import SeamHeat
 from .translations import Features, Layer, Translations, drawn
 
 
@@ -43,10 +42,6 @@ class Placement:
     randomness: float
     rng: np.random.Generator
     guide: tuple[Features, Features] | None = None
-    _tries: NDArray[np.int64] = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_tries", np.zeros(self.work.shape, np.int64))
 
     def cover(self, window: Window) -> int:
         """Lay a patch into a window, and return how many pixels it gives; 0 where nothing would be better."""
@@ -54,20 +49,12 @@ class Placement:
         count = (window[1] - window[0]) * (window[3] - window[2])
         return self.work.lay(window, drawn(costs, self.randomness * self._variance * count, self.rng))
 
-    def improve(self, size: tuple[int, int]) -> int:
-        """Cover, anew, the window of a size whose seams cost most; what was tried counts half each time."""
-        window = self.worst(size)
-        self._tries[self.work.pixels(window)] += 1
-        return self.cover(window)
-
-    def worst(self, size: tuple[int, int]) -> Window:
-        """Return the window whose seams cost most, per pixel halved with each try."""
-        cost = self.work.seams.sum(0) * 0.5 ** np.minimum(self._tries, 50)
-        if self.work.wrap:
-            cost = np.pad(cost, ((0, size[0] - 1), (0, size[1] - 1)), "wrap")
-        sums = box_sums(cost, size)
-        y, x = divmod(int(sums.argmax()), sums.shape[1])
-        return y, y + size[0], x, x + size[1]
+    def improve(self, heat: SeamHeat) -> int:
+        """Cover, anew, the window whose seams are worst, and return how many pixels are new."""
+        window = heat.worst()
+        new = self.cover(window)
+        heat.tried(window)
+        return new
 
     def _layers(self, window: Window) -> list[Layer]:
         pixels = self.work.pixels(window)

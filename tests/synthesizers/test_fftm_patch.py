@@ -1,0 +1,271 @@
+import math
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from nrbench.errors import BadInput
+from nrbench.imaging.door import Image, quantize
+from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.rectangle import Rectangle, upright_rectangle
+from nrbench.outputs import checked_synthesis, is_picture
+from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.synthesizers.fftm_mask import Analysis, TextureMask
+from nrbench.synthesizers.fftm_patch import FftmPatch, automatic_size, require_period
+
+WHOLE = Lattice((24, 0), (0, 20))
+
+
+class Tiled:
+    """A mask that is known: a tile repeated on a lattice of whole px."""
+
+    def __init__(self, tile: Image) -> None:
+        self.tile = tile
+        self.lattice = Lattice((tile.shape[1], 0), (0, tile.shape[0]))
+
+    def picture(self, shape: tuple[int, int], offset: tuple[float, float] = (0.0, 0.0)) -> Image:
+        """Return the tile continued, interpolated along x and y."""
+        rows, columns = (np.arange(n) + start for n, start in zip(shape, offset[::-1], strict=True))
+        across = self._between(self.tile, rows, 0)
+        return self._between(across, columns, 1).astype(np.float32)
+
+    @staticmethod
+    def _between(values: Image, places: Any, axis: int) -> Any:
+        first = np.floor(places).astype(int)
+        share = (places - first).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+        one, other = (np.take(values, k % values.shape[axis], axis) for k in (first, first + 1))
+        return one * (1 - share) + other * share
+
+    def tileable(self, tolerance: float, limit: float = 1024.0) -> Rectangle | None:
+        """Return the smallest rectangle that is a period."""
+        return upright_rectangle(self.lattice, tolerance, limit, whole=True)
+
+
+def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
+    """Return a smooth tile: noise, periodic, without its fine waves."""
+    spectrum = np.fft.fft2(np.random.default_rng(seed).random((height, width, channels)), axes=(0, 1))
+    waves = np.abs(np.fft.fftfreq(height)[:, None]) + np.abs(np.fft.fftfreq(width)) < 0.2
+    tile = np.fft.ifft2(spectrum * waves[..., None], axes=(0, 1)).real
+    return cast(Image, ((tile - tile.min()) / np.ptp(tile)).astype(np.float32))
+
+
+def synthesize(
+    method: FftmPatch,
+    sample: Image,
+    shape: tuple[int, int],
+    mask: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    seed: int = 1,
+    **task: Any,
+) -> Synthesis:
+    """Run the method with a mask that is known."""
+    monkeypatch.setattr(Analysis, "of", lambda *_, **__: mask)
+    made = method.synthesize(Task(sample, shape, None, np.random.default_rng(seed), **task))
+    return checked_synthesis(made, sample, shape)
+
+
+def varied(tile: Image, height: int, width: int, strength: float, seed: int = 3) -> Image:
+    """Return a sample: the tile continued, with smooth departures from it."""
+    repeated = np.tile(tile, (height // tile.shape[0] + 1, width // tile.shape[1] + 1, 1))[:height, :width]
+    departures = smooth(height, width, tile.shape[2], seed) - 0.5
+    return quantize(np.clip(repeated + strength * departures, 0, 1))
+
+
+@pytest.mark.parametrize("seam", ["color", "mask"])
+@pytest.mark.parametrize("normalized", [False, True])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_whole_pixel_lattice_is_continued(
+    seam: Any, normalized: bool, channels: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a perfectly periodic sample with a perfect mask the output is the periodic continuation, to the bit."""
+    tile = smooth(20, 24, channels)
+    picture = quantize(np.tile(tile, (13, 13, 1)))
+    method = FftmPatch(seam=seam, normalized=normalized, randomness=1e-4)
+    for shape in ((160, 150), (1, 200), (200, 1), (9, 5), (1, 1)):
+        made = synthesize(method, picture[:96, :96], shape, Tiled(tile), monkeypatch)
+        np.testing.assert_array_equal(made.image, picture[: shape[0], : shape[1]])
+
+
+def test_departures_from_the_mask_do_not_break_the_phase(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a sample that varies every pixel still comes from its own place in the tile, give or take a pixel."""
+    tile = smooth(20, 24)
+    made = synthesize(FftmPatch(), varied(tile, 96, 96, 0.4), (150, 160), Tiled(tile), monkeypatch)
+    assert made.source is not None
+    y, x = np.mgrid[:150, :160]
+    for found, place, period in ((made.source[..., 0], x, 24), (made.source[..., 1], y, 20)):
+        assert np.abs((found - place + period / 2) % period - period / 2).max() <= 1
+    starts = np.unique((made.source[..., :2] - np.stack([x, y], -1)).reshape(-1, 2), axis=0)
+    assert len(starts) > 8
+
+
+@pytest.mark.parametrize("shape", [(64, 70), (3, 90), (90, 2), (20, 24)])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_any_shape_is_filled_with_copies(
+    shape: tuple[int, int], channels: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Outputs smaller than a patch, than the sample, and lines: every pixel is the copy that the map names."""
+    tile = smooth(20, 24, channels)
+    sample = varied(tile, 60, 66, 0.5)
+    made = synthesize(FftmPatch(randomness=0.2), sample, shape, Tiled(tile), monkeypatch)
+    assert made.source is not None
+    x, y, weight = np.moveaxis(made.source, -1, 0)
+    assert (weight == 1).all()
+    np.testing.assert_array_equal(made.image, sample[y.astype(int), x.astype(int)])
+    assert is_picture(made.extras["mask"])
+    np.testing.assert_array_equal(made.extras["mask"], Tiled(tile).picture(shape))
+    assert made.lattice == WHOLE
+
+
+def test_every_parameter_changes_something(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No parameter is without effect on a sample that varies."""
+    tile = smooth(20, 24)
+    sample = varied(tile, 72, 72, 0.7)
+    changes: list[dict[str, Any]] = [
+        {"weight": 0.0}, {"patch": 30}, {"overlap": 0.5}, {"randomness": 0.3}, {"refinements": 0}, {"refinements": 3},
+        {"seam": "mask"}, {"normalized": False}, {"tileable": True},
+    ]  # fmt: skip
+
+    def made(**parameters: Any) -> Image:
+        return synthesize(FftmPatch(**parameters), sample, (120, 120), Tiled(tile), monkeypatch).image
+
+    base = made()
+    for change in changes:
+        assert (made(**change) != base).any(), change
+
+
+def test_threshold_and_harmonics_reach_the_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the mask is made by is what was asked."""
+    asked = []
+
+    def of(self: Analysis, *_: Any, **__: Any) -> Any:
+        asked.append(self)
+        return Tiled(smooth(20, 24))
+
+    monkeypatch.setattr(Analysis, "of", of)
+    method = FftmPatch(threshold=7.0, harmonics="free", refinements=0)
+    method.synthesize(Task(varied(smooth(20, 24), 48, 48, 0.1), (20, 20), None, np.random.default_rng(0)))
+    assert asked == [Analysis(7.0, "free")]
+
+
+def test_without_weight_the_mask_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At weight 0 another mask of the same tile size gives the same output."""
+    sample = varied(smooth(20, 24), 60, 60, 0.5)
+    masks = [Tiled(smooth(20, 24, seed=seed)) for seed in (5, 6)]
+    made = [synthesize(FftmPatch(weight=0.0), sample, (80, 80), mask, monkeypatch).image for mask in masks]
+    np.testing.assert_array_equal(*made)
+
+
+def test_the_same_stream_gives_the_same_bytes_and_another_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All randomness is the task's."""
+    tile = smooth(20, 24)
+    sample = varied(tile, 60, 60, 0.5)
+    first, second, other = (synthesize(FftmPatch(), sample, (90, 90), Tiled(tile), monkeypatch, k) for k in (1, 1, 2))
+    np.testing.assert_array_equal(first.image, second.image)
+    assert (first.image != other.image).any()
+
+
+def test_progress_rises_to_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Progress is told window by window."""
+    told: list[float] = []
+    tile = smooth(20, 24)
+    synthesize(FftmPatch(), varied(tile, 60, 60, 0.5), (80, 80), Tiled(tile), monkeypatch, progress=told.append)
+    assert told == sorted(told)
+    assert len(told) > 20 and told[-1] == 1
+
+
+def test_a_tileable_output_continues_at_its_edges(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Laid side by side it shows no jump that its inside does not; not tileable, it does."""
+    tile = smooth(20, 24)
+    sample = varied(tile, 72, 72, 1.0)
+
+    def jump(tileable: bool) -> tuple[float, float]:
+        method = FftmPatch(tileable=tileable, refinements=2)
+        image = synthesize(method, sample, (120, 120), Tiled(tile), monkeypatch).image
+        twice = np.tile(image, (2, 2, 1)).astype(float)
+        steps = np.abs(np.diff(twice, axis=1)).mean((0, 2)), np.abs(np.diff(twice, axis=0)).mean((1, 2))
+        return max(each[119] for each in steps), max(np.delete(each, 119).max() for each in steps)
+
+    across, inside = jump(True)
+    assert across <= inside
+    assert jump(False)[0] > 1.2 * inside
+
+
+def test_an_output_that_is_no_period_is_not_tileable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The refusal says which sizes are; so it does for outputs too small to have an inside."""
+    tile = smooth(20, 24)
+    method, sample = FftmPatch(tileable=True), varied(tile, 60, 60, 0.3)
+    with pytest.raises(Refused, match="multiple of 24x20 px"):
+        synthesize(method, sample, (100, 100), Tiled(tile), monkeypatch)
+    with pytest.raises(Refused, match="tileable"):
+        synthesize(method, sample, (2, 24), Tiled(tile), monkeypatch)
+
+
+def test_half_a_pixel_is_forgiven() -> None:
+    """Whole-px sides of a lattice that is not quite whole are a period; a pixel more is not."""
+    mask = cast(TextureMask, Tiled(smooth(20, 24)))
+    require_period(mask, (40, 72))
+    for shape in ((41, 72), (40, 71), (40, 60)):
+        with pytest.raises(Refused, match="no period"):
+            require_period(mask, shape)
+
+
+@pytest.mark.parametrize(
+    ("tile", "room", "size"),
+    [
+        ((20, 24), (128, 128), (40, 24)),
+        ((7, 31), (128, 128), (28, 31)),
+        ((20, 24), (30, 200), (15, 24)),
+        ((90, 24), (128, 128), (40, 40)),
+        ((90, 24), (9, 8), (4, 4)),
+        ((20, 24), (1, 1), (1, 1)),
+    ],
+)
+def test_patches_are_tiles_of_some_size(tile: tuple[int, int], room: tuple[int, int], size: tuple[int, int]) -> None:
+    """As few tiles as make 24 px a side, 40 px where half the sample holds none, at most half the sample."""
+    assert automatic_size(cast(TextureMask, Tiled(smooth(*tile))), room) == size
+
+
+def test_a_sample_smaller_than_the_patch_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The refusal says what would fit."""
+    tile = smooth(20, 24)
+    with pytest.raises(Refused, match="patch <= 40"):
+        synthesize(FftmPatch(patch=41), varied(tile, 40, 50, 0.1), (60, 60), Tiled(tile), monkeypatch)
+    assert (
+        synthesize(FftmPatch(patch=40), varied(tile, 40, 50, 0.1), (60, 60), Tiled(tile), monkeypatch).source
+        is not None
+    )
+
+
+def test_noise_has_no_regular_part() -> None:
+    """Where no wave stands out the method refuses, and says why."""
+    sample = quantize(np.random.default_rng(0).random((32, 32, 1), np.float32))
+    with pytest.raises(Refused, match="no regular part"):
+        FftmPatch().synthesize(Task(sample, (40, 40), None, np.random.default_rng(0)))
+
+
+def test_without_help_it_finds_the_mask_by_itself() -> None:
+    """End to end: three waves of one lattice are found, and continued with their phase."""
+    y, x = np.mgrid[:150, :150]
+    across, down = 2 * np.pi * x / 11.3 + 1, 2 * np.pi * y / 9.2
+    waves = 0.5 + 0.15 * (np.cos(across) + np.cos(down) + np.cos(across + down))
+    picture = np.asarray(waves[..., np.newaxis], np.float32)
+    noise = np.random.default_rng(0).normal(0, 0.05, (64, 64, 1))
+    sample = quantize(np.asarray(picture[:64, :64] + noise, np.float32))
+    made = FftmPatch().synthesize(Task(sample, (150, 150), None, np.random.default_rng(0)))
+    assert made.lattice is not None and made.lattice.is_equivalent(Lattice((11.3, 0), (0, 9.2)), 0.05)
+    assert np.abs(made.image - picture).mean() < 0.08
+    assert np.abs(made.extras["mask"] - picture).mean() < 0.01
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"weight": -1.0}, {"weight": 101.0}, {"weight": math.nan}, {"patch": -1}, {"patch": 2}, {"overlap": -0.1},
+        {"overlap": 0.95}, {"overlap": math.nan}, {"randomness": -1.0}, {"randomness": math.inf},
+        {"randomness": math.nan}, {"refinements": -1}, {"threshold": 300.0},
+    ],
+)  # fmt: skip
+def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
+    """Parameters out of range are named, with what to choose."""
+    with pytest.raises(BadInput, match="choose"):
+        FftmPatch(**parameters)
