@@ -18,7 +18,7 @@ from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.door import quantize
 from nrbench.imaging.jit import load_kernels
 from nrbench.imaging.patchwork import Patchwork
-from nrbench.synthesis import Synthesis, Task
+from nrbench.synthesis import Task
 from nrbench.synthesizers.fftm_mask import Analysis, TextureMask
 from nrbench.synthesizers.fftm_patch import FftmPatch
 
@@ -44,10 +44,10 @@ def textured(side: int) -> tuple[Task, TextureMask]:
     return Task(sample, (256, 256), texture.lattice, np.random.default_rng(1)), Analysis().of(sample)
 
 
-def made(method: FftmPatch, sample: int, output: int) -> Synthesis:
+def made(method: FftmPatch, sample: int, output: int) -> Patchwork:
     """Return an output of this side from a sample of this side."""
     task, mask = textured(sample)
-    return method.follow(replace(task, shape=(output, output), rng=np.random.default_rng(1)), mask)
+    return method.patchwork(replace(task, shape=(output, output), rng=np.random.default_rng(1)), mask)
 
 
 def units(method: FftmPatch, sample: int, output: int, repeats: int = 7) -> float:
@@ -58,12 +58,8 @@ def units(method: FftmPatch, sample: int, output: int, repeats: int = 7) -> floa
 
 def quality(method: FftmPatch) -> tuple[float, float]:
     """Return what all seams cost, gray levels a pixel, and how far the output is from its mask, gray levels."""
-    synthesis = made(method, 128, 256)
-    assert synthesis.source is not None
-    sample = textured(128)[0].sample
-    work = Patchwork(sample, np.rint(sample * 255).astype(np.int32), (256, 256))
-    work.take(synthesis.source)
-    apart = synthesis.image - synthesis.extras["mask"]
+    work = made(method, 128, 256)
+    apart = work.finished()[0] - textured(128)[1].picture((256, 256))
     return work.cost / 256**2, 255 * float(np.sqrt((apart**2).mean()))
 
 

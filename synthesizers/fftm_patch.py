@@ -28,7 +28,7 @@ LEAST_PATCH = 24
 """px a side of an automatic patch, where the sample is large enough: smaller tiles are taken several at a time."""
 NO_TILE = 40
 """px a side of an automatic patch where no upright rectangle is a tile (the paper's example of a size, section 5)."""
-LARGEST_WEIGHT = 100.0
+LARGEST_WEIGHT = 10.0
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,15 @@ class FftmPatch:
     Parameters
     ----------
     weight
-        c, the mask's weight beside the colors (the paper: about 1; no effect under 0.1, too large over 5); 0 to 100.
+        c, the mask's weight beside the colors (the paper: about 1; no effect under 0.1, too large over 5); 0 to 10.
     patch
         Side of a patch, px; 0: automatic, from the mask's smallest upright tile: the least number of tiles of 24 px or
         more a side, 40 px where there is none, and never more than half the sample.
     overlap
         Share of a patch, along each side, that lies over patches there already; 0 to 0.9.
+    reach
+        How far, as a share of a patch's shorter side, it may give pixels beyond its window, where seams are better
+        there; 0 (the paper) to 2. In Kwatra et al. the whole sample is laid, wherever the window is that it matches.
     randomness
         k: a translation is drawn with a probability proportional to exp(-cost / (k sigma^2)) (Kwatra et al., section 4:
         0.001 to 1), cost being the mean squared difference, sigma^2 the variance of the sample; 0: one of the best.
@@ -81,6 +84,7 @@ class FftmPatch:
     weight: float = 2.0
     patch: int = 0
     overlap: float = 0.25
+    reach: float = 0.5
     randomness: float = 0.03
     refinements: int = 1
     seam: Judged = "color"
@@ -103,6 +107,8 @@ class FftmPatch:
             raise BadInput(f"patch {self.patch}; choose 0 (automatic), or 3 px or more")
         if not 0 <= self.overlap <= 0.9:
             raise BadInput(f"overlap {self.overlap}; choose a share of the patch from 0 to 0.9")
+        if not 0 <= self.reach <= 2:
+            raise BadInput(f"reach {self.reach}; choose a share of the patch from 0 to 2")
         if not 0 <= self.randomness < math.inf:
             raise BadInput(f"randomness {self.randomness}; choose 0 (one of the best) or more")
         if self.refinements < 0:
@@ -126,14 +132,35 @@ class FftmPatch:
 
     def follow(self, task: Task, mask: TextureMask) -> Synthesis:
         """Return the synthesis that a mask of the task's sample guides, and raise as :meth:`synthesize` does."""
+        work = self.patchwork(task, mask)
+        image, source = work.finished()
+        task.progress(1.0)
+        return Synthesis(image, mask.lattice, source, {"mask": mask.picture(task.shape)})
+
+    def patchwork(self, task: Task, mask: TextureMask) -> Patchwork:
+        """Return the output, covered window by window, then improved; raise as :meth:`synthesize` does."""
         size = self._size(mask, task)
         if self.tileable:
             require_period(mask, task.shape)
-        picture = mask.picture(task.shape)
-        work = self._covered(task, mask.picture(_shape(task.sample)), picture, size)
-        image, source = work.finished()
-        task.progress(1.0)
-        return Synthesis(image, mask.lattice, source, {"mask": picture})
+        colors = whole(task.sample)
+        guide = whole(mask.picture(task.shape), self.weight), whole(mask.picture(_shape(task.sample)), self.weight)
+        features = colors if self.seam == "color" else np.concatenate([colors, guide[1]], -1)
+        reach = round(self.reach * min(size))
+        work = Patchwork(task.sample, features, task.shape, self.normalized, self.tileable)
+        self._fill(task, Placement(work, colors, self.randomness, task.rng, guide, reach), size)
+        return work
+
+    def _fill(self, task: Task, placement: Placement, size: Shape) -> None:
+        rows, columns = (max(1, round(side * (1 - self.overlap))) for side in size)
+        windows = list(scan_lines(task.shape, size, (rows, columns), self.tileable))
+        steps = len(windows) * (1 + self.refinements)
+        for done, window in enumerate(windows):
+            placement.cover(window)
+            task.progress(done / steps)
+        heat = SeamHeat(placement.work, size)
+        for done in range(len(windows), steps):
+            placement.improve(heat)
+            task.progress(done / steps)
 
     def _size(self, mask: TextureMask, task: Task) -> Shape:
         """Return the patches' (height, width), px."""
@@ -148,24 +175,6 @@ class FftmPatch:
         if min(task.shape) <= margin:
             raise Refused("an output of less than 3 px a side has no inside to its edges; leave tileable out")
         return min(size[0], task.shape[0] - margin), min(size[1], task.shape[1] - margin)
-
-    def _covered(self, task: Task, inside: Image, outside: Image, size: Shape) -> Patchwork:
-        """Return the output: covered window by window, then improved."""
-        colors, guide = whole(task.sample), (whole(outside, self.weight), whole(inside, self.weight))
-        features = colors if self.seam == "color" else np.concatenate([colors, guide[1]], -1)
-        work = Patchwork(task.sample, features, task.shape, self.normalized, self.tileable)
-        placement = Placement(work, colors, self.randomness, task.rng, guide)
-        rows, columns = (max(1, round(side * (1 - self.overlap))) for side in size)
-        windows = list(scan_lines(task.shape, size, (rows, columns), self.tileable))
-        steps = len(windows) * (1 + self.refinements)
-        for done, window in enumerate(windows):
-            placement.cover(window)
-            task.progress(done / steps)
-        heat = SeamHeat(work, size)
-        for done in range(len(windows), steps):
-            placement.improve(heat)
-            task.progress(done / steps)
-        return work
 
 
 def _shape(image: Image) -> Shape:

@@ -97,7 +97,7 @@ class Patchwork:
         rows, columns = np.arange(y0, y1) % self.shape[0], np.arange(x0, x1) % self.shape[1]
         return rows[:, np.newaxis], columns[np.newaxis]
 
-    def lay(self, window: Window, place: tuple[int, int]) -> int:
+    def lay(self, window: Window, place: tuple[int, int], reach: int = 0) -> int:
         """Cut a patch into a window: all of it where nothing was, else what makes the seams cost least.
 
         Parameters
@@ -106,18 +106,23 @@ class Patchwork:
             Inside the output; where it wraps, beyond its edges, too, but two px less than it high and wide.
         place
             (x, y) in the sample of what the patch has in the window's first pixel; the window wholly inside.
+        reach
+            How far, px, the patch may give pixels beyond the window as well, where something is known and the sample
+            holds it: room for the seams.
 
         Returns
         -------
         int
             How many pixels are new.
         """
-        around, ring = self._around(window)
+        around, ring = self._around(self._reached(window, place, reach))
         pixels = self.pixels(around)
         known, origin = np.ascontiguousarray(self.known[pixels]), np.ascontiguousarray(self.origin[pixels])
+        forced = np.zeros_like(known)
+        forced[_within(window, around)] = ~known[_within(window, around)]
         x, y = place[0] + around[2] - window[2], place[1] + around[0] - window[0]
         choices = link_choices(self.features, self._slopes, self.normalized, origin, known, x, y)
-        new = least_seams(choices, ring, ~known & ~ring)
+        new = least_seams(choices, (ring | ~known) & ~forced, forced)
         self._show(pixels, new, (x, y))
         kept = np.stack([_kept(choices[axis], new, axis) for axis in (0, 1)])
         self.seams[:, pixels[0], pixels[1]] = np.where(_links_of(ring), kept, self.seams[:, pixels[0], pixels[1]])
@@ -137,8 +142,21 @@ class Patchwork:
         else:
             around = (max(y0 - 1, 0), min(y1 + 1, self.shape[0]), max(x0 - 1, 0), min(x1 + 1, self.shape[1]))
         ring = np.ones((around[1] - around[0], around[3] - around[2]), np.bool_)
-        ring[y0 - around[0] : y1 - around[0], x0 - around[2] : x1 - around[2]] = False
+        ring[_within(window, around)] = False
         return around, ring
+
+    def _reached(self, window: Window, place: tuple[int, int], reach: int) -> Window:
+        """Return a window made larger on all sides, as far as sample and output go."""
+        ends: list[int] = []
+        for axis in (0, 1):
+            start, stop, first = window[2 * axis], window[2 * axis + 1], window[2 * axis] - place[1 - axis]
+            side, last = self.shape[axis], first + self.sample.shape[axis]
+            if self.wrap:
+                more = min(reach, (side - 2 - (stop - start)) // 2)
+                ends += [max(start - more, first), min(stop + more, last)]
+            else:
+                ends += [max(start - reach, first, 0), min(stop + reach, last, side)]
+        return ends[0], ends[1], ends[2], ends[3]
 
     @cached_property
     def _slopes(self) -> Features:
@@ -148,6 +166,12 @@ class Patchwork:
             np.gradient(values, axis=axis) if values.shape[axis] > 1 else np.zeros_like(values) for axis in (1, 0)
         ]
         return np.stack([np.rint(UNIT * np.sqrt((slope**2).sum(-1))) for slope in slopes]).astype(np.int32)
+
+
+def _within(window: Window, around: Window) -> tuple[slice, slice]:
+    """Return the rows and columns of a window in one around it."""
+    y0, y1, x0, x1 = window
+    return slice(y0 - around[0], y1 - around[0]), slice(x0 - around[2], x1 - around[2])
 
 
 def least_seams(choices: NDArray[np.int64], fixed_old: Mask, fixed_new: Mask) -> Mask:

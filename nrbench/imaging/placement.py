@@ -35,6 +35,8 @@ class Placement:
     guide
         What every pixel of the output should be like, synthesized or not, beside the same of the sample's pixels: two
         ``int32 (H, W, M)``, of the output and of the sample; None: nothing.
+    reach
+        How far, px, beyond a window its patch may give pixels as well: see :meth:`Patchwork.lay`.
     """
 
     work: Patchwork
@@ -42,18 +44,20 @@ class Placement:
     randomness: float
     rng: np.random.Generator
     guide: tuple[Features, Features] | None = None
+    reach: int = 0
 
     def cover(self, window: Window) -> int:
         """Lay a patch into a window, and return how many pixels it gives; 0 where nothing would be better."""
         costs = self._translations.rate(self._layers(window))
         count = (window[1] - window[0]) * (window[3] - window[2])
-        return self.work.lay(window, drawn(costs, self.randomness * self._variance * count, self.rng))
+        scale = self.randomness * self._variance * count
+        return self.work.lay(window, drawn(costs, scale, self.rng), self.reach)
 
     def improve(self, heat: SeamHeat) -> int:
         """Cover, anew, the window whose seams are worst, and return how many pixels are new."""
         window = heat.worst()
         new = self.cover(window)
-        heat.tried(window)
+        heat.tried(window, self.reach)
         return new
 
     def _layers(self, window: Window) -> list[Layer]:
@@ -70,7 +74,10 @@ class Placement:
 
     @cached_property
     def _variance(self) -> float:
-        return float(self.colors.astype(np.float64).var((0, 1)).sum())
+        """Return the sample's variance, channels summed; in whole numbers, so that it is the same everywhere."""
+        values = self.colors.reshape(-1, self.colors.shape[2]).astype(np.int64)
+        count, squares = len(values), int((values**2).sum())
+        return (count * squares - sum(int(total) ** 2 for total in values.sum(0))) / count**2
 
 
 def scan_lines(shape: tuple[int, int], size: tuple[int, int], step: tuple[int, int], wrap: bool) -> Iterator[Window]:

@@ -61,9 +61,10 @@ class SeamHeat:
             y, x = min(y, self.work.shape[0] - self.size[0]), min(x, self.work.shape[1] - self.size[1])
         return y, y + self.size[0], x, x + self.size[1]
 
-    def tried(self, window: Window) -> None:
-        """Note that a window was covered anew: its blocks, and those beside it, are summed again."""
-        rows, columns = self._blocks(window[0] - 1, window[1], 0), self._blocks(window[2] - 1, window[3], 1)
+    def tried(self, window: Window, reach: int = 0) -> None:
+        """Note that a window was covered anew: blocks with pixels up to ``reach`` px from it are summed again."""
+        y0, y1, x0, x1 = window
+        rows, columns = self._blocks(y0 - 1 - reach, y1 + reach, 0), self._blocks(x0 - 1 - reach, x1 + reach, 1)
         for row in rows:
             for column in columns:
                 self._costs[row, column] = self.work.seams[:, self._within(row), self._within(column)].sum()

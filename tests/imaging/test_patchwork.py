@@ -29,7 +29,7 @@ def cover(work: Patchwork, rng: np.random.Generator, size: tuple[int, int], coun
     for top, left in starts:
         bottom, right = top + size[0], left + size[1]
         window = (top, bottom, left, right) if work.wrap else (top, min(bottom, height), left, min(right, width))
-        work.lay(window, anywhere(work, rng, window))
+        work.lay(window, anywhere(work, rng, window), reach=int(rng.integers(4)))
 
 
 def anywhere(work: Patchwork, rng: np.random.Generator, window: Window) -> tuple[int, int]:
@@ -89,7 +89,7 @@ def test_a_patch_over_what_is_known_never_makes_seams_cost_more(
     for _ in range(10):
         before, (top, left) = work.cost, rng.integers((12, 15))
         window = (int(top), int(top) + 6, int(left), int(left) + 5)
-        if work.lay(window, anywhere(work, rng, window)) == 0:
+        if work.lay(window, anywhere(work, rng, window), int(rng.integers(9))) == 0:
             assert work.cost == before
         assert work.cost <= before
 
@@ -155,7 +155,7 @@ def test_seams_across_the_edges_count_where_the_output_wraps() -> None:
 
 
 def test_a_bad_patch_is_covered_and_a_good_one_stays() -> None:
-    """A patch in the middle of a sample's copy is replaced where its continuation is laid again: no seam is left."""
+    """A patch in the middle of a sample's copy is replaced where that copy reaches it: no seam is left."""
     rng = np.random.default_rng(5)
     for normalized in (False, True):
         work = patchwork(rng, (40, 40), (30, 30), normalized=normalized)
@@ -163,6 +163,17 @@ def test_a_bad_patch_is_covered_and_a_good_one_stays() -> None:
         work.origin[10:16, 12:20] = np.stack(np.meshgrid(np.arange(8), np.arange(6)), -1)
         work.seams[...] = np.rint(seams_of(work) * UNIT)
         assert work.cost > 0
-        assert work.lay((5, 25, 8, 28), (12, 11)) == 48
+        assert work.lay((11, 13, 14, 17), (18, 17), reach=20) == 48
         assert work.cost == 0
         assert work.lay((5, 25, 8, 28), (0, 0)) == 0
+
+
+def test_a_patch_never_fills_more_than_its_window() -> None:
+    """However far it reaches: beyond, only what is known changes."""
+    rng = np.random.default_rng(2)
+    work = patchwork(rng, (30, 30), (60, 60))
+    work.lay((10, 30, 10, 30), (0, 0))
+    work.lay((20, 40, 20, 40), (5, 5), reach=50)
+    known = np.zeros((60, 60), bool)
+    known[10:30, 10:30] = known[20:40, 20:40] = True
+    np.testing.assert_array_equal(work.known, known)

@@ -121,8 +121,8 @@ def test_every_parameter_changes_something(monkeypatch: pytest.MonkeyPatch) -> N
     tile = smooth(20, 24)
     sample = varied(tile, 72, 72, 0.7)
     changes: list[dict[str, Any]] = [
-        {"weight": 0.0}, {"patch": 30}, {"overlap": 0.5}, {"randomness": 0.3}, {"refinements": 0}, {"refinements": 3},
-        {"seam": "mask"}, {"normalized": False}, {"tileable": True},
+        {"weight": 0.0}, {"patch": 30}, {"overlap": 0.5}, {"reach": 0.0}, {"randomness": 0.3},
+        {"refinements": 0}, {"refinements": 3}, {"seam": "mask"}, {"normalized": False}, {"tileable": True},
     ]  # fmt: skip
 
     def made(**parameters: Any) -> Image:
@@ -260,9 +260,9 @@ def test_without_help_it_finds_the_mask_by_itself() -> None:
 @pytest.mark.parametrize(
     "parameters",
     [
-        {"weight": -1.0}, {"weight": 101.0}, {"weight": math.nan}, {"patch": -1}, {"patch": 2}, {"overlap": -0.1},
-        {"overlap": 0.95}, {"overlap": math.nan}, {"randomness": -1.0}, {"randomness": math.inf},
-        {"randomness": math.nan}, {"refinements": -1}, {"threshold": 300.0},
+        {"weight": -1.0}, {"weight": 10.5}, {"weight": math.nan}, {"patch": -1}, {"patch": 2}, {"overlap": -0.1},
+        {"overlap": 0.95}, {"overlap": math.nan}, {"reach": 2.5}, {"reach": math.nan},
+        {"randomness": -1.0}, {"randomness": math.inf}, {"randomness": math.nan}, {"refinements": -1}, {"threshold": 300.0},
     ],
 )  # fmt: skip
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
