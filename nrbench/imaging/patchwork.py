@@ -152,7 +152,7 @@ class Patchwork:
             start, stop, first = window[2 * axis], window[2 * axis + 1], window[2 * axis] - place[1 - axis]
             side, last = self.shape[axis], first + self.sample.shape[axis]
             if self.wrap:
-                more = min(reach, (side - 2 - (stop - start)) // 2)
+                more = max(min(reach, (side - 2 - (stop - start)) // 2), 0)
                 ends += [max(start - more, first), min(stop + more, last)]
             else:
                 ends += [max(start - reach, first, 0), min(stop + reach, last, side)]

@@ -262,7 +262,8 @@ def test_without_help_it_finds_the_mask_by_itself() -> None:
     [
         {"weight": -1.0}, {"weight": 10.5}, {"weight": math.nan}, {"patch": -1}, {"patch": 2}, {"overlap": -0.1},
         {"overlap": 0.95}, {"overlap": math.nan}, {"reach": 2.5}, {"reach": math.nan},
-        {"randomness": -1.0}, {"randomness": math.inf}, {"randomness": math.nan}, {"refinements": -1}, {"threshold": 300.0},
+        {"randomness": -1.0}, {"randomness": math.inf}, {"randomness": math.nan},
+        {"refinements": -1}, {"threshold": 300.0},
     ],
 )  # fmt: skip
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
