@@ -83,11 +83,11 @@ class FftmPatch:
 
     weight: float = 2.0
     patch: int = 0
-    overlap: float = 0.25
-    reach: float = 0.5
-    randomness: float = 0.03
-    refinements: int = 1
-    seam: Judged = "color"
+    overlap: float = 0.15
+    reach: float = 1.0
+    randomness: float = 0.1
+    refinements: int = 2
+    seam: Judged = "mask"
     normalized: bool = True
     tileable: bool = False
     threshold: float = 0.0
