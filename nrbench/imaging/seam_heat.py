@@ -33,7 +33,7 @@ class SeamHeat:
     work: Patchwork
     size: tuple[int, int]
 
-    @property
+    @cached_property
     def block(self) -> int:
         """Side of a block, px."""
         return max(1, min(self.size) // FINE)
@@ -45,9 +45,16 @@ class SeamHeat:
 
     @cached_property
     def _costs(self) -> NDArray[np.float64]:
-        rows, columns = (np.arange(0, side, self.block) for side in self.work.shape)
-        by_rows = np.add.reduceat(self.work.seams.sum(0), rows, 0)
-        return np.add.reduceat(by_rows, columns, 1).astype(np.float64)
+        height, width = self.work.shape
+        return self._summed(self._blocks(0, height, 0), self._blocks(0, width, 1))
+
+    def _summed(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return what the seams cost in each block of some rows and columns of blocks, in rising order."""
+        y, x = ((numbers[:, np.newaxis] * self.block + np.arange(self.block)).ravel() for numbers in (rows, columns))
+        y, x = y[y < self.work.shape[0]], x[x < self.work.shape[1]]
+        seams = self.work.seams[:, y[:, np.newaxis], x].sum(0)
+        by_rows = np.add.reduceat(seams, np.searchsorted(y, rows * self.block), 0)
+        return np.add.reduceat(by_rows, np.searchsorted(x, columns * self.block), 1).astype(np.float64)
 
     def worst(self) -> Window:
         """Return the window whose seams cost most, each block's cost halved with each try."""
@@ -65,16 +72,11 @@ class SeamHeat:
         """Note that a window was covered anew: blocks with pixels up to ``reach`` px from it are summed again."""
         y0, y1, x0, x1 = window
         rows, columns = self._blocks(y0 - 1 - reach, y1 + reach, 0), self._blocks(x0 - 1 - reach, x1 + reach, 1)
-        for row in rows:
-            for column in columns:
-                self._costs[row, column] = self.work.seams[:, self._within(row), self._within(column)].sum()
+        self._costs[np.ix_(rows, columns)] = self._summed(rows, columns)
         self.tries[np.ix_(self._blocks(*window[:2], 0), self._blocks(*window[2:], 1))] += 1
 
-    def _within(self, number: int) -> slice:
-        return slice(number * self.block, (number + 1) * self.block)
-
-    def _blocks(self, start: int, stop: int, axis: int) -> list[int]:
+    def _blocks(self, start: int, stop: int, axis: int) -> NDArray[np.int64]:
         """Return the blocks that pixels from ``start`` up to ``stop`` lie in, along an axis."""
         side = self.work.shape[axis]
         pixels = np.arange(start, stop) % side if self.work.wrap else np.arange(max(start, 0), min(stop, side))
-        return [int(number) for number in np.unique(pixels // self.block)]
+        return np.unique(pixels // self.block)
