@@ -128,6 +128,25 @@ class Waves:
         return np.ascontiguousarray(np.transpose(matrix, (2, 0, 3, 1))[1:, :, 1:]), np.ascontiguousarray(right.T[1:])
 
 
+@dataclass(frozen=True)
+class FixedWaves(Waves):
+    """The same, where only amplitudes are asked for: sums over rows and columns replace the kernels' closed forms.
+
+    Four matrix products of n x width and n x height numbers: for hundreds of waves a tenth of the kernels' time.
+    """
+
+    @cached_property
+    def _grams(self) -> tuple[Array, Array]:
+        apart, together = np.ones((2, len(self._all), len(self._all)))
+        for f, length in zip(self._all.T, self.spectrum.shape[::-1], strict=True):
+            angles = 2 * np.pi * np.outer(f, np.arange(length) - (length - 1) / 2)
+            cosine, sine = np.cos(angles), np.sin(angles)
+            cosines, sines = cosine @ cosine.T, sine @ sine.T
+            apart, together = apart * (cosines + sines), together * (cosines - sines)
+        ridge = RIDGE * apart[0, 0] * np.eye(len(apart))
+        return (apart + together) / 2 + ridge, (apart - together) / 2 + ridge
+
+
 def _projected(bend: Array, crossing: Array, gram: Array, amplitudes: Array) -> Array:
     """Return the slopes' inner products, weighted by the amplitudes, less what the waves themselves explain of them."""
     n = len(gram)

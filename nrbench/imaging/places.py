@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from nrbench.imaging.dirichlet import Array
 
@@ -61,14 +62,24 @@ def inside(frequencies: Array, size: Array) -> NDArray[np.bool_]:
 def spaced(frequencies: Array, priority: Array, size: Array) -> NDArray[np.intp]:
     """Return which frequencies ``(n, 2)`` are nearer than a bin to none of higher priority ``(n,)``, highest first."""
     order = np.argsort(-priority, kind="stable")
-    crowd = near(frequencies[order], frequencies[order], size)
-    kept = np.ones(len(order), np.bool_)
-    for k in np.flatnonzero(np.tril(crowd, -1).any(1)):
-        kept[k] = not (crowd[k, :k] & kept[:k]).any()
+    f, n = _on_torus(frequencies[order], size), len(order)
+    both = np.concatenate([f, _on_torus(-frequencies[order], size)])
+    pairs = np.sort(cKDTree(both, boxsize=size).query_pairs(NEAREST, output_type="ndarray") % n, axis=1)
+    kept = np.ones(n, np.bool_)
+    for lower, later in pairs[np.lexsort(pairs.T)]:
+        kept[later] &= lower == later or not kept[lower]
     return np.asarray(order[kept])
 
 
-def near(f: Array, others: Array, size: Array) -> NDArray[np.bool_]:
-    """Return which frequencies pixels can hardly tell from which others or their mirror images, ``(n, m)``."""
-    apart = [np.hypot(*np.moveaxis(folded(f[:, np.newaxis] - sign * others) * size, 2, 0)) for sign in (1, -1)]
-    return np.asarray(np.minimum(*apart) < NEAREST)
+def near(frequencies: Array, others: Array, size: Array) -> NDArray[np.bool_]:
+    """Return which frequencies pixels can hardly tell from some other or its mirror image, ``(n,)``."""
+    if not len(others):
+        return np.zeros(len(frequencies), np.bool_)
+    both = np.concatenate([_on_torus(others, size), _on_torus(-others, size)])
+    return np.asarray(cKDTree(both, boxsize=size).query(_on_torus(frequencies, size))[0] < NEAREST)
+
+
+def _on_torus(frequencies: Array, size: Array) -> Array:
+    """Return frequencies in bins, from 0 to below ``size``: what differs by 1 cycle/px is one."""
+    bins = np.mod(frequencies * size, size)
+    return np.where(bins >= size, 0.0, bins)

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.dirichlet import Array
-from nrbench.imaging.harmonic_fit import Waves, refine
+from nrbench.imaging.harmonic_fit import FixedWaves, Waves, refine
 from nrbench.imaging.line_floor import line_floor
 from nrbench.imaging.places import folded, inside, near, places_of, spaced
 from nrbench.imaging.pursuit import QUICK, Found, pursue, wave_powers
 from nrbench.imaging.spectrum import Spectrum
 from nrbench.imaging.tying import MOST_GROUPS, beyond, next_basis, waveset
+from nrbench.imaging.wave_registration import registered
 from nrbench.imaging.wave_sum import about_origin, wave_sum
 
 LEADERS = 24
@@ -30,6 +31,8 @@ CLEAR = 100.0
 """The same for a wave that no harmonic supports."""
 STRIPED = 10.0
 """Log-likelihood, beyond the best wave, above which one fundamental with harmonics is regular."""
+FARTHEST_MOVE = 0.5
+"""Bins."""
 FOLDED = 0.25
 """How much the power counts of a wave beyond Nyquist, against that of one below that pixels cannot tell from it."""
 CROWD = 900
@@ -86,13 +89,22 @@ def regular_part(spectrum: Spectrum, threshold: float | None, false_alarms: floa
         if more is None:
             break
         part = more
-    return part
+    return part if part.groups != (2,) else _registered(part, threshold, most)
+
+
+def _registered(part: Regular, threshold: float | None, most: int) -> Regular:
+    """Return the part with its lattice registered; as it was, where that would move a wave by half a bin."""
+    f, spectrum = part.orders @ part.fundamentals, part.waves.spectrum
+    moved = registered(part.waves, f, part.fundamentals)
+    if np.abs((part.orders @ moved - f) * spectrum.size).max() > FARTHEST_MOVE:
+        return part
+    return _chosen(spectrum, moved, part.groups, threshold, most)
 
 
 def _next_group(part: Regular, threshold: float | None, false_alarms: float, most: int) -> Regular | None:
     """Return the part with one more group, None where nothing regular is left."""
     spectrum = part.waves.spectrum
-    left = Spectrum(_left(part)) if part.groups else spectrum
+    left = Spectrum(_without(part.waves, part.kept)) if part.groups else spectrum
     found = pursue(left, threshold, false_alarms, min(LEADERS, most), QUICK)
     order = _news(found, part)
     order = order[_out_of_line(found, threshold)[order]]
@@ -111,12 +123,10 @@ def _next_group(part: Regular, threshold: float | None, false_alarms: float, mos
     return None
 
 
-def _left(part: Regular) -> Array:
+def _without(waves: Waves, kept: NDArray[np.bool_] | None = None) -> Array:
     """Return the planes without the waves."""
-    spectrum = part.waves.spectrum
-    return spectrum.planes - wave_sum(
-        part.waves.frequencies, *about_origin(part.waves, part.kept), spectrum.shape, (0, 0)
-    )
+    shape = waves.spectrum.shape
+    return np.asarray(waves.spectrum.planes - wave_sum(waves.frequencies, *about_origin(waves, kept), shape))
 
 
 def _news(found: Found, part: Regular) -> NDArray[np.intp]:
@@ -124,7 +134,7 @@ def _news(found: Found, part: Regular) -> NDArray[np.intp]:
     order = np.argsort(-found.powers.sum(1), kind="stable")
     size, start = found.waves.spectrum.size, 0
     f = found.waves.frequencies
-    order = order[(inside(f, size) & ~near(f, part.waves.frequencies, size).any(1))[order]]
+    order = order[(inside(f, size) & ~near(f, part.waves.frequencies, size))[order]]
     for count in part.groups:
         basis, start = part.fundamentals[start : start + count], start + count
         order = order[_first_of_class(f[order], basis, size)]
@@ -208,8 +218,8 @@ def _chosen(
     """Return all harmonics of the groups that stand out of the irregular structure."""
     orders = _spaced_places(spectrum, fundamentals, groups)
     f = folded(orders @ fundamentals)
-    waves = Waves(spectrum, f)
-    floor = line_floor(np.abs(waves.residual_bins()) ** 2, spectrum.shape, f, f)
+    waves = FixedWaves(spectrum, f)
+    floor = line_floor(np.abs(Spectrum(_without(waves)).bins()) ** 2, spectrum.shape, f, f)
     power = wave_powers(waves)
     if threshold is None:
         kept = power > HARMONIC * floor + 1e-12 * spectrum.energy.max() * spectrum.size.prod()
@@ -219,4 +229,6 @@ def _chosen(
         kept |= kept.any(1, keepdims=True)
     there = np.flatnonzero(kept.any(1))
     there = there[np.argsort(-power[there].sum(1), kind="stable")[:most]]
-    return Regular(Waves(spectrum, f[there]), kept[there], fundamentals, orders[there], groups, (kept / floor)[there])
+    return Regular(
+        FixedWaves(spectrum, f[there]), kept[there], fundamentals, orders[there], groups, (kept / floor)[there]
+    )
