@@ -22,17 +22,18 @@ from nrbench.synthesis import Task
 from nrbench.synthesizers.fftm_mask import Analysis, TextureMask
 from nrbench.synthesizers.fftm_patch import FftmPatch
 
-PAPER = FftmPatch(weight=1.0, patch=40, seam="mask", normalized=False, refinements=0)
+PAPER = FftmPatch(weight=1.0, patch=40, overlap=0.5, reach=0.0, normalized=False)
 METHODS = {
     "fftm-patch": FftmPatch(),
     "fftm-patch refinements=0": FftmPatch(refinements=0),
     "fftm-patch refinements=4": FftmPatch(refinements=4),
-    "fftm-patch seam=mask": FftmPatch(seam="mask"),
+    "fftm-patch seam=color": FftmPatch(seam="color"),
+    "fftm-patch reach=0": FftmPatch(reach=0.0),
     "fftm-patch normalized=false": FftmPatch(normalized=False),
     "fftm-patch patch=24": FftmPatch(patch=24),
     "fftm-patch patch=64": FftmPatch(patch=64),
     "fftm-patch overlap=0.5": FftmPatch(overlap=0.5),
-    "fftm-patch as the paper, no refinements": PAPER,
+    "fftm-patch as the paper": PAPER,
 }
 
 

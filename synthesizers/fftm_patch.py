@@ -29,6 +29,8 @@ LEAST_PATCH = 24
 NO_TILE = 40
 """px a side of an automatic patch where no upright rectangle is a tile (the paper's example of a size, section 5)."""
 LARGEST_WEIGHT = 10.0
+HALF_PIXEL = 0.5
+"""px: how far from a period of the mask whole-pixel sides may be."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +45,11 @@ class FftmPatch:
     most are covered anew, again and again; no such step makes all seams together cost more.
 
     The paper prints the sum as d_MM + c d_TT, with the weight on the texture, against its own section 4.1; here c
-    scales the mask, squared like everything in the sum, so that the mask has no effect at 0. It cuts in all six
-    dimensions; that is ``seam="mask"``, and the default cuts by color alone, since places that agree with the mask
-    agree with each other, and what is left of the mask then only blurs where seams show. Where Kwatra et al. force some
-    pixel of each new patch into the output, here a patch that makes nothing better is left out.
+    scales the mask (and so, squared, its part of the sum), which has no effect at 0. Two things keep elements whole
+    that the paper's patches cut: seams run where the texture is busy, and a patch may reach beyond the window that it
+    matches. ``reach=0, normalized=false`` is the paper's. Where Kwatra et al. force some pixel of each new patch into
+    the output, here a patch that makes nothing better is left out. More reach and more refinements join patches into
+    larger ones: fewer tiles are broken, and more are repeated.
 
     With a lattice given, the waves are tied to it.
 
@@ -60,15 +63,15 @@ class FftmPatch:
     overlap
         Share of a patch, along each side, that lies over patches there already; 0 to 0.9.
     reach
-        How far, as a share of a patch's shorter side, it may give pixels beyond its window, where seams are better
-        there; 0 (the paper) to 2. In Kwatra et al. the whole sample is laid, wherever the window is that it matches.
+        How far, as a share of a patch's shorter side, it may give pixels beyond its window as well, where something is
+        known and seams are better there; 0 to 2. (In Kwatra et al. the whole sample is laid, wherever its match is.)
     randomness
         k: a translation is drawn with a probability proportional to exp(-cost / (k sigma^2)) (Kwatra et al., section 4:
         0.001 to 1), cost being the mean squared difference, sigma^2 the variance of the sample; 0: one of the best.
     refinements
         How many times as many windows are covered anew as were covered first.
     seam
-        What seams are judged by: ``"color"``, or ``"mask"``: color and mask together.
+        What seams are judged by: ``"mask"``, color and weighted mask (the paper's six dimensions), or ``"color"``.
     normalized
         Whether seams prefer to run where the texture is busy: squared differences over gradients (after section 3.2 of
         Kwatra et al.), or, False, by differences alone (their equation 1, the paper's).
@@ -86,7 +89,7 @@ class FftmPatch:
     overlap: float = 0.15
     reach: float = 1.0
     randomness: float = 0.1
-    refinements: int = 2
+    refinements: int = 1
     seam: Judged = "mask"
     normalized: bool = True
     tileable: bool = False
@@ -189,9 +192,7 @@ def whole(image: Image, weight: float = 1.0) -> Features:
 def automatic_size(mask: TextureMask, room: Shape) -> Shape:
     """Return the (height, width) of patches, px, that suits a mask and a sample of (height, width) ``room``."""
     half = (max(room[0] // 2, 1), max(room[1] // 2, 1))
-    tile = None
-    if mask.lattice is not None:
-        tile = mask.tileable(min(1.0, mask.lattice.s / 4), float(max(half)))
+    tile = mask.tileable(HALF_PIXEL, float(max(half)))
     if tile is None:
         return min(NO_TILE, half[0]), min(NO_TILE, half[1])
     sides = (side * math.ceil(LEAST_PATCH / side) for side in tile.size[::-1])
@@ -211,7 +212,7 @@ def require_period(mask: TextureMask, shape: Shape) -> None:
 
 
 def _advice(mask: TextureMask) -> str:
-    tile = None if mask.lattice is None else mask.tileable(min(0.5, mask.lattice.s / 4))
+    tile = mask.tileable(HALF_PIXEL)
     if tile is None:
         return "leave tileable out"
     width, height = (round(side) for side in tile.size)
