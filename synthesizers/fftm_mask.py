@@ -12,8 +12,8 @@ from skimage.color import rgb2ypbpr, ypbpr2rgb
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image
 from nrbench.imaging.harmonics import Harmonic, Harmonics, Signal, analyze
+from nrbench.lattice.common_period import CommonPeriod, common_period
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.lattice.rectangle import Rectangle, upright_rectangle
 from nrbench.synthesis import Refused
 from nrbench.texture import Shape
 
@@ -42,8 +42,15 @@ class Analysis:
                 f"threshold {self.threshold}; choose 0 (automatic) or an amplitude below 255, units of 1/255"
             )
 
-    def of(self, sample: Image) -> TextureMask:
+    def of(self, sample: Image, lattice: Lattice | None = None) -> TextureMask:
         """Return the mask of a sample.
+
+        Parameters
+        ----------
+        sample
+            ``(H, W, 1 or 3)``.
+        lattice
+            Where it is known, within about 2 %: tied waves then start from its dual. None: it is looked for.
 
         Raises
         ------
@@ -51,10 +58,11 @@ class Analysis:
             Where no wave stands out of the noise: there is no regular part.
         """
         planes = rgb2ypbpr(sample.astype(np.float64)) if sample.shape[2] == 3 else sample.astype(np.float64)
-        found = analyze(planes, self.threshold or None, self.harmonics, signal=self.signal)
+        given = None if lattice is None else lattice.reduced().dual().matrix
+        found = analyze(planes, self.threshold or None, self.harmonics, signal=self.signal, given=given)
         if not len(found.frequencies):
             raise Refused("no wave of the sample stands out of its noise: it has no regular part to make a mask of")
-        return TextureMask(found)
+        return TextureMask(found, self.harmonics == "tied")
 
 
 @dataclass(frozen=True)
@@ -65,9 +73,12 @@ class TextureMask:
     ----------
     harmonics
         The waves of the planes: Y, Pb, Pr of color samples (YCbCr without its offsets), else gray.
+    tied
+        Whether they are tied to common fundamentals.
     """
 
     harmonics: Harmonics = field(repr=False)
+    tied: bool = True
 
     def picture(self, shape: Shape, offset: Vector = (0.0, 0.0)) -> Image:
         """Return the mask on any window, clipped to [0, 1], in the sample's channels (eq. 6).
@@ -83,17 +94,30 @@ class TextureMask:
         colors: NDArray[np.float64] = ypbpr2rgb(planes) if planes.shape[2] == 3 else planes
         return np.clip(colors, 0, 1).astype(np.float32)
 
+    @property
+    def groups(self) -> tuple[NDArray[np.float64], ...]:
+        """The fundamentals of each group, ``(1 or 2, 2)`` cycles/px; the first group is the one found first."""
+        ends = np.cumsum(self.harmonics.groups)
+        return tuple(np.split(self.harmonics.fundamentals, ends[:-1])) if len(ends) else ()
+
     @cached_property
     def lattice(self) -> Lattice | None:
-        """The lattice dual to the fundamentals of the strongest group of two; None where all are stripes, or free."""
-        start = 0
-        for count in self.harmonics.groups:
-            if count == 2:
-                pair = self.harmonics.fundamentals[start : start + 2]
-                return Lattice.from_basis(np.linalg.inv(pair).T).reduced()
-            start += count
-        return None
+        """The lattice dual to the fundamentals of the first group of two, or to those of two gratings; else None."""
+        pairs = [group for group in self.groups if len(group) == 2]
+        if not pairs and self.tied:
+            lone = [group for group in self.groups if len(group) == 1]
+            pairs = [np.concatenate([lone[0], other]) for other in lone[1:] if _cross(lone[0][0], other[0])][:1]
+        return Lattice.from_basis(np.linalg.inv(pairs[0]).T).reduced() if pairs else None
 
-    def tileable(self, tolerance: float, limit: float = 1024.0) -> Rectangle | None:
-        """Return the smallest upright rectangle of whole px that is a period within ``tolerance`` px (eq. 7)."""
-        return None if self.lattice is None else upright_rectangle(self.lattice, tolerance, limit, whole=True)
+    def tileable(self, tolerance: float, limit: float = 1024.0) -> CommonPeriod | None:
+        """Return the smallest upright rectangle of whole px that is a period of all groups within ``tolerance`` px.
+
+        None where there is none, and where waves are free: they have no common period.
+        """
+        return common_period(self.groups, tolerance, int(limit)) if self.tied else None
+
+
+def _cross(first: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Return whether two frequencies differ in direction by more than 10 degrees."""
+    area = abs(first[0] * other[1] - first[1] * other[0])
+    return bool(area > 0.17 * np.hypot(*first) * np.hypot(*other))

@@ -28,7 +28,8 @@ class Harmonics:
     Parameters
     ----------
     frequencies
-        ``(n, 2)``: (f_x, f_y) cycles/px, the strongest first; of each pair f, -f one.
+        ``(n, 2)``: (f_x, f_y) cycles/px, the strongest first; of each pair f, -f one. Beyond half a cycle/px where
+        pixels have folded a wave back: on whole px it looks like the folded one.
     cosine, sine
         ``(n, C)``: amplitudes, units of the planes.
     mean
@@ -79,6 +80,7 @@ def analyze(
     false_alarms: float = 0.01,
     most: int = 400,
     signal: Signal = "real",
+    given: Array | None = None,
 ) -> Harmonics:
     """Return the waves of a picture: fractional Fourier texture masks, Nicoll et al. 2005, section 3.
 
@@ -111,7 +113,9 @@ def analyze(
         ``"real"``: waves are searched as cosine and sine. ``"analytic"``: the paper's search, one complex wave after
         the other in the analytic signal, fitted jointly at the end only. Waves near the border of the half plane that
         the analytic signal keeps (f_x within a few bins of 0) are then misplaced by some hundredths of a bin and found
-        as several, which only the joint fit and its dropping of needless waves mend.
+        as several, which only the joint fit and its dropping of needless waves mend. Where tied, waves are always real.
+    given
+        ``(2, 2)`` cycles/px: where tied, fundamentals of the first group that are known within about 2 %.
 
     Raises
     ------
@@ -127,18 +131,24 @@ def analyze(
     _check(0 < false_alarms < 1, f"false_alarms is {false_alarms}; give a probability, e.g. 0.01")
     _check(most >= 1, f"most is {most}; give at least 1")
     if channels == "joint":
-        return _analyze(planes, threshold, harmonics, false_alarms, most, signal)
+        return _analyze(planes, threshold, harmonics, false_alarms, most, signal, given)
     count = planes.shape[2]
     each = [planes[..., c : c + 1] for c in range(count)]
-    return _joined([_analyze(p, threshold, harmonics, false_alarms / count, most, signal) for p in each], planes)
+    return _joined([_analyze(p, threshold, harmonics, false_alarms / count, most, signal, given) for p in each], planes)
 
 
 def _analyze(
-    planes: Planes, threshold: float | None, harmonics: Harmonic, false_alarms: float, most: int, signal: Signal
+    planes: Planes,
+    threshold: float | None,
+    harmonics: Harmonic,
+    false_alarms: float,
+    most: int,
+    signal: Signal,
+    given: Array | None,
 ) -> Harmonics:
     spectrum = Spectrum(planes)
     if harmonics == "tied":
-        part = regular_part(spectrum, threshold, false_alarms, most)
+        part = regular_part(spectrum, threshold, false_alarms, most, given)
         f = part.orders @ part.fundamentals
         return _sorted(part.waves, f, part.fundamentals, part.orders, part.groups, part.kept)
     search = pursue if signal == "real" else pursue_analytic

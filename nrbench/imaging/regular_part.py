@@ -13,7 +13,7 @@ from nrbench.imaging.line_floor import line_floor
 from nrbench.imaging.places import folded, inside, near, places_of, spaced
 from nrbench.imaging.pursuit import QUICK, Found, pursue, wave_powers
 from nrbench.imaging.spectrum import Spectrum
-from nrbench.imaging.tying import MOST_GROUPS, beyond, next_basis, waveset
+from nrbench.imaging.tying import MOST_GROUPS, beyond, nearest_fundamentals, next_basis, waveset
 from nrbench.imaging.wave_registration import registered
 from nrbench.imaging.wave_sum import about_origin, wave_sum
 
@@ -27,6 +27,8 @@ FINEST = 0.25
 """Cycles/px: finer waves have no say in where the fundamentals lie, as others, beyond Nyquist, are folded on them."""
 SAME = 0.3
 """Bins between waves whose difference is taken to be a whole combination."""
+PROPOSING = 16.0
+"""The same for a wave that may propose fundamentals."""
 CLEAR = 100.0
 """The same for a wave that no harmonic supports."""
 STRIPED = 10.0
@@ -64,7 +66,9 @@ class Regular(NamedTuple):
     weights: Array
 
 
-def regular_part(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> Regular:
+def regular_part(
+    spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int, given: Array | None = None
+) -> Regular:
     """Return the regular waves of a picture, group by group, as long as any is left.
 
     The strongest waves propose a lattice of frequencies, or one fundamental; it is fitted to them, all its harmonics
@@ -81,9 +85,14 @@ def regular_part(spectrum: Spectrum, threshold: float | None, false_alarms: floa
         Probability that noise alone yields a wave of those that propose.
     most
         At most so many waves.
+    given
+        ``(2, 2)`` cycles/px: fundamentals of the first group, right within about 2 %. None: they are looked for.
     """
     none = np.zeros((0, 2))
     part = Regular(Waves(spectrum, none), np.zeros((0, spectrum.channels), np.bool_), none, np.zeros((0, 0)), (), none)
+    if given is not None:
+        found = pursue(spectrum, threshold, false_alarms, min(LEADERS, most), QUICK)
+        part = _grown(part, *nearest_fundamentals(found, given), threshold, most) or part
     while len(part.groups) < MOST_GROUPS:
         more = _next_group(part, threshold, false_alarms, most)
         if more is None:
@@ -107,7 +116,7 @@ def _next_group(part: Regular, threshold: float | None, false_alarms: float, mos
     left = Spectrum(_without(part.waves, part.kept)) if part.groups else spectrum
     found = pursue(left, threshold, false_alarms, min(LEADERS, most), QUICK)
     order = _news(found, part)
-    order = order[_out_of_line(found, threshold)[order]]
+    order = order[_out_of_line(found)[order]]
     while len(order):
         basis = next_basis(waveset(found, order))
         if (
@@ -132,9 +141,9 @@ def _without(waves: Waves, kept: NDArray[np.bool_] | None = None) -> Array:
 def _news(found: Found, part: Regular) -> NDArray[np.intp]:
     """Return the waves, strongest first, that lie at no place of the groups found, and differ by no vector of them."""
     order = np.argsort(-found.powers.sum(1), kind="stable")
-    size, start = found.waves.spectrum.size, 0
-    f = found.waves.frequencies
-    order = order[(inside(f, size) & ~near(f, part.waves.frequencies, size))[order]]
+    f, size, start = found.waves.frequencies, found.waves.spectrum.size, 0
+    places = folded(places_of(part.fundamentals, part.groups, size) @ part.fundamentals)
+    order = order[(inside(f, size) & ~near(f, places, size))[order]]
     for count in part.groups:
         basis, start = part.fundamentals[start : start + count], start + count
         order = order[_first_of_class(f[order], basis, size)]
@@ -151,12 +160,12 @@ def _first_of_class(f: Array, basis: Array, size: Array) -> NDArray[np.bool_]:
     return np.asarray(~np.tril(alike, -1).any(1))
 
 
-def _out_of_line(found: Found, threshold: float | None, limit: float = 16.0) -> NDArray[np.bool_]:
+def _out_of_line(found: Found) -> NDArray[np.bool_]:
     """Return which waves stand out of the lines of the spectrum through them, too, ``(n,)``."""
     waves = found.waves
     power = np.abs(waves.residual_bins()) ** 2
     floor = line_floor(power, waves.spectrum.shape, waves.frequencies, np.zeros((0, 2)))
-    return (found.powers > limit * floor).any(1)
+    return np.asarray((found.powers > PROPOSING * floor).any(1))
 
 
 def _is_clear(found: Found, wave: np.intp, threshold: float | None) -> bool:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.imaging.dirichlet import Array
 from nrbench.imaging.pursuit import Found
 from nrbench.lattice.fundamentals import Basis, Waveset, find_fundamental, find_fundamentals
 
@@ -20,6 +21,8 @@ EMPHASIS = 0.75
 CONVINCED = 14.0
 """Log-likelihood, beyond the two best waves, above which two fundamentals are a lattice: odds of a million to one, as
 ten thousands of pairs were tried. About four waves of a lattice reach it."""
+UNCERTAINTIES = (0.03, 0.01, 0.003)
+"""Of given fundamentals, before and after they are fitted."""
 MOST_GROUPS = 16
 
 
@@ -44,3 +47,32 @@ def beyond(basis: Basis, waves: Waveset) -> float:
     """Return the evidence of the waves beyond the best ones, which any such fundamentals would explain."""
     evidence = np.sort(np.where(basis.explained, basis.evidence / waves.weights, 0))
     return float(evidence[: -len(basis.vectors)].sum())
+
+
+def nearest_fundamentals(found: Found, given: Array) -> tuple[Array, Array]:
+    """Return given fundamentals fitted to the waves near their whole combinations, and those waves' orders.
+
+    Parameters
+    ----------
+    found
+        Waves of a picture.
+    given
+        ``(2, 2)`` cycles/px, right within about 2 %; they are returned where too few waves are near.
+
+    Returns
+    -------
+    tuple
+        ``(2, 2)`` bins, and ``(n, 2)`` whole numbers.
+    """
+    places, vectors = found.waves.frequencies * found.waves.spectrum.size, given * found.waves.spectrum.size
+    weights = np.sqrt(found.powers.sum(1))[:, np.newaxis]
+    orders = np.eye(2)
+    for uncertainty in UNCERTAINTIES:
+        numbers = np.rint(places @ np.linalg.inv(vectors))
+        misses = np.hypot(*(places - numbers @ vectors).T)
+        near = (misses < uncertainty * np.hypot(*places.T) + 2 * TOLERANCE) & numbers.any(1)
+        if np.linalg.matrix_rank(numbers[near]) < 2:
+            break
+        orders = numbers[near]
+        vectors = np.linalg.lstsq(orders * weights[near], places[near] * weights[near], rcond=None)[0]
+    return vectors, orders

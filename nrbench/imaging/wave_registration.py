@@ -35,7 +35,7 @@ def registered(waves: Waves, frequencies: Array, fundamentals: Array) -> Array:
         ``(2, 2)`` cycles/px; they should be right within a tenth of a period at the picture's border.
     """
     sigma = WINDOW / float(np.linalg.svd(fundamentals)[1][0])
-    planes = waves.spectrum.planes
+    planes = waves.spectrum.planes.astype(np.float64)
     model, slopes = _model(waves, frequencies)
     moves = _moves(slopes)
     level, mean, shift = _smooth(model, sigma), _smooth(planes, sigma), _smooth(moves, sigma)
