@@ -51,7 +51,7 @@ class FftmPatch:
     the output, here a patch that makes nothing better is left out. More reach and more refinements join patches into
     larger ones: fewer tiles are broken, and more are repeated.
 
-    With a lattice given, the waves are tied to it.
+    With a lattice given, tied waves start from it.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class FftmPatch:
     seam
         What seams are judged by: ``"mask"``, color and weighted mask (the paper's six dimensions), or ``"color"``.
     normalized
-        Whether seams prefer to run where the texture is busy: squared differences over gradients (after section 3.2 of
+        Whether seams prefer to run where the texture is busy: squared differences over gradients (after section 5 of
         Kwatra et al.), or, False, by differences alone (their equation 1, the paper's).
     tileable
         Whether the output's edges continue at their opposites (section 4.3); refused where the mask does not, within
@@ -129,7 +129,7 @@ class FftmPatch:
             When the sample has no regular part or is smaller than the patch, or the output cannot be tiled.
         """
         start = time.perf_counter()
-        mask = self._analysis().of(task.sample)
+        mask = self._analysis().of(task.sample, task.lattice)
         seconds = time.perf_counter() - start
         return dataclasses.replace(self.follow(task, mask), detection_seconds=seconds)
 

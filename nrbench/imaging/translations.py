@@ -67,7 +67,7 @@ class Translations:
 
         Notes
         -----
-        Multiplied out (their section 4.1): squares by integral images, or, where not all pixels count, by transforms as
+        Multiplied out (their section 5): squares by integral images, or, where not all pixels count, by transforms as
         products are. O(F H W log(H W)) whatever the window's size.
         """
         height, width = window[0].values.shape[:2]

@@ -244,6 +244,19 @@ def test_noise_has_no_regular_part() -> None:
         FftmPatch().synthesize(Task(sample, (40, 40), None, np.random.default_rng(0)))
 
 
+def test_a_lattice_given_is_handed_to_the_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mask is made from the lattice that the task holds."""
+    asked = []
+
+    def of(_: Analysis, sample: Image, lattice: Lattice | None = None) -> Any:
+        asked.append(lattice)
+        return Tiled(smooth(20, 24))
+
+    monkeypatch.setattr(Analysis, "of", of)
+    FftmPatch().synthesize(Task(varied(smooth(20, 24), 48, 48, 0.1), (20, 20), WHOLE, np.random.default_rng(0)))
+    assert asked == [WHOLE]
+
+
 def test_without_help_it_finds_the_mask_by_itself() -> None:
     """End to end: the lattice of a brick wall is found, and its ideal image continued far beyond the sample."""
     wall = texture("brick", (160, 160), seed=1, color=0.1)
