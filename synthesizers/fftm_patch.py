@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image
@@ -29,6 +30,10 @@ LEAST_PATCH = 24
 NO_TILE = 40
 """px a side of an automatic patch where no upright rectangle is a tile (the paper's example of a size, section 5)."""
 LARGEST_WEIGHT = 10.0
+PROBE = 96
+"""px a side of the part of the mask that tells where it repeats."""
+NEAR = 48
+"""px: how far from the size that was asked another is looked for, to be recommended."""
 HALF_PIXEL = 0.5
 """px: how far from a period of the mask whole-pixel sides may be."""
 
@@ -202,18 +207,27 @@ def automatic_size(mask: TextureMask, room: Shape) -> Shape:
 
 def require_period(mask: TextureMask, shape: Shape) -> None:
     """Raise :class:`Refused` unless a mask repeats at an output's sides as well as if moved by half a pixel."""
-    height, width = shape
-    here = mask.picture(shape).astype(np.float64)
-    for axis, side in ((0, width), (1, height)):
-        step = np.eye(2)[axis]
-        across, near = (mask.picture(shape, (float(x), float(y))) for x, y in (side * step, step / 2))
-        if ((across - here) ** 2).sum() > ((near - here) ** 2).sum():
-            raise Refused(f"an output of {width}x{height} px is no period of the texture; {_advice(mask)}")
+    near = [nearest_period(mask, axis, side) for axis, side in enumerate(shape)]
+    if tuple(near) == shape:
+        return
+    height, width = near
+    advice = f"choose {width}x{height} px, the nearest that is" if width and height else "leave tileable out"
+    raise Refused(f"an output of {shape[1]}x{shape[0]} px is no period of the texture; {advice}")
 
 
-def _advice(mask: TextureMask) -> str:
-    tile = mask.tileable(HALF_PIXEL)
-    if tile is None:
-        return "leave tileable out"
-    width, height = (round(side) for side in tile.size)
-    return f"choose a multiple of {width}x{height} px, the smallest that is"
+def nearest_period(mask: TextureMask, axis: int, side: int) -> int | None:
+    """Return the number of px nearest to ``side`` after which a mask repeats, along y (axis 0) or x (axis 1).
+
+    It repeats where it differs no more than if moved by half a pixel, or by a gray level. None where it does so nowhere
+    within :data:`NEAR` px.
+    """
+    along = np.array([axis, 1 - axis], np.float64)
+
+    def moved(by: float) -> NDArray[np.float64]:
+        x, y = by * along
+        return mask.picture((PROBE, PROBE), (float(x), float(y))).astype(np.float64)
+
+    here = moved(0.0)
+    forgiven = max(((moved(0.5) - here) ** 2).sum(), here.size / 255**2)
+    tried = sorted(range(max(side - NEAR, 3), side + NEAR + 1), key=lambda other: abs(other - side))
+    return next((other for other in tried if ((moved(other) - here) ** 2).sum() <= forgiven), None)

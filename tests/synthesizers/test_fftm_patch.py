@@ -192,10 +192,10 @@ def test_a_tileable_output_continues_at_its_edges(monkeypatch: pytest.MonkeyPatc
 
 
 def test_an_output_that_is_no_period_is_not_tileable(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The refusal says which sizes are; so it does for outputs too small to have an inside."""
+    """The refusal says which size nearby is; so it does for outputs too small to have an inside."""
     tile = smooth(20, 24)
     method, sample = FftmPatch(tileable=True), varied(tile, 60, 60, 0.3)
-    with pytest.raises(Refused, match="multiple of 24x20 px"):
+    with pytest.raises(Refused, match="choose 96x100 px"):
         synthesize(method, sample, (100, 100), Tiled(tile), monkeypatch)
     with pytest.raises(Refused, match="tileable"):
         synthesize(method, sample, (2, 24), Tiled(tile), monkeypatch)
