@@ -61,7 +61,8 @@ class Analysis:
         given = None if lattice is None else lattice.reduced().dual().matrix
         found = analyze(planes, self.threshold or None, self.harmonics, signal=self.signal, given=given)
         if not len(found.frequencies):
-            raise Refused("no wave of the sample stands out of its noise: it has no regular part to make a mask of")
+            limit = f"reaches the threshold of {self.threshold:g}" if self.threshold else "stands out of its noise"
+            raise Refused(f"no wave of the sample {limit}: it has no regular part to make a mask of")
         return TextureMask(found, self.harmonics == "tied")
 
 
@@ -96,17 +97,21 @@ class TextureMask:
 
     @property
     def groups(self) -> tuple[NDArray[np.float64], ...]:
-        """The fundamentals of each group, ``(1 or 2, 2)`` cycles/px; the first group is the one found first."""
+        """The fundamentals of each group, ``(1 or 2, 2)`` cycles/px, of such as have harmonics; of all if none has."""
         ends = np.cumsum(self.harmonics.groups)
-        return tuple(np.split(self.harmonics.fundamentals, ends[:-1])) if len(ends) else ()
+        fundamentals = np.split(self.harmonics.fundamentals, ends[:-1]) if len(ends) else []
+        counts = [(block != 0).any(1).sum() for block in np.split(self.harmonics.orders, ends[:-1], 1)]
+        several = tuple(group for group, count in zip(fundamentals, counts, strict=False) if count > 1)
+        return several or tuple(fundamentals)
 
     @cached_property
     def lattice(self) -> Lattice | None:
         """The lattice dual to the fundamentals of the first group of two, or to those of two gratings; else None."""
+        if not self.tied:
+            return None
         pairs = [group for group in self.groups if len(group) == 2]
-        if not pairs and self.tied:
-            lone = [group for group in self.groups if len(group) == 1]
-            pairs = [np.concatenate([lone[0], other]) for other in lone[1:] if _cross(lone[0][0], other[0])][:1]
+        lone = np.concatenate([group for group in self.groups if len(group) == 1] or [np.zeros((0, 2))])
+        pairs += [np.stack([lone[0], other]) for other in lone[1:] if _cross(lone[0], other)]
         return Lattice.from_basis(np.linalg.inv(pairs[0]).T).reduced() if pairs else None
 
     def tileable(self, tolerance: float, limit: float = 1024.0) -> CommonPeriod | None:

@@ -12,6 +12,8 @@ NEAREST = 0.75
 """Bins between two waves at least: nearer ones share their amplitudes at will."""
 FARTHEST = 0.95
 """Cycles/px along either axis up to which waves are looked for: pixels average over their area, which is blind to 1."""
+FARTHEST_STRIPES = 3.0
+"""The same of one fundamental, whose places are few: stripes drawn without such averaging have edges that fold more."""
 
 
 def folded(frequencies: Array) -> Array:
@@ -45,12 +47,13 @@ def places_of(fundamentals: Array, groups: tuple[int, ...], size: Array) -> Arra
 
 def _grid(fundamentals: Array) -> Array:
     """Return the orders of one of each pair of places f, -f."""
-    reach = np.ceil(np.abs(np.linalg.pinv(fundamentals)).sum(0) * FARTHEST).astype(int)
+    farthest = FARTHEST if len(fundamentals) == 2 else FARTHEST_STRIPES
+    reach = np.ceil(np.abs(np.linalg.pinv(fundamentals)).sum(0) * farthest).astype(int)
     axes = [np.arange(-r, r + 1) for r in reach]
     orders = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(reach)).astype(np.float64)
     f = orders @ fundamentals
     half = (orders[:, 0] > 0) | ((orders[:, 0] == 0) & (orders[:, -1] > 0))
-    return np.asarray(orders[half & (np.abs(f) < FARTHEST).all(1)])
+    return np.asarray(orders[half & (np.abs(f) < farthest).all(1)])
 
 
 def inside(frequencies: Array, size: Array) -> NDArray[np.bool_]:

@@ -16,6 +16,7 @@ from nrbench.imaging.spectrum import Spectrum
 from nrbench.imaging.tying import MOST_GROUPS, beyond, nearest_fundamentals, next_basis, waveset
 from nrbench.imaging.wave_registration import registered
 from nrbench.imaging.wave_sum import about_origin, wave_sum
+from nrbench.lattice.fundamentals import SHORTEST, Basis, Waveset
 
 LEADERS = 24
 """Waves looked for to find a group's fundamentals."""
@@ -118,18 +119,21 @@ def _next_group(part: Regular, threshold: float | None, false_alarms: float, mos
     order = _news(found, part)
     order = order[_out_of_line(found)[order]]
     while len(order):
-        basis = next_basis(waveset(found, order))
-        if (
-            len(basis.vectors) == 2
-            or beyond(basis, waveset(found, order)) > STRIPED
-            or _is_clear(found, order[0], threshold)
-        ):
+        waves = waveset(found, order)
+        basis = next_basis(waves)
+        short = len(basis.vectors) == 1 and np.hypot(*basis.vectors[0]) < SHORTEST
+        if not short and _is_regular(basis, waves, found, order[0], threshold):
             seeds = basis.orders[basis.explained]
             grown = _grown(part, basis.vectors / spectrum.size, seeds, threshold, most)
             if grown is not None:
                 return grown
-        order = order[1:]
+        order = order[~basis.explained] if short and basis.explained.any() else order[1:]
     return None
+
+
+def _is_regular(basis: Basis, waves: Waveset, found: Found, strongest: np.intp, threshold: float | None) -> bool:
+    """Return whether fundamentals are those of a group: two, one with harmonics, or that of one clear wave."""
+    return len(basis.vectors) == 2 or beyond(basis, waves) > STRIPED or _is_clear(found, strongest, threshold)
 
 
 def _without(waves: Waves, kept: NDArray[np.bool_] | None = None) -> Array:
@@ -188,11 +192,10 @@ def _grown(part: Regular, vectors: Array, seeds: Array, threshold: float | None,
     orders[:n, :g], orders[n:, g:] = part.orders, seeds
     fundamentals = refine(spectrum, fundamentals, _strongest(spectrum, fundamentals, orders), steps=8).fundamentals
     chosen = _chosen(spectrum, fundamentals, groups, threshold, most)
-    fundamentals = _aligned(chosen)
-    chosen = _chosen(spectrum, fundamentals, groups, threshold, most)
-    if not (chosen.orders[:, g:] != 0).any():
+    if not chosen.orders[:, g:].any():
         return None
-    return chosen
+    chosen = _chosen(spectrum, _aligned(chosen), groups, threshold, most)
+    return chosen if chosen.orders[:, g:].any() else None
 
 
 def _aligned(part: Regular) -> Array:
@@ -202,6 +205,8 @@ def _aligned(part: Regular) -> Array:
     voters = (np.abs(f) < FINEST).all(1)
     if np.linalg.matrix_rank(part.orders[voters]) < len(part.fundamentals):
         voters = baseband
+    if np.linalg.matrix_rank(part.orders[voters]) < len(part.fundamentals):
+        return part.fundamentals
     return refine(part.waves.spectrum, part.fundamentals, part.orders[voters], 4, part.weights[voters]).fundamentals
 
 

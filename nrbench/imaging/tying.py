@@ -62,7 +62,7 @@ def nearest_fundamentals(found: Found, given: Array) -> tuple[Array, Array]:
     Returns
     -------
     tuple
-        ``(2, 2)`` bins, and ``(n, 2)`` whole numbers.
+        ``(2, 2)`` cycles/px, and ``(n, 2)`` whole numbers.
     """
     places, vectors = found.waves.frequencies * found.waves.spectrum.size, given * found.waves.spectrum.size
     weights = np.sqrt(found.powers.sum(1))[:, np.newaxis]
@@ -75,4 +75,4 @@ def nearest_fundamentals(found: Found, given: Array) -> tuple[Array, Array]:
             break
         orders = numbers[near]
         vectors = np.linalg.lstsq(orders * weights[near], places[near] * weights[near], rcond=None)[0]
-    return vectors, orders
+    return vectors / found.waves.spectrum.size, orders

@@ -1,0 +1,157 @@
+import numpy as np
+import pytest
+
+import nrbench
+from nrbench.errors import BadInput
+from nrbench.imaging.door import Image, quantize
+from nrbench.lattice.geometry import Lattice
+from nrbench.synthesis import Refused
+from nrbench.synthesizers.fftm_mask import Analysis, TextureMask
+from nrbench.texture import Texture
+
+STRENGTH = {"color": 0.3, "intensity": 0.2, "noise": 0.03}
+Y, X = np.indices((128, 128))
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the correlation of two pictures, all channels together, each less its mean."""
+    a, b = a - a.mean((0, 1)), b - b.mean((0, 1))
+    return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum()))
+
+
+def drawn(model: str, seed: int, far: int = 1) -> tuple[Texture, Image]:
+    """Return a texture of ``far`` times 128 px a side, and its first 128 as a sample."""
+    texture = nrbench.texture(model, shape=(128 * far, 128 * far), seed=seed, **STRENGTH)
+    return texture, quantize(texture.image[:128, :128])
+
+
+def gray(values: np.ndarray, noise: float = 0.0) -> Image:
+    """Return a gray sample of values, with white noise."""
+    noisy = values + noise * np.random.default_rng(0).standard_normal(values.shape)
+    return quantize(np.clip(noisy, 0, 1).astype(np.float32)[..., np.newaxis])
+
+
+@pytest.mark.parametrize("model", ["brick", "weave", "hexagon"])
+def test_the_mask_is_the_ideal_image_and_not_the_departures(model: str) -> None:
+    """It resembles the ideal image, in place and far away; what it leaves of the sample does not."""
+    texture, sample = drawn(model, 21, far=4)
+    assert texture.ideal is not None and texture.lattice is not None
+    mask = Analysis().of(sample)
+    near, far = mask.picture((128, 128)), mask.picture((512, 512))
+    assert correlation(near, texture.ideal[:128, :128]) > 0.97
+    assert correlation(far, texture.ideal) > 0.95
+    assert abs(correlation(sample - near, texture.ideal[:128, :128])) < 0.05
+    assert mask.lattice is not None and mask.lattice.is_equivalent(texture.lattice, 0.05)
+    assert mask.harmonics.groups == (2,)
+
+
+def test_a_given_lattice_is_where_it_starts() -> None:
+    """From a lattice 1.5 % off, in another basis, it finds that of the sample, and the mask found without."""
+    texture, sample = drawn("brick", 22)
+    assert texture.lattice is not None
+    (a, b), stretch = texture.lattice.matrix, np.diag([1.015, 0.99])
+    given = Analysis().of(sample, Lattice.from_basis(np.stack([a + b, b]) @ stretch))
+    own = Analysis().of(sample)
+    assert given.lattice is not None and given.lattice.is_equivalent(texture.lattice, 0.02)
+    np.testing.assert_allclose(given.picture((128, 128)), own.picture((128, 128)), atol=0.02)
+
+
+def test_the_threshold_sets_how_many_waves() -> None:
+    """The number of waves falls with the threshold, down to none, which is refused."""
+    _, sample = drawn("brick", 23)
+    counts = [len(Analysis(threshold).of(sample).harmonics.frequencies) for threshold in (2, 4, 8)]
+    assert counts[0] > counts[1] > counts[2] > 0
+    with pytest.raises(Refused, match="reaches the threshold of 100"):
+        Analysis(100.0).of(sample)
+
+
+def test_windows_are_of_one_picture() -> None:
+    """A window far away equals that part of a larger one, at the same offsets."""
+    mask = Analysis().of(drawn("weave", 24)[1])
+    whole, part = mask.picture((90, 120), (-30.0, 7.0)), mask.picture((40, 50), (10.0, 27.0))
+    np.testing.assert_allclose(whole[20:60, 40:90], part, atol=1e-6)
+
+
+@pytest.mark.parametrize("spectrum", ["white", "pink", "brown", "blobs", "grass"])
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_has_no_regular_part(spectrum: str, seed: int) -> None:
+    """Textures without a lattice, whatever their spectrum, are refused."""
+    with pytest.raises(Refused, match="no regular part"):
+        Analysis().of(quantize(nrbench.texture("noise", seed=seed, spectrum=spectrum).image))
+
+
+def test_a_single_wave_makes_a_mask() -> None:
+    """One cosine, noisy, is one group of one wave; it has no lattice, and a tile for stripes at a slant."""
+    mask = Analysis().of(gray(0.5 + 0.2 * np.cos(2 * np.pi * (0.0625 * X + 0.025 * Y)), 0.1))
+    assert mask.harmonics.groups == (1,) and mask.lattice is None
+    np.testing.assert_allclose(np.abs(mask.harmonics.frequencies), [[0.0625, 0.025]], atol=2e-4)
+    tile = mask.tileable(0.3)
+    assert tile is not None and tile.size == (16, 40) and tile.free == (False, False)
+
+
+def test_two_gratings_have_a_lattice() -> None:
+    """Two crossed cosines are two groups, and their lattice is dual to both."""
+    mask = Analysis().of(gray(0.5 + 0.1 * np.cos(2 * np.pi * X / 14.3) + 0.1 * np.cos(2 * np.pi * Y / 20.7), 0.02))
+    assert mask.lattice is not None and mask.lattice.is_equivalent(Lattice((14.3, 0.0), (0.0, 20.7)), 0.01)
+
+
+@pytest.mark.parametrize("period", [17.7, 31.3])
+def test_pinstripes_are_one_group(period: float) -> None:
+    """Lines 1.5 px wide and far apart are one fundamental with many harmonics; their tile is free along them."""
+    lines = np.mean([(X + step) % period < 1.5 for step in np.linspace(-0.5, 0.5, 21)], 0)
+    mask = Analysis().of(gray(0.3 + 0.3 * lines, 0.03))
+    assert mask.harmonics.groups == (1,) and len(mask.harmonics.frequencies) > 8
+    assert 1 / np.abs(mask.harmonics.fundamentals).max() == pytest.approx(period, abs=0.1)
+    tile = mask.tileable(0.5)
+    assert tile is not None and tile.free == (False, True) and abs(tile.size[0] - period) < 0.6
+
+
+def test_two_lattices_have_a_common_tile() -> None:
+    """Squares over hexagons are two groups of two; the tile of both is five squares wide, beyond the sample."""
+    texture = nrbench.texture("overlap", shape=(160, 160), seed=5, period=36.6, color=0.15, intensity=0.1, noise=0.02)
+    mask = Analysis().of(quantize(texture.image))
+    assert mask.harmonics.groups[:2] == (2, 2)
+    tile = mask.tileable(1.0)
+    assert tile is not None and np.abs(np.subtract(tile.size, 183)).max() <= 1
+
+
+def test_constant_channels_stay_constant() -> None:
+    """Channels without a wave keep their mean; a constant image is refused."""
+    sample = np.full((128, 128, 3), 0.5, np.float32)
+    sample[..., 0] += (0.3 * np.cos(0.4 * X) * np.cos(0.3 * Y)).astype(np.float32)
+    picture = Analysis().of(sample).picture((64, 64), (500.0, 0.0))
+    np.testing.assert_allclose(picture[..., 1:], 0.5, atol=1e-3)
+    with pytest.raises(Refused):
+        Analysis().of(np.full((64, 64, 3), 0.4, np.float32))
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (8, 200), (9, 13)])
+@pytest.mark.parametrize("kind", ["noise", "stripes", "checks", "dot", "step"])
+def test_small_and_odd_samples_are_refused_or_masked(shape: tuple[int, int], kind: str) -> None:
+    """Whatever the sample, there is a finite mask of any size, or a refusal."""
+    y, x = np.indices(shape)
+    values = {
+        "noise": np.random.default_rng(1).random(shape),
+        "stripes": 0.5 + 0.4 * np.cos(2 * np.pi * x / 4.3),
+        "checks": ((x + y) % 4 < 2).astype(float),
+        "dot": ((x - 4) ** 2 + (y - 4) ** 2 < 6).astype(float),
+        "step": (x > 3).astype(float),
+    }[kind]
+    try:
+        mask = Analysis().of(gray(values))
+    except Refused:
+        return
+    assert np.isfinite(mask.picture((50, 70), (1e4, -1e4))).all()
+
+
+def test_free_masks_have_no_tile() -> None:
+    """Free waves have no common period: no lattice and no tile."""
+    mask = Analysis(threshold=8.0, harmonics="free").of(drawn("brick", 25)[1])
+    assert isinstance(mask, TextureMask) and mask.lattice is None and mask.tileable(0.5) is None
+
+
+@pytest.mark.parametrize("threshold", [-1.0, 255.0, float("nan")])
+def test_bad_thresholds_are_refused(threshold: float) -> None:
+    """The error says what to give."""
+    with pytest.raises(BadInput, match="automatic"):
+        Analysis(threshold)
