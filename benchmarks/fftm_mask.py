@@ -121,7 +121,8 @@ def accuracy_table(seeds: list[int]) -> None:
                 rng = np.random.default_rng([n, seed])
                 f, amplitude, picture = waves_drawn(n, rng)
                 found = analyze(picture + noise * rng.standard_normal(picture.shape)).frequencies
-                errors.extend(np.abs(f[:, np.newaxis] - found).max(2).min(1) * SIDE)
+                both = np.concatenate([found, -found])
+                errors.extend(np.abs(f[:, np.newaxis] - both).max(2).min(1) * SIDE)
                 bounds.extend(np.sqrt(24) / (2 * np.pi) * noise / (amplitude * SIDE))
         ratio = f"{np.median(np.divide(errors, bounds)):.2f}" if noise else ""
         print(f"{noise:5} {np.median(errors):21.1e} {np.max(errors):7.1e} {ratio:>34}")

@@ -25,11 +25,13 @@ class Analysis:
     Parameters
     ----------
     threshold
-        Least amplitude of a wave, units of 1/255; 0: automatic, what noise reaches with probability 0.01.
+        Least amplitude of a wave, units of 1/255; 0: automatic. Where tied, that is what stands out of the irregular
+        structure at the wave's place; where free, what noise reaches with probability 0.01. A threshold that is given
+        takes all waves above it for regular, as the paper does.
     harmonics
-        ``"tied"`` to whole combinations of common fundamentals, or ``"free"`` (the paper's).
+        ``"tied"`` to whole combinations of the fundamentals of regular groups, or ``"free"`` (the paper's).
     signal
-        ``"real"``, or ``"analytic"`` (the paper's).
+        ``"real"``, or ``"analytic"`` (the paper's search; where tied, for the waves that propose fundamentals).
     """
 
     threshold: float = 0.0
@@ -55,7 +57,7 @@ class Analysis:
         Raises
         ------
         Refused
-            Where no wave stands out of the noise: there is no regular part.
+            Where no group of waves is regular, or none above the threshold: there is no regular part.
         """
         planes = rgb2ypbpr(sample.astype(np.float64)) if sample.shape[2] == 3 else sample.astype(np.float64)
         given = None if lattice is None else lattice.reduced().dual().matrix

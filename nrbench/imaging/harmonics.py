@@ -13,7 +13,7 @@ from nrbench.imaging.analytic_signal import pursue_analytic
 from nrbench.imaging.dirichlet import Array
 from nrbench.imaging.harmonic_fit import Waves
 from nrbench.imaging.pursuit import pursue
-from nrbench.imaging.regular_part import regular_part
+from nrbench.imaging.regular_part import quickly, regular_part
 from nrbench.imaging.spectrum import Planes, Spectrum
 from nrbench.imaging.wave_sum import about_origin, wave_sum
 
@@ -113,7 +113,8 @@ def analyze(
         ``"real"``: waves are searched as cosine and sine. ``"analytic"``: the paper's search, one complex wave after
         the other in the analytic signal, fitted jointly at the end only. Waves near the border of the half plane that
         the analytic signal keeps (f_x within a few bins of 0) are then misplaced by some hundredths of a bin and found
-        as several, which only the joint fit and its dropping of needless waves mend. Where tied, waves are always real.
+        as several, which only the joint fit and its dropping of needless waves mend. Where tied, such waves
+        propose the fundamentals; all amplitudes are then fitted to the picture.
     given
         ``(2, 2)`` cycles/px: where tied, fundamentals of the first group that are known within about 2 %.
 
@@ -148,7 +149,9 @@ def _analyze(
 ) -> Harmonics:
     spectrum = Spectrum(planes)
     if harmonics == "tied":
-        part = regular_part(spectrum, threshold, false_alarms, most, given)
+        part = regular_part(
+            spectrum, threshold, false_alarms, most, quickly if signal == "real" else pursue_analytic, given
+        )
         f = part.orders @ part.fundamentals
         return _sorted(part.waves, f, part.fundamentals, part.orders, part.groups, part.kept)
     search = pursue if signal == "real" else pursue_analytic

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ from nrbench.imaging.wave_registration import registered
 from nrbench.imaging.wave_sum import about_origin, wave_sum
 from nrbench.lattice.fundamentals import SHORTEST, Basis, Waveset
 
+Search = Callable[[Spectrum, float | None, float, int], Found]
+"""Waves of a spectrum above a threshold, with a probability of false alarms, at most so many."""
 LEADERS = 24
 """Waves looked for to find a group's fundamentals."""
 VOTERS = 60
@@ -67,8 +70,18 @@ class Regular(NamedTuple):
     weights: Array
 
 
+def quickly(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> Found:
+    """Return the waves of a short search."""
+    return pursue(spectrum, threshold, false_alarms, most, QUICK)
+
+
 def regular_part(
-    spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int, given: Array | None = None
+    spectrum: Spectrum,
+    threshold: float | None,
+    false_alarms: float,
+    most: int,
+    search: Search = quickly,
+    given: Array | None = None,
 ) -> Regular:
     """Return the regular waves of a picture, group by group, as long as any is left.
 
@@ -86,16 +99,18 @@ def regular_part(
         Probability that noise alone yields a wave of those that propose.
     most
         At most so many waves.
+    search
+        How the waves that propose are looked for.
     given
         ``(2, 2)`` cycles/px: fundamentals of the first group, right within about 2 %. None: they are looked for.
     """
     none = np.zeros((0, 2))
     part = Regular(Waves(spectrum, none), np.zeros((0, spectrum.channels), np.bool_), none, np.zeros((0, 0)), (), none)
     if given is not None:
-        found = pursue(spectrum, threshold, false_alarms, min(LEADERS, most), QUICK)
+        found = search(spectrum, threshold, false_alarms, min(LEADERS, most))
         part = _grown(part, *nearest_fundamentals(found, given), threshold, most) or part
     while len(part.groups) < MOST_GROUPS:
-        more = _next_group(part, threshold, false_alarms, most)
+        more = _next_group(part, threshold, false_alarms, most, search)
         if more is None:
             break
         part = more
@@ -111,11 +126,13 @@ def _registered(part: Regular, threshold: float | None, most: int) -> Regular:
     return _chosen(spectrum, moved, part.groups, threshold, most)
 
 
-def _next_group(part: Regular, threshold: float | None, false_alarms: float, most: int) -> Regular | None:
+def _next_group(
+    part: Regular, threshold: float | None, false_alarms: float, most: int, search: Search
+) -> Regular | None:
     """Return the part with one more group, None where nothing regular is left."""
     spectrum = part.waves.spectrum
     left = Spectrum(_without(part.waves, part.kept)) if part.groups else spectrum
-    found = pursue(left, threshold, false_alarms, min(LEADERS, most), QUICK)
+    found = search(left, threshold, false_alarms, min(LEADERS, most))
     order = _news(found, part)
     order = order[_out_of_line(found)[order]]
     while len(order):
