@@ -257,11 +257,13 @@ def test_a_lattice_given_is_handed_to_the_analysis(monkeypatch: pytest.MonkeyPat
     assert asked == [WHOLE]
 
 
-def test_without_help_it_finds_the_mask_by_itself() -> None:
-    """End to end: the lattice of a brick wall is found, and its ideal image continued far beyond the sample."""
+@pytest.mark.parametrize("given", [False, True])
+def test_it_makes_the_mask_by_itself(given: bool) -> None:
+    """End to end: the lattice of a brick wall, found or given, and its ideal image continued far beyond the sample."""
     wall = texture("brick", (160, 160), seed=1, color=0.1)
     assert wall.lattice is not None and wall.ideal is not None
-    made = FftmPatch().synthesize(Task(quantize(wall.image[:80, :80]), (160, 160), None, np.random.default_rng(0)))
+    lattice = wall.lattice if given else None
+    made = FftmPatch().synthesize(Task(quantize(wall.image[:80, :80]), (160, 160), lattice, np.random.default_rng(0)))
     assert made.lattice is not None and made.lattice.is_equivalent(wall.lattice, 0.05)
     assert made.detection_seconds > 0
     assert np.corrcoef(made.extras["mask"].ravel(), wall.ideal.ravel())[0, 1] > 0.95
