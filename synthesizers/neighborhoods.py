@@ -80,7 +80,11 @@ class Neighborhood:
 
     def vectors(self, layers: Layers, pixels: Integers) -> NDArray[np.uint8]:
         """Return the neighborhoods of some pixels, ``uint8 (n, t C)``."""
-        return np.asarray(layers.reshape(-1)[pixels[:, np.newaxis] * layers.shape[3] + self.steps(layers)])
+        values, starts, steps = layers.reshape(-1), pixels * layers.shape[3], self.steps(layers)
+        found = np.empty((len(pixels), len(steps)), np.uint8)
+        for column, step in enumerate(steps.tolist()):
+            found[:, column] = values[starts + step]
+        return found
 
 
 def layers_of(*pictures: Image) -> Layers:

@@ -16,6 +16,8 @@ FARTHEST = 30000.0
 """Greatest distance of two points: differences fit 16 bits, squared distances 31."""
 FINEST = 16
 """Most units of a gray level: finer ones change nothing that 8 bits can show."""
+BLOCK = 1 << 15
+"""Vectors that are computed with at a time: memory does not grow with the sample by more than its vectors."""
 LANES = 16
 """Dimensions are filled up with zeros to a multiple of this, for vector instructions."""
 
@@ -73,8 +75,11 @@ class Projection:
     def points(self, vectors: Vectors) -> Points:
         """Return the points of some vectors, ``int16 (n, d)``, exactly as compiled loops project them."""
         matrix = self.matrix[:, : vectors.shape[1]].astype(np.float64)
-        products = np.rint(vectors.astype(np.float64) @ matrix.T).astype(np.int64)
-        return np.ascontiguousarray((products + self.shift) >> self.bits, np.int16)
+        found = np.empty((len(vectors), len(matrix)), np.int16)
+        for start in range(0, len(vectors), BLOCK):
+            products = (vectors[start : start + BLOCK].astype(np.float64) @ matrix.T).astype(np.int64)
+            found[start : start + BLOCK] = (products + self.shift) >> self.bits
+        return found
 
 
 def _components(vectors: Vectors, scales: NDArray[np.float64], count: int) -> NDArray[np.float64]:
@@ -82,9 +87,12 @@ def _components(vectors: Vectors, scales: NDArray[np.float64], count: int) -> ND
 
     The second moments are sums of whole numbers, exact in float64.
     """
-    values = vectors.astype(np.float64)
-    mean = values.sum(0) / len(values)
-    covariance = values.T @ values / len(values) - np.outer(mean, mean)
+    mean = vectors.sum(0, dtype=np.int64) / len(vectors)
+    moments = np.zeros((vectors.shape[1], vectors.shape[1]))
+    for start in range(0, len(vectors), BLOCK):
+        values = vectors[start : start + BLOCK].astype(np.float64)
+        moments += values.T @ values
+    covariance = moments / len(vectors) - np.outer(mean, mean)
     _, rows = np.linalg.eigh(covariance * np.outer(scales, scales))
     strongest = rows.T[::-1][:count]
     peaks = np.take_along_axis(strongest, np.abs(strongest).argmax(1)[:, np.newaxis], 1)
