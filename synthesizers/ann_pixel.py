@@ -27,8 +27,18 @@ class AnnPixel:
     neighborhood
         Side N in px, 2 to 10, of the window from -N//2 to N - 1 - N//2 around the pixel, of which the pixels before it
         count. (The paper: 5, 6, 8, 10.)
-    search, coherence, eps, dimensions, similar
-        As in :class:`~nrbench.synthesizers.fftm_pixel.FftmPixel`.
+    search
+        ``"ann"``: kd-tree, exact with ``eps`` 0. ``"exhaustive"``: every pixel of the sample. ``"k-coherence"``: for
+        each pixel synthesized in the window its source, continued, and what is similar to that in the sample.
+    coherence
+        A neighbor's continued source is taken when its distance is at most so many times the best's: 1 or more; 0: it
+        has no advantage.
+    eps
+        A source may be (1 + eps) times as far as the nearest: 0 or more, only for search ``ann``.
+    dimensions
+        Principal components that are compared; 0, or as many as there are values: all values.
+    similar
+        How many similar ones, 1 to 64, in search ``k-coherence``, else to be left out. None: 4.
     """
 
     neighborhood: int = 8
