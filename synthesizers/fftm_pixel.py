@@ -44,7 +44,7 @@ class FftmPixel:
     colors, so that the nearest neighborhood is the same on every machine. Linear in the pixels of the output; each
     costs the logarithm of the sample's (ann), all of them (exhaustive), or a constant (k-coherence).
 
-    With a lattice given, the mask's fundamentals are its; with none they are found.
+    With a lattice given, the mask's waves are looked for from there; with none the lattice is found, too.
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ class FftmPixel:
         Side N in px, 2 to 6, of the window from -N//2 to N - 1 - N//2 around the pixel. (The paper: 2 for simple
         structures, 3, 6 for knitted wool.)
     weight
-        c, 0 to 100: what squared differences in the mask count against those in the texture. Below 0.1 the mask has no
-        effect, above 5 the texture has little. Only for match ``full``.
+        c, 0 to 100: what squared differences in the mask count against those in the texture. (The paper: about 1; below
+        0.1 the mask has no effect, above 5 it is too strong.) Only for match ``full``.
     match
         ``"full"``: as above. ``"cluster"``: pixels are sorted by the mask around them (k-means over the whole window);
         those of the sample in the output pixel's cluster are candidates, compared by d_TT alone.
@@ -144,7 +144,7 @@ class FftmPixel:
             asked for at a size that is no period of the mask.
         """
         start = time.perf_counter()
-        mask = self.analysis.of(task.sample)
+        mask = self.analysis.of(task.sample, task.lattice)
         return self.guided(task, mask, 0.0 if task.lattice else time.perf_counter() - start)
 
     def guided(self, task: Task, mask: TextureMask, seconds: float = 0.0) -> Synthesis:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.harmonics import Harmonics
 from nrbench.synthesis import Refused
 from nrbench.texture import Shape
 
@@ -24,8 +23,8 @@ def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
     """Return the mask with its fundamentals fitted to the output: whole numbers of waves along both its sides.
 
     Equation 7 divides by the components of one frequency pair, which can be 0; here a side is a period where it is a
-    vector of the mask's lattice (or a period of its strongest stripes), give or take :data:`SLACK`, over which the
-    lattice is then fitted to it. What else the mask has, further groups of waves, is fitted as it comes.
+    vector of the mask's lattice (or a period of its stripes), give or take :data:`SLACK`, over which the lattice is
+    then fitted to it. Further groups of waves are stretched by up to half a period over the whole output.
 
     Parameters
     ----------
@@ -40,7 +39,7 @@ def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
         Where a side is no period, naming the nearest sizes that are.
     """
     height, width = shape
-    fundamentals = _strongest(mask.harmonics)
+    fundamentals = mask.groups[0] if mask.lattice is None else mask.lattice.dual().matrix
     near = [_nearest(fundamentals[:, axis], fundamentals, side) for axis, side in enumerate((width, height))]
     if near != [width, height]:
         sides = "x".join("?" if side is None else str(side) for side in near)
@@ -48,14 +47,6 @@ def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
     harmonics = mask.harmonics
     fitted = np.rint(harmonics.fundamentals * (width, height)) / (width, height)
     return replace(mask, harmonics=replace(harmonics, fundamentals=fitted, frequencies=harmonics.orders @ fitted))
-
-
-def _strongest(harmonics: Harmonics) -> Array:
-    """Return the fundamentals of the strongest group of two, ``(2, 2)``; where all are stripes, ``(1, 2)``."""
-    ends = np.cumsum(harmonics.groups)
-    pairs = [end for end, count in zip(ends, harmonics.groups, strict=True) if count == 2]
-    stop = int(pairs[0] if pairs else ends[0])
-    return np.asarray(harmonics.fundamentals[stop - (2 if pairs else 1) : stop])
 
 
 def _nearest(turns: Array, fundamentals: Array, side: int) -> int | None:
