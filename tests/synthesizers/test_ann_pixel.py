@@ -27,7 +27,7 @@ def synthesize(method: AnnPixel, sample: Image, shape: tuple[int, int], seed: in
 @pytest.mark.parametrize("neighborhood", [7, 10])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_a_texture_that_the_window_spans_is_continued(search: Any, neighborhood: int, channels: int) -> None:
-    """Below its random start the output is periodic as the sample is, but where pieces that differ in phase meet side by side."""
+    """Below its random start the output repeats as the sample does, but where pieces of two phases meet."""
     sample = np.tile(noise(5, 6, channels), (9, 8, 1))
     made = synthesize(AnnPixel(neighborhood, search=search), sample, (60, 70))
     lower = made.image[20:, 12:-12]
