@@ -14,7 +14,7 @@ from nrbench.imaging.line_floor import line_floor
 from nrbench.imaging.places import folded, inside, near, places_of, spaced
 from nrbench.imaging.pursuit import QUICK, Found, pursue, wave_powers
 from nrbench.imaging.spectrum import Spectrum
-from nrbench.imaging.tying import MOST_GROUPS, beyond, nearest_fundamentals, next_basis, waveset
+from nrbench.imaging.tying import MOST_GROUPS, beyond, finer_fundamentals, nearest_fundamentals, next_basis, waveset
 from nrbench.imaging.wave_registration import registered
 from nrbench.imaging.wave_sum import about_origin, wave_sum
 from nrbench.lattice.fundamentals import SHORTEST, Basis, Waveset
@@ -35,8 +35,10 @@ PROPOSING = 16.0
 """The same for a wave that may propose fundamentals."""
 CLEAR = 100.0
 """The same for a wave that no harmonic supports."""
-STRIPED = 10.0
+STRIPED = 8.0
 """Log-likelihood, beyond the best wave, above which one fundamental with harmonics is regular."""
+ALIGNED = 2.5
+"""Of that, a wave's for being on the line at all: the colors of threads are waves on a line, too, and not regular."""
 FARTHEST_MOVE = 0.5
 """Bins."""
 FOLDED = 0.25
@@ -104,8 +106,7 @@ def regular_part(
     given
         ``(2, 2)`` cycles/px: fundamentals of the first group, right within about 2 %. None: they are looked for.
     """
-    none = np.zeros((0, 2))
-    part = Regular(Waves(spectrum, none), np.zeros((0, spectrum.channels), np.bool_), none, np.zeros((0, 0)), (), none)
+    part = _nothing(spectrum)
     if given is not None:
         found = search(spectrum, threshold, false_alarms, min(LEADERS, most))
         part = _grown(part, *nearest_fundamentals(found, given), threshold, most) or part
@@ -115,6 +116,11 @@ def regular_part(
             break
         part = more
     return part if part.groups != (2,) else _registered(part, threshold, most)
+
+
+def _nothing(spectrum: Spectrum) -> Regular:
+    none = np.zeros((0, 2))
+    return Regular(Waves(spectrum, none), np.zeros((0, spectrum.channels), np.bool_), none, np.zeros((0, 0)), (), none)
 
 
 def _registered(part: Regular, threshold: float | None, most: int) -> Regular:
@@ -133,8 +139,11 @@ def _next_group(
     spectrum = part.waves.spectrum
     left = Spectrum(_without(part.waves, part.kept)) if part.groups else spectrum
     found = search(left, threshold, false_alarms, min(LEADERS, most))
-    order = _news(found, part)
-    order = order[_out_of_line(found)[order]]
+    strong = np.argsort(-found.powers.sum(1), kind="stable")
+    strong = strong[(_out_of_line(found) & _apart(found, part))[strong]]
+    if part.groups == (2,) and (finer := finer_fundamentals(found, strong, part.fundamentals)) is not None:
+        return _grown(_nothing(spectrum), *finer, threshold, most)
+    order = _news(found, part, strong)
     while len(order):
         waves = waveset(found, order)
         basis = next_basis(waves)
@@ -150,7 +159,8 @@ def _next_group(
 
 def _is_regular(basis: Basis, waves: Waveset, found: Found, strongest: np.intp, threshold: float | None) -> bool:
     """Return whether fundamentals are those of a group: two, one with harmonics, or that of one clear wave."""
-    return len(basis.vectors) == 2 or beyond(basis, waves) > STRIPED or _is_clear(found, strongest, threshold)
+    harmonics = beyond(basis, waves) - ALIGNED * (int(basis.explained.sum()) - 1)
+    return len(basis.vectors) == 2 or harmonics > STRIPED or _is_clear(found, strongest, threshold)
 
 
 def _without(waves: Waves, kept: NDArray[np.bool_] | None = None) -> Array:
@@ -159,12 +169,16 @@ def _without(waves: Waves, kept: NDArray[np.bool_] | None = None) -> Array:
     return np.asarray(waves.spectrum.planes - wave_sum(waves.frequencies, *about_origin(waves, kept), shape))
 
 
-def _news(found: Found, part: Regular) -> NDArray[np.intp]:
-    """Return the waves, strongest first, that lie at no place of the groups found, and differ by no vector of them."""
-    order = np.argsort(-found.powers.sum(1), kind="stable")
-    f, size, start = found.waves.frequencies, found.waves.spectrum.size, 0
+def _apart(found: Found, part: Regular) -> NDArray[np.bool_]:
+    """Return which waves lie at no place of the groups, nor at the mean or the border of the spectrum, ``(n,)``."""
+    f, size = found.waves.frequencies, found.waves.spectrum.size
     places = folded(places_of(part.fundamentals, part.groups, size) @ part.fundamentals)
-    order = order[(inside(f, size) & ~near(f, places, size))[order]]
+    return np.asarray(inside(f, size) & ~near(f, places, size))
+
+
+def _news(found: Found, part: Regular, order: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the waves of ``order`` that differ from none before them by a vector of the groups."""
+    f, size, start = found.waves.frequencies, found.waves.spectrum.size, 0
     for count in part.groups:
         basis, start = part.fundamentals[start : start + count], start + count
         order = order[_first_of_class(f[order], basis, size)]

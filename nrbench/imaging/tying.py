@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.dirichlet import Array
 from nrbench.imaging.pursuit import Found
-from nrbench.lattice.fundamentals import Basis, Waveset, find_fundamental, find_fundamentals
+from nrbench.lattice.fundamentals import SHORTEST, Basis, Waveset, find_fundamental, find_fundamentals
+from nrbench.lattice.geometry import shortest_pair
+from nrbench.lattice.hermite import hermite_matrices
 
 TOLERANCE = 0.05
 """Bins that a wave may lie off its lattice beside its own error: departures from regularity shift waves."""
@@ -23,6 +25,12 @@ CONVINCED = 14.0
 ten thousands of pairs were tried. About four waves of a lattice reach it."""
 UNCERTAINTIES = (0.03, 0.01, 0.003)
 """Of given fundamentals, before and after they are fitted."""
+FINEST = 6
+"""Index of the finest lattice of frequencies that is tried where waves are left between the places of one."""
+BETWEEN = 4
+"""Waves between the places that prove it, at least."""
+MAJORITY = 0.6
+"""Share of the power of what is left that they have, at least: of irregular waves, some lie there by chance."""
 MOST_GROUPS = 16
 
 
@@ -76,3 +84,33 @@ def nearest_fundamentals(found: Found, given: Array) -> tuple[Array, Array]:
         orders = numbers[near]
         vectors = np.linalg.lstsq(orders * weights[near], places[near] * weights[near], rcond=None)[0]
     return vectors / found.waves.spectrum.size, orders
+
+
+def finer_fundamentals(found: Found, order: NDArray[np.intp], fundamentals: Array) -> tuple[Array, Array] | None:
+    """Return a finer lattice of frequencies, a larger tile, at which most of what one leaves lies; None if at none.
+
+    Parameters
+    ----------
+    found
+        Waves of what the lattice leaves of a picture.
+    order
+        Those that count.
+    fundamentals
+        ``(2, 2)`` cycles/px.
+
+    Returns
+    -------
+    tuple or None
+        The fundamentals, ``(2, 2)`` cycles/px, of the lowest index, and the waves' orders, ``(n, 2)``.
+    """
+    size = found.waves.spectrum.size
+    f, power = found.waves.frequencies[order], found.powers[order].sum(1)
+    for index in range(2, FINEST + 1):
+        for form in hermite_matrices(index):
+            finer = form @ fundamentals / index
+            orders = np.rint(f @ np.linalg.inv(finer))
+            near = np.hypot(*((f - orders @ finer) * size).T) < 3 * TOLERANCE
+            apart = float(np.hypot(*np.array(shortest_pair(finer * size))[0])) >= SHORTEST
+            if apart and near.sum() >= BETWEEN and power[near].sum() > MAJORITY * power.sum():
+                return finer, orders[near]
+    return None
