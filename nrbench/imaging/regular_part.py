@@ -204,13 +204,13 @@ def _out_of_line(found: Found) -> NDArray[np.bool_]:
 
 
 def _is_clear(found: Found, wave: np.intp, threshold: float | None) -> bool:
+    """Return whether a wave alone stands clearly out of all that is around it, other waves included."""
     if threshold is not None:
         return True
-    waves = found.waves
-    power = np.abs(waves.residual_bins()) ** 2
-    f = waves.frequencies[wave : wave + 1]
-    floor = line_floor(power, waves.spectrum.shape, f, f)
-    return bool((found.powers[wave] > CLEAR * floor[0]).any())
+    f = found.waves.frequencies[wave : wave + 1]
+    alone = Waves(found.waves.spectrum, f)
+    floor = line_floor(np.abs(alone.residual_bins()) ** 2, alone.spectrum.shape, f, f)
+    return bool((wave_powers(alone)[0] > CLEAR * floor[0]).any())
 
 
 def _grown(part: Regular, vectors: Array, seeds: Array, threshold: float | None, most: int) -> Regular | None:
