@@ -62,6 +62,8 @@ class Regular(NamedTuple):
         ``(n, g)`` whole numbers.
     groups
         How many fundamentals, 1 or 2, each group has; they follow each other in ``fundamentals``.
+    weights
+        ``(n, C)``: the inverse of the irregular structure's power at each, 0 where it is not kept.
     """
 
     waves: Waves
@@ -119,6 +121,7 @@ def regular_part(
 
 
 def _nothing(spectrum: Spectrum) -> Regular:
+    """Return no waves."""
     none = np.zeros((0, 2))
     return Regular(Waves(spectrum, none), np.zeros((0, spectrum.channels), np.bool_), none, np.zeros((0, 0)), (), none)
 
