@@ -48,7 +48,8 @@ def textured(side: int) -> tuple[Task, TextureMask]:
 def made(method: FftmPatch, sample: int, output: int) -> Patchwork:
     """Return an output of this side from a sample of this side."""
     task, mask = textured(sample)
-    return method.patchwork(replace(task, shape=(output, output), rng=np.random.default_rng(1)), mask)
+    shape = (output, output)
+    return method.patchwork(replace(task, shape=shape, rng=np.random.default_rng(1)), mask, mask.picture(shape))
 
 
 def units(method: FftmPatch, sample: int, output: int, repeats: int = 7) -> float:

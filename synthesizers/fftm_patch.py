@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image
-from nrbench.imaging.harmonics import Harmonic
+from nrbench.imaging.harmonics import Harmonic, Signal
 from nrbench.imaging.patchwork import Patchwork
 from nrbench.imaging.placement import Placement, scan_lines
 from nrbench.imaging.seam_heat import SeamHeat
@@ -23,6 +22,7 @@ from nrbench.synthesis import Refused, Synthesis, Task
 from nrbench.texture import Shape
 
 from .fftm_mask import Analysis, TextureMask
+from .mask_period import tileable_mask
 
 Judged = Literal["color", "mask"]
 LEAST_PATCH = 24
@@ -30,10 +30,6 @@ LEAST_PATCH = 24
 NO_TILE = 40
 """px a side of an automatic patch where no upright rectangle is a tile (the paper's example of a size, section 5)."""
 LARGEST_WEIGHT = 10.0
-PROBE = 96
-"""px a side of the part of the mask that tells where it repeats."""
-NEAR = 48
-"""px: how far from the size that was asked another is looked for, to be recommended."""
 HALF_PIXEL = 0.5
 """px: how far from a period of the mask whole-pixel sides may be."""
 
@@ -81,12 +77,15 @@ class FftmPatch:
         Whether seams prefer to run where the texture is busy: squared differences over gradients (after section 5 of
         Kwatra et al.), or, False, by differences alone (their equation 1, the paper's).
     tileable
-        Whether the output's edges continue at their opposites (section 4.3); refused where the mask does not, within
-        what a move by half a pixel changes.
+        Whether the output's edges continue at their opposites (section 4.3): the mask is fitted to its size, which must
+        be a period of the mask up to a tenth of s; another is refused with the nearest ones that are.
     threshold
         Least amplitude of a wave of the mask, units of 1/255; 0: automatic.
     harmonics
-        ``"tied"``: waves are whole combinations of common fundamentals; ``"free"``: each by itself (the paper's).
+        ``"tied"``: waves are whole combinations of common fundamentals; ``"free"``: each by itself (the paper's), which
+        cannot tile.
+    signal
+        How waves are searched: ``"real"``, or ``"analytic"`` (the paper's).
     """
 
     weight: float = 2.0
@@ -100,6 +99,7 @@ class FftmPatch:
     tileable: bool = False
     threshold: float = 0.0
     harmonics: Harmonic = "tied"
+    signal: Signal = "real"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -121,9 +121,11 @@ class FftmPatch:
             raise BadInput(f"randomness {self.randomness}; choose 0 (one of the best) or more")
         if self.refinements < 0:
             raise BadInput(f"refinements {self.refinements}; choose 0 or more passes")
+        if self.tileable and self.harmonics == "free":
+            raise BadInput("tileable with harmonics 'free', which have no common period; choose harmonics 'tied'")
 
     def _analysis(self) -> Analysis:
-        return Analysis(self.threshold, self.harmonics)
+        return Analysis(self.threshold, self.harmonics, self.signal)
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`FftmPatch`. The mask is kept as the extra picture ``mask``.
@@ -140,18 +142,26 @@ class FftmPatch:
 
     def follow(self, task: Task, mask: TextureMask) -> Synthesis:
         """Return the synthesis that a mask of the task's sample guides, and raise as :meth:`synthesize` does."""
-        work = self.patchwork(task, mask)
-        image, source = work.finished()
+        drawn = (tileable_mask(mask, task.shape) if self.tileable else mask).picture(task.shape)
+        image, source = self.patchwork(task, mask, drawn).finished()
         task.progress(1.0)
-        return Synthesis(image, mask.lattice, source, {"mask": mask.picture(task.shape)})
+        return Synthesis(image, mask.lattice, source, {"mask": drawn})
 
-    def patchwork(self, task: Task, mask: TextureMask) -> Patchwork:
-        """Return the output, covered window by window, then improved; raise as :meth:`synthesize` does."""
+    def patchwork(self, task: Task, mask: TextureMask, drawn: Image) -> Patchwork:
+        """Return the output, covered window by window, then improved; raise as :meth:`synthesize` does.
+
+        Parameters
+        ----------
+        task
+            What is asked.
+        mask
+            Of the sample.
+        drawn
+            The mask of the output, ``(H, W, C)``.
+        """
         size = self._size(mask, task)
-        if self.tileable:
-            require_period(mask, task.shape)
         colors = whole(task.sample)
-        guide = whole(mask.picture(task.shape), self.weight), whole(mask.picture(_shape(task.sample)), self.weight)
+        guide = whole(drawn, self.weight), whole(mask.picture(_shape(task.sample)), self.weight)
         features = colors if self.seam == "color" else np.concatenate([colors, guide[1]], -1)
         reach = round(self.reach * min(size))
         work = Patchwork(task.sample, features, task.shape, self.normalized, self.tileable)
@@ -203,31 +213,3 @@ def automatic_size(mask: TextureMask, room: Shape) -> Shape:
     sides = (side * math.ceil(LEAST_PATCH / side) for side in tile.size[::-1])
     height, width = (min(round(side), most) for side, most in zip(sides, half, strict=True))
     return height, width
-
-
-def require_period(mask: TextureMask, shape: Shape) -> None:
-    """Raise :class:`Refused` unless a mask repeats at an output's sides as well as if moved by half a pixel."""
-    near = [nearest_period(mask, axis, side) for axis, side in enumerate(shape)]
-    if tuple(near) == shape:
-        return
-    height, width = near
-    advice = f"choose {width}x{height} px, the nearest that is" if width and height else "leave tileable out"
-    raise Refused(f"an output of {shape[1]}x{shape[0]} px is no period of the texture; {advice}")
-
-
-def nearest_period(mask: TextureMask, axis: int, side: int) -> int | None:
-    """Return the number of px nearest to ``side`` after which a mask repeats, along y (axis 0) or x (axis 1).
-
-    It repeats where it differs no more than if moved by half a pixel, or by a gray level. None where it does so nowhere
-    within :data:`NEAR` px.
-    """
-    along = np.array([axis, 1 - axis], np.float64)
-
-    def moved(by: float) -> NDArray[np.float64]:
-        x, y = by * along
-        return mask.picture((PROBE, PROBE), (float(x), float(y))).astype(np.float64)
-
-    here = moved(0.0)
-    forgiven = max(((moved(0.5) - here) ** 2).sum(), here.size / 255**2)
-    tried = sorted(range(max(side - NEAR, 3), side + NEAR + 1), key=lambda other: abs(other - side))
-    return next((other for other in tried if ((moved(other) - here) ** 2).sum() <= forgiven), None)

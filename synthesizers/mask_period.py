@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.lattice.common_period import misses
 from nrbench.synthesis import Refused
 from nrbench.texture import Shape
 
@@ -40,7 +41,7 @@ def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
     """
     height, width = shape
     fundamentals = mask.groups[0] if mask.lattice is None else mask.lattice.dual().matrix
-    near = [_nearest(fundamentals[:, axis], fundamentals, side) for axis, side in enumerate((width, height))]
+    near = [_nearest(fundamentals, axis, side) for axis, side in enumerate((width, height))]
     if near != [width, height]:
         sides = "x".join("?" if side is None else str(side) for side in near)
         raise Refused(f"{width}x{height} px is no period of the mask, so that the output cannot tile; nearest: {sides}")
@@ -49,20 +50,9 @@ def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
     return replace(mask, harmonics=replace(harmonics, fundamentals=fitted, frequencies=harmonics.orders @ fitted))
 
 
-def _nearest(turns: Array, fundamentals: Array, side: int) -> int | None:
-    """Return the length nearest to ``side``, at most twice as long, that is a period.
-
-    Parameters
-    ----------
-    turns
-        ``(g,)``: cycles of each fundamental a px along the side.
-    fundamentals
-        ``(g, 2)``.
-    """
-    vectors = np.linalg.pinv(fundamentals).T
-    slack = SLACK * math.sqrt(float((vectors**2).sum(1).min()))
+def _nearest(fundamentals: Array, axis: int, side: int) -> int | None:
+    """Return the length along an axis nearest to ``side``, at most twice as long, that is a period."""
+    slack = SLACK * math.sqrt(float((np.linalg.pinv(fundamentals) ** 2).sum(0).min()))
     lengths = np.arange(1, 2 * side + 1)
-    cycles = lengths[:, np.newaxis] * turns
-    off = np.hypot(*((cycles - np.rint(cycles)) @ vectors).T)
-    good = lengths[(off <= slack) & (lengths > 2 * slack)]
+    good = lengths[(misses(fundamentals, axis, 2 * side) <= slack) & (lengths > 2 * slack)]
     return int(good[np.abs(good - side).argmin()]) if len(good) else None

@@ -71,7 +71,7 @@ def common_period(
         raise BadInput(f"common period: tolerance is {tolerance} px; give 0 or more, less than {shortest / 2:.4g} px")
     if not groups:
         return None
-    errors = np.stack([np.max([_misses(g, axis, int(limit)) for g in groups], 0) for axis in (0, 1)])
+    errors = np.stack([np.max([misses(g, axis, int(limit)) for g in groups], 0) for axis in (0, 1)])
     reach = max(tolerance, 1e-6)
     found = [_side(along, reach) for along in errors]
     if found[0] is None or found[1] is None:
@@ -79,8 +79,18 @@ def common_period(
     return _rectangle((found[0], found[1]), errors)
 
 
-def _misses(fundamentals: NDArray[np.float64], axis: int, limit: int) -> NDArray[np.float64]:
-    """Return how far each length from 1 to ``limit`` along an axis is from a period, px, ``(limit,)``."""
+def misses(fundamentals: NDArray[np.float64], axis: int, limit: int) -> NDArray[np.float64]:
+    """Return how far each length from 1 to ``limit`` along an axis is from a period, px, ``(limit,)``.
+
+    Parameters
+    ----------
+    fundamentals
+        Of one group, ``(1 or 2, 2)`` cycles/px.
+    axis
+        0: along x, 1: along y.
+    limit
+        px.
+    """
     if len(fundamentals) == 2:
         basis = Lattice.from_basis(np.linalg.inv(fundamentals).T).reduced().matrix
         turns = np.outer(np.arange(1, limit + 1), np.linalg.inv(basis)[axis])

@@ -12,7 +12,7 @@ from nrbench.lattice.rectangle import Rectangle, upright_rectangle
 from nrbench.outputs import checked_synthesis, is_picture
 from nrbench.synthesis import Refused, Synthesis, Task
 from nrbench.synthesizers.fftm_mask import Analysis, TextureMask
-from nrbench.synthesizers.fftm_patch import FftmPatch, automatic_size, require_period
+from nrbench.synthesizers.fftm_patch import FftmPatch, automatic_size
 
 WHOLE = Lattice((24, 0), (0, 20))
 
@@ -48,6 +48,11 @@ def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
     waves = np.abs(np.fft.fftfreq(height)[:, None]) + np.abs(np.fft.fftfreq(width)) < 0.2
     tile = np.fft.ifft2(spectrum * waves[..., None], axes=(0, 1)).real
     return cast(Image, ((tile - tile.min()) / np.ptp(tile)).astype(np.float32))
+
+
+def waves_of(tile: Image) -> TextureMask:
+    """Return the mask of a tile repeated."""
+    return Analysis().of(np.tile(tile, (4, 4, 1)))
 
 
 def synthesize(
@@ -120,21 +125,21 @@ def test_any_shape_is_filled_with_copies(
 def test_every_parameter_changes_something(monkeypatch: pytest.MonkeyPatch) -> None:
     """No parameter is without effect on a sample that varies."""
     tile = smooth(20, 24)
-    sample = varied(tile, 72, 72, 0.7)
+    sample, mask = varied(tile, 72, 72, 0.7), waves_of(tile)
     changes: list[dict[str, Any]] = [
         {"weight": 0.0}, {"patch": 30}, {"overlap": 0.5}, {"reach": 0.0}, {"randomness": 0.3},
         {"refinements": 0}, {"refinements": 2}, {"seam": "color"}, {"normalized": False}, {"tileable": True},
     ]  # fmt: skip
 
     def made(**parameters: Any) -> Image:
-        return synthesize(FftmPatch(**parameters), sample, (120, 120), Tiled(tile), monkeypatch).image
+        return synthesize(FftmPatch(**parameters), sample, (120, 120), mask, monkeypatch).image
 
     base = made()
     for change in changes:
         assert (made(**change) != base).any(), change
 
 
-def test_threshold_and_harmonics_reach_the_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threshold_harmonics_and_signal_reach_the_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the mask is made by is what was asked."""
     asked = []
 
@@ -143,9 +148,9 @@ def test_threshold_and_harmonics_reach_the_analysis(monkeypatch: pytest.MonkeyPa
         return Tiled(smooth(20, 24))
 
     monkeypatch.setattr(Analysis, "of", of)
-    method = FftmPatch(threshold=7.0, harmonics="free", refinements=0)
+    method = FftmPatch(threshold=7.0, harmonics="free", signal="analytic", refinements=0)
     method.synthesize(Task(varied(smooth(20, 24), 48, 48, 0.1), (20, 20), None, np.random.default_rng(0)))
-    assert asked == [Analysis(7.0, "free")]
+    assert asked == [Analysis(7.0, "free", "analytic")]
 
 
 def test_without_weight_the_mask_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,11 +182,11 @@ def test_progress_rises_to_one(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_tileable_output_continues_at_its_edges(monkeypatch: pytest.MonkeyPatch) -> None:
     """Laid side by side it shows no jump that its inside does not; not tileable, it does."""
     tile = smooth(20, 24)
-    sample = varied(tile, 72, 72, 1.0)
+    sample, mask = varied(tile, 72, 72, 1.0), waves_of(tile)
 
     def jump(tileable: bool) -> tuple[float, float]:
         method = FftmPatch(tileable=tileable, refinements=2)
-        image = synthesize(method, sample, (120, 120), Tiled(tile), monkeypatch).image
+        image = synthesize(method, sample, (120, 120), mask, monkeypatch).image
         twice = np.tile(image, (2, 2, 1)).astype(float)
         steps = np.abs(np.diff(twice, axis=1)).mean((0, 2)), np.abs(np.diff(twice, axis=0)).mean((1, 2))
         return max(each[119] for each in steps), max(np.delete(each, 119).max() for each in steps)
@@ -195,19 +200,12 @@ def test_an_output_that_is_no_period_is_not_tileable(monkeypatch: pytest.MonkeyP
     """The refusal says which size nearby is; so it does for outputs too small to have an inside."""
     tile = smooth(20, 24)
     method, sample = FftmPatch(tileable=True), varied(tile, 60, 60, 0.3)
-    with pytest.raises(Refused, match="choose 96x100 px"):
-        synthesize(method, sample, (100, 100), Tiled(tile), monkeypatch)
+    with pytest.raises(Refused, match="nearest: 9[678]x100"):
+        synthesize(method, sample, (100, 100), waves_of(tile), monkeypatch)
     with pytest.raises(Refused, match="tileable"):
-        synthesize(method, sample, (2, 24), Tiled(tile), monkeypatch)
-
-
-def test_half_a_pixel_is_forgiven() -> None:
-    """Whole-px sides of a lattice that is not quite whole are a period; a pixel more is not."""
-    mask = cast(TextureMask, Tiled(smooth(20, 24)))
-    require_period(mask, (40, 72))
-    for shape in ((41, 72), (40, 71), (40, 60)):
-        with pytest.raises(Refused, match="no period"):
-            require_period(mask, shape)
+        synthesize(method, sample, (2, 24), waves_of(tile), monkeypatch)
+    with pytest.raises(BadInput, match="choose harmonics 'tied'"):
+        FftmPatch(tileable=True, harmonics="free")
 
 
 @pytest.mark.parametrize(
