@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.door import Image
-from nrbench.imaging.mincut import graphcut_seam
 
 from .tile_choice_kernels import band_width, gather, wide_seam
+from .tile_cut_kernels import cut_tile
 from .tile_kernels import error_surface, paste
 from .tile_stock import Cuts, Overlap, Stock
 from .tile_symmetry import Picture
@@ -68,7 +68,7 @@ class Canvas:
         self.places = _places(pictures, stock.source.parts)
         self.slope, self.feather = slope, float(feather)
         _, width, channels = self.source.shape
-        self.margin = np.ceil(2 * stock.frame.reach).astype(int) + 2
+        self.margin = np.ceil(3 * stock.frame.reach).astype(int) + 2
         size = shape[0] + 2 * self.margin[1], shape[1] + 2 * self.margin[0]
         self.values = np.zeros((*size, channels), np.uint8)
         self.filled = np.zeros(size, np.uint8)
@@ -79,6 +79,7 @@ class Canvas:
         self.cells = np.ascontiguousarray(np.stack([x, y, (y * width + x) * channels], -1))
         self.surface = np.empty(stock.frame.grid, np.float64)
         self.stitch, self.box = stitch, stock.frame.box
+        self.seams = np.zeros((*(size if stitch == "graphcut" else (0, 0)), 2), np.float32)
         rows, columns = stock.frame.grid
         self.uncut = Seams(np.zeros(rows, np.int64), np.zeros(columns, np.int64), np.zeros(2, np.int64))
 
@@ -94,29 +95,14 @@ class Canvas:
         (x, y), copy = cut.pixel[0], int(cut.copy[0])
         source, first = self.source.values[copy], int(y * width + x) * channels
         if self.stitch == "graphcut":
-            pixels, found, feather = self.pixels[self._new(left, top, source, first)], self.uncut, 0.0
+            around = self.pixels, self.box, left, top
+            shown = cut_tile(self.values, self.filled, self.seams, source, first, *around)
+            pixels, found, feather = self.pixels[shown > 0], self.uncut, 0.0
         else:
             error_surface(self.values, self.filled, source, first, self.cells, left, top, self.surface)
             pixels, found, feather = self.pixels, seams(self.surface, self.slope), self.feather
         place = self._place(cut)
         paste(self.values, self.filled, self.origins, source, first, pixels, left, top, *found, feather, place)
-
-    def _new(self, left: int, top: int, source: NDArray[np.uint8], first: int) -> NDArray[np.bool_]:
-        """Return which of the tile's pixels the exact minimum cut of the overlap shows, ``(n,)``.
-
-        Where nothing stands the tile is shown; where something stands, its outermost pixels are not. Differences count
-        by the gradients, so that seams run along outlines: plain ones break more elements than dynamic programming.
-        """
-        (x, y), (low, high) = self.pixels[:, :2].T, self.box
-        window = np.s_[top + low[1] : top + high[1] + 1, left + low[0] : left + high[0] + 1]
-        at = y - low[1], x - low[0]
-        old, new = self.values[window].copy(), self.values[window].copy()
-        inside, fresh = np.zeros(old.shape[:2], np.bool_), np.zeros(old.shape[:2], np.bool_)
-        new[at] = source[first + self.pixels[:, 2, np.newaxis] + np.arange(old.shape[2])]
-        inside[at], fresh[at] = self.pixels[:, 5] > 0, self.filled[window][at] == 0
-        old[fresh] = new[fresh]
-        shown = graphcut_seam(old, new, ~fresh & ~inside, fresh, normalized=True)
-        return np.asarray(shown[at])
 
     def _place(self, cut: Cuts) -> NDArray[np.float64]:
         """Return where the tile's middle is in the sample, the weight of that pixel, and the turn of the tile."""

@@ -86,13 +86,15 @@ class Frame:
         return np.clip(np.floor(at + 0.5).astype(np.int64), *self.box)
 
 
-def frame_of(lattice: Lattice, tile: Tile, cells: int = 1) -> Frame:
+def frame_of(lattice: Lattice, tile: Tile, cells: int = 1, margin: float = 0.0) -> Frame:
     """Return the frame of tiles whose sides are ``cells`` times those of a tile (see :func:`_frame_of`).
 
     Any tile of the lattice tiles the texture, and so does one of k x k cells: its steps are still half lattice vectors.
+    Tiles with a ``margin`` are so many px longer at both ends of each side; the steps stay.
     """
     frame = _frame_of(lattice, tile)
     sides = cells * frame.sides
+    sides = sides * (1 + 2 * margin / np.hypot(*sides.T))[:, np.newaxis]
     if tile == "upright":
         sides = np.diag(_without_gaps(np.diag(sides)))
     return Frame(cells * frame.steps, sides, cells * frame.core)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Final, Literal
 
@@ -26,6 +28,8 @@ FINE: Final = 4
 COARSE: Final = 10.0
 """px; with s at least this long rounding to whole pixels misplaces a tile by at most 0.05 s along x and along y."""
 
+LEAST: Final = 16.0
+MARGIN: Final = 1.0
 FEATHER: Final = 3.0
 """px; the ramp where seams conflict, and what registration and feather may reach where s is less."""
 
@@ -95,16 +99,17 @@ class TileSet:
     """
 
     tile: Tile | Literal["auto"] = "auto"
-    cells: int = 1
+    cells: int | None = None
+    margin: float | None = None
     quantile: float = 0.5
     threshold: float | None = None
     difference: Difference = "mean"
     registration: float | None = None
     parts: int | None = None
-    stitch: Stitch = "dynamic"
+    stitch: Stitch = "graphcut"
     slope: int = 4
     feather: float = FEATHER
-    anchor: By | Literal["given"] = "quiet"
+    anchor: By | Literal["given"] = "elements"
     symmetry: bool = False
 
     reference: ClassVar[bool] = False
@@ -196,7 +201,16 @@ class _Laying:
         numbers = steps.cell_numbers(low, high)
         places = steps.from_cell(numbers)
         numbers = numbers[((places > low) & (places < high)).all(1)]
-        return np.asarray(numbers[np.lexsort(numbers.T)])
+        numbers = numbers[np.lexsort(numbers.T)]
+        return np.concatenate([self._before(numbers[:1]), numbers])
+
+    def _before(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return a tile of T at most a step before one, ``(1, 2)``; none, ``(0, 2)``, where that is of T itself."""
+        for back in np.ndindex(2, 2):
+            place = (number - back) @ self.frame.steps
+            if np.abs(self.lattice.wrap(place)).max() < 1e-6:
+                return number[: any(back)] - back
+        raise AssertionError("twice a step is a lattice vector")
 
     def _lay(self, i: int, j: int, place: Points, threshold: float) -> None:
         """Draw a tile and lay it (steps 3 to 6)."""
@@ -221,8 +235,8 @@ class _Laying:
 def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Lattice]:
     """Return the tiles' frame, and the lattice anchored for it."""
     require_two_periods(lattice, task.sample.shape)
-    for tile in _tiles(lattice) if method.tile == "auto" else [method.tile]:
-        frame = frame_of(lattice, tile, method.cells)
+    for tile, cells, margin in _shapes(method, lattice):
+        frame = frame_of(lattice, tile, cells, margin)
         at = lattice if method.anchor == "given" else anchored(task.sample, lattice, frame, method.anchor)
         offsets = np.array(frame.distinct(lattice)) @ frame.steps
         tiles = [len(complete(at.shifted((x, y)), frame, task.sample.shape)) for x, y in offsets.tolist()]
@@ -236,8 +250,13 @@ def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Latti
     )
 
 
-def _tiles(lattice: Lattice) -> list[Tile]:
-    return ["cell"] if lattice.kind in ("rectangular", "square") else ["lattice", "cell"]
+def _shapes(method: TileSet, lattice: Lattice) -> Iterator[tuple[Tile, int, float]]:
+    """Yield the shapes of tiles to be tried in turn: shape, cells, margin."""
+    tiles: list[Tile] = ["lattice", "cell"] if method.tile == "auto" else [method.tile]
+    many = method.cells or max(1, math.ceil(LEAST / lattice.s))
+    margin = method.margin if method.margin is not None else MARGIN if method.stitch == "graphcut" else 0.0
+    yield tiles[0], many, margin
+    yield from ((tile, cells, 0.0) for cells in (many, 1) for tile in tiles)
 
 
 def _whole(lattice: Lattice) -> bool:
