@@ -17,8 +17,9 @@ from .tile_stock import room
 
 Array = NDArray[np.float64]
 By = Literal["quiet", "elements"]
-ROOM: Final = 0.8
-"""An anchor leaves each set at least this share of the tiles that the best one leaves."""
+ROOM: Final[dict[By, float]] = {"quiet": 0.8, "elements": 0.5}
+"""An anchor leaves each set at least this share of the tiles that the best one leaves. A tile that is anchored some px
+aside from an element cuts it: half the tiles are better than all of them cut."""
 MOST: Final = 100
 """So many anchors, evenly spread from the cheapest to the dearest, are tried."""
 
@@ -44,7 +45,7 @@ def anchored(sample: Image, lattice: Lattice, frame: Frame, by: By) -> Lattice:
     order = order[np.unique(np.linspace(0, len(order) - 1, MOST).astype(np.int64))]
     offsets = np.array(frame.distinct(lattice)) @ frame.steps
     counts = np.min([_counts(lattice, anchors[order] + offset, frame, sample) for offset in offsets], 0)
-    return Lattice.from_basis(lattice.matrix, anchors[order[np.argmax(counts >= ROOM * counts.max())]])
+    return Lattice.from_basis(lattice.matrix, anchors[order[np.argmax(counts >= ROOM[by] * counts.max())]])
 
 
 def border_costs(sample: Image, lattice: Lattice, frame: Frame) -> tuple[Array, Points]:
@@ -66,13 +67,16 @@ def border_costs(sample: Image, lattice: Lattice, frame: Frame) -> tuple[Array, 
 def element_costs(sample: Image, lattice: Lattice) -> tuple[Array, Points]:
     """Return how little the tiles differ around each anchor, ``(n,)``, and the anchors.
 
-    What differs from tile to tile is the negated variance over the tiles, weighted by a Gaussian of s / 4 around the
-    anchor: the middle of a brick is cheap, a joint is dear. Tiles of T then show elements whole, and seams can pass
-    along the joints, where tiles differ least.
+    What differs from tile to tile is the variance over the tiles, weighted by a Gaussian of s / 4 around the anchor;
+    what is well above a quarter of its mean counts alike, since a few tiles say where bricks are, but not which part of
+    a brick varies most:
+    the middle of a brick is cheap, a joint is dear. Tiles of T then show elements whole, and seams can pass along the
+    joints, where tiles differ least.
     """
     lattice = lattice.reduced()
     mean, square = (fold(image, lattice).values.astype(np.float64) for image in (sample, sample**2))
-    varying = np.maximum(square - mean**2, 0).sum(-1)
+    variance = np.maximum(square - mean**2, 0).sum(-1)
+    varying = variance / (variance + max(variance.mean() / 4, 1e-12))
     rows, columns = varying.shape
     v, u = np.indices(varying.shape)
     away = lattice.wrap(np.stack([u / columns, v / rows], -1) @ lattice.matrix)

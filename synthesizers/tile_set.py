@@ -29,7 +29,7 @@ COARSE: Final = 10.0
 """px; with s at least this long rounding to whole pixels misplaces a tile by at most 0.05 s along x and along y."""
 
 LEAST: Final = 16.0
-MARGIN: Final = 1.0
+MARGIN: Final = 2.0
 FEATHER: Final = 3.0
 """px; the ramp where seams conflict, and what registration and feather may reach where s is less."""
 
@@ -252,11 +252,15 @@ def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Latti
 
 def _shapes(method: TileSet, lattice: Lattice) -> Iterator[tuple[Tile, int, float]]:
     """Yield the shapes of tiles to be tried in turn: shape, cells, margin."""
-    tiles: list[Tile] = ["lattice", "cell"] if method.tile == "auto" else [method.tile]
+    tiles = _tiles(lattice) if method.tile == "auto" else [method.tile]
     many = method.cells or max(1, math.ceil(LEAST / lattice.s))
     margin = method.margin if method.margin is not None else MARGIN if method.stitch == "graphcut" else 0.0
     yield tiles[0], many, margin
     yield from ((tile, cells, 0.0) for cells in (many, 1) for tile in tiles)
+
+
+def _tiles(lattice: Lattice) -> list[Tile]:
+    return ["cell"] if lattice.kind in ("rectangular", "square") else ["lattice", "cell"]
 
 
 def _whole(lattice: Lattice) -> bool:
