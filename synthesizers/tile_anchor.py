@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final, Literal
 
 import numpy as np
@@ -61,35 +62,33 @@ def border_costs(sample: Image, lattice: Lattice, frame: Frame) -> tuple[Array, 
     uv = _borders(frame, 4 * max(rows, columns)) @ np.linalg.inv(lattice.matrix)
     at = np.floor(uv * (columns, rows) + 0.5).astype(np.int64) % (columns, rows)
     stamp = np.bincount(at[:, 1] * columns + at[:, 0], minlength=rough.size).reshape(rough.shape)
-    return _correlated(rough, stamp / len(uv), lattice)
+    costs = fft.irfft2(fft.rfft2(rough) * np.conj(fft.rfft2(stamp / len(uv))), rough.shape)
+    return costs.ravel(), _anchors(rough.shape, lattice)
 
 
 def element_costs(sample: Image, lattice: Lattice) -> tuple[Array, Points]:
     """Return how little the tiles differ around each anchor, ``(n,)``, and the anchors.
 
-    What differs from tile to tile is the variance over the tiles, weighted by a Gaussian of s / 4 around the anchor;
-    what is well above a quarter of its mean counts alike, since a few tiles say where bricks are, but not which part of
-    a brick varies most:
-    the middle of a brick is cheap, a joint is dear. Tiles of T then show elements whole, and seams can pass along the
-    joints, where tiles differ least.
+    Tiles differ where their variance is over half of its mean: a few tiles say where bricks are, but not which part of
+    a brick varies most. The share of such places around an anchor counts, weighted by a Gaussian of s / 2 on the torus
+    that the cell is, which is wide enough to feel both ends of a long brick: the middle of a brick is cheap, a joint is
+    dear. Tiles of T then show elements whole, and seams can pass along the joints, where tiles differ least.
     """
     lattice = lattice.reduced()
     mean, square = (fold(image, lattice).values.astype(np.float64) for image in (sample, sample**2))
-    variance = np.maximum(square - mean**2, 0).sum(-1)
-    varying = variance / (variance + max(variance.mean() / 4, 1e-12))
-    rows, columns = varying.shape
-    v, u = np.indices(varying.shape)
-    away = lattice.wrap(np.stack([u / columns, v / rows], -1) @ lattice.matrix)
-    stamp = np.exp(-8 * (away**2).sum(-1) / lattice.s**2)
-    return _correlated(-varying, stamp / stamp.sum(), lattice)
+    variance = (square - mean**2).sum(-1)
+    rows, columns = variance.shape
+    numbers = np.meshgrid(fft.rfftfreq(columns, 1 / columns), fft.fftfreq(rows, 1 / rows))
+    waves = np.stack(numbers, -1) @ np.linalg.inv(lattice.matrix).T
+    smooth = np.exp(-((math.pi * lattice.s) ** 2) / 2 * (waves**2).sum(-1))
+    spectrum = fft.rfft2((variance > variance.mean() / 2).astype(np.float64))
+    return -fft.irfft2(spectrum * smooth, variance.shape).ravel(), _anchors(variance.shape, lattice)
 
 
-def _correlated(values: Array, stamp: Array, lattice: Lattice) -> tuple[Array, Points]:
-    """Return the circular correlation of values over a cell with a stamp, and the places of its anchors."""
-    rows, columns = values.shape
-    costs = fft.irfft2(fft.rfft2(values) * np.conj(fft.rfft2(stamp)), values.shape)
-    v, u = np.indices(values.shape)
-    return costs.ravel(), lattice.from_cell(np.stack([u / columns, v / rows], -1)).reshape(-1, 2)
+def _anchors(shape: tuple[int, ...], lattice: Lattice) -> Points:
+    """Return the places of the pixels of a cell's tile, ``(n, 2)``."""
+    v, u = np.indices(shape)
+    return lattice.from_cell(np.stack([u / shape[1], v / shape[0]], -1)).reshape(-1, 2)
 
 
 def _borders(frame: Frame, count: int) -> Points:

@@ -71,7 +71,7 @@ def cut_tile(
             shown[k] = state[pixels[k, 1] - box[0, 1], pixels[k, 0] - box[0, 0]] == _FRESH
         return shown
     across, down = link_costs(old, new, True, 1.0)
-    worst_links(state, across, down)
+    double_border(state, across, down)
     residual, terminal = graph(state, across, down, seams[y0 : y0 + height, x0 : x0 + width])
     tree = grow_trees(residual, terminal, width + 2)
     mask = np.zeros((height, width), np.uint8)
@@ -83,27 +83,17 @@ def cut_tile(
 
 
 @kernel("void(uint8[:, ::1], float64[:, ::1], float64[:, ::1])")
-def worst_links(state: NDArray[np.uint8], across: NDArray[np.float64], down: NDArray[np.float64]) -> None:
-    """Make all links to where nothing stands as dear as the dearest of the others."""
-    dearest = 0.0
+def double_border(state: NDArray[np.uint8], across: NDArray[np.float64], down: NDArray[np.float64]) -> None:
+    """Make links to where nothing stands twice as dear: the unknown half counts as much as the known one."""
     for y in range(state.shape[0]):
         for x in range(state.shape[1]):
-            if state[y, x] != _FRESH:
-                if x < state.shape[1] - 1 and state[y, x + 1] != _FRESH:
-                    dearest = max(dearest, across[y, x])
-                if y < state.shape[0] - 1 and state[y + 1, x] != _FRESH:
-                    dearest = max(dearest, down[y, x])
-    for y in range(state.shape[0]):
-        for x in range(state.shape[1]):
-            if x < state.shape[1] - 1 and (state[y, x] == _FRESH or state[y, x + 1] == _FRESH):
-                across[y, x] = dearest
-            if y < state.shape[0] - 1 and (state[y, x] == _FRESH or state[y + 1, x] == _FRESH):
-                down[y, x] = dearest
+            if x < state.shape[1] - 1 and (state[y, x] == _FRESH) != (state[y, x + 1] == _FRESH):
+                across[y, x] *= 2
+            if y < state.shape[0] - 1 and (state[y, x] == _FRESH) != (state[y + 1, x] == _FRESH):
+                down[y, x] *= 2
 
 
-@kernel(
-    "Tuple((float64[:, ::1], float64[::1]))(uint8[:, ::1], float64[:, ::1], float64[:, ::1], float32[:, :, :])"
-)
+@kernel("Tuple((float64[:, ::1], float64[::1]))(uint8[:, ::1], float64[:, ::1], float64[:, ::1], float32[:, :, :])")
 def graph(
     state: NDArray[np.uint8],
     across: NDArray[np.float64],

@@ -28,8 +28,10 @@ FINE: Final = 4
 COARSE: Final = 10.0
 """px; with s at least this long rounding to whole pixels misplaces a tile by at most 0.05 s along x and along y."""
 
-LEAST: Final = 16.0
+LEAST_SIDE: Final = 16.0
+"""px; where s is shorter tiles are of several cells: seams find no room around elements there, and tiles are many."""
 MARGIN: Final = 2.0
+"""px; by so much tiles are larger at each end where exact cuts look for a way around the elements inside."""
 FEATHER: Final = 3.0
 """px; the ramp where seams conflict, and what registration and feather may reach where s is less."""
 
@@ -41,19 +43,24 @@ class TileSet:
     Two sets of maximum tiles are cut from the sample: T around the points of the lattice, Th around the points half-way
     between. (Tiles of shape ``cell`` have four sets: half-way along either vector, and along both; tiles of an even
     number of ``cells`` have T alone.) The output is laid with them in scan-line order, in half steps, the sets in turn,
-    from a random tile of whichever set is due at its top left: it keeps the sample's phase, so that this is not always
-    T, as it is in the paper. Each tile overlaps by half to three quarters with what stands. At every place the tiles of
-    its set that differ there by no more than a threshold are candidates; one is drawn, or the one that differs least is
-    taken where there is none. It is registered by correlation, stitched by dynamic programming along both directions,
-    and blended where these conflict. Places are real-valued lattice points, so that nothing drifts.
+    from a random tile of T at its top left, or at most a step before it: the sample's phase is kept. Each tile overlaps
+    by half to three quarters with what stands. At every place the tiles of its set that differ there by no more than a
+    threshold are candidates; one is drawn, or the one that differs least is taken where there is none. It is registered
+    by correlation and stitched. Places are real-valued lattice points, so that nothing drifts.
 
-    What the paper does by hand is automatic. The lattice is anchored where the gradient energy of the mean tile, summed
-    along the borders of all minimum tiles, is least, among the anchors that leave each set nearly as many tiles as any.
-    The threshold comes from the differences between the tiles of the sample itself, over what a tile usually overlaps
-    with: it is the least at which every tile, however odd, accepts the share ``quantile`` of the others of its set.
+    The paper stitches by dynamic programming along both directions and blends where these conflict
+    (``stitch=dynamic``). A step is half an element or less: such seams, and any that may keep to the border of what
+    stands, run through most elements and leave them in two tones. Here an exact minimum cut leads around them: seams by
+    differences over gradients (Kwatra et al. 2003, section 5), the border of what stands as dear as the dearest of
+    them, what old seams cost won back where they are covered, tiles a little larger for room.
 
-    With no lattice given it finds one by ``consensus``. The paper's own settings are ``tile=upright, slope=1,
-    difference=sum, parts=1, anchor=given`` and a ``threshold`` set by hand for the texture.
+    What the paper does by hand is automatic. The lattice is anchored in the middle of what differs from tile to tile,
+    so that tiles show elements whole. The threshold comes from the differences between the tiles of the sample itself,
+    over what a tile usually overlaps with: it is the least at which every tile, however odd, accepts the share
+    ``quantile`` of the others of its set.
+
+    With no lattice given it finds one by ``consensus``. The paper's own settings are ``tile=upright, cells=1,
+    stitch=dynamic, slope=1, difference=sum, parts=1, anchor=given`` and a ``threshold`` set by hand for the texture.
 
     Parameters
     ----------
@@ -67,6 +74,10 @@ class TileSet:
     cells
         Times that a tile's sides are lengthened, 1 to 64 (the paper: 1). A larger piece of the sample breaks fewer
         elements and takes less time, but the sample is copied on for longer; any tile of the lattice may be laid.
+        None: 1, or as many as make s 16 px or more where the sample holds such tiles.
+    margin
+        By how many px, at most s, tiles are longer at both ends of each side, steps staying what they are. None: 2 for
+        exact cuts where the sample holds such tiles, else 0 (the paper).
     quantile
         Share of the others that the oddest tile of the sample accepts, in [0, 1]; more draws more freely, less joins
         better.
@@ -83,17 +94,18 @@ class TileSet:
         quarters where s is under 10 px; else whole pixels, so that all is copied and no noise is smoothed.
         Without meaning where both vectors are whole pixels.
     stitch
-        ``"dynamic"``: two seams by dynamic programming, blended where they conflict (the paper). ``"graphcut"``: the
-        exact minimum cut of the overlap, by differences over gradients (Kwatra et al. 2003, section 5); neither slope
-        nor feather count then. It breaks fewer elements where outlines enclose a cell, and copies on for longer.
+        ``"graphcut"``: the exact minimum cut, as above; neither slope nor feather count then. ``"dynamic"``: two seams
+        by dynamic programming, blended where they conflict (the paper).
     slope
         How far, px, a seam may move aside from one row to the next, 1 to 64 (Efros and Freeman: 1). More lets it follow
-        joints.
+        joints. Of ``stitch=dynamic`` alone.
     feather
-        Width in px, at most s, of the ramp where the two seams conflict; 0 cuts.
+        Width in px, at most s, of the ramp where the two seams conflict; 0 cuts. Of ``stitch=dynamic`` alone.
     anchor
-        ``"quiet"``: as above; ``"elements"``: where tiles differ most, so that a tile of T shows an element whole and
-        seams can pass along joints; ``"given"``: at the lattice's origin.
+        ``"elements"``: where tiles differ most, so that a tile shows an element whole and seams can pass along joints;
+        ``"quiet"``: where the gradient energy of the mean tile, summed along the borders of all minimum tiles, is least
+        (the paper's low-frequency regions); ``"given"``: at the lattice's origin. Of the places that leave each set
+        enough tiles.
     symmetry
         Also take the tiles of the sample mirrored or turned, where that leaves its mean tile what it is (section 4.4).
     """
@@ -101,7 +113,7 @@ class TileSet:
     tile: Tile | Literal["auto"] = "auto"
     cells: int | None = None
     margin: float | None = None
-    quantile: float = 0.5
+    quantile: float = 0.75
     threshold: float | None = None
     difference: Difference = "mean"
     registration: float | None = None
@@ -114,7 +126,7 @@ class TileSet:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     paper: ClassVar[str] = """@article{liu2005promise,
   author = {Liu, Yanxi and Tsin, Yanghai and Lin, Wen-Chieh},
   title = {The Promise and Perils of Near-Regular Texture},
@@ -130,7 +142,7 @@ class TileSet:
             raise BadInput(f"quantile {self.quantile}; choose from 0 to 1")
         if self.threshold is not None and not self.threshold >= 0:
             raise BadInput(f"threshold {self.threshold}; choose 0 or more")
-        for name in ("registration", "feather"):
+        for name in ("registration", "feather", "margin"):
             value = getattr(self, name)
             if value is not None and not 0 <= value < np.inf:
                 raise BadInput(f"{name} {value}; choose 0 or more px, at most s")
@@ -146,7 +158,7 @@ class TileSet:
         ------
         Refused
             When no lattice is found, when the sample does not show two periods, or not a complete tile of each set and
-            two of one, or when registration or feather is larger than s.
+            two of one, or when registration, feather or margin is larger than s.
         """
         found = find_lattice(task, Consensus())
         if found.lattice is None:
@@ -159,7 +171,8 @@ class TileSet:
 
     def _require_within_s(self, s: float) -> None:
         most = max(s, FEATHER)
-        for name, value in (("registration", self.registration or 0), ("feather", self.feather)):
+        for name in ("registration", "feather", "margin"):
+            value = getattr(self, name) or 0.0
             if value > most:
                 raise Refused(f"{name} {value:g} px reaches farther than s, {s:.1f} px; choose at most {most:.1f}")
 
@@ -235,8 +248,7 @@ class _Laying:
 def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Lattice]:
     """Return the tiles' frame, and the lattice anchored for it."""
     require_two_periods(lattice, task.sample.shape)
-    for tile, cells, margin in _shapes(method, lattice):
-        frame = frame_of(lattice, tile, cells, margin)
+    for frame in _shapes(method, lattice):
         at = lattice if method.anchor == "given" else anchored(task.sample, lattice, frame, method.anchor)
         offsets = np.array(frame.distinct(lattice)) @ frame.steps
         tiles = [len(complete(at.shifted((x, y)), frame, task.sample.shape)) for x, y in offsets.tolist()]
@@ -250,13 +262,15 @@ def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Latti
     )
 
 
-def _shapes(method: TileSet, lattice: Lattice) -> Iterator[tuple[Tile, int, float]]:
-    """Yield the shapes of tiles to be tried in turn: shape, cells, margin."""
+def _shapes(method: TileSet, lattice: Lattice) -> Iterator[Frame]:
+    """Yield the frames of tiles in the order in which they are tried, until the sample holds one's tiles."""
     tiles = _tiles(lattice) if method.tile == "auto" else [method.tile]
-    many = method.cells or max(1, math.ceil(LEAST / lattice.s))
-    margin = method.margin if method.margin is not None else MARGIN if method.stitch == "graphcut" else 0.0
-    yield tiles[0], many, margin
-    yield from ((tile, cells, 0.0) for cells in (many, 1) for tile in tiles)
+    many = [max(1, math.ceil(LEAST_SIDE / lattice.s)), 1] if method.cells is None else [method.cells]
+    wide = [MARGIN, 0.0] if method.stitch == "graphcut" else [0.0]
+    for cells in many:
+        for tile in tiles:
+            for margin in wide if method.margin is None else [method.margin]:
+                yield frame_of(lattice, tile, cells, margin)
 
 
 def _tiles(lattice: Lattice) -> list[Tile]:

@@ -3,6 +3,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -77,16 +79,18 @@ def test_candidates_are_the_tiles_that_differ_by_no_more_than_the_threshold(monk
 @pytest.mark.parametrize("share", [0.4, 1.0])
 def test_the_random_choice_is_uniform_over_the_candidates(share: float) -> None:
     """The second tile is drawn equally often from each tile within the threshold, some or all, and no other."""
-    laying = laying_of(88, tile="lattice")
-    first, second = laying.numbers()[:2].tolist()
+    laying = laying_of(110, tile="lattice", cells=1)
+    first = laying.numbers()[0].tolist()
+    second = first[0] + 1, first[1]
     lay(laying, first, 0)
-    kept = [array.copy() for array in (laying.canvas.values, laying.canvas.filled, laying.canvas.origins)]
+    arrays = laying.canvas.values, laying.canvas.filled, laying.canvas.origins, laying.canvas.seams
+    kept = [array.copy() for array in arrays]
     cuts = laying.stock.cut(*laying.sets[second[0] % 2, second[1] % 2])
     differences = apart(laying, second, cuts)
     threshold = float(np.quantile(differences, share)) + 1e-6
     places = Counter[tuple[int, int]]()
     for _ in range(1500):
-        for array, old in zip((laying.canvas.values, laying.canvas.filled, laying.canvas.origins), kept, strict=True):
+        for array, old in zip(arrays, kept, strict=True):
             array[...] = old
         places[lay(laying, second, threshold)] += 1
     candidates = cuts.pixel[differences <= threshold] + right(laying)
@@ -95,16 +99,35 @@ def test_the_random_choice_is_uniform_over_the_candidates(share: float) -> None:
     assert stats.chisquare(list(places.values())).pvalue > 1e-3
 
 
-def test_the_first_tile_is_drawn_from_its_whole_set() -> None:
-    """On an empty canvas every tile of the set that is due is drawn equally often, whatever the threshold."""
+def test_the_first_tile_is_drawn_from_all_of_t() -> None:
+    """On an empty canvas every tile of T is drawn equally often, whatever the threshold."""
     laying = laying_of(88, tile="lattice")
     first = laying.numbers()[0].tolist()
     places = Counter[tuple[int, int]]()
     for _ in range(1500):
         laying.canvas.filled[...] = 0
         places[lay(laying, first, 0)] += 1
-    assert len(places) == len(laying.sets[first[0] % 2, first[1] % 2][1])
+    assert len(places) == len(laying.sets[0, 0][1])
     assert stats.chisquare(list(places.values())).pvalue > 1e-3
+
+
+@given(
+    st.tuples(st.floats(-20, 20), st.floats(-20, 20)),
+    st.sampled_from(["upright", "lattice", "rectangle", "cell"]),
+    st.integers(1, 3),
+)
+@settings(max_examples=40, deadline=None)
+def test_laying_starts_with_a_tile_of_t(origin: tuple[float, float], tile: Any, cells: int) -> None:
+    """Wherever the lattice lies, the first tile is of T, at most a step before the first that touches the output."""
+    lattice = Lattice((20, 5), (-4, 22), origin)
+    laying = laying_of(200, lattice=lattice, tile=tile, cells=cells, anchor="given")
+    numbers = laying.numbers()
+    places = laying.lattice.origin + numbers @ laying.frame.steps
+    low, high = -laying.frame.reach - 1, np.add((60, 60), laying.frame.reach)
+    touching = ((places > low) & (places < high)).all(1)
+    assert np.abs(lattice.wrap(places[0] - origin)).max() < 1e-6
+    assert touching[1:].all() and len(np.unique(numbers, axis=0)) == len(numbers)
+    assert touching[0] or set((numbers[1] - numbers[0]).tolist()) <= {0, 1}
 
 
 def test_the_oddest_tile_accepts_half_of_the_others() -> None:
@@ -112,7 +135,9 @@ def test_the_oddest_tile_accepts_half_of_the_others() -> None:
     sample, lattice = noise(70, 70, 1), Lattice((16, 0), (0, 16))
     sample[:16, :16] = 1
     laying = _Laying(
-        TileSet(tile="cell", anchor="given"), Task(sample, (9, 9), lattice, np.random.default_rng(0)), lattice
+        TileSet(tile="cell", anchor="given", cells=1, margin=0),
+        Task(sample, (9, 9), lattice, np.random.default_rng(0)),
+        lattice,
     )
     x, y, row, column, _ = laying.frame.pixels.T
     covered = (row < 8) | (column < 8)
@@ -128,21 +153,23 @@ def test_the_oddest_tile_accepts_half_of_the_others() -> None:
 def test_every_parameter_changes_something() -> None:
     """No parameter is without effect on a sample whose tiles differ, and that is not quite on its lattice."""
     lattice = Lattice((21.37, 2.6), (-2.3, 18.81))
-    sample = quantize(0.8 * waves((128, 128), lattice) + 0.2 * noise(128, 128))
+    regular = waves((128, 128), lattice)
+    sample = quantize(0.8 * regular + 0.2 * regular * noise(128, 128))
 
     def made(**parameters: Any) -> NDArray[np.float32]:
         task = Task(sample, (96, 96), lattice, np.random.default_rng(1))
         return TileSet(**parameters).synthesize(task).image
 
-    base = made()
+    base, paper = made(), made(stitch="dynamic")
     changes: list[dict[str, Any]] = [
         {"tile": "upright"}, {"tile": "rectangle"}, {"tile": "lattice"}, {"cells": 2}, {"quantile": 0.1},
-        {"threshold": 30.0}, {"registration": 3.0}, {"parts": 3},
-        {"stitch": "graphcut"}, {"slope": 1}, {"feather": 0.0}, {"anchor": "elements"}, {"anchor": "given"},
-        {"symmetry": True},
+        {"threshold": 30.0}, {"registration": 3.0}, {"parts": 3}, {"margin": 0.0},
+        {"stitch": "dynamic"}, {"anchor": "quiet"}, {"anchor": "given"}, {"symmetry": True},
     ]  # fmt: skip
     for change in changes:
         assert (made(**change) != base).any(), change
+    for change in ({"slope": 1}, {"feather": 0.0}):
+        assert (made(stitch="dynamic", **change) != paper).any(), change
     assert (made(difference="sum", threshold=40.0) != made(threshold=40.0)).any()
 
 

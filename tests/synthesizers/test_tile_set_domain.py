@@ -97,7 +97,7 @@ def test_no_lattice_no_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"quantile": 1.2}, {"threshold": -1.0}, {"threshold": float("nan")}, {"registration": -1.0},
+        {"quantile": 1.2}, {"threshold": -1.0}, {"threshold": float("nan")}, {"registration": -1.0}, {"margin": -1.0},
         {"registration": float("inf")}, {"feather": -1.0}, {"feather": float("inf")}, {"feather": float("nan")},
         {"parts": 0}, {"parts": 17}, {"slope": 0}, {"slope": 65}, {"cells": 0}, {"cells": 65},
     ],
@@ -108,11 +108,11 @@ def test_bad_parameters_are_refused(wrong: dict[str, Any]) -> None:
         TileSet(**wrong)
 
 
-@pytest.mark.parametrize("name", ["registration", "feather"])
+@pytest.mark.parametrize("name", ["registration", "feather", "margin"])
 def test_nothing_reaches_farther_than_s(name: str) -> None:
-    """A registration or a ramp up to s is taken, a longer one refused, with s."""
+    """A registration, a ramp or a margin up to s is taken, a longer one refused, with s."""
     parameters: dict[str, Any] = {name: 20.0}
-    assert synthesize(TileSet(**parameters), noise(80, 80, 1), (20, 20), RECTANGULAR).image.shape == (20, 20, 1)
+    assert synthesize(TileSet(**parameters), noise(140, 140, 1), (20, 20), RECTANGULAR).image.shape == (20, 20, 1)
     with pytest.raises(Refused, match=f"{name} 20.5 px reaches farther than s, 20.0 px; choose at most 20.0"):
         synthesize(TileSet(**{name: 20.5}), noise(80, 80, 1), (20, 20), RECTANGULAR)
 

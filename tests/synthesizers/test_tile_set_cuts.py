@@ -1,0 +1,101 @@
+"""Claims about tile-set's exact cuts: they lead around elements, and are remembered."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nrbench.imaging.door import Image, quantize
+from nrbench.lattice.geometry import Lattice
+from nrbench.synthesis import Task
+from nrbench.synthesizers.tile_anchor import element_costs
+from nrbench.synthesizers.tile_frame import frame_of
+from nrbench.synthesizers.tile_set import LEAST_SIDE, TileSet, _Laying
+
+LATTICES = [Lattice((24.3, 0.0), (0.0, 21.7)), Lattice((14.2, 12.7), (14.2, -12.7)), Lattice((23.4, 5.1), (-5.1, 23.4))]
+
+
+def discs(size: int, lattice: Lattice, seed: int = 0) -> tuple[Image, NDArray[np.float64], NDArray[np.bool_]]:
+    """Return discs of one color each on a flat ground, where each pixel's disc has its middle, and what is a disc."""
+    y, x = np.indices((size, size))
+    pixels = np.stack([x, y], -1)
+    away = lattice.wrap(pixels - lattice.origin)
+    middles = np.round(lattice.to_cell(pixels - away)).astype(int)
+    colors = np.random.default_rng(seed).random((200, 200, 3))[middles[..., 0], middles[..., 1]]
+    inside = np.hypot(*np.moveaxis(away, -1, 0)) < 0.48 * lattice.s
+    return quantize(np.where(inside[..., np.newaxis], colors, 0.5).astype("f4")), middles, inside
+
+
+def whole(made: Image, middles: NDArray[np.float64], inside: NDArray[np.bool_]) -> float:
+    """Return the share of discs, less two px at their border, that are of one color."""
+    keys = middles[..., 0] * 1000 + middles[..., 1]
+    spreads = [np.ptp(made[inside & (keys == key)], axis=0).max() for key in np.unique(keys[20:-20, 20:-20])]
+    return float(np.mean(np.array(spreads) < 0.02))
+
+
+@pytest.mark.parametrize("lattice", LATTICES)
+def test_elements_stay_whole(lattice: Lattice) -> None:
+    """Of discs in many colors nine of ten are of one color still; the paper's stitching leaves not half of them so."""
+    sample, _, _ = discs(128, lattice)
+    _, middles, inside = discs(200, Lattice(lattice.t1, lattice.t2))
+    core = inside & (
+        np.hypot(*np.moveaxis(lattice.wrap(np.stack(np.indices((200, 200))[::-1], -1)), -1, 0)) < 0.48 * lattice.s - 2
+    )
+
+    def made(**parameters: Any) -> Image:
+        return TileSet(**parameters).synthesize(Task(sample, (200, 200), lattice, np.random.default_rng(1))).image
+
+    assert whole(made(), middles, core) > 0.9
+    assert whole(made(stitch="dynamic", anchor="quiet"), middles, core) < 0.5
+
+
+@pytest.mark.parametrize("lattice", LATTICES)
+def test_the_anchor_lies_in_the_middle_of_elements(lattice: Lattice) -> None:
+    """Few tiles suffice: within a pixel and a half of the discs' middles, wherever these are."""
+    for seed, origin in enumerate([(0.0, 0.0), (5.5, 3.2), (-7.1, 9.9)]):
+        moved = lattice.shifted(origin)
+        costs, anchors = element_costs(discs(110, moved, seed)[0], lattice)
+        assert np.hypot(*lattice.wrap(anchors[costs.argmin()] - origin)) < 1.5
+
+
+def test_seams_are_remembered_where_tiles_meet_alone() -> None:
+    """Nearly all links between pixels of different tiles have a cost, and hardly any others."""
+    lattice = LATTICES[0]
+    sample = quantize(np.random.default_rng(0).random((120, 120, 3), np.float32))
+    laying = _Laying(TileSet(registration=0), Task(sample, (90, 90), lattice, np.random.default_rng(1)), lattice)
+    laying.lay_all()
+    canvas = laying.canvas
+    x, y = canvas.margin
+    window = np.s_[y : y + 90, x : x + 90]
+    offsets = canvas.origins[window][..., :2] - np.stack(np.indices((90, 90))[::-1], -1)
+    across = (offsets[:, 1:] != offsets[:, :-1]).any(-1)
+    down = (offsets[1:] != offsets[:-1]).any(-1)
+    seams = canvas.seams[window]
+    assert (seams[:, :-1, 0][~across] > 0).mean() < 0.02 and (seams[:-1, :, 1][~down] > 0).mean() < 0.02
+    assert (seams[:, :-1, 0][across] > 0).mean() > 0.95 and (seams[:-1, :, 1][down] > 0).mean() > 0.95
+
+
+@pytest.mark.parametrize(("s", "cells"), [(6.3, 3), (10.7, 2), (15.9, 2), (16.0, 1), (40.0, 1)])
+def test_small_cells_are_laid_several_at_a_time(s: float, cells: int) -> None:
+    """By default s times the cells is at least 16 px, with as few cells as that takes."""
+    lattice = Lattice((s, 0.0), (0.0, 1.2 * s))
+    sample = quantize(np.random.default_rng(0).random((200, 200, 1), np.float32))
+    laying = _Laying(TileSet(), Task(sample, (20, 20), lattice, np.random.default_rng(0)), lattice)
+    np.testing.assert_allclose(laying.frame.steps, frame_of(lattice, "cell", cells).steps)
+    assert s * cells >= LEAST_SIDE > s * (cells - 1)
+
+
+def test_a_margin_lengthens_tiles_and_leaves_steps() -> None:
+    """Each side is longer by twice the margin in its own direction."""
+    plain, wide = (frame_of(LATTICES[2], "lattice", 1, margin) for margin in (0.0, 3.0))
+    np.testing.assert_allclose(np.hypot(*wide.sides.T), np.hypot(*plain.sides.T) + 6)
+    np.testing.assert_allclose(wide.steps, plain.steps)
+
+
+def test_a_sample_without_room_for_margins_is_laid_without() -> None:
+    """Tiles of the sample that just fit are taken as they are, unless a margin was asked for."""
+    lattice = Lattice((40, 0), (0, 40), (20, 20))
+    sample = quantize(np.random.default_rng(0).random((82, 82, 1), np.float32))
+    task = Task(sample, (50, 50), lattice, np.random.default_rng(0))
+    np.testing.assert_allclose(np.abs(_Laying(TileSet(anchor="given"), task, lattice).frame.sides).sum(0), 40)
