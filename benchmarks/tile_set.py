@@ -1,10 +1,13 @@
 """Speed of tile-set, as multiples of the machine unit u.
 
 Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/tile_set.py``. The lattice is given, kernels are warm.
-Figures are medians of CPU seconds, each over a unit measured right before it: a busy machine shifts both alike.
+Figures are medians of CPU seconds, each over a unit measured right before it: a busy machine shifts both alike. How
+cost and memory grow with the output stands in ``growth.py``.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from unit import machine_unit, median_units
@@ -14,9 +17,11 @@ from nrbench.datasets_procedural.corduroy import Corduroy
 from nrbench.datasets_procedural.windows import Windows
 from nrbench.imaging.door import quantize
 from nrbench.imaging.jit import load_kernels
-from nrbench.synthesis import Synthesizer, Task
+from nrbench.plan import drawn
+from nrbench.suite import load_suite
+from nrbench.synthesis import Refused, Synthesizer, Task
 from nrbench.synthesizers.tile_set import TileSet
-from nrbench.texture import Dataset
+from nrbench.texture import Dataset, Texture
 
 METHODS: dict[str, Synthesizer] = {
     "tile-set": TileSet(),
@@ -25,20 +30,38 @@ METHODS: dict[str, Synthesizer] = {
     "tile-set tile=upright": TileSet(tile="upright"),
     "tile-set symmetry=true": TileSet(symmetry=True),
     "tile-set cells=2": TileSet(cells=2),
-    "tile-set stitch=graphcut": TileSet(stitch="graphcut"),
+    "tile-set margin=0": TileSet(margin=0),
+    "tile-set stitch=dynamic": TileSet(stitch="dynamic"),
 }
 MODELS: dict[str, Dataset] = {"brick": Brick(), "windows": Windows(), "corduroy": Corduroy()}
 
 
 def units(method: Synthesizer, model: Dataset, sample: int, output: int, repeats: int = 7) -> float:
     """Return what a method takes, in u, from a square sample of a model to a square output of these sides."""
-    texture = model.render((sample, sample), np.random.default_rng(0))
+    return units_of(method, model.render((sample, sample), np.random.default_rng(0)), output, repeats)
+
+
+def units_of(method: Synthesizer, texture: Texture, output: int, repeats: int = 7) -> float:
+    """Return what a method takes, in u, from a texture to a square output of this side."""
     pixels = quantize(texture.image)
 
     def synthesize() -> object:
         return method.synthesize(Task(pixels, (output, output), texture.lattice, np.random.default_rng(1)))
 
     return median_units(synthesize, repeats)
+
+
+def suite_table(name: str) -> None:
+    """Print what every texture of a suite takes from 128 x 128 to 256 x 256 px, the dearest last."""
+    costs: dict[str, float] = {}
+    for sample in drawn(load_suite(name), ["*"]):
+        texture = replace(sample.recipe, shape=(128, 128)).render()
+        try:
+            costs[sample.recipe.texture] = units_of(TileSet(), texture, 256, 3)
+        except Refused as refusal:
+            print(f"{sample.recipe.texture:34} refused: {refusal.reason}")
+    for texture_name, cost in sorted(costs.items(), key=lambda item: item[1]):
+        print(f"{texture_name:34} {cost:8.1f} u", flush=True)
 
 
 def main() -> None:
@@ -51,13 +74,12 @@ def main() -> None:
     print("\n256 x 256 from 128 x 128, by lattice: the smaller the cell, the more tiles")
     for name, model in MODELS.items():
         print(f"{name:34} {units(TileSet(), model, 128, 256):8.1f} u")
-    print("\nbrick from 128 x 128: cost by output")
-    for side in (256, 512, 1024, 2048, 4096):
-        cost = units(TileSet(), MODELS["brick"], 128, side, 3 if side < 2048 else 1)
-        print(f"{side:5} x {side:<5} {cost:8.1f} u   {cost / side**2 * 256**2:6.2f} u per 256 x 256")
     print("\nbrick to 256 x 256: cost by sample")
     for side in (96, 128, 256, 512):
         print(f"{side:5} x {side:<5} {units(TileSet(), MODELS['brick'], side, 256, 3):8.1f} u")
+    for name in ("core", "report2004"):
+        print(f"\n256 x 256 from 128 x 128, {name}")
+        suite_table(name)
 
 
 if __name__ == "__main__":
