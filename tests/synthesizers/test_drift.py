@@ -13,7 +13,9 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.judgement import judge
 from nrbench.streams import stream
 from nrbench.synthesis import Observation, Synthesizer, Task
+from nrbench.synthesizers.representative_tile import RepresentativeTile
 from nrbench.synthesizers.rsgf import Rsgf
+from nrbench.synthesizers.tile_set import TileSet
 from nrbench.synthesizers.tiling import Tiling
 from nrbench.texture import Shape, Texture
 
@@ -36,7 +38,9 @@ def worst_misplacement(method: Synthesizer, lattice: Lattice | None = None) -> f
     return float(found.output.placement.misplacement.max())
 
 
-@pytest.mark.parametrize("method", [Rsgf(), Rsgf(seam="blend"), Tiling(), Tiling(tile="mean")])
+@pytest.mark.parametrize(
+    "method", [Rsgf(), Rsgf(seam="blend"), TileSet(), RepresentativeTile(), Tiling(), Tiling(tile="mean")]
+)
 def test_on_a_fractional_lattice_every_window_is_in_place(method: Synthesizer) -> None:
     """With the lattice given every window lies within a twentieth of s of the truth."""
     assert worst_misplacement(method) < 0.05
