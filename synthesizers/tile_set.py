@@ -249,7 +249,7 @@ class _Laying:
 def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Lattice]:
     """Return the tiles' frame, and the lattice anchored for it."""
     require_two_periods(lattice, task.sample.shape)
-    for frame in _shapes(method, lattice):
+    for frame in _frames(method, lattice):
         at = lattice if method.anchor == "given" else anchored(task.sample, lattice, frame, method.anchor)
         offsets = np.array(frame.distinct(lattice)) @ frame.steps
         tiles = [len(complete(at.shifted((x, y)), frame, task.sample.shape)) for x, y in offsets.tolist()]
@@ -263,7 +263,7 @@ def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Latti
     )
 
 
-def _shapes(method: TileSet, lattice: Lattice) -> Iterator[Frame]:
+def _frames(method: TileSet, lattice: Lattice) -> Iterator[Frame]:
     """Yield the frames of tiles in the order in which they are tried, until the sample holds one's tiles."""
     tiles = _tiles(lattice) if method.tile == "auto" else [method.tile]
     many = [max(1, math.ceil(LEAST_SIDE / lattice.s)), 1] if method.cells is None else [method.cells]
