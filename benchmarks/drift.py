@@ -27,7 +27,9 @@ MODEL = Brick(width=21.37, height=18.81, bond="stack", rotation=7.0, color=0.2, 
 METHODS: dict[str, Synthesizer] = {
     "rsgf": Rsgf(),
     "rsgf:seam=blend": Rsgf(seam="blend"),
-    "rsgf:seam=blend,subpixel=false,tolerance=3": Rsgf(seam="blend", subpixel=False, tolerance=3.0),
+    "rsgf:seam=blend,subpixel=false,tolerance=3,among=0,spread=false": Rsgf(
+        seam="blend", subpixel=False, tolerance=3.0, among=0.0, spread=False
+    ),
     "tiling": Tiling(),
     "tiling:tile=mean": Tiling(tile="mean"),
     "tile-set": TileSet(),

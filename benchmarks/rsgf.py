@@ -21,7 +21,7 @@ from nrbench.synthesizers.rsgf import Rsgf
 from nrbench.synthesizers.scatter import Scatter
 from nrbench.synthesizers.tiling import Tiling
 
-PAPER = Rsgf(seam="blend", subpixel=False, tolerance=3.0)
+PAPER = Rsgf(seam="blend", subpixel=False, tolerance=3.0, among=0.0, spread=False)
 METHODS: dict[str, Synthesizer] = {
     "rsgf": Rsgf(),
     "rsgf seam=dynamic": Rsgf(seam="dynamic"),
@@ -30,8 +30,8 @@ METHODS: dict[str, Synthesizer] = {
     "rsgf deform=1.5": Rsgf(deform=1.5),
     "rsgf as the paper": PAPER,
     "rsgf as the paper, match=ncc": replace(PAPER, match="ncc"),
-    "rsgf as the paper, search=everywhere": replace(PAPER, search="everywhere", tolerance=None),
-    "rsgf as the paper, both": replace(PAPER, search="everywhere", tolerance=None, match="ncc"),
+    "rsgf as the paper, search=everywhere": replace(PAPER, search="everywhere", tolerance=None, among=None),
+    "rsgf as the paper, both": replace(PAPER, search="everywhere", tolerance=None, among=None, match="ncc"),
     "tiling": Tiling(),
     "tiling tile=mean": Tiling(tile="mean"),
     "scatter": Scatter(),

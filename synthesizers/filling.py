@@ -17,11 +17,15 @@ from nrbench.imaging.door import Image
 from nrbench.imaging.matching import FrameMatcher, Match
 from nrbench.imaging.mincut import Mask
 from nrbench.imaging.patches import snapped
-from nrbench.imaging.sampling import EqualPlaces, Room, around, nearest_pixels
+from nrbench.imaging.sampling import EqualPlaces, Positions, Room, around, nearest_pixels
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.synthesis import Refused, Task
 
+from .drawing import Drawing, best_places
+
 Search = Literal["lattice", "everywhere", "stochastic"]
+_TRIED = 16
+"""Places drawn in stochastic mode, where there are too many to look at all, of which that shown least is taken."""
 
 
 class Rules(NamedTuple):
@@ -32,6 +36,8 @@ class Rules(NamedTuple):
     reach: float
     subpixel: bool
     deform: float
+    among: float = 0.0
+    spread: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +88,13 @@ class Filling:
     def _drawn(self, row: int, column: int, room: Room) -> Points:
         """Draw the (x, y) of a block with its borders; without a lattice v1 = (1, 0), v2 = (0, 1): from anywhere."""
         if self.lattice is None:
-            return np.asarray(self.task.rng.integers(room[::-1]), np.float64)
+            tried = self.task.rng.integers(room[::-1], size=(_TRIED if self.rules.spread else 1, 2))
+            return self._one_of(tried)
         border = self.canvas.grid.border
         equal = self._equal(room, 0.0).of(self._corner(row, column) - border)
         candidates: NDArray[Any] = _within(snapped(equal), room) if self.rules.subpixel else nearest_pixels(equal, room)
         self._require(candidates, row, column, self.canvas.grid.block + 2 * border)
-        return self._any_of(candidates)
+        return self._one_of(candidates + border) - border
 
     def _best(self, row: int, column: int) -> tuple[Points, Points | None]:
         """Return the whole-pixel (x, y) of the patch that agrees best with the border around a gap.
@@ -99,14 +106,30 @@ class Filling:
         template = np.rint(self.canvas.image[self.canvas.window(row, column)] * 255).astype(np.float32)
         if self.lattice is None or self.rules.search != "lattice":
             everywhere = self.matcher.everywhere(template, hole)
-            return self._any_of(np.argwhere(everywhere == everywhere.max())[:, ::-1]), None
+            return self._one_of(np.argwhere(everywhere == everywhere.max())[:, ::-1]), None
         reach, room = max(self.rules.reach, 0.5), self.matcher.room
-        equal = self._equal(room, reach).of(self._corner(row, column))
+        equal = self._roomy(self._equal(room, reach).of(self._corner(row, column)))
         candidates = around(equal, reach, room)
         self._require(candidates, row, column, grid.block)
         ratings = self.matcher.at(template, hole, candidates)
-        best = self._any_of(candidates[ratings == ratings.max()])
+        best = self._one_of(self._good(candidates, ratings, equal))
         return best, np.asarray(equal[np.abs(equal - best).max(1).argmin()])
+
+    def _good(self, candidates: Positions, ratings: NDArray[np.float64], equal: Points) -> Positions:
+        """Return the candidates that rate best, or a share of the equal places: the best near each of them."""
+        if not self.rules.among:
+            return candidates[ratings == ratings.max()]
+        return best_places(candidates, ratings, self._reduced, equal[0], self.rules.among)
+
+    def _roomy(self, equal: Points) -> Points:
+        """Return the places a border's width or more inside the sample, where seams are cut and two are left.
+
+        There a gap's patch reaches beyond the gap on all sides, so that seams have room.
+        """
+        border = self.canvas.grid.border
+        low, high = border, np.array(self.matcher.room[::-1]) - 1 - border
+        roomy = equal[((equal >= low) & (equal <= high)).all(1)]
+        return roomy if len(roomy) > 1 and self.canvas.seam != "blend" else equal
 
     def _met(self, row: int, column: int, best: Points, equal: Points | None) -> Points:
         """Return the real-valued place nearby at which the patch meets the border, within what the search allows.
@@ -142,6 +165,18 @@ class Filling:
             self.rules.deform,
         )
 
+    @cached_property
+    def _drawing(self) -> Drawing:
+        return Drawing(self.task.rng, self.canvas.grid.block, self.rules.spread)
+
+    def _one_of(self, candidates: NDArray[Any]) -> Points:
+        return self._drawing.one_of(candidates)
+
+    @cached_property
+    def _reduced(self) -> Lattice:
+        assert self.lattice is not None
+        return self.lattice.reduced()
+
     def _equal(self, room: Room, margin: float) -> EqualPlaces:
         assert self.lattice is not None
         if (room, margin) not in self._known:
@@ -154,9 +189,6 @@ class Filling:
 
     def _corner(self, row: int, column: int) -> Points:
         return np.array([column, row], np.float64) * self.canvas.grid.block
-
-    def _any_of(self, candidates: NDArray[Any]) -> Points:
-        return np.asarray(candidates[self.task.rng.integers(len(candidates))], np.float64)
 
     def _require(self, candidates: NDArray[Any], row: int, column: int, side: int) -> None:
         if len(candidates):

@@ -20,6 +20,7 @@ from .room import check_border, room_with_border
 
 FARTHEST_DEFORM = 3.0
 """px; a patch deformed more would show other elements than those that were matched."""
+_BETTER_HALF = 0.5
 
 
 @dataclass(frozen=True)
@@ -33,10 +34,15 @@ class Rsgf:
     around it; here it lies inside, so that it is also what is blended, and the sample needs no more room. Places
     on the lattice are computed from its real-valued vectors, so that nothing drifts.
 
-    The paper's own choice is ``rsgf:seam=blend,subpixel=false,tolerance=3``: places rounded to whole pixels, linear
-    blending, gaps' patches from 3 px around. What it leaves to future work (section 6) is the default where it proved
-    better: places to fractions of a pixel, and seams by graph cut, which run along the outlines of what the texture is
-    made of (bricks in one color, not two).
+    The paper's own choice is ``rsgf:seam=blend,subpixel=false,tolerance=3,among=0,spread=false``: places rounded to
+    whole pixels, linear blending, a gap's patch the best from 3 px around. What it leaves to future work (section 6) is
+    the default where it proved better: places to fractions of a pixel, and seams by graph cut, which run along the
+    outlines of what the texture is made of (bricks in one color, not two).
+
+    One thing the paper does not speak of: the best match is too often a patch near the mean of all, or one that lies
+    there already, so that the output varies less than the sample. Here a gap's patch is one of the better half, and of
+    these one that the output shows least of; where seams are cut it keeps a border's width from the sample's edge, so
+    that they have room.
 
     With no lattice given, be it that a detector of the lattice axis found none, the method finds one by ``gncc``; where
     there is none it goes on in the paper's mode for irregular textures, in which every position is a candidate, and
@@ -69,6 +75,13 @@ class Rsgf:
     deform
         How far, px, a gap's patch may be deformed so that lines meet: by a smooth field, fitted to what it overlaps,
         that fades to nothing inside. 0 (none) to 3.
+    among
+        Share of the equal places, best first, from which a gap's patch is drawn; only where the search is by the
+        lattice. 0: the best alone (the paper's); 1: all, and only where near them is left to the match. None takes
+        one half.
+    spread
+        Whether patches are drawn from those places that patches laid of late overlap least. False: all are equally
+        likely (the paper's).
     """
 
     block: int = 40
@@ -79,22 +92,27 @@ class Rsgf:
     subpixel: bool = True
     seam: Seam = "graphcut"
     deform: float = 0.0
+    among: float | None = None
+    spread: bool = True
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     paper: ClassVar[str] = Gncc.paper
 
     def __post_init__(self) -> None:
         check_border(self.block, self.border)
         if self.tolerance is not None and not self.tolerance >= 0:
             raise BadInput(f"tolerance {self.tolerance}; choose 0 px or more, or leave it out")
-        if self.tolerance is not None and self.search != "lattice":
-            raise BadInput(
-                f"tolerance {self.tolerance} with search {self.search!r}, which looks at every place; "
-                "choose search 'lattice', or leave the tolerance out"
-            )
+        if self.among is not None and not 0 <= self.among <= 1:
+            raise BadInput(f"among {self.among}; choose from 0 to 1, or leave it out")
+        for name, value in (("tolerance", self.tolerance), ("among", self.among)):
+            if value is not None and self.search != "lattice":
+                raise BadInput(
+                    f"{name} {value} with search {self.search!r}, which looks at every place; "
+                    f"choose search 'lattice', or leave {name} out"
+                )
         if not 0 <= self.deform <= FARTHEST_DEFORM:
             raise BadInput(f"deform {self.deform}; choose from 0 to {FARTHEST_DEFORM:g} px")
 
@@ -121,7 +139,8 @@ class Rsgf:
         if lattice is not None:
             tolerance = min(3.0, 0.1 * lattice.s) if self.tolerance is None else self.tolerance
             reach = min(tolerance, math.hypot(*lattice.reduced().t2))
-        return Rules(self.match, self.search, reach, self.subpixel, self.deform)
+        among = _BETTER_HALF if self.among is None else self.among
+        return Rules(self.match, self.search, reach, self.subpixel, self.deform, among, self.spread)
 
     def _note(self, found: FoundLattice) -> str:
         if found.lattice or self.search == "stochastic":

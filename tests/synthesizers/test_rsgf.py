@@ -19,7 +19,7 @@ from nrbench.synthesis import Refused, Synthesis, Task
 from nrbench.synthesizers.rsgf import Rsgf
 
 SEAMS = get_args(Seam)
-PAPER = Rsgf(seam="blend", subpixel=False)
+PAPER = Rsgf(seam="blend", subpixel=False, among=0.0, spread=False)
 SMALL = replace(PAPER, block=8, border=2)
 TURNED = math.radians(7)
 FRACTIONAL = Lattice(
@@ -132,6 +132,7 @@ def test_every_parameter_changes_something() -> None:
     changes: list[dict[str, Any]] = [
         {"block": 36}, {"border": 8}, {"match": "ncc"}, {"search": "everywhere"}, {"search": "stochastic"},
         {"tolerance": 0.0}, {"subpixel": False}, {"seam": "blend"}, {"seam": "dynamic"}, {"deform": 1.0},
+        {"among": 0.0}, {"among": 1.0}, {"spread": False},
     ]  # fmt: skip
     for change in changes:
         assert (synthesize(Rsgf(**change), sample, (128, 128), FRACTIONAL).image != base).any(), change
@@ -200,6 +201,7 @@ def test_a_lattice_too_large_for_the_sample_is_refused() -> None:
     [
         {"border": 0}, {"border": 21}, {"block": 1}, {"tolerance": -1.0}, {"deform": -1.0}, {"deform": 3.5},
         {"deform": math.nan}, {"tolerance": 3.0, "search": "everywhere"}, {"tolerance": 3.0, "search": "stochastic"},
+        {"among": -0.1}, {"among": 1.5}, {"among": math.nan}, {"among": 0.5, "search": "everywhere"},
     ],
 )  # fmt: skip
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:

@@ -21,7 +21,7 @@ from nrbench.synthesizers.filling import Filling, Rules
 from nrbench.synthesizers.rsgf import Rsgf
 
 SEAMS = get_args(Seam)
-PAPER = Rsgf(seam="blend", subpixel=False, tolerance=3.0)
+PAPER = Rsgf(seam="blend", subpixel=False, tolerance=3.0, among=0.0, spread=False)
 SMALL = replace(PAPER, block=8, border=2, tolerance=None)
 TURNED = math.radians(7)
 FRACTIONAL = Lattice(
@@ -140,7 +140,7 @@ def test_so_it_is_at_sub_pixel_places() -> None:
 
 def test_in_stochastic_mode_every_place_is_drawn_equally_often() -> None:
     """As if v1 = (1, 0), v2 = (0, 1): a lattice that is given counts for nothing, and none is used."""
-    method, sample = replace(SMALL, search="stochastic"), noise(24, 24, 1)
+    method, sample = replace(SMALL, search="stochastic", among=None), noise(24, 24, 1)
     drawn = [synthesize(method, sample, (8, 8), Lattice((11, 2), (-3, 13)), k) for k in range(4000)]
     assert all(made.lattice is None and not made.note for made in drawn)
     at = np.array([places(made, 8)[0, 0] for made in drawn])
@@ -187,7 +187,8 @@ def naive_rating(patch: NDArray[np.float64], border: NDArray[np.float64], match:
 def test_gaps_take_the_best_of_the_patches_allowed(match: Any, search: Any, tolerance: float | None) -> None:
     """By brute force over a border composed naively of wedges, no allowed patch matches a gap better."""
     sample, lattice = noise(40, 44), Lattice((9.3, 1.2), (-2.1, 10.4))
-    method = replace(SMALL, match=match, search=search, tolerance=tolerance)
+    among = 0.0 if search == "lattice" else None
+    method = replace(SMALL, match=match, search=search, tolerance=tolerance, among=among)
     found = places(synthesize(method, sample, (24, 32), lattice), 8)
     for row, column in [(i, j) for i, j in np.ndindex(3, 4) if (i + j) % 2]:
         border = naive_border(sample, found, row, column)
