@@ -113,6 +113,24 @@ def test_variation_measures_how_far_tiles_depart() -> None:
     assert np.mean([value["variation"] for value in values]) == pytest.approx(0.25, abs=0.05)
 
 
+def test_tiles_laid_in_another_order_vary_as_they_did() -> None:
+    """Whole fresh tiles, cut in their joints and laid again at random, keep their variation to one percent."""
+    model = Brick(width=28, height=20, joint=3.0, bond="stack", color=0.35, intensity=0.2, noise=0.03)
+    case = Case(model, model.render((128, 128), np.random.default_rng(0)))
+    fresh, drawn = case.fresh(), case.again((192, 192), 0)
+    assert drawn is not None and drawn.ideal is not None
+    top, left = (int(drawn.ideal.mean(axes)[:period].argmax()) for axes, period in (((1, 2), 20), ((0, 2), 28)))
+    rows, columns = (192 - top) // 20, (192 - left) // 28
+    inner = (slice(top, top + 20 * rows), slice(left, left + 28 * columns))
+    tiles = fresh[inner].reshape(rows, 20, columns, 28, 3).swapaxes(1, 2).reshape(-1, 20, 28, 3)
+    order = np.random.default_rng(1).permutation(len(tiles))
+    laid = fresh.copy()
+    laid[inner] = tiles[order].reshape(rows, columns, 20, 28, 3).swapaxes(1, 2).reshape(20 * rows, -1, 3)
+    before, after = (randomness(case.seen(image)).values["variation"] for image in (fresh, laid))
+    assert (laid != fresh).mean() > 0.5
+    assert after == pytest.approx(before, rel=0.01)
+
+
 def test_a_phase_of_its_own_does_not_matter(case: Cases) -> None:
     """Cutting the output elsewhere leaves both scores."""
     wide = case("hexagon").fresh(230)
