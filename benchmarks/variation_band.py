@@ -29,11 +29,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from reference_rows import LEAST, band
 
 from nrbench import plugins
 from nrbench.axes import Method
 from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.fold import Values
 from nrbench.metrics.judgement import compare, obstacle
 from nrbench.metrics.look import Look, look_at_references
 from nrbench.metrics.randomness import Randomness
@@ -137,7 +139,7 @@ class Place:
         }
 
 
-def _energy(departures: np.ndarray, weights: np.ndarray) -> float:
+def _energy(departures: Values, weights: NDArray[np.float32]) -> float:
     return float(np.tensordot((departures**2).mean((0, 3)), weights / weights.sum(), 2))
 
 

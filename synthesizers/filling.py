@@ -118,7 +118,7 @@ class Filling:
     def _good(self, candidates: Positions, ratings: NDArray[np.float64], equal: Points) -> Positions:
         """Return the candidates that rate best, or a share of the equal places: the best near each of them."""
         if not self.rules.among:
-            return candidates[ratings == ratings.max()]
+            return np.asarray(candidates[ratings == ratings.max()])
         return best_places(candidates, ratings, self._reduced, equal[0], self.rules.among)
 
     def _roomy(self, equal: Points) -> Points:
