@@ -51,8 +51,9 @@ def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
 
 
 def _nearest(fundamentals: Array, axis: int, side: int) -> int | None:
-    """Return the length along an axis nearest to ``side``, at most twice as long, that is a period."""
-    slack = SLACK * math.sqrt(float((np.linalg.pinv(fundamentals) ** 2).sum(0).min()))
-    lengths = np.arange(1, 2 * side + 1)
-    good = lengths[(misses(fundamentals, axis, 2 * side) <= slack) & (lengths > 2 * slack)]
+    """Return the length along an axis nearest to ``side`` that is a period, at most twice as long or two vectors."""
+    vectors = np.hypot(*np.linalg.pinv(fundamentals))
+    slack, limit = SLACK * float(vectors.min()), math.ceil(2 * max(side, vectors.max()))
+    lengths = np.arange(1, limit + 1)
+    good = lengths[(misses(fundamentals, axis, limit) <= slack) & (lengths > 2 * slack)]
     return int(good[np.abs(good - side).argmin()]) if len(good) else None
