@@ -5,22 +5,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from synthesis_cases import noise, synthesize
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.door import quantize
 from nrbench.outputs import checked_synthesis
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.synthesis import Refused
 from nrbench.synthesizers.ann_pixel import AnnPixel
-
-
-def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
-    """Return noise of 8 bits."""
-    return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
-
-
-def synthesize(method: AnnPixel, sample: Image, shape: tuple[int, int], seed: int = 1) -> Synthesis:
-    """Run the method."""
-    return method.synthesize(Task(sample, shape, None, np.random.default_rng(seed)))
 
 
 @pytest.mark.parametrize("search", ["ann", "exhaustive", "k-coherence"])
@@ -92,7 +83,7 @@ def test_every_parameter_changes_something() -> None:
 
 def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
     """All randomness is the task's."""
-    first, second, other = (synthesize(AnnPixel(), noise(40, 40), (50, 50), k).image for k in (1, 1, 2))
+    first, second, other = (synthesize(AnnPixel(), noise(40, 40), (50, 50), seed=k).image for k in (1, 1, 2))
     np.testing.assert_array_equal(first, second)
     assert (first != other).any()
 

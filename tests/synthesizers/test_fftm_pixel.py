@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from skimage.color import rgb2ypbpr
+from synthesis_cases import noise
 
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image, quantize
@@ -21,11 +22,6 @@ from nrbench.synthesizers.fftm_pixel import FftmPixel
 
 SEARCHES = ("ann", "exhaustive", "k-coherence")
 MATCHES = ("full", "cluster")
-
-
-def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
-    """Return noise of 8 bits."""
-    return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
 
 
 def mask_of(tile: Image, stretch: float = 1.0) -> TextureMask:

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
+from synthesis_cases import noise
 
 from nrbench.imaging.door import Image, quantize
 from nrbench.imaging.tile_costs import continuity, resemblance
@@ -18,11 +19,6 @@ TURNED = Lattice((21.37 * math.cos(TURN), 21.37 * math.sin(TURN)), (-18.81 * mat
 UPRIGHT = Lattice((21.37, 0), (0, 18.81))
 BOND = Lattice((27.3, 0), (13.65, 12.2))
 OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
-
-
-def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
-    """Return noise of 8 bits."""
-    return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
 
 
 def waves(shape: tuple[int, int], lattice: Lattice) -> Image:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
+from synthesis_cases import FRACTIONAL, noise, places, synthesize
 
 from nrbench.errors import BadInput
 from nrbench.imaging.canvas import Seam
@@ -15,36 +15,12 @@ from nrbench.imaging.door import Image, quantize
 from nrbench.lattice.detection import Detection, NoLatticeFound
 from nrbench.lattice.geometry import Lattice
 from nrbench.outputs import checked_synthesis
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.synthesis import Refused, Task
 from nrbench.synthesizers.rsgf import Rsgf
 
 SEAMS = get_args(Seam)
 PAPER = Rsgf(seam="blend", subpixel=False, among=0.0, spread=False)
 SMALL = replace(PAPER, block=8, border=2)
-TURNED = math.radians(7)
-FRACTIONAL = Lattice(
-    (21.37 * math.cos(TURNED), 21.37 * math.sin(TURNED)), (-18.81 * math.sin(TURNED), 18.81 * math.cos(TURNED))
-)
-
-
-def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
-    """Return noise of 8 bits."""
-    return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
-
-
-def synthesize(
-    method: Rsgf, sample: Image, shape: tuple[int, int], lattice: Lattice | None, seed: int = 1
-) -> Synthesis:
-    """Run the method."""
-    return method.synthesize(Task(sample, shape, lattice, np.random.default_rng(seed)))
-
-
-def places(made: Synthesis, block: int) -> NDArray[np.int64]:
-    """Read the (x, y) in the sample of every block's first pixel off the source map at the blocks' middles."""
-    assert made.source is not None
-    middle = made.source[block // 2 :: block, block // 2 :: block]
-    assert (middle[..., 2] == 1).all()
-    return middle[..., :2].astype(np.int64) - block // 2
 
 
 @pytest.mark.parametrize("match", ["ncc", "color"])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import stats
+from synthesis_cases import FRACTIONAL, noise, places, synthesize
 
 from nrbench.imaging.blocks import BlockGrid
 from nrbench.imaging.canvas import Canvas, Seam
@@ -16,37 +17,13 @@ from nrbench.imaging.door import Image, quantize, to_bytes
 from nrbench.imaging.patches import FINEST, Patches
 from nrbench.imaging.sampling import room_for
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Synthesis, Task
+from nrbench.synthesis import Task
 from nrbench.synthesizers.filling import Filling, Rules
 from nrbench.synthesizers.rsgf import Rsgf
 
 SEAMS = get_args(Seam)
 PAPER = Rsgf(seam="blend", subpixel=False, tolerance=3.0, among=0.0, spread=False)
 SMALL = replace(PAPER, block=8, border=2, tolerance=None)
-TURNED = math.radians(7)
-FRACTIONAL = Lattice(
-    (21.37 * math.cos(TURNED), 21.37 * math.sin(TURNED)), (-18.81 * math.sin(TURNED), 18.81 * math.cos(TURNED))
-)
-
-
-def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
-    """Return noise of 8 bits."""
-    return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
-
-
-def synthesize(
-    method: Rsgf, sample: Image, shape: tuple[int, int], lattice: Lattice | None, seed: int = 1
-) -> Synthesis:
-    """Run the method."""
-    return method.synthesize(Task(sample, shape, lattice, np.random.default_rng(seed)))
-
-
-def places(made: Synthesis, block: int) -> NDArray[np.int64]:
-    """Read the (x, y) in the sample of every block's first pixel off the source map at the blocks' middles."""
-    assert made.source is not None
-    middle = made.source[block // 2 :: block, block // 2 :: block]
-    assert (middle[..., 2] == 1).all()
-    return middle[..., :2].astype(np.int64) - block // 2
 
 
 def filled(sample: Image, shape: tuple[int, int], lattice: Lattice, reach: float = 1.5, seed: int = 1) -> Canvas:

@@ -4,16 +4,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from synthesis_cases import FRACTIONAL, noise, synthesize
 
 from nrbench.imaging.door import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.synthesis import Synthesis, Task
 from nrbench.synthesizers.tile_set import TileSet, _Laying
 
-TURNED = math.radians(7)
-FRACTIONAL = Lattice(
-    (21.37 * math.cos(TURNED), 21.37 * math.sin(TURNED)), (-18.81 * math.sin(TURNED), 18.81 * math.cos(TURNED))
-)
 TILES = ["auto", "upright", "lattice", "rectangle", "cell"]
 LATTICES = [
     Lattice((30, 0), (0, 24)),
@@ -21,11 +18,6 @@ LATTICES = [
     Lattice((20, 5), (-4, 22)),
     Lattice((24, 0), (0, 24)),
 ]
-
-
-def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
-    """Return noise of 8 bits."""
-    return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
 
 
 def periodic(shape: tuple[int, int], lattice: Lattice, channels: int = 3) -> Image:
@@ -41,13 +33,6 @@ def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
     u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
     first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
     return np.stack([0.5 + 0.2 * first + 0.2 * second, 0.5 + 0.4 * first * second, 0.5 + 0.3 * second], -1).astype("f4")
-
-
-def synthesize(
-    method: TileSet, sample: Image, shape: tuple[int, int], lattice: Lattice | None, seed: int = 1
-) -> Synthesis:
-    """Run the method."""
-    return method.synthesize(Task(sample, shape, lattice, np.random.default_rng(seed)))
 
 
 def misplacement(made: Synthesis, lattice: Lattice) -> NDArray[np.float64]:

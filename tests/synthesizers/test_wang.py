@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
+from synthesis_cases import noise
 
 from nrbench.imaging.door import Image, quantize
 from nrbench.lattice.geometry import Lattice
@@ -11,11 +12,6 @@ from nrbench.synthesizers.representative_tile import RepresentativeTile
 from nrbench.synthesizers.wang import WangSet, colors_for
 
 LATTICE = Lattice((12, 0), (0, 10))
-
-
-def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
-    """Return noise of 8 bits."""
-    return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
 
 
 def synthesize(

@@ -1,0 +1,35 @@
+"""What tests of methods are asked, and how they ask it."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.door import Image, quantize
+from nrbench.lattice.geometry import Lattice
+from nrbench.synthesis import Synthesis, Synthesizer, Task
+
+TURNED = math.radians(7)
+FRACTIONAL = Lattice(
+    (21.37 * math.cos(TURNED), 21.37 * math.sin(TURNED)), (-18.81 * math.sin(TURNED), 18.81 * math.cos(TURNED))
+)
+
+
+def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
+    """Return noise of 8 bits."""
+    return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
+
+
+def synthesize(
+    method: Synthesizer, sample: Image, shape: tuple[int, int], lattice: Lattice | None = None, seed: int = 1
+) -> Synthesis:
+    """Run a method."""
+    return method.synthesize(Task(sample, shape, lattice, np.random.default_rng(seed)))
+
+
+def places(made: Synthesis, block: int) -> NDArray[np.int64]:
+    """Read the (x, y) in the sample of every block's first pixel off the source map at the blocks' middles."""
+    assert made.source is not None
+    middle = made.source[block // 2 :: block, block // 2 :: block]
+    assert (middle[..., 2] == 1).all()
+    return np.asarray(middle[..., :2], np.int64) - block // 2
