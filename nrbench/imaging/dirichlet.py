@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-NEAR = 0.05
-"""Below this phase, rad, the closed forms lose digits and their series are exact to 1e-9."""
-
 
 class Kernel(NamedTuple):
     """K(f) = sum over the picture of cos(2 pi f r), r from its centre, with its derivatives by f.
@@ -32,19 +29,10 @@ class Kernel(NamedTuple):
 
 
 def dirichlet_sum(frequency: Array, length: int) -> Array:
-    """Return the first of what :func:`dirichlet` returns."""
-    turns = np.rint(frequency)
-    x = np.pi * (frequency - turns)
-    near = np.abs(x) < 1e-12
-    value = np.where(near, float(length), np.sin(length * x) / np.where(near, 1.0, np.sin(x)))
-    return (1 - 2 * ((turns * (length - 1)) % 2)) * value
+    """Return sum cos(2 pi f u) over the ``length`` samples u centred on 0: sin(pi n f) / sin(pi f).
 
-
-def dirichlet(frequency: Array, length: int) -> tuple[Array, Array, Array]:
-    """Return sum cos(2 pi f u) over the ``length`` samples u centred on 0, and its two derivatives by f.
-
-    That is sin(pi n f) / sin(pi f). The samples are half-integers where ``length`` is even: the sum then changes sign
-    from one unit of frequency to the next.
+    The samples are half-integers where ``length`` is even: the sum then changes sign from one unit of frequency to the
+    next.
 
     Parameters
     ----------
@@ -55,32 +43,47 @@ def dirichlet(frequency: Array, length: int) -> tuple[Array, Array, Array]:
     """
     turns = np.rint(frequency)
     x = np.pi * (frequency - turns)
-    sine, cosine, square = np.sin(x), np.cos(x), float(length) ** 2 - 1
-    near = np.abs(x) * length < NEAR
-    safe = np.where(near, 1.0, sine)
-    value = np.sin(length * x) / safe
-    slope = (length * np.cos(length * x) - value * cosine) / safe
-    bend = -square * value - 2 * slope * cosine / safe
-    if near.any():
-        z, more = x[near], 3 * float(length) ** 2 - 7
-        value[near] = length * (1 - square * z**2 / 6 + square * more * z**4 / 360)
-        slope[near] = length * square * (-z / 3 + more * z**3 / 90)
-        bend[near] = length * square * (-1 / 3 + more * z**2 / 30)
-    sign = 1 - 2 * ((turns * (length - 1)) % 2)
-    return sign * value, np.pi * sign * slope, np.pi**2 * sign * bend
+    near = np.abs(x) < 1e-12
+    value = np.where(near, float(length), np.sin(length * x) / np.where(near, 1.0, np.sin(x)))
+    return (1 - 2 * ((turns * (length - 1)) % 2)) * value
 
 
-def plane_kernel(frequencies: Array, shape: tuple[int, int]) -> Kernel:
-    """Return the kernel of a picture at each frequency.
+def pair_kernels(frequencies: Array, shape: tuple[int, int]) -> tuple[Kernel, Kernel]:
+    """Return the kernels at the differences f_i - f_j and at the sums f_i + f_j, each ``(n, n)``.
+
+    By the addition theorems all of them are inner products of the cosines and sines along x and along y: ten matrix
+    products of n^2 H or n^2 W steps, which take less time than as many sines as there are pairs would.
 
     Parameters
     ----------
     frequencies
-        ``(..., 2)``: (f_x, f_y) cycles/px.
+        ``(n, 2)``: (f_x, f_y) cycles/px.
     shape
         (height, width) px.
     """
-    x, x1, x2 = dirichlet(frequencies[..., 0], shape[1])
-    y, y1, y2 = dirichlet(frequencies[..., 1], shape[0])
-    mixed = x1 * y1
-    return Kernel(x * y, np.stack([x1 * y, x * y1]), np.stack([np.stack([x2 * y, mixed]), np.stack([mixed, x * y2])]))
+    along = [_line_kernels(f, length) for f, length in zip(frequencies.T, shape[::-1], strict=True)]
+    apart, together = (_plane(x, y) for x, y in zip(*along, strict=True))
+    return apart, together
+
+
+def _line_kernels(frequency: Array, length: int) -> tuple[Array, Array]:
+    """Return sum cos(2 pi f u) and its two derivatives by f, ``(3, n, n)``, at f_i - f_j and at f_i + f_j."""
+    u = 2 * np.pi * (np.arange(length) - (length - 1) / 2)
+    cosine, sine = np.cos(np.outer(frequency, u)), np.sin(np.outer(frequency, u))
+    values = cosine @ cosine.T, sine @ sine.T
+    slope = (sine * u) @ cosine.T
+    bends = (cosine * u**2) @ cosine.T, (sine * u**2) @ sine.T
+    return (
+        np.stack([values[0] + values[1], slope.T - slope, -bends[0] - bends[1]]),
+        np.stack([values[0] - values[1], -slope.T - slope, bends[1] - bends[0]]),
+    )
+
+
+def _plane(x: Array, y: Array) -> Kernel:
+    """Return the kernel of a picture from those along its lines."""
+    mixed = x[1] * y[1]
+    return Kernel(
+        x[0] * y[0],
+        np.stack([x[1] * y[0], x[0] * y[1]]),
+        np.stack([np.stack([x[2] * y[0], mixed]), np.stack([mixed, x[0] * y[2]])]),
+    )

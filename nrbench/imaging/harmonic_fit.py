@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.dirichlet import Array, Kernel, dirichlet_sum, plane_kernel
+from nrbench.imaging.dirichlet import Array, Kernel, dirichlet_sum, pair_kernels
 from nrbench.imaging.spectrum import Spectrum, bin_numbers
 
 LONGEST_STEP = 0.25
@@ -44,9 +44,7 @@ class Waves:
     @cached_property
     def _kernels(self) -> tuple[Kernel, Kernel]:
         """The kernels at the differences and the sums, each ``(1 + n, 1 + n)``."""
-        f, g = self._all[:, np.newaxis], self._all
-        shape = self.spectrum.shape
-        return plane_kernel(f - g, shape), plane_kernel(f + g, shape)
+        return pair_kernels(self._all, self.spectrum.shape)
 
     @cached_property
     def _grams(self) -> tuple[Array, Array]:
@@ -86,6 +84,30 @@ class Waves:
             factors.append(dirichlet_sum(distinct[:, np.newaxis] - both[:, axis], length)[which])
         real = (factors[0] * factors[1]) @ np.concatenate([weights.real, weights.imag], 1)
         return np.asarray(real[:, : weights.shape[1]] + 1j * real[:, weights.shape[1] :])
+
+    def modelled_around(self, frequencies: Array, offsets: Array) -> NDArray[np.complex128]:
+        """Return the transform of the waves on a small grid about each frequency, ``(m, k, k, C)``, y before x.
+
+        Parameters
+        ----------
+        frequencies
+            ``(m, 2)`` cycles/px.
+        offsets
+            ``(k,)`` bins along either axis.
+        """
+        (p, q), both = self.amplitudes, np.concatenate([self._all, -self._all])
+        weights, factors = np.concatenate([p - 1j * q, p + 1j * q]).T / 2, []
+        for axis, length in enumerate(self.spectrum.shape[::-1]):
+            distinct, which = np.unique(frequencies[:, axis, np.newaxis] + offsets / length, return_inverse=True)
+            table = dirichlet_sum(distinct[:, np.newaxis] - both[:, axis], length)
+            factors.append((table, which.reshape(-1, len(offsets))))
+        (x, columns), (y, rows) = factors
+        parts = np.concatenate([weights.real, weights.imag])[:, np.newaxis]
+        found = np.empty((len(frequencies), len(parts), len(offsets), len(offsets)))
+        for k in range(len(frequencies)):
+            np.matmul(y[rows[k]], (x[columns[k]] * parts).transpose(0, 2, 1), out=found[k])
+        channels = len(weights)
+        return np.moveaxis(found[:, :channels] + 1j * found[:, channels:], 1, 3)
 
     def residual_bins(self) -> NDArray[np.complex128]:
         """Return the transform of what the waves leave at whole bins, ``(C, H, W // 2 + 1)``: two matrix products."""

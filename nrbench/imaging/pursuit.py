@@ -31,6 +31,8 @@ TRIES = 2
 OFFSETS = np.linspace(-0.75, 0.75, 7)
 """Bins from a candidate, along x and along y, at which the magnitude is sampled before it is maximized."""
 GRID = np.stack(np.meshgrid(OFFSETS, OFFSETS), -1).reshape(-1, 2)
+SETTLED = 6
+"""Steps of the joint fit after faint waves were dropped: the rest hardly move."""
 WATCHED = 20
 """Candidates looked at, for each wave that may be found: the strongest against the limit."""
 
@@ -201,11 +203,10 @@ def _strongest(bins: Array, power: Array) -> NDArray[np.intp]:
 def _starts(waves: Waves, bins: Array) -> tuple[Array, Array]:
     """Return, for each bin, the frequency of the highest residual within a bin of it, and its power ``(m, C)``."""
     spectrum, size = waves.spectrum, waves.spectrum.size
-    around = (bins[:, np.newaxis] + GRID) / size
-    values = spectrum.around(bins / size, OFFSETS).reshape(-1, spectrum.channels)
-    power = (np.abs(values - waves.modelled(around.reshape(-1, 2))) ** 2).reshape(*around.shape[:2], -1)
-    best = np.arange(len(bins)), power.sum(2).argmax(1)
-    return np.asarray(around[best]), np.asarray(power[best])
+    left = spectrum.around(bins / size, OFFSETS) - waves.modelled_around(bins / size, OFFSETS)
+    power = (np.abs(left) ** 2).reshape(len(bins), -1, spectrum.channels)
+    best = power.sum(2).argmax(1)
+    return (bins + GRID[best]) / size, np.asarray(power[np.arange(len(bins)), best])
 
 
 def _separate(waves: Waves) -> Waves:
@@ -226,7 +227,7 @@ def keep_significant(waves: Waves, limit: Array, steps: int = THOROUGH.steps) ->
         enough = (wave_powers(waves) >= _lookup(limit, waves.frequencies, waves.spectrum.shape)).any(1)
         if enough.all():
             break
-        waves = _separate(refine(waves.spectrum, waves.frequencies[enough], steps=steps).waves)
+        waves = _separate(refine(waves.spectrum, waves.frequencies[enough], steps=min(steps, SETTLED)).waves)
     return waves
 
 

@@ -39,12 +39,16 @@ STRIPED = 8.0
 """Log-likelihood, beyond the best wave, above which one fundamental with harmonics is regular."""
 ALIGNED = 2.5
 """Of that, a wave's for being on the line at all: the colors of threads are waves on a line, too, and not regular."""
+REPEATED = 2.0
+"""Bins: of a fundamental below that the picture holds fewer than two periods, so that parts of a tile are seen once."""
 FARTHEST_MOVE = 0.5
 """Bins."""
 FOLDED = 0.25
 """How much the power counts of a wave beyond Nyquist, against that of one below that pixels cannot tell from it."""
 CROWD = 900
 """Places of a lattice that are fitted at most, those of the highest power."""
+HEARD = 0.1
+"""Share of a given threshold's power that the picture's spectrum must have at a place for a wave to be fitted there."""
 
 
 class Regular(NamedTuple):
@@ -150,7 +154,7 @@ def _next_group(
     while len(order):
         waves = waveset(found, order)
         basis = next_basis(waves)
-        short = len(basis.vectors) == 1 and np.hypot(*basis.vectors[0]) < SHORTEST
+        short = float(np.hypot(*basis.vectors.T).min()) < (REPEATED if threshold is None else SHORTEST)
         if not short and _is_regular(basis, waves, found, order[0], threshold):
             seeds = basis.orders[basis.explained]
             grown = _grown(part, basis.vectors / spectrum.size, seeds, threshold, most)
@@ -251,20 +255,29 @@ def _strongest(spectrum: Spectrum, fundamentals: Array, orders: Array) -> Array:
     return np.asarray(orders[np.argsort(-power, kind="stable")[:VOTERS]])
 
 
-def _spaced_places(spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...]) -> Array:
-    """Return the orders of the groups' places, of such as pixels cannot tell apart the one with more power."""
+def _spaced_places(spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...], least: float) -> Array:
+    """Return the orders of places of at least some power, of such as pixels cannot tell apart the one with more."""
     orders = places_of(fundamentals, groups, spectrum.size)
+    power = (np.abs(spectrum.values(folded(orders @ fundamentals))) ** 2).sum(1)
+    orders, power = orders[power >= least], power[power >= least]
     f = orders @ fundamentals
-    power = (np.abs(spectrum.values(folded(f))) ** 2).sum(1) * np.where((np.abs(f) < 0.5).all(1), 1, FOLDED)
+    power *= np.where((np.abs(f) < 0.5).all(1), 1, FOLDED)
     best = np.argsort(-power, kind="stable")[:CROWD]
     return np.asarray(orders[best[spaced(folded(f[best]), power[best], spectrum.size)]])
+
+
+def _limit(spectrum: Spectrum, threshold: float | None) -> float:
+    """Return the power of a wave of the threshold's amplitude; 0 where there is none."""
+    height, width = spectrum.shape
+    return ((threshold or 0.0) / 255 * height * width / 2) ** 2
 
 
 def _chosen(
     spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...], threshold: float | None, most: int
 ) -> Regular:
     """Return all harmonics of the groups that stand out of the irregular structure."""
-    orders = _spaced_places(spectrum, fundamentals, groups)
+    limit = _limit(spectrum, threshold)
+    orders = _spaced_places(spectrum, fundamentals, groups, HEARD * limit)
     f = folded(orders @ fundamentals)
     waves = FixedWaves(spectrum, f)
     floor = line_floor(np.abs(Spectrum(_without(waves)).bins()) ** 2, spectrum.shape, f, f)
@@ -272,8 +285,7 @@ def _chosen(
     if threshold is None:
         kept = power > HARMONIC * floor + 1e-12 * spectrum.energy.max() * spectrum.size.prod()
     else:
-        height, width = spectrum.shape
-        kept = power > (threshold / 255 * height * width / 2) ** 2
+        kept = power > limit
         kept |= kept.any(1, keepdims=True)
     there = np.flatnonzero(kept.any(1))
     there = there[np.argsort(-power[there].sum(1), kind="stable")[:most]]

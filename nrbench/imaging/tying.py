@@ -23,6 +23,9 @@ EMPHASIS = 0.75
 CONVINCED = 14.0
 """Log-likelihood, beyond the two best waves, above which two fundamentals are a lattice: odds of a million to one, as
 ten thousands of pairs were tried. About four waves of a lattice reach it."""
+SUPPORTED = 3.0
+"""The same of the waves off one line, without the best of them: one more at least, or stripes of any profile would be a
+lattice with any other wave."""
 UNCERTAINTIES = (0.03, 0.01, 0.003)
 """Of given fundamentals, before and after they are fitted."""
 FINEST = 6
@@ -44,11 +47,20 @@ def waveset(found: Found, members: NDArray[np.intp] | None = None, tolerance: fl
 
 
 def next_basis(waves: Waveset) -> Basis:
-    """Return two fundamentals where they explain more waves than any two would; else one."""
+    """Return two fundamentals where they explain more waves than any two would, some off one line; else one."""
     pair = find_fundamentals(waves)
-    if pair is None or np.linalg.matrix_rank(pair.orders[pair.explained]) < 2 or beyond(pair, waves) <= CONVINCED:
+    if pair is None or beyond(pair, waves) <= CONVINCED or off_line(pair, waves) <= SUPPORTED:
         return find_fundamental(waves)
     return pair
+
+
+def off_line(basis: Basis, waves: Waveset) -> float:
+    """Return the evidence of waves that lie off the one line with the most of it, the best of them left out."""
+    evidence = (basis.evidence / waves.weights)[basis.explained]
+    x, y = basis.orders[basis.explained].T
+    line = int(np.argmax((np.outer(x, y) == np.outer(y, x)) @ evidence))
+    off = evidence[x * y[line] != y * x[line]]
+    return float(off.sum() - off.max(initial=0))
 
 
 def beyond(basis: Basis, waves: Waveset) -> float:

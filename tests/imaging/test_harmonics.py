@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.errors import BadInput
 from nrbench.imaging.analytic_signal import analytic_signal, complex_waves
-from nrbench.imaging.dirichlet import dirichlet, dirichlet_sum, plane_kernel
+from nrbench.imaging.dirichlet import dirichlet_sum, pair_kernels
 from nrbench.imaging.harmonic_fit import Waves
 from nrbench.imaging.harmonics import Harmonics, analyze
 from nrbench.imaging.noise_floor import noise_floor
@@ -215,21 +215,33 @@ def test_the_spectrum_is_the_sum_over_pixels(shape: tuple[int, int]) -> None:
 @given(st.floats(-1.2, 1.2), st.integers(2, 300))
 @settings(max_examples=60, deadline=None)
 def test_dirichlet_sums_are_sums(frequency: float, length: int) -> None:
-    """The closed form and its slope equal the sums, near the poles and away from them."""
+    """The closed form equals the sum, near the poles and away from them."""
     u = np.arange(length) - (length - 1) / 2
-    angles = 2 * np.pi * frequency * u
-    value, slope, _ = dirichlet(np.array([frequency]), length)
-    assert value[0] == pytest.approx(np.cos(angles).sum(), abs=1e-6 * length)
-    assert slope[0] == pytest.approx(-(2 * np.pi * u * np.sin(angles)).sum(), abs=1e-5 * length**2)
-    assert dirichlet_sum(np.array([frequency]), length)[0] == pytest.approx(value[0], abs=1e-6 * length)
+    known = np.cos(2 * np.pi * frequency * u).sum()
+    assert dirichlet_sum(np.array([frequency]), length)[0] == pytest.approx(known, abs=1e-6 * length)
 
 
-def test_the_kernel_curves_as_its_slope_changes() -> None:
-    """The kernel's second derivatives are the differences of its first."""
-    f, step = np.random.default_rng(0).uniform(-0.4, 0.4, (20, 2)), 1e-6
-    for a, move in enumerate(np.eye(2) * step):
-        change = (plane_kernel(f + move, (40, 33)).slope - plane_kernel(f - move, (40, 33)).slope) / (2 * step)
-        np.testing.assert_allclose(plane_kernel(f, (40, 33)).curvature[a], change, atol=1e-2)
+def test_kernels_of_pairs_are_sums_over_the_picture() -> None:
+    """At differences and sums of frequencies they equal sums over the pixels, with their slopes and curvatures."""
+    f, (height, width) = np.random.default_rng(0).uniform(-0.9, 0.9, (5, 2)), (7, 10)
+    y, x = (np.arange(n) - (n - 1) / 2 for n in (height, width))
+    r = 2 * np.pi * np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    for sign, kernel in zip((-1, 1), pair_kernels(f, (height, width)), strict=True):
+        phase = (f[:, np.newaxis] + sign * f) @ r.T
+        np.testing.assert_allclose(kernel.value, np.cos(phase).sum(2), atol=1e-9)
+        np.testing.assert_allclose(kernel.slope, -np.einsum("ijp,pa->aij", np.sin(phase), r), atol=1e-7)
+        curvature = -np.einsum("ijp,pa,pb->abij", np.cos(phase), r, r)
+        np.testing.assert_allclose(kernel.curvature, curvature, atol=1e-5)
+
+
+def test_what_waves_leave_is_alike_on_grids_and_one_by_one() -> None:
+    """The waves' transform on small grids equals that at each frequency."""
+    rng = np.random.default_rng(0)
+    waves = Waves(Spectrum(rng.standard_normal((24, 31, 3))), rng.uniform(-0.4, 0.4, (6, 2)))
+    f, offsets = rng.uniform(-0.4, 0.4, (4, 2)), np.array([-0.5, 0.25, 0.75])
+    fan = f[:, np.newaxis, np.newaxis] + np.stack(np.meshgrid(offsets, offsets), -1) / waves.spectrum.size
+    known = waves.modelled(fan.reshape(-1, 2)).reshape(4, 3, 3, 3)
+    np.testing.assert_allclose(waves.modelled_around(f, offsets), known, atol=1e-9)
 
 
 def test_the_normal_equations_hold_the_gradient() -> None:
