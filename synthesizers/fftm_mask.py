@@ -11,11 +11,14 @@ from skimage.color import rgb2ypbpr, ypbpr2rgb
 
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image
-from nrbench.imaging.harmonics import Harmonic, Harmonics, Signal, analyze
+from nrbench.imaging.harmonics import Channels, Harmonic, Harmonics, Signal, analyze
 from nrbench.lattice.common_period import CommonPeriod, common_period
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.synthesis import Refused
 from nrbench.texture import Shape
+
+FINEST = 2.5
+"""px: of a finer lattice no wave, or one alone, is below Nyquist and clear of it."""
 
 
 @dataclass(frozen=True)
@@ -26,17 +29,22 @@ class Analysis:
     ----------
     threshold
         Least amplitude of a wave, units of 1/255; 0: automatic. Where tied, that is what stands out of the irregular
-        structure at the wave's place; where free, what noise reaches with probability 0.01. A threshold that is given
-        takes all waves above it for regular, as the paper does.
+        structure at the wave's place; where free, what noise reaches with probability 0.01. Above a threshold that is
+        given all waves are regular, as in the paper, where they are free; where tied, all that their groups' places
+        hold, and each group must have a wave that stands out of what is around it.
     harmonics
         ``"tied"`` to whole combinations of the fundamentals of regular groups, or ``"free"`` (the paper's).
     signal
         ``"real"``, or ``"analytic"`` (the paper's search; where tied, for the waves that propose fundamentals).
+    channels
+        ``"joint"``: a wave has one frequency in all channels. ``"each"``: every channel is analyzed by itself (the
+        paper's), so that frequencies of one wave may differ.
     """
 
     threshold: float = 0.0
     harmonics: Harmonic = "tied"
     signal: Signal = "real"
+    channels: Channels = "joint"
 
     def __post_init__(self) -> None:
         if not 0 <= self.threshold < 255:
@@ -52,7 +60,9 @@ class Analysis:
         sample
             ``(H, W, 1 or 3)``.
         lattice
-            Where it is known, within about 2 %: tied waves then start from its dual. None: it is looked for.
+            Where it is known, within about 2 %: tied waves then start from its dual, be it that it is coarser than
+            need be. One of which the sample does not show two periods, or one too fine for its pixels, is left aside:
+            it is looked for, as with None.
 
         Raises
         ------
@@ -60,11 +70,11 @@ class Analysis:
             Where no group of waves is regular, or none above the threshold: there is no regular part.
         """
         planes = rgb2ypbpr(sample.astype(np.float64)) if sample.shape[2] == 3 else sample.astype(np.float64)
-        given = None if lattice is None else lattice.reduced().dual().matrix
-        found = analyze(planes, self.threshold or None, self.harmonics, signal=self.signal, given=given)
+        given = lattice.reduced().dual().matrix if lattice and _shown(lattice, planes.shape) else None
+        found = analyze(planes, self.threshold or None, self.harmonics, self.channels, signal=self.signal, given=given)
         if not len(found.frequencies):
-            limit = f"reaches the threshold of {self.threshold:g}" if self.threshold else "stands out of its noise"
-            raise Refused(f"no wave of the sample {limit}: it has no regular part to make a mask of")
+            limit = f" and reaches the threshold of {self.threshold:g}" if self.threshold else ""
+            raise Refused(f"no wave of the sample stands out of its noise{limit}: there is no regular part for a mask")
         return TextureMask(found, self.harmonics == "tied")
 
 
@@ -99,20 +109,29 @@ class TextureMask:
 
     @property
     def groups(self) -> tuple[NDArray[np.float64], ...]:
-        """The fundamentals of each group, ``(1 or 2, 2)`` cycles/px, of such as have harmonics; of all if none has."""
-        ends = np.cumsum(self.harmonics.groups)
-        fundamentals = np.split(self.harmonics.fundamentals, ends[:-1]) if len(ends) else []
-        counts = [(block != 0).any(1).sum() for block in np.split(self.harmonics.orders, ends[:-1], 1)]
-        several = tuple(group for group, count in zip(fundamentals, counts, strict=False) if count > 1)
-        return several or tuple(fundamentals)
+        """The fundamentals of each group, ``(1 or 2, 2)`` cycles/px, of such as have harmonics; of all if none has.
+
+        The group whose waves have most energy comes first.
+        """
+        several = tuple(fundamentals for fundamentals, count in self._sorted if count > 1)
+        return several or tuple(fundamentals for fundamentals, _ in self._sorted)
+
+    @cached_property
+    def _sorted(self) -> list[tuple[NDArray[np.float64], int]]:
+        """The fundamentals of each group and how many waves it has, the group of most energy first."""
+        ends = np.cumsum(self.harmonics.groups)[:-1]
+        fundamentals = np.split(self.harmonics.fundamentals, ends)
+        members = np.stack([block.any(1) for block in np.split(self.harmonics.orders, ends, 1)])
+        order = np.argsort(-(members @ (self.harmonics.amplitudes**2).sum(1)), kind="stable")
+        return [(fundamentals[k], int(members[k].sum())) for k in order]
 
     @cached_property
     def lattice(self) -> Lattice | None:
-        """The lattice dual to the fundamentals of the first group of two, or to those of two gratings; else None."""
+        """The lattice dual to the strongest group of two fundamentals, or to those of two gratings; else None."""
         if not self.tied:
             return None
         pairs = [group for group in self.groups if len(group) == 2]
-        lone = np.concatenate([group for group in self.groups if len(group) == 1] or [np.zeros((0, 2))])
+        lone = np.concatenate([group for group, _ in self._sorted if len(group) == 1] or [np.zeros((0, 2))])
         pairs += [np.stack([lone[0], other]) for other in lone[1:] if _cross(lone[0], other)]
         return Lattice.from_basis(np.linalg.inv(pairs[0]).T).reduced() if pairs else None
 
@@ -122,6 +141,12 @@ class TextureMask:
         None where there is none, and where waves are free: they have no common period.
         """
         return common_period(self.groups, tolerance, int(limit)) if self.tied else None
+
+
+def _shown(lattice: Lattice, shape: tuple[int, ...]) -> bool:
+    """Return whether pixels show a lattice, and a sample of ``shape`` two periods of it."""
+    extent = np.abs(lattice.canonical().matrix).max(0)
+    return lattice.s > FINEST and bool((2 * extent <= np.array(shape[1::-1]) + 1).all())
 
 
 def _cross(first: NDArray[np.float64], other: NDArray[np.float64]) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from nrbench.errors import BadInput
 from nrbench.imaging.door import Image
-from nrbench.imaging.harmonics import Harmonic, Signal
+from nrbench.imaging.harmonics import Channels, Harmonic, Signal
 from nrbench.imaging.patchwork import Patchwork
 from nrbench.imaging.placement import Placement, scan_lines
 from nrbench.imaging.seam_heat import SeamHeat
@@ -86,6 +86,9 @@ class FftmPatch:
         cannot tile.
     signal
         How waves are searched: ``"real"``, or ``"analytic"`` (the paper's).
+    channels
+        Whether a wave has one frequency in all channels, ``"joint"``, or every channel is analyzed by itself,
+        ``"each"`` (the paper's).
     """
 
     weight: float = 2.0
@@ -100,6 +103,7 @@ class FftmPatch:
     threshold: float = 0.0
     harmonics: Harmonic = "tied"
     signal: Signal = "real"
+    channels: Channels = "joint"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -125,7 +129,7 @@ class FftmPatch:
             raise BadInput("tileable with harmonics 'free', which have no common period; choose harmonics 'tied'")
 
     def _analysis(self) -> Analysis:
-        return Analysis(self.threshold, self.harmonics, self.signal)
+        return Analysis(self.threshold, self.harmonics, self.signal, self.channels)
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`FftmPatch`. The mask is kept as the extra picture ``mask``.
@@ -137,7 +141,7 @@ class FftmPatch:
         """
         start = time.perf_counter()
         mask = self._analysis().of(task.sample, task.lattice)
-        seconds = time.perf_counter() - start
+        seconds = 0.0 if task.lattice else time.perf_counter() - start
         return dataclasses.replace(self.follow(task, mask), detection_seconds=seconds)
 
     def follow(self, task: Task, mask: TextureMask) -> Synthesis:

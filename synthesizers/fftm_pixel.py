@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 
 from nrbench.errors import checker
 from nrbench.imaging.door import Image
-from nrbench.imaging.harmonics import Harmonic, Signal
+from nrbench.imaging.harmonics import Channels, Harmonic, Signal
 from nrbench.lattice.frdft import Frdft
 from nrbench.synthesis import Synthesis, Task
 
@@ -84,6 +84,9 @@ class FftmPixel:
         ``"tied"`` to whole combinations of common fundamentals, or ``"free"`` (the paper's), which cannot tile.
     signal
         How waves are searched: ``"real"``, or ``"analytic"`` (the paper's).
+    channels
+        Whether a wave has one frequency in all channels, ``"joint"``, or every channel is analyzed by itself,
+        ``"each"`` (the paper's).
     """
 
     neighborhood: int = 3
@@ -99,6 +102,7 @@ class FftmPixel:
     threshold: float = 0.0
     harmonics: Harmonic = "tied"
     signal: Signal = "real"
+    channels: Channels = "joint"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -132,7 +136,7 @@ class FftmPixel:
     @property
     def analysis(self) -> Analysis:
         """How the mask is made."""
-        return Analysis(self.threshold, self.harmonics, self.signal)
+        return Analysis(self.threshold, self.harmonics, self.signal, self.channels)
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`FftmPixel`.

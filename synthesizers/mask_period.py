@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 SLACK = 0.1
 """Share of s by which the mask may be stretched or sheared over the whole output, so that it repeats."""
+LONGEST = 4096
+"""px: waves longer than that along a side do not vary along it."""
 
 
 def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
@@ -51,9 +53,11 @@ def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
 
 
 def _nearest(fundamentals: Array, axis: int, side: int) -> int | None:
-    """Return the length along an axis nearest to ``side`` that is a period, at most twice as long or two vectors."""
-    vectors = np.hypot(*np.linalg.pinv(fundamentals))
-    slack, limit = SLACK * float(vectors.min()), math.ceil(2 * max(side, vectors.max()))
-    lengths = np.arange(1, limit + 1)
-    good = lengths[(misses(fundamentals, axis, limit) <= slack) & (lengths > 2 * slack)]
+    """Return the length along an axis nearest to ``side`` that is a period; any, where nothing varies along it."""
+    waves = np.abs(fundamentals[:, axis])
+    slack = SLACK * float(np.hypot(*np.linalg.pinv(fundamentals)).min())
+    reach = 1 / waves[waves > 1 / LONGEST].min(initial=1.0)
+    lengths = np.arange(1, math.ceil(2 * max(side, reach)) + 1)
+    fits = misses(fundamentals, axis, len(lengths)) <= slack
+    good = lengths[fits & ((lengths > 2 * slack) | fits.all())]
     return int(good[np.abs(good - side).argmin()]) if len(good) else None

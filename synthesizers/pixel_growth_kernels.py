@@ -134,7 +134,7 @@ def grow(
                 if factor > 0 and near >= 0:
                     keys[0] = np.int64(math.ceil((nearest >> 32) / factor)) << 32
                 search(tree, group, roots[group], point, shrink, keys, found, stack, gaps)
-            elif near >= 0 and (nearest < keys[0] or (nearest >> 32) <= factor * (keys[0] >> 32)):
+            elif near >= 0 and (nearest < keys[0] or (factor > 0 and (nearest >> 32) <= factor * (keys[0] >> 32))):
                 found[0] = -1
             chosen = pixels[near if found[0] < 0 else found[0]]
             put(canvas, row, column, chosen, colors[chosen])

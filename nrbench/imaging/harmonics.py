@@ -19,6 +19,7 @@ from nrbench.imaging.wave_sum import about_origin, wave_sum
 
 Harmonic = Literal["free", "tied"]
 Signal = Literal["real", "analytic"]
+Channels = Literal["joint", "each"]
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def analyze(
     planes: Planes,
     threshold: float | None = None,
     harmonics: Harmonic = "free",
-    channels: Literal["joint", "each"] = "joint",
+    channels: Channels = "joint",
     false_alarms: float = 0.01,
     most: int = 400,
     signal: Signal = "real",

@@ -228,7 +228,10 @@ def _grown(part: Regular, vectors: Array, seeds: Array, threshold: float | None,
     n, g = part.orders.shape
     orders = np.zeros((n + len(seeds), g + len(vectors)))
     orders[:n, :g], orders[n:, g:] = part.orders, seeds
-    fundamentals = refine(spectrum, fundamentals, _strongest(spectrum, fundamentals, orders), steps=8).fundamentals
+    strongest = _strongest(spectrum, fundamentals, orders)
+    if not len(strongest):
+        return None
+    fundamentals = refine(spectrum, fundamentals, strongest, steps=8).fundamentals
     chosen = _chosen(spectrum, fundamentals, groups, threshold, most)
     if not chosen.orders[:, g:].any():
         return None
@@ -281,14 +284,13 @@ def _chosen(
     f = folded(orders @ fundamentals)
     waves = FixedWaves(spectrum, f)
     floor = line_floor(np.abs(Spectrum(_without(waves)).bins()) ** 2, spectrum.shape, f, f)
-    power = wave_powers(waves)
+    power, least = wave_powers(waves), 1e-12 * spectrum.energy.max() * spectrum.size.prod()
     if threshold is None:
-        kept = power > HARMONIC * floor + 1e-12 * spectrum.energy.max() * spectrum.size.prod()
+        kept = power > HARMONIC * floor + least
     else:
         kept = power > limit
         kept |= kept.any(1, keepdims=True)
+    weights = kept / np.maximum(floor, least)
     there = np.flatnonzero(kept.any(1))
     there = there[np.argsort(-power[there].sum(1), kind="stable")[:most]]
-    return Regular(
-        FixedWaves(spectrum, f[there]), kept[there], fundamentals, orders[there], groups, (kept / floor)[there]
-    )
+    return Regular(FixedWaves(spectrum, f[there]), kept[there], fundamentals, orders[there], groups, weights[there])

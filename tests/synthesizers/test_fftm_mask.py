@@ -34,10 +34,10 @@ def gray(values: np.ndarray, noise: float = 0.0) -> Image:
 @pytest.mark.parametrize("model", ["brick", "weave", "hexagon"])
 def test_the_mask_is_the_ideal_image_and_not_the_departures(model: str) -> None:
     """It resembles the ideal image, in place and far away; what it leaves of the sample does not."""
-    texture, sample = drawn(model, 21, far=4)
+    texture, sample = drawn(model, 21, far=8)
     assert texture.ideal is not None and texture.lattice is not None
     mask = Analysis().of(sample)
-    near, far = mask.picture((128, 128)), mask.picture((512, 512))
+    near, far = mask.picture((128, 128)), mask.picture((1024, 1024))
     assert correlation(near, texture.ideal[:128, :128]) > 0.97
     assert correlation(far, texture.ideal) > 0.95
     assert abs(correlation(sample - near, texture.ideal[:128, :128])) < 0.05
@@ -123,6 +123,53 @@ def test_constant_channels_stay_constant() -> None:
     np.testing.assert_allclose(picture[..., 1:], 0.5, atol=1e-3)
     with pytest.raises(Refused):
         Analysis().of(np.full((64, 64, 3), 0.4, np.float32))
+
+
+@pytest.mark.parametrize("levels", [(0.5, None, None), (None, 0.25, 0.75), (0.0, None, 1.0)])
+def test_channels_that_show_nothing_change_nothing(levels: tuple[float | None, ...]) -> None:
+    """The lattice is that of the channels that vary, whatever the rest is, black and white too."""
+    texture, sample = drawn("brick", 23)
+    for channel, level in enumerate(levels):
+        if level is not None:
+            sample[..., channel] = level
+    mask = Analysis().of(quantize(sample))
+    assert texture.lattice is not None and mask.lattice is not None
+    assert mask.lattice.is_equivalent(texture.lattice, 0.1)
+
+
+def test_gray_stored_as_color_has_the_mask_of_gray() -> None:
+    """Three equal channels, of which two planes show nothing, make the picture that one makes, three times."""
+    sample = drawn("brick", 23)[1].mean(2, keepdims=True)
+    single = Analysis().of(quantize(sample)).picture((64, 64))
+    triple = Analysis().of(quantize(np.repeat(sample, 3, 2))).picture((64, 64))
+    np.testing.assert_allclose(triple, np.repeat(single, 3, 2), atol=2e-3)
+
+
+@pytest.mark.parametrize("side", [1.0, 2.0, 100.0, 4000.0])
+def test_a_lattice_that_the_sample_does_not_show_is_left_aside(side: float) -> None:
+    """Too fine for pixels, or repeated less than twice: the mask is that of no lattice given."""
+    sample = drawn("brick", 24)[1]
+    given, own = (Analysis().of(sample, lattice) for lattice in (Lattice((side, 0), (0, side)), None))
+    np.testing.assert_array_equal(given.picture((40, 40)), own.picture((40, 40)))
+
+
+def test_of_two_groups_the_stronger_tells_the_lattice() -> None:
+    """A given lattice that holds little of the sample comes after the one that holds most."""
+    texture, sample = drawn("brick", 24)
+    mask = Analysis().of(sample, Lattice((13.3, 2.1), (-4.0, 17.7)))
+    assert texture.lattice is not None and mask.lattice is not None
+    assert mask.lattice.is_equivalent(texture.lattice, 0.3)
+
+
+def test_each_channel_has_its_own_waves_where_asked() -> None:
+    """Channels of different periods are told apart by themselves, as in the paper."""
+    sample = np.full((64, 64, 3), 0.5, np.float32)
+    sample[..., 0] += (0.3 * np.cos(2 * np.pi * X[:64, :64] / 7.3)).astype(np.float32)
+    sample[..., 2] += (0.3 * np.cos(2 * np.pi * Y[:64, :64] / 9.1)).astype(np.float32)
+    mask = Analysis(channels="each").of(quantize(sample))
+    assert len(mask.harmonics.groups) >= 3
+    assert correlation(mask.picture((64, 64)), sample) > 0.99
+    assert (np.count_nonzero(mask.harmonics.amplitudes, axis=1) == 1).all()
 
 
 @pytest.mark.parametrize("shape", [(8, 8), (8, 200), (9, 13)])

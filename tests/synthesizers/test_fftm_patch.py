@@ -263,7 +263,7 @@ def test_it_makes_the_mask_by_itself(given: bool) -> None:
     lattice = wall.lattice if given else None
     made = FftmPatch().synthesize(Task(quantize(wall.image[:80, :80]), (160, 160), lattice, np.random.default_rng(0)))
     assert made.lattice is not None and made.lattice.is_equivalent(wall.lattice, 0.05)
-    assert made.detection_seconds > 0
+    assert (made.detection_seconds > 0) != given
     assert np.corrcoef(made.extras["mask"].ravel(), wall.ideal.ravel())[0, 1] > 0.95
     assert np.corrcoef(made.image.ravel(), wall.ideal.ravel())[0, 1] > 0.8
 
