@@ -5,6 +5,8 @@ from nrbench.imaging.harmonics import analyze
 from nrbench.imaging.line_floor import line_floor
 from nrbench.imaging.places import NEAREST, folded, near, spaced
 from nrbench.imaging.spectrum import Spectrum
+from nrbench.imaging.tying import next_basis, off_line
+from nrbench.lattice.fundamentals import Waveset, find_fundamentals
 from nrbench.lattice.geometry import Lattice
 
 SIZE = np.array([128.0, 128.0])
@@ -16,6 +18,16 @@ def test_weak_signs_of_a_larger_tile_count() -> None:
     found = analyze(texture.image.astype(np.float64), harmonics="tied")
     assert texture.lattice is not None and found.groups == (2,)
     assert Lattice.from_basis(np.linalg.inv(found.fundamentals).T).is_equivalent(texture.lattice, 0.05)
+
+
+def test_stripes_and_one_more_wave_are_no_lattice() -> None:
+    """Harmonics of one fundamental with a wave off their line give one; with two more waves of a lattice, two."""
+    places = [(0.0, 4.3 * k) for k in range(1, 7)] + [(9.1, 0.2), (2.0, 1.1)]
+    stripes = Waveset(np.array(places), np.full(8, 0.05), np.ones(8))
+    pair = find_fundamentals(stripes)
+    assert pair is not None and off_line(pair, stripes) == 0 and len(next_basis(stripes).vectors) == 1
+    more = Waveset(np.array([*places, (18.2, 4.7), (9.1, 4.5)]), np.full(10, 0.05), np.ones(10))
+    assert len(next_basis(more).vectors) == 2
 
 
 def test_no_two_waves_of_a_mask_are_near() -> None:

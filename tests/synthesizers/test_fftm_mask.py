@@ -80,6 +80,15 @@ def test_noise_has_no_regular_part(spectrum: str, seed: int) -> None:
         Analysis().of(quantize(nrbench.texture("noise", seed=seed, spectrum=spectrum).image))
 
 
+@pytest.mark.parametrize("seed", [6, 8])
+def test_less_than_a_tile_has_no_regular_part(seed: int) -> None:
+    """Of pieces nearly as large as the sample nothing is seen twice; waves of an edge and one more are no lattice."""
+    known = {"width": 127.3, "height": 117.1, "gap": 3.1, "color": 0.2, "intensity": 0.15, "noise": 0.03}
+    texture = nrbench.texture("jigsaw", (160, 160), seed, **known)
+    with pytest.raises(Refused, match="no regular part"):
+        Analysis().of(quantize(texture.image))
+
+
 def test_a_single_wave_makes_a_mask() -> None:
     """One cosine, noisy, is one group of one wave; it has no lattice, and a tile for stripes at a slant."""
     mask = Analysis().of(gray(0.5 + 0.2 * np.cos(2 * np.pi * (0.0625 * X + 0.025 * Y)), 0.1))
