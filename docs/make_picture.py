@@ -18,11 +18,13 @@ from nrbench.lattice.overlay import overlay
 from nrbench.records import CellRecord
 
 TEXTURES = ("brick-mild", "weave-middle", "hexagon-middle-rotated")
-COLUMNS = (("oracle", "none"), ("rsgf", "own"), ("tiling", "own"), ("scatter", "none"))
+COLUMNS = (
+    ("oracle", "none"), ("rsgf", "own"), ("tile-set", "own"), ("fftm-patch", "own"), ("ann-pixel", "none"), ("tiling", "own"),
+)  # fmt: skip
 TITLES = {
     "oracle": "oracle: a fresh draw",
     "tiling": "tiling: one tile, repeated",
-    "scatter": "scatter: random patches",
+    "ann-pixel": "ann-pixel: no lattice",
 }
 
 
@@ -37,7 +39,7 @@ def main() -> None:
     """Draw one row a texture: sample with its lattice, then an output a method."""
     records = {(r.texture, r.method, r.lattice_source): r for r in Run(Path(sys.argv[1])).cells}
     widths = [0.62, *[1] * len(COLUMNS)]
-    figure, axes = plt.subplots(len(TEXTURES), 1 + len(COLUMNS), figsize=(10.4, 8.3), width_ratios=widths)
+    figure, axes = plt.subplots(len(TEXTURES), 1 + len(COLUMNS), figsize=(14.2, 7.6), width_ratios=widths)
     for row, texture in zip(axes, TEXTURES, strict=True):
         first = records[texture, *COLUMNS[0]]
         truth = Lattice.from_dict(first.lattice_truth or {})
@@ -47,9 +49,6 @@ def main() -> None:
             record = records[texture, *column]
             axis.imshow(read_image(record.folder / "output.png"), interpolation="nearest")
             axis.set_xlabel(caption(record))
-            axis.set_title(
-                "" if row is not axes[0] else column[0] + (" (a fresh draw)" if column[0] == "oracle" else "")
-            )
     for axis, (method, _) in zip(axes[0, 1:], COLUMNS, strict=True):
         axis.set_title(TITLES.get(method, method))
     for axis in np.ravel(axes):
