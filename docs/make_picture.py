@@ -19,8 +19,13 @@ from nrbench.records import CellRecord
 
 TEXTURES = ("brick-mild", "weave-middle", "hexagon-middle-rotated")
 COLUMNS = (
-    ("oracle", "none"), ("rsgf", "own"), ("tile-set", "own"), ("fftm-patch", "own"), ("ann-pixel", "none"), ("tiling", "own"),
-)  # fmt: skip
+    ("oracle", "none"),
+    ("rsgf", "own"),
+    ("tile-set", "own"),
+    ("fftm-patch", "own"),
+    ("ann-pixel", "none"),
+    ("tiling", "own"),
+)
 TITLES = {
     "oracle": "oracle: a fresh draw",
     "tiling": "tiling: one tile, repeated",
