@@ -45,7 +45,7 @@ from nrbench.imaging.harmonics import Harmonic, Harmonics, analyze
 from nrbench.imaging.line_floor import line_floor
 from nrbench.imaging.places import folded, places_of, spaced
 from nrbench.imaging.pursuit import wave_powers
-from nrbench.imaging.regular_part import HARMONIC
+from nrbench.imaging.regular_waves import HARMONIC
 from nrbench.imaging.spectrum import Spectrum
 from nrbench.imaging.wave_sum import about_origin, wave_sum
 from nrbench.lattice.geometry import Lattice

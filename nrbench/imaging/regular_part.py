@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.dirichlet import Array
-from nrbench.imaging.harmonic_fit import FixedWaves, Waves, refine
+from nrbench.imaging.harmonic_fit import Waves, refine
 from nrbench.imaging.line_floor import line_floor
-from nrbench.imaging.places import folded, inside, near, places_of, spaced
+from nrbench.imaging.places import folded, inside, near, places_of
 from nrbench.imaging.pursuit import QUICK, Found, pursue, wave_powers
+from nrbench.imaging.regular_waves import Regular, harmonics_of, without
 from nrbench.imaging.spectrum import Spectrum
-from nrbench.imaging.tying import MOST_GROUPS, beyond, finer_fundamentals, nearest_fundamentals, next_basis, waveset
+from nrbench.imaging.tying import (
+    MOST_GROUPS,
+    REPEATED,
+    beyond,
+    finer_fundamentals,
+    nearest_fundamentals,
+    next_basis,
+    shortest,
+    waveset,
+)
 from nrbench.imaging.wave_registration import registered
-from nrbench.imaging.wave_sum import about_origin, wave_sum
 from nrbench.lattice.fundamentals import SHORTEST, Basis, Waveset
 
 Search = Callable[[Spectrum, float | None, float, int], Found]
@@ -25,57 +33,20 @@ LEADERS = 24
 """Waves looked for to find a group's fundamentals."""
 VOTERS = 60
 """Waves, the strongest, by which the fundamentals are fitted: more change them no more."""
-HARMONIC = 4.0
-"""Power over the irregular structure's, from which on a wave at a place of a lattice is taken to be there."""
 FINEST = 0.25
 """Cycles/px: finer waves have no say in where the fundamentals lie, as others, beyond Nyquist, are folded on them."""
 SAME = 0.3
 """Bins between waves whose difference is taken to be a whole combination."""
 PROPOSING = 16.0
-"""The same for a wave that may propose fundamentals."""
+"""Power over the irregular structure's, from which on a wave may propose fundamentals."""
 CLEAR = 100.0
 """The same for a wave that no harmonic supports."""
 STRIPED = 8.0
 """Log-likelihood, beyond the best wave, above which one fundamental with harmonics is regular."""
 ALIGNED = 2.5
 """Of that, a wave's for being on the line at all: the colors of threads are waves on a line, too, and not regular."""
-REPEATED = 2.0
-"""Bins: of a fundamental below that the picture holds fewer than two periods, so that parts of a tile are seen once."""
 FARTHEST_MOVE = 0.5
 """Bins."""
-FOLDED = 0.25
-"""How much the power counts of a wave beyond Nyquist, against that of one below that pixels cannot tell from it."""
-CROWD = 900
-"""Places of a lattice that are fitted at most, those of the highest power."""
-HEARD = 0.1
-"""Share of a given threshold's power that the picture's spectrum must have at a place for a wave to be fitted there."""
-
-
-class Regular(NamedTuple):
-    """The regular waves of a picture.
-
-    Parameters
-    ----------
-    waves
-        At ``orders @ fundamentals``, fitted.
-    kept
-        ``(n, C)``: the channels in which each stands out of the irregular structure.
-    fundamentals
-        ``(g, 2)`` cycles/px.
-    orders
-        ``(n, g)`` whole numbers.
-    groups
-        How many fundamentals, 1 or 2, each group has; they follow each other in ``fundamentals``.
-    weights
-        ``(n, C)``: the inverse of the irregular structure's power at each, 0 where it is not kept.
-    """
-
-    waves: Waves
-    kept: NDArray[np.bool_]
-    fundamentals: Array
-    orders: Array
-    groups: tuple[int, ...]
-    weights: Array
 
 
 def quickly(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> Found:
@@ -132,11 +103,15 @@ def _nothing(spectrum: Spectrum) -> Regular:
 
 def _registered(part: Regular, threshold: float | None, most: int) -> Regular:
     """Return the part with its lattice registered; as it was, where that would move a wave by half a bin."""
-    f, spectrum = part.orders @ part.fundamentals, part.waves.spectrum
-    moved = registered(part.waves, f, part.fundamentals)
-    if np.abs((part.orders @ moved - f) * spectrum.size).max() > FARTHEST_MOVE:
-        return part
-    return _chosen(spectrum, moved, part.groups, threshold, most)
+    spectrum = part.waves.spectrum
+    fundamentals = registered(part.waves, part.orders @ part.fundamentals, part.fundamentals)
+    return part if _moved(part, fundamentals) else harmonics_of(spectrum, fundamentals, part.groups, threshold, most)
+
+
+def _moved(part: Regular, fundamentals: Array) -> bool:
+    """Return whether some wave of a part lies half a bin or more from where other fundamentals would have it."""
+    bins = part.orders @ (part.fundamentals - fundamentals) * part.waves.spectrum.size
+    return bool(np.abs(bins).max(initial=0.0) > FARTHEST_MOVE)
 
 
 def _next_group(
@@ -144,17 +119,19 @@ def _next_group(
 ) -> Regular | None:
     """Return the part with one more group, None where nothing regular is left."""
     spectrum = part.waves.spectrum
-    left = Spectrum(_without(part.waves, part.kept)) if part.groups else spectrum
+    left = Spectrum(without(part.waves, part.kept)) if part.groups else spectrum
     found = search(left, threshold, false_alarms, min(LEADERS, most))
     strong = np.argsort(-found.powers.sum(1), kind="stable")
     strong = strong[(_out_of_line(found) & _apart(found, part))[strong]]
     if part.groups == (2,) and (finer := finer_fundamentals(found, strong, part.fundamentals)) is not None:
-        return _grown(_nothing(spectrum), *finer, threshold, most)
+        larger = _grown(_nothing(spectrum), *finer, threshold, most)
+        if larger is not None and not _moved(larger, finer[0]):
+            return larger
     order = _news(found, part, strong)
     while len(order):
         waves = waveset(found, order)
         basis = next_basis(waves)
-        short = float(np.hypot(*basis.vectors.T).min()) < (REPEATED if threshold is None else SHORTEST)
+        short = shortest(basis.vectors) < (REPEATED if threshold is None else SHORTEST)
         if not short and _is_regular(basis, waves, found, order[0], threshold):
             seeds = basis.orders[basis.explained]
             grown = _grown(part, basis.vectors / spectrum.size, seeds, threshold, most)
@@ -168,12 +145,6 @@ def _is_regular(basis: Basis, waves: Waveset, found: Found, strongest: np.intp, 
     """Return whether fundamentals are those of a group: two, one with harmonics, or that of one clear wave."""
     harmonics = beyond(basis, waves) - ALIGNED * (int(basis.explained.sum()) - 1)
     return len(basis.vectors) == 2 or harmonics > STRIPED or _is_clear(found, strongest, threshold)
-
-
-def _without(waves: Waves, kept: NDArray[np.bool_] | None = None) -> Array:
-    """Return the planes without the waves."""
-    shape = waves.spectrum.shape
-    return np.asarray(waves.spectrum.planes - wave_sum(waves.frequencies, *about_origin(waves, kept), shape))
 
 
 def _apart(found: Found, part: Regular) -> NDArray[np.bool_]:
@@ -232,10 +203,10 @@ def _grown(part: Regular, vectors: Array, seeds: Array, threshold: float | None,
     if not len(strongest):
         return None
     fundamentals = refine(spectrum, fundamentals, strongest, steps=8).fundamentals
-    chosen = _chosen(spectrum, fundamentals, groups, threshold, most)
+    chosen = harmonics_of(spectrum, fundamentals, groups, threshold, most)
     if not chosen.orders[:, g:].any():
         return None
-    chosen = _chosen(spectrum, _aligned(chosen), groups, threshold, most)
+    chosen = harmonics_of(spectrum, _aligned(chosen), groups, threshold, most)
     return chosen if chosen.orders[:, g:].any() else None
 
 
@@ -256,41 +227,3 @@ def _strongest(spectrum: Spectrum, fundamentals: Array, orders: Array) -> Array:
     orders = orders[(np.abs(orders @ fundamentals) < 0.5).all(1)]
     power = wave_powers(Waves(spectrum, orders @ fundamentals)).sum(1)
     return np.asarray(orders[np.argsort(-power, kind="stable")[:VOTERS]])
-
-
-def _spaced_places(spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...], least: float) -> Array:
-    """Return the orders of places of at least some power, of such as pixels cannot tell apart the one with more."""
-    orders = places_of(fundamentals, groups, spectrum.size)
-    power = (np.abs(spectrum.values(folded(orders @ fundamentals))) ** 2).sum(1)
-    orders, power = orders[power >= least], power[power >= least]
-    f = orders @ fundamentals
-    power *= np.where((np.abs(f) < 0.5).all(1), 1, FOLDED)
-    best = np.argsort(-power, kind="stable")[:CROWD]
-    return np.asarray(orders[best[spaced(folded(f[best]), power[best], spectrum.size)]])
-
-
-def _limit(spectrum: Spectrum, threshold: float | None) -> float:
-    """Return the power of a wave of the threshold's amplitude; 0 where there is none."""
-    height, width = spectrum.shape
-    return ((threshold or 0.0) / 255 * height * width / 2) ** 2
-
-
-def _chosen(
-    spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...], threshold: float | None, most: int
-) -> Regular:
-    """Return all harmonics of the groups that stand out of the irregular structure."""
-    limit = _limit(spectrum, threshold)
-    orders = _spaced_places(spectrum, fundamentals, groups, HEARD * limit)
-    f = folded(orders @ fundamentals)
-    waves = FixedWaves(spectrum, f)
-    floor = line_floor(np.abs(Spectrum(_without(waves)).bins()) ** 2, spectrum.shape, f, f)
-    power, least = wave_powers(waves), 1e-12 * spectrum.energy.max() * spectrum.size.prod()
-    if threshold is None:
-        kept = power > HARMONIC * floor + least
-    else:
-        kept = power > limit
-        kept |= kept.any(1, keepdims=True)
-    weights = kept / np.maximum(floor, least)
-    there = np.flatnonzero(kept.any(1))
-    there = there[np.argsort(-power[there].sum(1), kind="stable")[:most]]
-    return Regular(FixedWaves(spectrum, f[there]), kept[there], fundamentals, orders[there], groups, weights[there])

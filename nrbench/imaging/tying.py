@@ -7,9 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.imaging.cosets import beyond_chance
 from nrbench.imaging.dirichlet import Array
 from nrbench.imaging.pursuit import Found
-from nrbench.lattice.fundamentals import SHORTEST, Basis, Waveset, find_fundamental, find_fundamentals
+from nrbench.lattice.fundamentals import Basis, Waveset, find_fundamental, find_fundamentals
 from nrbench.lattice.geometry import shortest_pair
 from nrbench.lattice.hermite import hermite_matrices
 
@@ -35,6 +36,8 @@ BETWEEN = 4
 MAJORITY = 0.6
 """Share of the power of what is left that they have, at least: of irregular waves, some lie there by chance."""
 MOST_GROUPS = 16
+REPEATED = 2.0
+"""Bins: of a fundamental below that the picture holds fewer than two periods, so that parts of a tile are seen once."""
 
 
 def waveset(found: Found, members: NDArray[np.intp] | None = None, tolerance: float = TOLERANCE) -> Waveset:
@@ -122,7 +125,14 @@ def finer_fundamentals(found: Found, order: NDArray[np.intp], fundamentals: Arra
             finer = form @ fundamentals / index
             orders = np.rint(f @ np.linalg.inv(finer))
             near = np.hypot(*((f - orders @ finer) * size).T) < 3 * TOLERANCE
-            apart = float(np.hypot(*np.array(shortest_pair(finer * size))[0])) >= SHORTEST
-            if apart and near.sum() >= BETWEEN and power[near].sum() > MAJORITY * power.sum():
+            most = near.sum() >= BETWEEN and power[near].sum() > MAJORITY * power.sum()
+            seen = most and shortest(finer * size) >= REPEATED
+            if seen and beyond_chance(found.waves.spectrum, orders[near] @ finer, fundamentals):
                 return finer, orders[near]
     return None
+
+
+def shortest(vectors: Array) -> float:
+    """Return the length of the shortest vector of the lattice that one or two vectors ``(1 or 2, 2)`` span."""
+    first = shortest_pair(vectors)[0] if len(vectors) == 2 else vectors[0]
+    return float(np.hypot(*first))

@@ -200,6 +200,15 @@ def test_small_and_odd_samples_are_refused_or_masked(shape: tuple[int, int], kin
     assert np.isfinite(mask.picture((50, 70), (1e4, -1e4))).all()
 
 
+@pytest.mark.parametrize(("color", "seed"), [(0.14, 56), (0.3, 57)])
+def test_what_threads_have_in_common_by_chance_is_no_larger_tile(color: float, seed: int) -> None:
+    """The lattice is the weave's, though some of its threads' colors nearly repeat after five rows."""
+    texture = nrbench.texture("weave", shape=(128, 128), seed=seed, color=color, intensity=color / 2, noise=0.03)
+    mask = Analysis().of(quantize(texture.image))
+    assert texture.lattice is not None and mask.lattice is not None
+    assert mask.lattice.is_equivalent(texture.lattice, 0.1)
+
+
 def test_free_masks_have_no_tile() -> None:
     """Free waves have no common period: no lattice and no tile."""
     mask = Analysis(threshold=8.0, harmonics="free").of(drawn("brick", 25)[1])
