@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
@@ -29,6 +28,9 @@ of several cells keeps the lattice, and one of a part of a cell breaks it. Of 27
 
 _SEARCHED = 0.4
 """Share of the work that is done when the tile is chosen."""
+
+MOST = 1e6
+"""Of either weight: larger ones leave nothing of the other."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class RepresentativeTile:
     Parameters
     ----------
     alpha, beta
-        Weights of continuity and resemblance, at least 0, not both 0 (the paper: alpha 1, 30 or 0, beta 1).
+        Weights of continuity and resemblance, 0 to 1e6, not both 0 (the paper: alpha 1, 30 or 0, beta 1).
     p
         Share in (0, 1] of the places, those of least h, of which the best is taken (the paper: 0.0001 to 0.02). None:
         all of them.
@@ -97,8 +99,8 @@ class RepresentativeTile:
     paper: ClassVar[str] = Ssdn.paper
 
     def __post_init__(self) -> None:
-        weights = min(self.alpha, self.beta) >= 0 and 0 < self.alpha + self.beta < math.inf
-        _check(weights, f"alpha {self.alpha}, beta {self.beta}; choose weights of 0 or more, not both 0")
+        weights = min(self.alpha, self.beta) >= 0 and 0 < self.alpha + self.beta <= MOST
+        _check(weights, f"alpha {self.alpha}, beta {self.beta}; choose weights from 0 to {MOST:g}, not both 0")
         _check(self.p is None or 0 < self.p <= 1, f"p {self.p}; choose a share above 0, at most 1, or leave it out")
         _check(1 <= self.m <= 99, f"m {self.m}; choose from 1 (the best tile) to 99")
         _check(0 <= self.tolerance < 0.5, f"tolerance {self.tolerance}; choose a share of s from 0 to below 0.5")

@@ -18,6 +18,8 @@ from nrbench.synthesis import FoundLattice, Synthesis, Task, find_lattice
 from .filling import Filling, Rules, Search
 from .room import check_border, room_with_border
 
+NEAR = 0.07
+"""Share of s, along x and along y, that a gap's patch may be off its place: together less than a tenth."""
 FARTHEST_DEFORM = 3.0
 """px; a patch deformed more would show other elements than those that were matched."""
 _BETTER_HALF = 0.5
@@ -27,8 +29,9 @@ _BETTER_HALF = 0.5
 class Rsgf:
     """Random sampling and gap filling (RSGF, section 4): random patches on the lattice, and patches that join them.
 
-    The output is divided into blocks. Every second one, as on a chess-board, takes a patch drawn uniformly from the
-    places of the sample that the lattice calls equal to its own and that show it whole, borders included (section 4.1).
+    The output is divided into blocks. Every second one, as on a chess-board, takes a patch drawn from the places of the
+    sample that the lattice calls equal to its own and that show it whole, borders included (section 4.1; uniformly, but
+    for what ``spread`` prefers).
     Each gap left takes the patch that agrees best with the border that its neighbours' patches, continued into the gap,
     compose of their wedges (section 4.2, figure 4). The paper leaves open whether that border lies inside the gap or
     around it; here it lies inside, so that it is also what is blended, and the sample needs no more room. Places
@@ -64,7 +67,7 @@ class Rsgf:
         (section 5): no lattice is looked for or used.
     tolerance
         How near the lattice's places a gap's patch lies, px along x and along y; only where the search is by the
-        lattice. None takes 3 px (the paper's), but not more than a tenth of the shortest lattice vector.
+        lattice. None takes 3 px (the paper's), but not more than 0.07 of the shortest lattice vector.
     subpixel
         Patches at real-valued places, interpolated by splines of order 5; a gap's is moved to where it meets its border
         best, within the tolerance. False: at whole pixels, half a pixel off at most.
@@ -98,7 +101,7 @@ class Rsgf:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
     paper: ClassVar[str] = Gncc.paper
 
     def __post_init__(self) -> None:
@@ -137,7 +140,7 @@ class Rsgf:
     def _rules(self, lattice: Lattice | None) -> Rules:
         reach = 0.0
         if lattice is not None:
-            tolerance = min(3.0, 0.1 * lattice.s) if self.tolerance is None else self.tolerance
+            tolerance = min(3.0, NEAR * lattice.s) if self.tolerance is None else self.tolerance
             reach = min(tolerance, math.hypot(*lattice.reduced().t2))
         among = _BETTER_HALF if self.among is None else self.among
         return Rules(self.match, self.search, reach, self.subpixel, self.deform, among, self.spread)

@@ -60,7 +60,8 @@ class TileSet:
     ``quantile`` of the others of its set.
 
     With no lattice given it finds one by ``consensus``. The paper's own settings are ``tile=upright, cells=1,
-    stitch=dynamic, slope=1, difference=sum, parts=1, anchor=given`` and a ``threshold`` set by hand for the texture.
+    stitch=dynamic, slope=1, difference=sum, parts=1, registration=1, anchor=given`` and a ``threshold`` set by hand for
+    the texture.
 
     Parameters
     ----------
@@ -74,7 +75,8 @@ class TileSet:
     cells
         Times that a tile's sides are lengthened, 1 to 64 (the paper: 1). A larger piece of the sample breaks fewer
         elements and takes less time, but the sample is copied on for longer; any tile of the lattice may be laid.
-        None: 1, or as many as make s 16 px or more where the sample holds such tiles.
+        None: 1, or as many as make s 16 px or more where the sample holds such tiles. Cells one brick wide and several
+        courses high show no brick of every second course whole: there 2 leaves fewer bricks in two tones.
     margin
         By how many px, at most s, tiles are longer at both ends of each side, steps staying what they are. None: 2 for
         exact cuts where the sample holds such tiles, else 0 (the paper).
@@ -89,10 +91,13 @@ class TileSet:
         How far, px, at most s, a tile may be moved from its place; 0 does not register. None: 0.025 s, at most 1 px:
         where stripes fit at any shift along themselves, tiles that each follow the one before would shift whole
         courses. Less than half a part of a pixel moves nothing: so it is by default where s is 10 to 20 px, and nothing
-        is missed there (four walls and weaves of ``core``, s 18 px: with 1 px no more and no fewer elements broken).
+        is missed there (four walls and weaves of ``core``, s 18 px: with 1 px as many elements are broken, to 0.02).
+        It follows what is irregular: where the sample is perfectly periodic it costs up to 10 dB.
     parts
         Tiles are placed to whole pixels (1), or to halves, thirds, ... 16ths, interpolated by splines of order 5. None:
-        quarters where s is under 10 px; else whole pixels, so that all is copied and no noise is smoothed.
+        quarters where s is under 10 px; else whole pixels, so that all is copied and no noise is smoothed (quarters
+        take 0.07 of the variation on ``core``). A smooth periodic texture whose vectors are no whole pixels, s 18 to
+        21 px, then comes back with a PSNR of 31 to 34 dB; of 43 to 46 dB with ``parts=4, registration=0``.
         Without meaning where both vectors are whole pixels.
     stitch
         ``"graphcut"``: the exact minimum cut, as above; neither slope nor feather count then. ``"dynamic"``: two seams

@@ -94,7 +94,7 @@ class Patches:
     def read(self, points: Points) -> Image:
         """Return the values, clipped to [0, 1], at points (x, y) of the sample: ``(..., 2)`` to ``(..., C)``."""
         found = quintic_at(self._spline, np.ascontiguousarray(points, np.float64).reshape(-1, 2))
-        return np.asarray(np.clip(found, 0, 1)).reshape(*points.shape[:-1], -1)
+        return np.asarray(np.clip(found, 0, 1)).reshape(*points.shape[:-1], self.sample.shape[2])
 
     def at(self, points: Points) -> tuple[Image, Source]:
         """Return the pixels that show points (x, y) of the sample, ``(h, w, 2)``, and where they come from.

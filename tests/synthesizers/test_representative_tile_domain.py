@@ -77,6 +77,7 @@ def test_turned_tiles_that_do_not_fit_are_refused() -> None:
     [
         {"alpha": -1.0},
         {"alpha": 0.0, "beta": 0.0},
+        {"alpha": 1.0, "beta": 1e308},
         {"p": 0.0},
         {"p": 1.5},
         {"m": 0},

@@ -107,3 +107,9 @@ def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
     first, second, other = (synthesize(8, noise(60, 72), seed=k).image for k in (1, 1, 2))
     np.testing.assert_array_equal(first, second)
     assert (first != other).any()
+
+
+def test_a_sample_without_a_whole_piece_is_refused() -> None:
+    """A long slanted tile leaves no room around its edges: the refusal says so, and what to do."""
+    with pytest.raises(Refused, match=r"0 and 0 whole pieces .* choose fewer tiles"):
+        synthesize(4, noise(96, 96), (41, 97), Lattice((30, 4), (28, 10)))
