@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from nrbench.errors import BadInput
 from nrbench.imaging.blocks import BlockGrid
 from nrbench.imaging.canvas import Canvas, Seam
 from nrbench.imaging.matching import Match
 from nrbench.imaging.patches import Patches
+from nrbench.lattice.consensus import Consensus
+from nrbench.lattice.detection import Detector
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.gncc import Gncc
 from nrbench.synthesis import FoundLattice, Synthesis, Task, find_lattice
@@ -18,6 +20,7 @@ from nrbench.synthesis import FoundLattice, Synthesis, Task, find_lattice
 from .filling import Filling, Rules, Search
 from .room import check_border, room_with_border
 
+Finder = Literal["consensus", "gncc"]
 NEAR = 0.07
 """Share of s, along x and along y, that a gap's patch may be off its place: together less than a tenth."""
 FARTHEST_DEFORM = 3.0
@@ -31,23 +34,22 @@ class Rsgf:
 
     The output is divided into blocks. Every second one, as on a chess-board, takes a patch drawn from the places of the
     sample that the lattice calls equal to its own and that show it whole, borders included (section 4.1; uniformly, but
-    for what ``spread`` prefers).
-    Each gap left takes the patch that agrees best with the border that its neighbours' patches, continued into the gap,
-    compose of their wedges (section 4.2, figure 4). The paper leaves open whether that border lies inside the gap or
-    around it; here it lies inside, so that it is also what is blended, and the sample needs no more room. Places
-    on the lattice are computed from its real-valued vectors, so that nothing drifts.
+    for what ``spread`` prefers). Each gap left takes the patch that agrees best with the border that its neighbours'
+    patches, continued into the gap, compose of their wedges (section 4.2, figure 4). The paper leaves open whether that
+    border lies inside the gap or around it; here it lies inside, so that it is also what is blended, and the sample
+    needs no more room. Places on the lattice are computed from its real-valued vectors, so that nothing drifts.
 
-    The paper's own choice is ``rsgf:seam=blend,subpixel=false,tolerance=3,among=0,spread=false``: places rounded to
-    whole pixels, linear blending, a gap's patch the best from 3 px around. What it leaves to future work (section 6) is
-    the default where it proved better: places to fractions of a pixel, and seams by graph cut, which run along the
-    outlines of what the texture is made of (bricks in one color, not two).
+    The paper's own choice is ``rsgf:seam=blend,subpixel=false,tolerance=3,among=0,spread=false,finder=gncc``: places
+    rounded to whole pixels, linear blending, a gap's patch the best from 3 px around. What it leaves to future work
+    (section 6) is the default where it proved better: places to fractions of a pixel, and seams by graph cut, which run
+    along the outlines of what the texture is made of (bricks in one color, not two).
 
     One thing the paper does not speak of: the best match is too often a patch near the mean of all, or one that lies
     there already, so that the output varies less than the sample. Here a gap's patch is one of the better half, and of
     these one that the output shows least of; where seams are cut it keeps a border's width from the sample's edge, so
     that they have room.
 
-    With no lattice given, be it that a detector of the lattice axis found none, the method finds one by ``gncc``; where
+    With no lattice given, be it that a detector of the lattice axis found none, the method finds one itself; where
     there is none it goes on in the paper's mode for irregular textures, in which every position is a candidate, and
     says so in the note.
 
@@ -85,6 +87,9 @@ class Rsgf:
     spread
         Whether patches are drawn from those places that patches laid of late overlap least. False: all are equally
         likely (the paper's).
+    finder
+        By what the method finds a lattice itself: ``"consensus"``, or the paper's own ``"gncc"``, which takes half or
+        twice the period of some walls and carpets.
     """
 
     block: int = 40
@@ -97,6 +102,7 @@ class Rsgf:
     deform: float = 0.0
     among: float | None = None
     spread: bool = True
+    finder: Finder = "consensus"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -128,7 +134,7 @@ class Rsgf:
             When the sample does not hold a block with its borders, or no such patch equal to one of the output's.
         """
         room = room_with_border(task.sample.shape, self.block, self.border)
-        found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, Gncc())
+        found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, self._finder())
         canvas = Canvas(Patches(task.sample), BlockGrid(task.shape, self.block, self.border), self.seam)
         filling = Filling(task, found.lattice, canvas, self._rules(found.lattice))
         filling.sample_placed(room)
@@ -136,6 +142,9 @@ class Rsgf:
         image, source = canvas.finished()
         task.progress(1.0)
         return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=self._note(found))
+
+    def _finder(self) -> Detector:
+        return Consensus() if self.finder == "consensus" else Gncc()
 
     def _rules(self, lattice: Lattice | None) -> Rules:
         reach = 0.0

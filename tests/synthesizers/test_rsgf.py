@@ -137,7 +137,7 @@ def test_without_any_lattice_it_goes_on_in_stochastic_mode_and_says_so(monkeypat
         def detect(self, image: Image) -> Detection:
             raise NoLatticeFound("nothing repeats")
 
-    monkeypatch.setattr("nrbench.synthesizers.rsgf.Gncc", FindsNone)
+    monkeypatch.setattr("nrbench.synthesizers.rsgf.Consensus", FindsNone)
     sample = noise(60, 60, 1)
     made = synthesize(SMALL, sample, (160, 160), None)
     assert made.lattice is None
@@ -146,15 +146,16 @@ def test_without_any_lattice_it_goes_on_in_stochastic_mode_and_says_so(monkeypat
     assert len(np.unique(places(made, 8)[::2, ::2].reshape(-1, 2), axis=0)) > 90
 
 
-def test_without_a_lattice_given_it_finds_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The detector's lattice is used and told, with what finding it cost."""
+@pytest.mark.parametrize("finder", ["consensus", "gncc"])
+def test_without_a_lattice_given_it_finds_one(finder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The lattice of the detector that was chosen is used and told, with what finding it cost."""
 
     class Finds:
         def detect(self, image: Image) -> Detection:
             return Detection(FRACTIONAL, 1.0)
 
-    monkeypatch.setattr("nrbench.synthesizers.rsgf.Gncc", Finds)
-    made = synthesize(SMALL, noise(60, 60), (50, 50), None)
+    monkeypatch.setattr(f"nrbench.synthesizers.rsgf.{finder.capitalize()}", Finds)
+    made = synthesize(replace(SMALL, finder=finder), noise(60, 60), (50, 50), None)
     assert made.lattice == FRACTIONAL
     assert made.detection_seconds > 0
     assert not made.note
