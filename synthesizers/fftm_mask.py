@@ -17,6 +17,8 @@ from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.synthesis import Refused
 from nrbench.texture import Shape
 
+from .periods import shows_two_periods
+
 FINEST = 2.5
 """px: of a finer lattice no wave, or one alone, is below Nyquist and clear of it."""
 
@@ -70,7 +72,8 @@ class Analysis:
             Where no group of waves is regular, or none above the threshold: there is no regular part.
         """
         planes = rgb2ypbpr(sample.astype(np.float64)) if sample.shape[2] == 3 else sample.astype(np.float64)
-        given = lattice.reduced().dual().matrix if lattice and _shown(lattice, planes.shape) else None
+        shown = lattice is not None and lattice.s > FINEST and shows_two_periods(lattice, planes.shape)
+        given = lattice.reduced().dual().matrix if lattice is not None and shown else None
         found = analyze(planes, self.threshold or None, self.harmonics, self.channels, signal=self.signal, given=given)
         if not len(found.frequencies):
             limit = f" and reaches the threshold of {self.threshold:g}" if self.threshold else ""
@@ -141,12 +144,6 @@ class TextureMask:
         None where there is none, and where waves are free: they have no common period.
         """
         return common_period(self.groups, tolerance, int(limit)) if self.tied else None
-
-
-def _shown(lattice: Lattice, shape: tuple[int, ...]) -> bool:
-    """Return whether pixels show a lattice, and a sample of ``shape`` two periods of it."""
-    extent = np.abs(lattice.canonical().matrix).max(0)
-    return lattice.s > FINEST and bool((2 * extent <= np.array(shape[1::-1]) + 1).all())
 
 
 def _cross(first: NDArray[np.float64], other: NDArray[np.float64]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nrbench.lattice.geometry import Lattice
 from nrbench.synthesis import Refused
@@ -23,9 +24,19 @@ def require_two_periods(lattice: Lattice, shape: tuple[int, ...]) -> None:
     Refused
         Telling how far the lattice reaches, and how large the sample is.
     """
-    extent = np.abs(lattice.canonical().matrix).max(0)
-    if (2 * extent > np.array(shape[1::-1]) + 2 * WHOLE).any():
+    if not shows_two_periods(lattice, shape):
+        extent = _extent(lattice)
         raise Refused(
             f"the lattice reaches {extent[0]:.1f}x{extent[1]:.1f} px, the sample is {shape[1]}x{shape[0]} px: it shows "
             "less than two periods"
         )
+
+
+def shows_two_periods(lattice: Lattice, shape: tuple[int, ...]) -> bool:
+    """Return whether a sample of ``shape`` (height, width, ...) is twice as wide and high as the lattice reaches."""
+    return bool((2 * _extent(lattice) <= np.array(shape[1::-1]) + 2 * WHOLE).all())
+
+
+def _extent(lattice: Lattice) -> NDArray[np.float64]:
+    """Return how far a lattice reaches along x and y, px."""
+    return np.asarray(np.abs(lattice.canonical().matrix).max(0))
