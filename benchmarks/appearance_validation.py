@@ -20,19 +20,19 @@ from scipy.stats import spearmanr
 from validation_textures import FIRST_SEED, SHARES, Specimen, auc, specimen, upper_bound
 
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import write_image
 from nrbench.metrics.appearance import Appearance
-from nrbench.metrics.broken import BROKEN_SURPRISE, Broken, find_broken
-from nrbench.metrics.broken_map import broken_map, worst_tiles
 from nrbench.metrics.integrity import LEAST_POWER
-from nrbench.metrics.look import look_at_references
-from nrbench.metrics.yardstick import model_yardstick
+from nrbench.metrics.verdict.measurements import look_at_references
+from nrbench.metrics.verdict.reference import model_yardstick
+from nrbench.metrics.whole_elements.broken import BROKEN_SURPRISE, Broken, find_broken
+from nrbench.metrics.whole_elements.broken_map import broken_map, worst_tiles
+from nrbench.plugins.forms import Observation, Task
+from nrbench.plugins.texture import Shape, Texture
 from nrbench.streams import stream
-from nrbench.synthesis import Observation, Task
 from nrbench.synthesizers.oracle import Oracle
 from nrbench.synthesizers.rsgf import Rsgf
-from nrbench.texture import Shape, Texture
 
 SIDES = (128, 256, 512)
 TWO_TONE = (0.03, 0.08, 0.25)

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from nrbench import plugins
-from nrbench.imaging.door import quantize
-from nrbench.lattice.confidence import WEIGHTS
-from nrbench.lattice.consensus import Consensus
-from nrbench.lattice.detection import NoLatticeFound
-from nrbench.lattice.error import lattice_error
-from nrbench.texture import Texture
+from nrbench.detectors.agreement.confidence import WEIGHTS
+from nrbench.detectors.consensus import Consensus
+from nrbench.imaging.convert import quantize
+from nrbench.lattice.comparison import lattice_error
+from nrbench.plugins.detection import NoLatticeFound
+from nrbench.plugins.texture import Texture
 
 MODELS = (
     *(

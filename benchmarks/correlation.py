@@ -11,8 +11,8 @@ from skimage.registration._masked_phase_cross_correlation import cross_correlate
 from unit import machine_unit, median_seconds
 
 from nrbench.datasets_procedural.brick import Brick
+from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.correlation import autocorrelation, half_autocorrelation
-from nrbench.imaging.door import Image, quantize
 
 
 def peer(image: Image) -> list[np.ndarray]:

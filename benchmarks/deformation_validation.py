@@ -19,18 +19,18 @@ from scipy.stats import spearmanr
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
-from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.imaging.door import quantize
+from nrbench.imaging.convert import quantize
 from nrbench.metrics.deformation import Deformation
-from nrbench.metrics.deformation_field import DeformationField
-from nrbench.metrics.ga_score import GeometryAppearance
+from nrbench.metrics.deformations.deformation_field import DeformationField
+from nrbench.metrics.deformations.tracks import obstacle, tracks
+from nrbench.metrics.geometry_appearance import GeometryAppearance
 from nrbench.metrics.self_similarity import SelfSimilarity
-from nrbench.metrics.tracks import obstacle, tracks
+from nrbench.plugins.forms import Metric, Observation, Task
+from nrbench.plugins.texture import Shape, Texture
 from nrbench.streams import stream
-from nrbench.synthesis import Metric, Observation, Task
 from nrbench.synthesizers.planted import Planted
-from nrbench.texture import Shape, Texture
 
 SIDE = 256
 WARPS = (0.06, 0.12, 0.18, 0.24, 0.3, 0.36, 0.43, 0.5)

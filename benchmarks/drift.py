@@ -12,16 +12,16 @@ from dataclasses import replace
 import numpy as np
 
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.imaging.door import quantize
-from nrbench.imaging.jit import load_kernels
-from nrbench.metrics.judgement import judge
+from nrbench.imaging.convert import quantize
+from nrbench.jit import load_kernels
+from nrbench.metrics.verdict.verdict import judge
+from nrbench.plugins.forms import Observation, Synthesizer, Task
+from nrbench.plugins.texture import Shape, Texture
 from nrbench.streams import stream
-from nrbench.synthesis import Observation, Synthesizer, Task
 from nrbench.synthesizers.representative_tile import RepresentativeTile
 from nrbench.synthesizers.rsgf import Rsgf
 from nrbench.synthesizers.tile_set import TileSet
 from nrbench.synthesizers.tiling import Tiling
-from nrbench.texture import Shape, Texture
 
 MODEL = Brick(width=21.37, height=18.81, bond="stack", rotation=7.0, color=0.2, noise=0.03)
 METHODS: dict[str, Synthesizer] = {

@@ -15,12 +15,12 @@ import numpy as np
 from unit import median_units
 
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.imaging.door import quantize
-from nrbench.imaging.jit import load_kernels
-from nrbench.imaging.patchwork import Patchwork
-from nrbench.synthesis import Task
-from nrbench.synthesizers.fftm_mask import Analysis, TextureMask
+from nrbench.imaging.convert import quantize
+from nrbench.jit import load_kernels
+from nrbench.plugins.forms import Task
 from nrbench.synthesizers.fftm_patch import FftmPatch
+from nrbench.synthesizers.masks.fftm_mask import Analysis, TextureMask
+from nrbench.synthesizers.patchwork.patchwork import Patchwork
 
 PAPER = FftmPatch(weight=1.0, patch=40, overlap=0.5, reach=0.0, normalized=False)
 METHODS = {

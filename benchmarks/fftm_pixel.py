@@ -22,16 +22,16 @@ from unit import median_units
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import write_image
-from nrbench.imaging.jit import load_kernels
+from nrbench.jit import load_kernels
 from nrbench.metrics.regularity import Regularity
 from nrbench.metrics.source import SourceUse
-from nrbench.synthesis import Observation, Synthesis, Task
+from nrbench.plugins.forms import Observation, Synthesis, Task
+from nrbench.plugins.texture import Texture
 from nrbench.synthesizers.ann_pixel import AnnPixel
-from nrbench.synthesizers.fftm_mask import TextureMask
 from nrbench.synthesizers.fftm_pixel import FftmPixel
-from nrbench.texture import Texture
+from nrbench.synthesizers.masks.fftm_mask import TextureMask
 
 FINDS = {
     "exhaustive": FftmPixel(search="exhaustive", coherence=0.0),

@@ -18,14 +18,14 @@ from unit import machine_unit
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
-from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.imaging.door import Image, quantize
-from nrbench.imaging.jit import load_kernels
-from nrbench.lattice.detection import NoLatticeFound
-from nrbench.lattice.error import lattice_error
-from nrbench.lattice.gncc import Gncc
-from nrbench.texture import Texture
+from nrbench.detectors.gncc import Gncc
+from nrbench.imaging.convert import Image, quantize
+from nrbench.jit import load_kernels
+from nrbench.lattice.comparison import lattice_error
+from nrbench.plugins.detection import NoLatticeFound
+from nrbench.plugins.texture import Texture
 
 SIDE = 128
 SEEDS = range(10)

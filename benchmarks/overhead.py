@@ -14,12 +14,12 @@ from pathlib import Path
 
 from unit import machine_unit
 
-from nrbench import jobs
 from nrbench.api import run
-from nrbench.runner import Options
-from nrbench.store import CellFolder
-from nrbench.suite import Suite, TextureRow
-from nrbench.supervisor import Supervisor
+from nrbench.running import jobs
+from nrbench.running.runner import Options
+from nrbench.running.supervisor import Supervisor
+from nrbench.runs.store import CellFolder
+from nrbench.suites.suite import Suite, TextureRow
 
 REPEATS = 41
 

@@ -18,18 +18,18 @@ from scipy.stats import spearmanr
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
-from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.imaging.door import Image, quantize
-from nrbench.metrics.judgement import Judgement, compare
-from nrbench.metrics.look import Look, look_at_references
+from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.randomness import Randomness
-from nrbench.metrics.yardstick import Yardstick, model_yardstick
-from nrbench.outputs import checked_synthesis
+from nrbench.metrics.verdict.measurements import Look, look_at_references
+from nrbench.metrics.verdict.reference import Yardstick, model_yardstick
+from nrbench.metrics.verdict.verdict import Judgement, compare
+from nrbench.plugins.forms import Observation, Synthesizer, Task
+from nrbench.plugins.texture import Shape, Texture
+from nrbench.running.outputs import checked_synthesis
 from nrbench.streams import stream
-from nrbench.synthesis import Observation, Synthesizer, Task
 from nrbench.synthesizers.planted import Planted
-from nrbench.texture import Shape, Texture
 
 MODELS: Mapping[str, Model] = {
     "brick": Brick(color=0.2, noise=0.03, rotation=13.0),

@@ -26,19 +26,19 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 
 from nrbench import plugins
-from nrbench.cell import Recipe
-from nrbench.imaging.door import Image, quantize
-from nrbench.metrics.judgement import compare, obstacle
-from nrbench.metrics.look import Look, look_at_references
-from nrbench.metrics.periodic import tile_box
+from nrbench.imaging.convert import Image, quantize
+from nrbench.metrics.ncc.periodic import tile_box
 from nrbench.metrics.randomness import Randomness
-from nrbench.metrics.yardstick import FIRST_DRAW, Yardstick, model_yardstick
-from nrbench.outputs import checked_synthesis
-from nrbench.plan import drawn
+from nrbench.metrics.verdict.measurements import Look, look_at_references
+from nrbench.metrics.verdict.reference import FIRST_DRAW, Yardstick, model_yardstick
+from nrbench.metrics.verdict.verdict import compare, obstacle
+from nrbench.plugins.forms import Again, Observation, Refused, Task, Value
+from nrbench.plugins.texture import Texture
+from nrbench.running.outputs import checked_synthesis
 from nrbench.streams import stream
-from nrbench.suite import load_suite
-from nrbench.synthesis import Again, Observation, Refused, Task, Value
-from nrbench.texture import Texture
+from nrbench.suites.cell import Recipe
+from nrbench.suites.plan import drawn
+from nrbench.suites.suite import load_suite
 
 SUITES = ("core", "report2004", "validation")
 CHEATS = ("tiling", "supertile", "shuffle", "random-phase", "scatter")

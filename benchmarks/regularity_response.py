@@ -18,11 +18,11 @@ from scipy.stats import spearmanr
 from validation_textures import FIRST_SEED, Specimen, specimen
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.judgement import compare
-from nrbench.metrics.look import look_at_references
 from nrbench.metrics.regularity import measured
-from nrbench.metrics.yardstick import model_yardstick
-from nrbench.texture import Shape, Texture
+from nrbench.metrics.verdict.measurements import look_at_references
+from nrbench.metrics.verdict.reference import model_yardstick
+from nrbench.metrics.verdict.verdict import compare
+from nrbench.plugins.texture import Shape, Texture
 
 SIDE = 256
 STEPS = np.arange(1, 9) / 8

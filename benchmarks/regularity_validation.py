@@ -22,7 +22,7 @@ import validation_textures
 from validation_table import Verdict, print_tables, read, word
 from validation_textures import FIRST_SEED, SHARES, Specimen, specimen
 
-from nrbench.imaging.door import Image
+from nrbench.imaging.convert import Image
 
 DEFECTS = (
     *((kind, size) for kind in ("phase-step", "slipped-course", "stretch", "warp") for size in (0.1, 0.15, 0.3)),

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.imaging.door import Image, quantize
-from nrbench.imaging.jit import load_kernels
-from nrbench.imaging.ssd import ssdn
-from nrbench.imaging.tile_costs import continuity, resemblance
+from nrbench.detectors.rectangular_periods.ssd import ssdn
+from nrbench.detectors.ssdn import Ssdn
+from nrbench.imaging.convert import Image, quantize
+from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice
-from nrbench.lattice.ssdn import Ssdn
-from nrbench.synthesis import Task
+from nrbench.plugins.forms import Task
+from nrbench.synthesizers.rectangular_tiles.tile_costs import continuity, resemblance
 from nrbench.synthesizers.representative_tile import RepresentativeTile
 
 TILE = (148, 196)

@@ -14,9 +14,9 @@ import numpy as np
 from unit import median_units
 
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.imaging.door import quantize
-from nrbench.imaging.jit import load_kernels
-from nrbench.synthesis import Synthesizer, Task
+from nrbench.imaging.convert import quantize
+from nrbench.jit import load_kernels
+from nrbench.plugins.forms import Synthesizer, Task
 from nrbench.synthesizers.rsgf import Rsgf
 from nrbench.synthesizers.scatter import Scatter
 from nrbench.synthesizers.tiling import Tiling

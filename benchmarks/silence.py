@@ -20,13 +20,13 @@ import numpy as np
 from scipy.stats import t
 from validation_textures import Specimen, specimen
 
-from nrbench.imaging.door import Image
+from nrbench.imaging.convert import Image
 from nrbench.metrics.appearance import Appearance
 from nrbench.metrics.deformation import Deformation
-from nrbench.metrics.ga_score import GeometryAppearance
+from nrbench.metrics.geometry_appearance import GeometryAppearance
 from nrbench.metrics.integrity import Integrity
 from nrbench.metrics.self_similarity import SelfSimilarity
-from nrbench.synthesis import Observation
+from nrbench.plugins.forms import Observation
 
 TEXTURES = (6, 10, 8)
 """Seeds of the textures: brick, weave rotated, hexagon, of regular share 0.8."""

@@ -28,8 +28,8 @@ import sys
 import numpy as np
 
 from nrbench import plugins
-from nrbench.datasets_procedural.model import Model
-from nrbench.texture import Texture
+from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.plugins.texture import Texture
 
 RENDERS = 300
 SIDE = 96

@@ -15,13 +15,13 @@ from unit import machine_unit, median_units
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.corduroy import Corduroy
 from nrbench.datasets_procedural.windows import Windows
-from nrbench.imaging.door import quantize
-from nrbench.imaging.jit import load_kernels
-from nrbench.plan import drawn
-from nrbench.suite import load_suite
-from nrbench.synthesis import Refused, Synthesizer, Task
+from nrbench.imaging.convert import quantize
+from nrbench.jit import load_kernels
+from nrbench.plugins.forms import Refused, Synthesizer, Task
+from nrbench.plugins.texture import Dataset, Texture
+from nrbench.suites.plan import drawn
+from nrbench.suites.suite import load_suite
 from nrbench.synthesizers.tile_set import TileSet
-from nrbench.texture import Dataset, Texture
 
 METHODS: dict[str, Synthesizer] = {
     "tile-set": TileSet(),

@@ -15,11 +15,11 @@ import numpy as np
 
 import nrbench
 from nrbench.datasets_procedural.overlap import Overlap
-from nrbench.imaging.door import Image
-from nrbench.imaging.jit import load_kernels
+from nrbench.imaging.convert import Image
+from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Refused
-from nrbench.texture import Texture
+from nrbench.plugins.forms import Refused
+from nrbench.plugins.texture import Texture
 
 MODEL = Overlap(period=36.7, color=0.15, intensity=0.1, noise=0.02)
 METHODS = ("fftm-pixel", "fftm-patch", "ann-pixel", "rsgf", "tile-set", "representative-tile")

@@ -9,16 +9,16 @@ from scipy.stats import beta
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
-from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.imaging.door import Image, quantize
-from nrbench.metrics.judgement import Judgement, compare
-from nrbench.metrics.look import Look, look_at_references
-from nrbench.metrics.yardstick import Yardstick, best_yardstick, model_yardstick
+from nrbench.imaging.convert import Image, quantize
+from nrbench.metrics.verdict.measurements import Look, look_at_references
+from nrbench.metrics.verdict.reference import Yardstick, best_yardstick, model_yardstick
+from nrbench.metrics.verdict.verdict import Judgement, compare
+from nrbench.plugins.forms import Again, Refused, Task
+from nrbench.plugins.texture import Shape, Texture
 from nrbench.streams import stream
-from nrbench.synthesis import Again, Refused, Task
 from nrbench.synthesizers.planted import Planted
-from nrbench.texture import Shape, Texture
 
 FIRST_SEED = {"calibration": 0, "report": 100_000}
 SHARES = (0.93, 0.8, 0.7, 0.55, 0.4, 0.3)

@@ -33,21 +33,21 @@ from numpy.typing import NDArray
 from reference_rows import LEAST, band
 
 from nrbench import plugins
-from nrbench.axes import Method
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import Values
-from nrbench.metrics.judgement import compare, obstacle
-from nrbench.metrics.look import Look, look_at_references
 from nrbench.metrics.randomness import Randomness
-from nrbench.metrics.tileset import quarters
-from nrbench.metrics.variety import Variety
-from nrbench.metrics.yardstick import FIRST_DRAW, Yardstick, model_yardstick
-from nrbench.outputs import checked_synthesis
-from nrbench.plan import Sample, drawn
+from nrbench.metrics.residual_tiles.tileset import quarters
+from nrbench.metrics.residual_tiles.variety import Variety
+from nrbench.metrics.verdict.measurements import Look, look_at_references
+from nrbench.metrics.verdict.reference import FIRST_DRAW, Yardstick, model_yardstick
+from nrbench.metrics.verdict.verdict import compare, obstacle
+from nrbench.plugins.forms import Again, Observation, Refused, Synthesis, Task, Value
+from nrbench.plugins.texture import Texture
+from nrbench.running.outputs import checked_synthesis
 from nrbench.streams import stream
-from nrbench.suite import load_suite
-from nrbench.synthesis import Again, Observation, Refused, Synthesis, Task, Value
-from nrbench.texture import Texture
+from nrbench.suites.axes import Method
+from nrbench.suites.plan import Sample, drawn
+from nrbench.suites.suite import load_suite
 
 FIELDS = (
     *("texture", "share", "replicate", "row", "draw", "preserved", "variation", "repetition", "distance"),

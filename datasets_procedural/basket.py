@@ -9,11 +9,11 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_choice, check_sizes
-from .coordinates import Field
-from .model import Model
-from .pattern import Layer, Pattern
-from .threads import interlaced
+from .modelling.checks import check_choice, check_sizes
+from .modelling.coordinates import Field
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.threads import interlaced
 
 _STAKE = (0.42, 0.32, 0.24)
 _STRAND = (0.62, 0.51, 0.34)

@@ -9,12 +9,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check, check_choice, check_sizes
-from .coordinates import Field, boxes, nearest
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import rim
-from .shapes import box, coverage
+from .modelling.checks import check, check_choice, check_sizes
+from .modelling.coordinates import Field, boxes, nearest
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import rim
+from .modelling.shapes import box, coverage
 
 _CLAY = (0.55, 0.38, 0.32)
 _MORTAR = (0.75, 0.72, 0.67)

@@ -10,12 +10,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_choice, check_sizes
-from .coordinates import Field, cells, honeycomb
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import mix
-from .shapes import capsule, coverage, disc
+from .modelling.checks import check_choice, check_sizes
+from .modelling.coordinates import Field, cells, honeycomb
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import mix
+from .modelling.shapes import capsule, coverage, disc
 
 _LID = (0.46, 0.46, 0.45)
 _TAB = (0.44, 0.44, 0.46)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check, check_sizes
-from .coordinates import Field, cells, hats
-from .model import Model
-from .pattern import Layer, Pattern
-from .shapes import box, coverage
+from .modelling.checks import check, check_sizes
+from .modelling.coordinates import Field, cells, hats
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shapes import box, coverage
 
 _HOLE = (0.25, 0.24, 0.26)
 _PAPER = (0.62, 0.58, 0.47)

@@ -8,12 +8,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check, check_sizes
-from .coordinates import Field, cells
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import rim
-from .shapes import box, coverage
+from .modelling.checks import check, check_sizes
+from .modelling.coordinates import Field, cells
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import rim
+from .modelling.shapes import box, coverage
 
 _COLORS = np.array([(0.50, 0.20, 0.22), (0.20, 0.23, 0.36), (0.60, 0.50, 0.34), (0.34, 0.39, 0.28)])
 _WARP = (0.25, 0.20, 0.19)

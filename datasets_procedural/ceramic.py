@@ -8,12 +8,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_sizes
-from .coordinates import Field, cells
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import bevel, mix
-from .shapes import box, coverage
+from .modelling.checks import check_sizes
+from .modelling.coordinates import Field, cells
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import bevel, mix
+from .modelling.shapes import box, coverage
 
 _GLAZE = (0.55, 0.55, 0.52)
 _BLUE = (0.25, 0.33, 0.52)

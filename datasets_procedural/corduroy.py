@@ -8,12 +8,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_sizes
-from .coordinates import Field, nearest
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import round_profile
-from .shapes import coverage, stripe
+from .modelling.checks import check_sizes
+from .modelling.coordinates import Field, nearest
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import round_profile
+from .modelling.shapes import coverage, stripe
 
 _PILE = (0.52, 0.41, 0.28)
 _GROUND = (0.28, 0.22, 0.18)

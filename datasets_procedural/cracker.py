@@ -8,12 +8,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_sizes
-from .coordinates import Field, cells, nearest
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import mix
-from .shapes import box, coverage, disc
+from .modelling.checks import check_sizes
+from .modelling.coordinates import Field, cells, nearest
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import mix
+from .modelling.shapes import box, coverage, disc
 
 _BISCUIT = (0.62, 0.52, 0.36)
 _BAKED = (0.52, 0.36, 0.22)

@@ -10,12 +10,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_choice, check_sizes
-from .coordinates import Field, Index, Local, honeycomb
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import rim, round_profile
-from .shapes import coverage, hexagon
+from .modelling.checks import check_choice, check_sizes
+from .modelling.coordinates import Field, Index, Local, honeycomb
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import rim, round_profile
+from .modelling.shapes import coverage, hexagon
 
 _GLAZE = (0.32, 0.46, 0.52)
 _GROUT = (0.78, 0.77, 0.73)

@@ -13,13 +13,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image
+from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.texture import Region, Shape, Texture
+from nrbench.plugins.texture import Region, Shape, Texture
 
-from .checks import check
-from .truth import ENDINGS, read_rendered, read_truth
+from .modelling.checks import check
+from .photographs.truth import ENDINGS, read_rendered, read_truth
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_choice, check_sizes
-from .coordinates import Field, nearest
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import rim
-from .shapes import coverage, disc
+from .modelling.checks import check_choice, check_sizes
+from .modelling.coordinates import Field, nearest
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import rim
+from .modelling.shapes import coverage, disc
 
 _CARD = (0.52, 0.50, 0.39)
 _TABLE = (0.24, 0.22, 0.20)

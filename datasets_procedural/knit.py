@@ -8,12 +8,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_sizes
-from .coordinates import Field, nearest
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import round_profile
-from .shapes import capsule, coverage
+from .modelling.checks import check_sizes
+from .modelling.coordinates import Field, nearest
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import round_profile
+from .modelling.shapes import capsule, coverage
 
 _WOOL = (0.55, 0.31, 0.33)
 _SHADOW = (0.25, 0.18, 0.18)

@@ -8,13 +8,13 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check, check_sizes
-from .coordinates import Field, Index
-from .fields import role_seed, uniform
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import rim
-from .shapes import coverage
+from .modelling.checks import check, check_sizes
+from .modelling.coordinates import Field, Index
+from .modelling.fields import role_seed, uniform
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import rim
+from .modelling.shapes import coverage
 
 _COLORS = np.array([(0.58, 0.39, 0.25), (0.60, 0.56, 0.47), (0.26, 0.39, 0.47), (0.52, 0.25, 0.23)])
 _NEAR = [(a, b) for b in (-1, 0, 1) for a in (-1, 0, 1)]

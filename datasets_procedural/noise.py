@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from nrbench.texture import Shape, Texture
+from nrbench.plugins.texture import Shape, Texture
 
-from .checks import check, check_choice, check_shape, check_sizes
-from .fields import hashed, role_seed
-from .shades import hue_turn
+from .modelling.checks import check, check_choice, check_shape, check_sizes
+from .modelling.fields import hashed, role_seed
+from .modelling.shades import hue_turn
 
 _MEAN = np.array([0.50, 0.46, 0.40])
 _TINTS = np.array([(1.0, 0.94, 0.86), (0.5, 0.0, -0.6)]) / 1.1

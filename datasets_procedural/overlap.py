@@ -9,11 +9,11 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_sizes
-from .coordinates import Field, cells, honeycomb
-from .model import Model
-from .pattern import Layer, Pattern
-from .shapes import box, coverage, hexagon
+from .modelling.checks import check_sizes
+from .modelling.coordinates import Field, cells, honeycomb
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shapes import box, coverage, hexagon
 
 _SQUARE = (0.60, 0.49, 0.25)
 _HEXAGON = (0.30, 0.39, 0.49)

@@ -10,12 +10,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_choice, check_sizes
-from .coordinates import Field, cells
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import rim
-from .shapes import box, coverage, lozenge
+from .modelling.checks import check_choice, check_sizes
+from .modelling.coordinates import Field, cells
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import rim
+from .modelling.shapes import box, coverage, lozenge
 
 _STONE = (0.54, 0.50, 0.46)
 _SMALL = (0.41, 0.36, 0.36)

@@ -8,12 +8,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_sizes
-from .coordinates import Field
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import mix
-from .threads import interlaced
+from .modelling.checks import check_sizes
+from .modelling.coordinates import Field
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import mix
+from .modelling.threads import interlaced
 
 _CRUST = (0.62, 0.49, 0.31)
 _BROWN = (0.50, 0.34, 0.22)

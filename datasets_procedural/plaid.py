@@ -8,11 +8,11 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_sizes
-from .coordinates import Field, boxes
-from .model import Model
-from .pattern import Layer, Pattern
-from .shapes import coverage, stripe
+from .modelling.checks import check_sizes
+from .modelling.coordinates import Field, boxes
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shapes import coverage, stripe
 
 _COLORS = np.array([(0.54, 0.20, 0.22), (0.18, 0.23, 0.31), (0.20, 0.34, 0.26), (0.62, 0.57, 0.31)])
 _SETT = (0.42, 0.08, 0.26, 0.08, 0.16)

@@ -8,12 +8,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_sizes
-from .coordinates import Field, cells, hats
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import bevel
-from .shapes import coverage, lozenge, turned
+from .modelling.checks import check_sizes
+from .modelling.coordinates import Field, cells, hats
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import bevel
+from .modelling.shapes import coverage, lozenge, turned
 
 _STEEL = (0.49, 0.50, 0.52)
 

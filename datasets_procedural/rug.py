@@ -8,12 +8,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check, check_sizes
-from .coordinates import Field, cells
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import round_profile
-from .shapes import coverage, stripe
+from .modelling.checks import check, check_sizes
+from .modelling.coordinates import Field, cells
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import round_profile
+from .modelling.shapes import coverage, stripe
 
 _COLORS = np.array([(0.57, 0.26, 0.22), (0.62, 0.54, 0.41), (0.23, 0.30, 0.39), (0.58, 0.42, 0.22)])
 _STEPS = np.array([3, 1, 0, 0, 2, 2, 0])

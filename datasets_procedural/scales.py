@@ -8,12 +8,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_sizes
-from .coordinates import Field, Index
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import rim
-from .shapes import coverage, disc
+from .modelling.checks import check_sizes
+from .modelling.coordinates import Field, Index
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import rim
+from .modelling.shapes import coverage, disc
 
 _SCALE = (0.39, 0.52, 0.54)
 _GAP = (0.22, 0.25, 0.28)

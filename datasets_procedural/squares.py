@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_sizes
-from .coordinates import Field, cells
-from .model import Model
-from .pattern import Layer, Pattern
-from .shapes import box, coverage
+from .modelling.checks import check_sizes
+from .modelling.coordinates import Field, cells
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shapes import box, coverage
 
 _OUTER = (0.56, 0.30, 0.26)
 _MIDDLE = (0.60, 0.55, 0.44)

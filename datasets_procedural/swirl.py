@@ -8,12 +8,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check, check_sizes
-from .coordinates import Field, rows
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import mix
-from .shapes import coverage, disc
+from .modelling.checks import check, check_sizes
+from .modelling.coordinates import Field, rows
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import mix
+from .modelling.shapes import coverage, disc
 
 _LIGHT = (0.60, 0.55, 0.46)
 _DARK = (0.44, 0.25, 0.31)

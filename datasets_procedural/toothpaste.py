@@ -8,12 +8,12 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_sizes
-from .coordinates import Field, nearest
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import round_profile
-from .shapes import coverage, stripe
+from .modelling.checks import check_sizes
+from .modelling.coordinates import Field, nearest
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import round_profile
+from .modelling.shapes import coverage, stripe
 
 _COLORS = np.array([(0.62, 0.62, 0.61), (0.58, 0.23, 0.25), (0.62, 0.62, 0.61), (0.23, 0.47, 0.50)])
 _GAP = (0.28, 0.30, 0.33)

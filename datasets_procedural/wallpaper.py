@@ -10,13 +10,13 @@ import numpy as np
 
 from nrbench.lattice.geometry import Lattice, Vector
 
-from .checks import check, check_choice, check_sizes
-from .coordinates import Field, hats
-from .fields import role_seed
-from .model import Model
-from .pattern import Layer, Pattern
-from .shades import mix
-from .symmetry import GROUPS, HEXAGONAL, Group, Motif, random_motif
+from .modelling.checks import check, check_choice, check_sizes
+from .modelling.coordinates import Field, hats
+from .modelling.fields import role_seed
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shades import mix
+from .modelling.symmetry import GROUPS, HEXAGONAL, Group, Motif, random_motif
 
 _PAPER = (0.62, 0.60, 0.54)
 _INKS = ((0.36, 0.46, 0.42), (0.58, 0.36, 0.33), (0.57, 0.49, 0.30))

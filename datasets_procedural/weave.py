@@ -9,11 +9,11 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check_choice, check_sizes
-from .coordinates import Field
-from .model import Model
-from .pattern import Layer, Pattern
-from .threads import interlaced
+from .modelling.checks import check_choice, check_sizes
+from .modelling.coordinates import Field
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.threads import interlaced
 
 _WARP = (0.34, 0.37, 0.45)
 _WEFT = (0.65, 0.61, 0.53)

@@ -8,11 +8,11 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .checks import check, check_sizes
-from .coordinates import Field, cells, nearest
-from .model import Model
-from .pattern import Layer, Pattern
-from .shapes import box, coverage
+from .modelling.checks import check, check_sizes
+from .modelling.coordinates import Field, cells, nearest
+from .modelling.model import Model
+from .modelling.pattern import Layer, Pattern
+from .modelling.shapes import box, coverage
 
 _WALL = (0.60, 0.54, 0.46)
 _FRAME = (0.62, 0.62, 0.60)

@@ -14,8 +14,8 @@ import numpy as np
 
 from nrbench import Lattice, Run
 from nrbench.imaging.files import read_image
-from nrbench.lattice.overlay import overlay
-from nrbench.records import CellRecord
+from nrbench.imaging.overlay import overlay
+from nrbench.runs.records import CellRecord
 
 TEXTURES = ("brick-mild", "weave-middle", "hexagon-middle-rotated")
 COLUMNS = (

@@ -10,17 +10,17 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.door import Image
+from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Column, Observation, Score, Value
+from nrbench.plugins.forms import Column, Observation, Score, Value
 
-from .bands import SPECTRUM_WINDOW, local_energies, sharpness, spectrum, spectrum_distance
-from .line_map import line_map
-from .periodic import tile_box
-from .seams import Line, worst_lines
-from .tileable import border_excess, byte_share, claimed_tile
-from .wasserstein import color_histograms, color_scale, cumulative, distance
-from .yardstick import FIRST_DRAW
+from .appearance_differences.bands import SPECTRUM_WINDOW, local_energies, sharpness, spectrum, spectrum_distance
+from .appearance_differences.line_map import line_map
+from .appearance_differences.seams import Line, worst_lines
+from .appearance_differences.tileable import border_excess, byte_share, claimed_tile
+from .appearance_differences.wasserstein import color_histograms, color_scale, cumulative, distance
+from .ncc.periodic import tile_box
+from .verdict.reference import FIRST_DRAW
 
 DRAWS = 2
 _OWN_DRAWS = FIRST_DRAW + (1 << 10)

@@ -9,11 +9,11 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from nrbench.synthesis import Column, Observation, Score, Value
+from nrbench.plugins.forms import Column, Observation, Score, Value
+from nrbench.tracking.tracker import Track
 
-from .deformation_field import DeformationField, parts
-from .tracker import Track
-from .tracks import LEAST_CORRELATION, Tracks, obstacle, tracks
+from .deformations.deformation_field import DeformationField, parts
+from .deformations.tracks import LEAST_CORRELATION, Tracks, obstacle, tracks
 
 LEAST_AMPLITUDE = 0.02
 """Amplitude, of s, below which displacements are mostly errors of the tracker: they have no length worth a name."""
@@ -43,7 +43,7 @@ def _of(image: str) -> dict[str, Column]:
 class Deformation:
     """The displacement field of sample and output, followed through their pixels.
 
-    The lattice is tracked tile by tile (:mod:`nrbench.metrics.tracker`): correlation with the mean tile under a window
+    The lattice is tracked tile by tile (:mod:`nrbench.tracking.tracker`): correlation with the mean tile under a window
     of 1.5 tiles, unwrapped by continuity, refined by windows down to 1 tile. Of the places p of all lattice points at
     least half a tile inside the image, the best regular fit (affine, least squares) is left out. *Amplitude* is the
     root of sum |p - fit|^2 / (n - 3); *length* the distance at which the autocorrelation of p - fit falls to 1/e

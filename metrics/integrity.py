@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from nrbench.synthesis import Column, Observation, Score
+from nrbench.plugins.forms import Column, Observation, Score
 
-from .broken import BROKEN_SURPRISE, Broken, find_broken
-from .broken_map import broken_map, worst_tiles
-from .judgement import judge, obstacle
 from .regularity import no_score
+from .verdict.verdict import judge, obstacle
+from .whole_elements.broken import BROKEN_SURPRISE, Broken, find_broken
+from .whole_elements.broken_map import broken_map, worst_tiles
 
 LEAST_POWER = 0.1
 """Share of joined tiles that would be counted below which nothing is said."""
@@ -26,12 +26,12 @@ class Integrity:
     so regularity does not see them. Windows of one cell are cut around the elements, where the output shows them, and
     their mean is taken out. What a whole tile can then show is learned from fresh draws, what a joined one shows from
     tiles of fresh draws that are joined along straight cuts; directions along which only the latter vary are the
-    evidence (see :class:`~nrbench.metrics.joined.Joint`), each half of the fresh draws measured by directions of the
+    evidence (see :class:`~nrbench.metrics.whole_elements.composite_tiles.Joint`), each half of the fresh draws measured by directions of the
     other. A tile is broken where its evidence exceeds what chance explains, the number of tiles accounted for
-    (:class:`~nrbench.metrics.surprise.Tail`). The tail tells, not the median: most tiles of a copier are copies.
+    (:class:`~nrbench.metrics.verdict.exponential_tail.Tail`). The tail tells, not the median: most tiles of a copier are copies.
 
     What blur, uneven light and smooth bending do to a whole tile is no evidence
-    (:func:`~nrbench.metrics.alterations.alterations`), and tiles that a strong blur has emptied, with those around
+    (:func:`~nrbench.metrics.whole_elements.alterations.alterations`), and tiles that a strong blur has emptied, with those around
     them, are left out: these are faults of appearance and of regularity. A warp beyond 0.15 s, which tears tiles out of
     shape, and a seam that drives values to black or white may still break some.
 

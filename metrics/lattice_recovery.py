@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nrbench.errors import BadInput
-from nrbench.lattice.error import LatticeError, lattice_error
-from nrbench.synthesis import Column, FoundLattice, Observation, Score, Value
+from nrbench.lattice.comparison import LatticeError, lattice_error
+from nrbench.plugins.forms import Column, FoundLattice, Observation, Score, Value
 
 
 @dataclass(frozen=True)
 class LatticeRecovery:
-    """How well the method's lattice agrees with the true one; see :mod:`nrbench.lattice.error`.
+    """How well the method's lattice agrees with the true one; see :mod:`nrbench.lattice.comparison`.
 
     Where the lattice comes from a detector, ``found`` and ``confidence`` are what it answered. That there is none is an
     answer: not exact where the texture has a lattice, right where it has none.

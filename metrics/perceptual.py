@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 import lazy_loader
 import numpy as np
 
-from nrbench.imaging.door import Image
-from nrbench.synthesis import Column, Observation, Score
+from nrbench.imaging.convert import Image
+from nrbench.plugins.forms import Column, Observation, Score
 
 from .appearance import fresh_images
 from .regularity import no_score

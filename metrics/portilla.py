@@ -12,8 +12,8 @@ import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.door import Image, gray
-from nrbench.synthesis import Column, Observation, Score
+from nrbench.imaging.convert import Image, gray
+from nrbench.plugins.forms import Column, Observation, Score
 
 from .appearance import fresh_images
 from .regularity import no_score

@@ -9,15 +9,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nrbench.synthesis import Column, Observation, Score, Value
+from nrbench.plugins.forms import Column, Observation, Score, Value
 
-from .distance import distance
-from .judgement import Judgement, judge, obstacle
 from .regularity import no_score
-from .repetition import SIZES, Library, Twins, sources, twins
-from .survival import survival
-from .variation import Energies, energies
-from .variety import Variety
+from .residual_tiles.distance import distance
+from .residual_tiles.rare_elements import survival
+from .residual_tiles.repetition import SIZES, Library, Twins, sources, twins
+from .residual_tiles.variation import Energies, energies
+from .residual_tiles.variety import Variety
+from .verdict.verdict import Judgement, judge, obstacle
 
 __all__ = ["Randomness", "sources"]
 

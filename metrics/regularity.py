@@ -9,12 +9,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nrbench.synthesis import Column, Observation, Score, Value
+from nrbench.plugins.forms import Column, Observation, Score, Value
 
-from . import limits
-from .defect_map import defect_map
-from .judgement import Judgement, judge, obstacle
-from .own_lattice import spread
+from .verdict import limits
+from .verdict.defect_map import defect_map
+from .verdict.own_lattice import spread
+from .verdict.verdict import Judgement, judge, obstacle
 
 
 def _distance(meaning: str, unit: str = "of s") -> Column:
@@ -38,7 +38,7 @@ class Regularity:
     inverse of its variance across tiles, which shows single tiles that are displaced, missing or broken.
 
     All limits are relative to fresh draws of the model (of a photograph: to the sample itself, each part against the
-    mean tile of the rest): see ``nrbench.metrics.limits``. For a photograph the affine part of the displacement is
+    mean tile of the rest): see ``nrbench.metrics.verdict.limits``. For a photograph the affine part of the displacement is
     reported as drift, and left out of everything else as long as the output's lattice is within 2 % of the given one,
     which is how far it may be off.
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import half_autocorrelation
-from nrbench.imaging.door import Image
-from nrbench.synthesis import Column, Observation, Score, Value
+from nrbench.plugins.forms import Column, Observation, Score, Value
 
 REACH = 0.6
 """Longest lag that is looked at, as a share of the smaller side."""

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.synthesis import Column, Observation, Score, SourceMap
+from nrbench.plugins.forms import Column, Observation, Score, SourceMap
 
 from .regularity import no_score
 

@@ -14,18 +14,18 @@ import numpy as np
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, as_image, like_input, quantize
-from nrbench.lattice.detection import Detection
+from nrbench.imaging.convert import Image, as_image, like_input, quantize
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.outputs import checked_synthesis
-from nrbench.plan import make_plan
-from nrbench.records import Run
-from nrbench.runner import Options, Progress, execute, working_metrics
-from nrbench.scoring import failure, scored
+from nrbench.plugins.detection import Detection
+from nrbench.plugins.forms import Observation, Refused, Score, Synthesis, Task, Value
+from nrbench.plugins.texture import Shape, Texture
+from nrbench.running.outputs import checked_synthesis
+from nrbench.running.runner import Options, Progress, execute, working_metrics
+from nrbench.running.scoring import failure, scored
+from nrbench.runs.records import Run
 from nrbench.streams import pixels_hash, stream
-from nrbench.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
-from nrbench.synthesis import Observation, Refused, Score, Synthesis, Task, Value
-from nrbench.texture import Shape, Texture
+from nrbench.suites.plan import make_plan
+from nrbench.suites.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
 
 Latticelike = Lattice | tuple[Vector, Vector] | str | None
 """A lattice, its two vectors, or ``"x1,y1,x2,y2"``; None where none is given."""

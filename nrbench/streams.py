@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 
-from nrbench.imaging.door import Image
+from nrbench.imaging.convert import Image
 
 
 def stream(role: str, *entropy: str | int) -> np.random.Generator:

@@ -9,16 +9,16 @@ from typing import Any, ClassVar
 
 import pandas as pd
 
-from nrbench.records import Run
-from nrbench.store import write_aside
+from nrbench.runs.records import Run
+from nrbench.runs.store import write_aside
 
-from .cheats import is_right
-from .comparison import Comparison, comparison
-from .detections import STOCHASTIC, answers, median, rate
-from .people import agreement_table, labels_table, people
-from .perils import perils_table, places
-from .statistics import Estimate
-from .summary import Summary, known_columns
+from .statistics.baselines import is_right
+from .statistics.comparison import Comparison, comparison
+from .statistics.detections import STOCHASTIC, answers, median, rate
+from .statistics.people import agreement_table, labels_table, people
+from .statistics.perils import perils_table, places
+from .statistics.statistics import Estimate
+from .statistics.summary import Summary, known_columns
 
 OWN_COLUMNS: Mapping[str, str] = {
     "suite": "Name of the suite.",
@@ -164,7 +164,7 @@ def detectors_table(asked: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     asked
-        The run's :func:`~nrbench.reports.detections.answers`.
+        The run's :func:`~nrbench.reports.statistics.detections.answers`.
     """
     keys = ["family", "departure", "level"]
     regular = asked[asked["departure"] != STOCHASTIC]

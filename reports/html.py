@@ -12,28 +12,28 @@ from typing import Any, ClassVar
 import jinja2
 from markupsafe import Markup
 
-from nrbench.labels import ANSWERS
+from nrbench.labelling.labels import ANSWERS
 from nrbench.policy import allowed
-from nrbench.records import CellRecord, Run
-from nrbench.store import RUN_FILE, write_aside
+from nrbench.runs.records import CellRecord, Run
+from nrbench.runs.store import RUN_FILE, write_aside
 
-from . import wording
-from .cheats import LEGEND, SIGN
-from .comparison import comparison
-from .detections import KINDS, STOCHASTIC, Detectors, detectors
-from .disputed import disputed
-from .figures import layer_titles, shade
-from .foot import others
-from .forest import panels
-from .gallery import gallery
-from .people import people
-from .perils import places
-from .pictures import Pictures
-from .plane import drawn
-from .summary import headlines, known_columns
-from .verdicts import MEANINGS, PRESERVED
+from .page import format as wording
+from .page.disputed import disputed
+from .page.figures import layer_titles, shade
+from .page.gallery import gallery
+from .page.pictures import Pictures
+from .perils import drawn
+from .plots.forest_plot import panels
+from .statistics.baselines import LEGEND, SIGN
+from .statistics.comparison import comparison
+from .statistics.detections import KINDS, STOCHASTIC, Detectors, detectors
+from .statistics.people import people
+from .statistics.perils import places
+from .statistics.summary import headlines, known_columns
+from .statistics.summary_rows import others
+from .statistics.verdicts import MEANINGS, PRESERVED
 
-_TEMPLATES = Path(__file__).parent / "templates"
+_TEMPLATES = Path(__file__).parent / "page" / "templates"
 _KEY_VERSIONS = ("nrbench", "python", "numpy", "scipy", "scikit-image", "numba", "pandas", "pillow")
 
 

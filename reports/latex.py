@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import ClassVar
 
 from nrbench.errors import BadInput
-from nrbench.records import Run
-from nrbench.store import write_aside
+from nrbench.runs.records import Run
+from nrbench.runs.store import write_aside
 
-from .cheats import LEGEND, SHARES, NoCheat
-from .comparison import Comparison, Entry, comparison
-from .statistics import Estimate
-from .summary import Head, headlines
-from .verdicts import PRESERVED
-from .wording import number, plain
+from .page.format import number, plain
+from .statistics.baselines import LEGEND, SHARES, NoCheat
+from .statistics.comparison import Comparison, Entry, comparison
+from .statistics.statistics import Estimate
+from .statistics.summary import Head, headlines
+from .statistics.verdicts import PRESERVED
 
 _SPECIAL: Mapping[str, str] = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",

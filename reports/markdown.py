@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from nrbench.records import Run
-from nrbench.store import write_aside
+from nrbench.runs.records import Run
+from nrbench.runs.store import write_aside
 
-from .cheats import LEGEND, SHARES, SIGN, NoCheat
-from .comparison import Comparison, Entry, comparison
-from .statistics import Estimate
-from .summary import Head, headlines
+from .page.format import counted, interval, number, percent, plain, successes, tip
+from .statistics.baselines import LEGEND, SHARES, SIGN, NoCheat
+from .statistics.comparison import Comparison, Entry, comparison
+from .statistics.statistics import Estimate
+from .statistics.summary import Head, headlines
+from .statistics.verdicts import MEANINGS, PRESERVED
 from .text import headline
-from .verdicts import MEANINGS, PRESERVED
-from .wording import counted, interval, number, percent, plain, successes, tip
 
 _ACTIVE = re.compile(r"([\\`*_\[\]<>|~&@#]|:(?=//)|(?<=www)\.|^[-+=])")
 

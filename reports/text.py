@@ -15,16 +15,16 @@ from rich.table import Table
 from rich.text import Text
 
 from nrbench.errors import BadInput
-from nrbench.records import Run
-from nrbench.store import write_aside
+from nrbench.runs.records import Run
+from nrbench.runs.store import write_aside
 
-from .cheats import LEGEND, SHARES, SIGN, NoCheat
-from .comparison import Comparison, Entry, comparison
-from .detections import Trust, detectors
-from .statistics import Estimate
-from .summary import Head
-from .verdicts import PRESERVED
-from .wording import number, percent, plain, plural
+from .page.format import number, percent, plain, plural
+from .statistics.baselines import LEGEND, SHARES, SIGN, NoCheat
+from .statistics.comparison import Comparison, Entry, comparison
+from .statistics.detections import Trust, detectors
+from .statistics.statistics import Estimate
+from .statistics.summary import Head
+from .statistics.verdicts import PRESERVED
 
 _SUPERSCRIPT = str.maketrans("0123456789,", "⁰¹²³⁴⁵⁶⁷⁸⁹˒")
 

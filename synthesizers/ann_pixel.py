@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from nrbench.detectors.frdft import Frdft
 from nrbench.errors import checker
-from nrbench.lattice.frdft import Frdft
-from nrbench.synthesis import Synthesis, Task
+from nrbench.plugins.forms import Synthesis, Task
 
-from .neighborhoods import Neighborhood, layers_of
-from .pixel_growth import Growth, Rules, Search, scattered, sources
+from .pixel_growing.neighborhoods import Neighborhood, layers_of
+from .pixel_growing.pixel_growth import Growth, Rules, Search, scattered, sources
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, like_sample
+from nrbench.imaging.convert import Image, like_sample
 from nrbench.imaging.files import read_image, write_image
-from nrbench.synthesis import Synthesis, Task
+from nrbench.plugins.forms import Synthesis, Task
 
 FIELDS = ("sample", "output", "width", "height", "seed")
 TAIL = 2000

@@ -10,19 +10,19 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from nrbench.detectors.frdft import Frdft
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image
-from nrbench.imaging.harmonics import Channels, Harmonic, Signal
-from nrbench.imaging.patchwork import Patchwork
-from nrbench.imaging.placement import Placement, scan_lines
-from nrbench.imaging.seam_heat import SeamHeat
-from nrbench.imaging.translations import Features
-from nrbench.lattice.frdft import Frdft
-from nrbench.synthesis import Refused, Synthesis, Task
-from nrbench.texture import Shape
+from nrbench.imaging.convert import Image
+from nrbench.plugins.forms import Refused, Synthesis, Task
+from nrbench.plugins.texture import Shape
+from nrbench.spectra.harmonics import Channels, Harmonic, Signal
 
-from .fftm_mask import Analysis, TextureMask
-from .mask_period import tileable_mask
+from .masks.fftm_mask import Analysis, TextureMask
+from .masks.mask_period import tileable_mask
+from .patchwork.patch_placement import Placement, scan_lines
+from .patchwork.patchwork import Patchwork
+from .patchwork.seam_heat import SeamHeat
+from .patchwork.translations import Features
 
 Judged = Literal["color", "mask"]
 LEAST_PATCH = 24

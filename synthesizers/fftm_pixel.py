@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Literal
 
+from nrbench.detectors.frdft import Frdft
 from nrbench.errors import checker
-from nrbench.imaging.door import Image
-from nrbench.imaging.harmonics import Channels, Harmonic, Signal
-from nrbench.lattice.frdft import Frdft
-from nrbench.synthesis import Synthesis, Task
+from nrbench.imaging.convert import Image
+from nrbench.plugins.forms import Synthesis, Task
+from nrbench.spectra.harmonics import Channels, Harmonic, Signal
 
-from .fftm_mask import Analysis, TextureMask
-from .mask_clusters import Clusters
-from .mask_period import tileable_mask
-from .neighborhoods import Neighborhood, layers_of
-from .pixel_growth import Candidates, Growth, Rules, Search, Stock, sources
+from .masks.clusters import Clusters
+from .masks.fftm_mask import Analysis, TextureMask
+from .masks.mask_period import tileable_mask
+from .pixel_growing.neighborhoods import Neighborhood, layers_of
+from .pixel_growing.pixel_growth import Candidates, Growth, Rules, Search, Stock, sources
 
 Match = Literal["full", "cluster"]
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nrbench.synthesis import Synthesis, Task
+from nrbench.plugins.forms import Synthesis, Task
 
 
 @dataclass(frozen=True)

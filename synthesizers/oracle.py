@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.plugins.forms import Refused, Synthesis, Task
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,14 @@ from typing import ClassVar
 import numpy as np
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import MIN_SIDE
-from nrbench.parameters import nearest
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.imaging.convert import MIN_SIDE
+from nrbench.plugins.forms import Refused, Synthesis, Task
+from nrbench.plugins.parameters import nearest
 
-from . import faults_of_appearance as appearance
-from . import faults_of_place as place
-from . import faults_of_variety as variety
-from .planting import FIRST_DRAW, Fault, Planting, Plot
+from .defects import faults_of_appearance as appearance
+from .defects import faults_of_place as place
+from .defects import faults_of_variety as variety
+from .defects.planting import FIRST_DRAW, Fault, Planting, Plot
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import ClassVar
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, like_sample
+from nrbench.imaging.convert import Image, like_sample
 from nrbench.imaging.files import read_image
+from nrbench.plugins.forms import Refused, Synthesis, Task
+from nrbench.plugins.texture import Shape
 from nrbench.streams import pixels_hash
-from nrbench.synthesis import Refused, Synthesis, Task
-from nrbench.texture import Shape
 
 
 @dataclass(frozen=True)

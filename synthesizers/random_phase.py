@@ -11,9 +11,9 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image
-from nrbench.synthesis import Synthesis, Task
-from nrbench.texture import Kind, Shape
+from nrbench.imaging.convert import Image
+from nrbench.plugins.forms import Synthesis, Task
+from nrbench.plugins.texture import Kind, Shape
 
 Planes = NDArray[np.float64]
 """``(C, H, W)``."""

@@ -8,18 +8,18 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.detectors.ssdn import Ssdn
 from nrbench.errors import checker
-from nrbench.imaging.door import Image
-from nrbench.imaging.patches import Patches
-from nrbench.imaging.tile_costs import Costs, continuity, resemblance
+from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
-from nrbench.lattice.ssdn import Ssdn
-from nrbench.synthesis import Refused, SourceMap, Synthesis, Task, find_lattice
+from nrbench.plugins.forms import Refused, SourceMap, Synthesis, Task, find_lattice
 
-from .laying import Laying, laid
-from .tile_rectangle import TileFrame, rectangle_frame
-from .wang import WangSet, colors_for, wang_set
-from .wang_pieces import Cutter
+from .rectangular_tiles.tile_costs import Costs, continuity, resemblance
+from .rectangular_tiles.tile_layout import Laying, laid
+from .rectangular_tiles.tile_rectangle import TileFrame, rectangle_frame
+from .rectangular_tiles.wang import WangSet, colors_for, wang_set
+from .rectangular_tiles.wang_pieces import Cutter
+from .sampling.patches import Patches
 
 _DEPTH = 0.8
 """Share of the deepest minima that a period's must reach to be found: more than the detector asks by itself, for a tile
@@ -53,7 +53,7 @@ class RepresentativeTile:
     comes from ``ssdn``, as in the paper, along the sample's axes.
 
     The output is periodic: it keeps regularity and loses randomness, as the paper says. With ``tiles`` some survives:
-    Wang tiles, the paper's future work (:func:`~nrbench.synthesizers.wang.wang_set`).
+    Wang tiles, the paper's future work (:func:`~nrbench.synthesizers.rectangular_tiles.wang.wang_set`).
 
     Extras: ``tile``, or ``tile-01`` ... of a set with their ``edges`` (north, east, south, west colors); ``frame``,
     ``(3, 2)``: the tile's first pixel (x, y) in the sample, and the steps (x, y) in the sample of one pixel along its

@@ -6,19 +6,19 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from nrbench.detectors.consensus import Consensus
+from nrbench.detectors.gncc import Gncc
 from nrbench.errors import BadInput
-from nrbench.imaging.blocks import BlockGrid
-from nrbench.imaging.canvas import Canvas, Seam
-from nrbench.imaging.matching import Match
-from nrbench.imaging.patches import Patches
-from nrbench.lattice.consensus import Consensus
-from nrbench.lattice.detection import Detector
 from nrbench.lattice.geometry import Lattice
-from nrbench.lattice.gncc import Gncc
-from nrbench.synthesis import FoundLattice, Synthesis, Task, find_lattice
+from nrbench.plugins.detection import Detector
+from nrbench.plugins.forms import FoundLattice, Synthesis, Task, find_lattice
 
-from .filling import Filling, Rules, Search
-from .room import check_border, room_with_border
+from .gap_filling.blocks import BlockGrid
+from .gap_filling.canvas import Canvas, Seam
+from .gap_filling.gap_filling import Filling, Rules, Search
+from .gap_filling.matching import Match
+from .gap_filling.size_checks import check_border, room_with_border
+from .sampling.patches import Patches
 
 Finder = Literal["consensus", "gncc"]
 NEAR = 0.07

@@ -7,13 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from nrbench.imaging.blocks import BlockGrid
-from nrbench.imaging.canvas import compose
-from nrbench.imaging.patches import Patches
-from nrbench.synthesis import Synthesis, Task
-from nrbench.texture import Kind
+from nrbench.plugins.forms import Synthesis, Task
+from nrbench.plugins.texture import Kind
 
-from .room import check_border, room_with_border
+from .gap_filling.blocks import BlockGrid
+from .gap_filling.canvas import compose
+from .gap_filling.size_checks import check_border, room_with_border
+from .sampling.patches import Patches
 
 
 @dataclass(frozen=True)

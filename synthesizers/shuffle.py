@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from nrbench.detectors.gncc import Gncc
 from nrbench.imaging.fold import Values, fold, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.lattice.gncc import Gncc
-from nrbench.synthesis import Refused, Synthesis, Task, require_lattice
-from nrbench.texture import Kind
+from nrbench.plugins.forms import Refused, Synthesis, Task, require_lattice
+from nrbench.plugins.texture import Kind
 
-from .splines import resampled
+from .sampling.splines import resampled
 from .tiling import ASIDE, reach, whole_centres
 
 _STEPS = 24

@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from nrbench.detectors.gncc import Gncc
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.lattice.gncc import Gncc
-from nrbench.synthesis import Refused, Synthesis, Task, require_lattice
-from nrbench.texture import Kind
+from nrbench.plugins.forms import Refused, Synthesis, Task, require_lattice
+from nrbench.plugins.texture import Kind
 
-from .splines import resampled
+from .sampling.splines import resampled
 from .tiling import reach
 
 _CANDIDATES = 300

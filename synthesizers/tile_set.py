@@ -10,18 +10,18 @@ from typing import ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.detectors.consensus import Consensus
 from nrbench.errors import BadInput
-from nrbench.lattice.consensus import Consensus
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.synthesis import Refused, Synthesis, Task, find_lattice
+from nrbench.plugins.forms import Refused, Synthesis, Task, find_lattice
 
-from .periods import require_two_periods
-from .subpixel import fractions
-from .tile_anchor import By, anchored
-from .tile_canvas import Canvas, Stitch
-from .tile_frame import Frame, Tile, frame_of
-from .tile_stock import Cuts, Difference, Stock, complete
-from .tile_symmetry import pictures, upright
+from .sampling.subpixel import fractions
+from .sampling.two_periods import require_two_periods
+from .tile_laying.anchor import By, anchored
+from .tile_laying.canvas import Canvas, Stitch
+from .tile_laying.frame import Frame, Tile, frame_of
+from .tile_laying.stock import Cuts, Difference, Stock, complete
+from .tile_laying.symmetry import pictures, upright
 
 FINE: Final = 4
 """Parts of a pixel to which tiles are placed where whole pixels are too coarse."""

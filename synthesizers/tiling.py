@@ -8,16 +8,16 @@ from typing import ClassVar, Final, Literal
 import numpy as np
 from scipy.signal import fftconvolve
 
-from nrbench.imaging.door import Image
+from nrbench.detectors.gncc import Gncc
+from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import fold
-from nrbench.imaging.patches import Patches, snapped
-from nrbench.imaging.sampling import EqualPlaces, pixel_grid
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.lattice.gncc import Gncc
-from nrbench.synthesis import Refused, Synthesis, Task, require_lattice
-from nrbench.texture import Kind
+from nrbench.plugins.forms import Refused, Synthesis, Task, require_lattice
+from nrbench.plugins.texture import Kind
 
-from .splines import resampled
+from .sampling.equal_places import EqualPlaces, pixel_grid
+from .sampling.patches import Patches, snapped
+from .sampling.splines import resampled
 
 ASIDE: Final = (0.0011, 0.0007)
 """The cell's centre is moved by this, px, so that no pixel lies on its border, where rounding would choose a side."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-FAULTS = Path(__file__).parent / "core" / "faulty_plugins.py"
+FAULTS = Path(__file__).parent / "plugins" / "faulty_plugins.py"
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def faulty() -> Iterator[Path]:
 
     plugins.add_file(FAULTS)
     yield FAULTS
-    plugins._files.pop(FAULTS.resolve())
+    plugins.registry._files.pop(FAULTS.resolve())
 
 
 @pytest.fixture(autouse=True)

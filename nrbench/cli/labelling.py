@@ -24,10 +24,10 @@ import click
 def label_command(run: Path, output: Path | None, repeat: float, seed: int) -> None:
     """Write a page on which people label the outputs of RUN blind; `report RUN --labels` reads what they save."""
     from nrbench.errors import BadInput
-    from nrbench.label_page import label_page
-    from nrbench.labels import make_sheet, write_key
-    from nrbench.records import Run
-    from nrbench.store import write_aside
+    from nrbench.labelling.label_page import label_page
+    from nrbench.labelling.labels import make_sheet, write_key
+    from nrbench.runs.records import Run
+    from nrbench.runs.store import write_aside
 
     if output is not None and output.suffix.lower() not in (".html", ".htm"):
         raise BadInput(f"{output}: the page is HTML; end the name in .html")

@@ -79,8 +79,8 @@ def _by_hand(picture: Any, numbers: str | None, output: Path | None, as_json: bo
 def _detect(picture: Any, spec: str, output: Path | None, diagnostics: Path | None, as_json: bool) -> int:
     """Ask one detector."""
     from nrbench.api import detect_lattice
-    from nrbench.lattice.detection import NoLatticeFound
-    from nrbench.parameters import parse_spec
+    from nrbench.plugins.detection import NoLatticeFound
+    from nrbench.plugins.parameters import parse_spec
 
     name, parameters = parse_spec(spec)
     try:
@@ -101,7 +101,7 @@ def _detect(picture: Any, spec: str, output: Path | None, diagnostics: Path | No
 def _compare(picture: Any, output: Path | None, as_json: bool) -> int:
     """Ask all detectors; one that fails is a row like any other, and makes exit code 1."""
     from nrbench import plugins
-    from nrbench.imaging.jit import load_kernels
+    from nrbench.jit import load_kernels
 
     load_kernels()
     names = [plugin.name for plugin in plugins.inventory("detectors") if plugin.cls is not None]
@@ -117,7 +117,7 @@ def _asked(picture: Any, name: str) -> tuple[dict[str, Any], Any]:
     """Return what a detector answers, JSON-ready, and its lattice or None."""
     from nrbench import plugins
     from nrbench.errors import BadInput
-    from nrbench.synthesis import timed_detection
+    from nrbench.plugins.forms import timed_detection
 
     try:
         found = timed_detection(plugins.build("detectors", name), picture)
@@ -149,9 +149,9 @@ def _line(answer: dict[str, Any]) -> str:
 
 def _draw_sheet(picture: Any, found: Sequence[tuple[dict[str, Any], Any]], output: Path) -> None:
     """Write one captioned picture a detector."""
+    from nrbench.imaging.contact_sheet import contact_sheet
     from nrbench.imaging.files import write_image
-    from nrbench.imaging.sheet import contact_sheet
-    from nrbench.lattice.overlay import overlay
+    from nrbench.imaging.overlay import overlay
 
     pictures = [picture if lattice is None else overlay(picture, lattice) for _, lattice in found]
     letters = max(32, picture.shape[1] // 6)
@@ -178,7 +178,7 @@ def _say(answer: dict[str, Any], as_json: bool) -> None:
 def _draw(picture: Any, lattice: Any, output: Path | None) -> None:
     """Write the lattice over its image, where that is asked for."""
     from nrbench.imaging.files import write_image
-    from nrbench.lattice.overlay import overlay
+    from nrbench.imaging.overlay import overlay
 
     if output is not None:
         write_image(output, overlay(picture, lattice))
@@ -188,8 +188,8 @@ def _explain(diagnostics: Any, title: str, output: Path | None) -> None:
     """Write what led a detector to its answer, where that is asked for."""
     if output is None:
         return
-    from nrbench.lattice.diagram import diagram
-    from nrbench.store import write_aside
+    from nrbench.cli.detection_diagram import diagram
+    from nrbench.runs.store import write_aside
 
     figure = diagram(diagnostics, title)
     if figure is None:

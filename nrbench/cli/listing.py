@@ -33,7 +33,7 @@ def list_command(kind: str | None, as_json: bool) -> None:
 
 def _entries(kind: str) -> list[dict[str, Any]]:
     from nrbench import plugins
-    from nrbench.suite import builtin, load_suite
+    from nrbench.suites.suite import builtin, load_suite
 
     if kind == "suites":
         suites = [load_suite(name) for name in builtin()]
@@ -63,8 +63,8 @@ def show_command(name: str, as_json: bool) -> None:
     NAME may be one score, as METRIC.COLUMN.
     """
     from nrbench.errors import BadInput
-    from nrbench.parameters import nearest
-    from nrbench.suite import builtin
+    from nrbench.plugins.parameters import nearest
+    from nrbench.suites.suite import builtin
 
     pages = _pages(name)
     if not pages:
@@ -91,7 +91,7 @@ def _scores(name: str) -> list[str]:
 
 def _pages(name: str) -> list[dict[str, Any]]:
     from nrbench import plugins
-    from nrbench.suite import builtin, load_suite
+    from nrbench.suites.suite import builtin, load_suite
 
     pages = [_page(kind, plugins.find(kind, name)) for kind in plugins.FORMS if name in plugins.names(kind)]
     metric, _, column = name.partition(".")

@@ -45,7 +45,7 @@ class Verbs(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the verb, or name the nearest one."""
         if args and not args[0].startswith("-") and args[0] not in VERBS:
-            from nrbench.parameters import nearest
+            from nrbench.plugins.parameters import nearest
 
             raise click.UsageError(f"verb {args[0]!r} is not known{nearest(args[0], VERBS)}")
         return super().resolve_command(ctx, args)
@@ -110,8 +110,8 @@ def _path(error: click.ClickException) -> str:
 
 def _failure(error: Exception, debug: bool) -> int:
     from nrbench.errors import BadInput
-    from nrbench.outputs import InvalidOutput
-    from nrbench.synthesis import Refused
+    from nrbench.plugins.forms import Refused
+    from nrbench.running.outputs import InvalidOutput
 
     if debug:
         import traceback

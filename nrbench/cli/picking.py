@@ -10,9 +10,9 @@ from matplotlib.backend_bases import Event, KeyEvent, MouseButton, MouseEvent
 from matplotlib.figure import Figure
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image
+from nrbench.imaging.convert import Image
+from nrbench.imaging.overlay import overlay
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.lattice.overlay import overlay
 
 STEPS = (
     "click a corner of a tile, or any point that you will know again",

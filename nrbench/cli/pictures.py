@@ -21,9 +21,9 @@ def synth_command(image: Path, method: str, size: str, lattice: str | None, seed
     from nrbench.api import synthesize
     from nrbench.cli.outputs import check_output
     from nrbench.imaging.files import read_image, write_image
-    from nrbench.outputs import is_picture
-    from nrbench.parameters import parse_spec
-    from nrbench.suite import parse_size
+    from nrbench.plugins.parameters import parse_spec
+    from nrbench.running.outputs import is_picture
+    from nrbench.suites.suite import parse_size
 
     name, parameters = parse_spec(method)
     check_output(output)

@@ -22,9 +22,9 @@ def render_command(
     What an earlier render left in DIR stays; a picture of the same name is drawn anew.
     """
     from nrbench.api import changed
-    from nrbench.plan import drawn
-    from nrbench.rendering import model_suite, write_textures
-    from nrbench.suite import builtin, load_suite
+    from nrbench.suites.plan import drawn
+    from nrbench.suites.rendering import model_suite, write_textures
+    from nrbench.suites.suite import builtin, load_suite
 
     suite = load_suite(what) if what in builtin() or Path(what).exists() else model_suite(what)
     suite = changed(suite, sample=sample, seed=seed, replicates=replicates)

@@ -43,8 +43,8 @@ def _plan_options(command: F) -> F:
 def _planned(given: dict[str, Any]) -> tuple[Any, Path]:
     """Return the plan that a command line asks for, and its run directory."""
     from nrbench.api import changed
-    from nrbench.plan import make_plan
-    from nrbench.suite import load_suite
+    from nrbench.suites.plan import make_plan
+    from nrbench.suites.suite import load_suite
 
     axes = {key: given.pop(key) for key in ("sample", "size", "seed", "replicates")}
     suite = changed(load_suite(given["suite"]), given["methods"], given["lattice"], **axes)
@@ -77,7 +77,7 @@ def run_command(**given: Any) -> int:
     """Run SUITE (a name, a TOML file, or a directory of pictures) and print the comparison table."""
     import os
 
-    from nrbench.runner import Options, execute
+    from nrbench.running.runner import Options, execute
 
     plan, root = _planned(given)
     options = Options(
@@ -174,8 +174,8 @@ def plan_command(**given: Any) -> None:
 )
 def report_command(run: Path, more: tuple[Path, ...], formats: str | None, labels: tuple[Path, ...]) -> int:
     """Write the reports of RUN again, from what is on disk; nothing is computed."""
-    from nrbench.labels import read_people
-    from nrbench.records import Run
+    from nrbench.labelling.labels import read_people
+    from nrbench.runs.records import Run
 
     if more and not labels:
         raise click.UsageError(f"{more[0]}: only one run is reported; files of answers come after --labels")
@@ -193,7 +193,7 @@ def report_command(run: Path, more: tuple[Path, ...], formats: str | None, label
 def status_command(run: Path, as_json: bool) -> None:
     """Say how far RUN is, and what failed."""
     from nrbench.cli.summary import failures, status_counts
-    from nrbench.records import Run
+    from nrbench.runs.records import Run
 
     found = Run(run)
     counts = status_counts(found)

@@ -7,10 +7,10 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from nrbench.plan import Plan
-from nrbench.records import FAILED, CellRecord, Run
-from nrbench.runner import is_cached, metrics_of
-from nrbench.store import RunDirectory
+from nrbench.running.runner import is_cached, metrics_of
+from nrbench.runs.records import FAILED, CellRecord, Run
+from nrbench.runs.store import RunDirectory
+from nrbench.suites.plan import Plan
 
 
 def status_counts(run: Run) -> dict[str, int]:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from nrbench.imaging.door import Image
+from nrbench.imaging.convert import Image
 
 Correlation = NDArray[np.float32]
 """Normalized autocorrelation gamma in [-1, 1]. Whole: ``(2H-1, 2W-1)``, lag (dx, dy) at ``[H-1+dy, W-1+dx]``. Right
@@ -39,7 +39,7 @@ def half_autocorrelation(image: Image) -> Correlation:
     Parameters
     ----------
     image
-        :data:`~nrbench.imaging.door.Image`.
+        :data:`~nrbench.imaging.convert.Image`.
 
     Returns
     -------

@@ -14,7 +14,7 @@ import PIL.PngImagePlugin
 from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import MIN_SIDE, Image, as_image, to_bytes
+from nrbench.imaging.convert import MIN_SIDE, Image, as_image, to_bytes
 
 _DIRECT = {"L", "RGB", "I;16"}
 _VIA = {"1": "L", "P": "RGB", "CMYK": "RGB", "YCbCr": "RGB", "LAB": "RGB", "HSV": "RGB"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.jit import kernel
+from nrbench.jit import kernel
 
 
 @kernel("float64[:, ::1](float32[:, ::1], float64[:, ::1], int64, int64)")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.jit import kernel
+from nrbench.jit import kernel
 
 PAD = 2
 """Rows and columns of coefficients that are mirrored beyond the image's border."""

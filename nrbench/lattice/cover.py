@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.lattice.strips import Integers
+from nrbench.lattice.points_in_box import Integers
 
 TOUCH = 1e-6
 """px by which a cell must reach into the image to meet it, or may reach out of it and still be whole."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nrbench.errors import BadInput
-from nrbench.lattice.strips import integers_within
+from nrbench.lattice.points_in_box import integers_within
 
 Vector = tuple[float, float]
 LatticeKind = Literal["parallelogram", "rectangular", "rhombic", "square", "hexagonal"]

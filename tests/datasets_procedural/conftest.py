@@ -12,10 +12,10 @@ import pytest
 
 from nrbench import plugins
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.datasets_procedural.model import Model
-from nrbench.imaging.door import Image
+from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
-from nrbench.texture import Texture
+from nrbench.plugins.texture import Texture
 
 MODELS = [
     plugin.cls for plugin in plugins.inventory("datasets") if plugin.cls is not None and issubclass(plugin.cls, Model)

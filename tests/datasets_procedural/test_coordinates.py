@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.datasets_procedural.coordinates import Frame, boxes, hats, honeycomb, nearest, rows
+from nrbench.datasets_procedural.modelling.coordinates import Frame, boxes, hats, honeycomb, nearest, rows
 from nrbench.lattice.geometry import Lattice
 
 

@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.carpet import Carpet
-from nrbench.datasets_procedural.coordinates import Displacement, Field, Frame
-from nrbench.datasets_procedural.departures import Elements
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.mat import Mat
-from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.modelling.coordinates import Displacement, Field, Frame
+from nrbench.datasets_procedural.modelling.departures import Elements
+from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.datasets_procedural.modelling.pattern import Pattern
 from nrbench.datasets_procedural.mosaic import Mosaic
-from nrbench.datasets_procedural.pattern import Pattern
 from nrbench.datasets_procedural.plaid import Plaid
 from nrbench.datasets_procedural.rug import Rug
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.datasets_procedural.windows import Windows
-from nrbench.texture import Texture
+from nrbench.plugins.texture import Texture
 
 from .conftest import MODELS, NONE
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nrbench import plugins
-from nrbench.suite import TextureRow, load_suite
+from nrbench.suites.suite import TextureRow, load_suite
 
 SUITE = load_suite("detectors")
 REGULAR = [row for row in SUITE.texture if row.dataset != "noise"]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from nrbench.datasets_procedural.fields import factor_variance, factors, grain, hashed, role_seed, uniform
+from nrbench.datasets_procedural.modelling.fields import factor_variance, factors, grain, hashed, role_seed, uniform
 
 
 def test_hash_knows_its_index_alone() -> None:

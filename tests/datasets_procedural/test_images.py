@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from nrbench.datasets_procedural.images import Images, _free_corner
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image
+from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image, write_image
-from nrbench.plan import drawn
-from nrbench.suite import load_suite
-from nrbench.texture import Region
+from nrbench.plugins.texture import Region
+from nrbench.suites.plan import drawn
+from nrbench.suites.suite import load_suite
 
 
 @pytest.fixture

@@ -12,10 +12,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from nrbench import plugins
-from nrbench.datasets_procedural.model import Model
-from nrbench.imaging.door import Image
+from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.suite import load_suite
+from nrbench.suites.suite import load_suite
 
 from .conftest import MODELS, NONE, VARIANTS, render, truth
 

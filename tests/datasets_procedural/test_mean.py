@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.modelling.model import Model
 
 from .conftest import MODELS, NONE, render, truth
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
-from nrbench.texture import Texture
+from nrbench.plugins.texture import Texture
 
 from .conftest import MODELS, NONE, VARIANTS, render, truth
 

@@ -10,7 +10,7 @@ from scipy import fft
 
 from nrbench.datasets_procedural.noise import Noise
 from nrbench.errors import BadInput
-from nrbench.imaging.door import gray
+from nrbench.imaging.convert import gray
 
 SPECTRA = get_args(get_type_hints(Noise)["spectrum"])
 

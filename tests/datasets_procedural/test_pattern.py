@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nrbench.datasets_procedural.pattern import Layer, Pattern
+from nrbench.datasets_procedural.modelling.pattern import Layer, Pattern
 
 INDEX = np.array([[-1, -1, 2], [-1, 0, 2]])
 COVERAGE = np.array([[1.0, 0.5, 0.0], [1.0, 0.25, 0.0]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nrbench.datasets_procedural.shades import bevel, hue_turn, mix, rim, round_profile
+from nrbench.datasets_procedural.modelling.shades import bevel, hue_turn, mix, rim, round_profile
 
 
 def test_rim_and_profile() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nrbench.datasets_procedural.coordinates import Field
-from nrbench.datasets_procedural.shapes import box, capsule, coverage, disc, hexagon, lozenge, stripe, turned
+from nrbench.datasets_procedural.modelling.coordinates import Field
+from nrbench.datasets_procedural.modelling.shapes import box, capsule, coverage, disc, hexagon, lozenge, stripe, turned
 
 
 def test_box_distances() -> None:

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from nrbench import plugins
-from nrbench.datasets_procedural.model import Model
-from nrbench.imaging.door import to_bytes
-from nrbench.plan import Sample, drawn
+from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.imaging.convert import to_bytes
 from nrbench.streams import pixels_hash
-from nrbench.suite import Suite, TextureRow, load_suite
+from nrbench.suites.plan import Sample, drawn
+from nrbench.suites.suite import Suite, TextureRow, load_suite
 
 SHARES = {"mild": (0.9, 1.0), "middle": (0.6, 0.9), "strong": (0.3, 0.6)}
 SUITES = ["core", "default"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nrbench.datasets_procedural.symmetry import GROUPS, Group, operations, random_motif
+from nrbench.datasets_procedural.modelling.symmetry import GROUPS, Group, operations, random_motif
 from nrbench.datasets_procedural.wallpaper import Wallpaper
 from nrbench.lattice.geometry import Lattice
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.datasets_procedural.threads import interlaced
+from nrbench.datasets_procedural.modelling.threads import interlaced
 from nrbench.datasets_procedural.weave import Weave
 
 DRAFT = np.array([[True, True, False], [False, True, True]])

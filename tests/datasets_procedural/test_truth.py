@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nrbench.datasets_procedural.truth import read_rendered, read_truth
+from nrbench.datasets_procedural.photographs.truth import read_rendered, read_truth
 from nrbench.errors import BadInput
 
 HEADER = "file,t1x,t1y,t2x,t2y\n"

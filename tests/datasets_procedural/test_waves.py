@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nrbench.datasets_procedural.waves import waves
+from nrbench.datasets_procedural.modelling.waves import waves
 
 
 def test_moments_over_draws() -> None:

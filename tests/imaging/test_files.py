@@ -10,7 +10,7 @@ import PIL.Image
 import pytest
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import quantize
+from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
 
 RAMP = np.arange(16 * 12, dtype=np.uint8).reshape(12, 16)

@@ -11,13 +11,13 @@ import pytest
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
-from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
+from nrbench.plugins.forms import Observation, Task
+from nrbench.plugins.texture import Shape, Texture
 from nrbench.streams import stream
-from nrbench.synthesis import Observation, Task
 from nrbench.synthesizers.planted import Planted
-from nrbench.texture import Shape, Texture
 
 MODELS: dict[str, Model] = {
     "brick": Brick(color=0.2, noise=0.03, rotation=13.0),

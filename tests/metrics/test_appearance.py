@@ -7,15 +7,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import spearmanr, wasserstein_distance
 
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.appearance import Appearance
-from nrbench.metrics.line_kernels import steep_line_sums
-from nrbench.metrics.seams import worst_lines
-from nrbench.metrics.tileable import border_excess
-from nrbench.metrics.wasserstein import color_histograms, color_scale, cumulative, distance
-from nrbench.synthesis import Observation, Score
-from nrbench.texture import Texture
+from nrbench.metrics.appearance_differences.line_kernels import steep_line_sums
+from nrbench.metrics.appearance_differences.seams import worst_lines
+from nrbench.metrics.appearance_differences.tileable import border_excess
+from nrbench.metrics.appearance_differences.wasserstein import color_histograms, color_scale, cumulative, distance
+from nrbench.plugins.forms import Observation, Score
+from nrbench.plugins.texture import Texture
 
 from .conftest import MODELS, Case
 

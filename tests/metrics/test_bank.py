@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from nrbench.imaging.registration import Template
-from nrbench.metrics.bank import Bank
+from nrbench.metrics.ncc.dense_ncc import Bank
+from nrbench.metrics.ncc.registration import Template
 
 
 def bank(window: tuple[int, int], channels: int, patch: int = 40) -> Bank:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from nrbench.metrics.cost import Cost
-from nrbench.synthesis import Metric, Observation
+from nrbench.plugins.forms import Metric, Observation
 
 SAMPLE, OUTPUT = np.zeros((64, 64, 3), np.float32), np.zeros((100, 200, 3), np.float32)
 MEASURED = {"cpu_seconds": 0.4, "detection_seconds": 0.1, "peak_mib": 12.0}

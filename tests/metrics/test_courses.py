@@ -3,9 +3,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from nrbench.metrics.courses import course_gains, course_suspicion
-from nrbench.metrics.judgement import judge
-from nrbench.metrics.tiles import inspect
+from nrbench.metrics.verdict.courses import course_gains, course_suspicion
+from nrbench.metrics.verdict.tiles import inspect
+from nrbench.metrics.verdict.verdict import judge
 
 from .conftest import MODELS, Case
 from .test_tiles import measure

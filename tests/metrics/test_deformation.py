@@ -14,17 +14,17 @@ from scipy.ndimage import map_coordinates
 from scipy.stats import spearmanr
 
 from nrbench.datasets_procedural.hexagon import Hexagon
-from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.imaging.door import quantize
+from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.deformation import Deformation
-from nrbench.metrics.deformation_field import DeformationField, parts
-from nrbench.metrics.local_phase import Nodes, cell_covariance
-from nrbench.metrics.tracker import MeanTile, Track, track
-from nrbench.metrics.unwrapping import LABELS, unwrap
-from nrbench.synthesis import Metric, Observation
-from nrbench.texture import Texture
+from nrbench.metrics.deformations.deformation_field import DeformationField, parts
+from nrbench.plugins.forms import Metric, Observation
+from nrbench.plugins.texture import Texture
+from nrbench.tracking.local_phase import Nodes, cell_covariance
+from nrbench.tracking.tracker import MeanTile, Track, track
+from nrbench.tracking.unwrapping import LABELS, unwrap
 
 from .conftest import MODELS, Case
 

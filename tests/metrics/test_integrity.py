@@ -6,13 +6,13 @@ import pytest
 from scipy.stats import spearmanr
 
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.imaging.door import quantize
+from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.integrity import Integrity
-from nrbench.metrics.joined import Joint, Whole, joined
-from nrbench.synthesis import Observation, Score, Task
+from nrbench.metrics.whole_elements.composite_tiles import Joint, Whole, joined
+from nrbench.plugins.forms import Observation, Score, Task
+from nrbench.plugins.texture import Texture
 from nrbench.synthesizers.rsgf import Rsgf
-from nrbench.texture import Texture
 
 from .conftest import MODELS, Case
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nrbench.lattice.error import lattice_error
+from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.known_lattice import known_lattice, settled
 from nrbench.metrics.regularity import Regularity
-from nrbench.synthesis import Observation
-from nrbench.texture import Texture
+from nrbench.metrics.verdict.known_lattice import known_lattice, settled
+from nrbench.plugins.forms import Observation
+from nrbench.plugins.texture import Texture
 
 from .conftest import MODELS, Case
 

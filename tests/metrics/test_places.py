@@ -1,8 +1,8 @@
 import numpy as np
 
-from nrbench.metrics.colors import cut_planes, smoothed
-from nrbench.metrics.places import Places
-from nrbench.metrics.yardstick import model_yardstick
+from nrbench.metrics.ncc.colors import cut_planes, smoothed
+from nrbench.metrics.ncc.window_search import Places
+from nrbench.metrics.verdict.reference import model_yardstick
 
 from .conftest import make_case
 

@@ -7,12 +7,12 @@ from scipy import ndimage
 from scipy.stats import spearmanr
 
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.randomness import Randomness, sources
-from nrbench.synthesis import Observation, Score, Task
+from nrbench.plugins.forms import Observation, Score, Task
+from nrbench.plugins.texture import Texture
 from nrbench.synthesizers.supertile import Supertile
-from nrbench.texture import Texture
 
 from .conftest import MODELS, Case
 

@@ -6,9 +6,9 @@ from scipy import ndimage
 
 from nrbench.imaging.fold import Tile
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.placement import place
-from nrbench.metrics.refinement import Cell, refined
-from nrbench.metrics.yardstick import Yardstick, model_yardstick
+from nrbench.metrics.ncc.refinement import Cell, refined
+from nrbench.metrics.verdict.reference import Yardstick, model_yardstick
+from nrbench.metrics.verdict.window_registration import place
 
 from .conftest import MODELS, Case, make_case
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nrbench.imaging.door import Image
+from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.judgement import judge
 from nrbench.metrics.regularity import Regularity
-from nrbench.synthesis import Observation, Score
-from nrbench.texture import Texture
+from nrbench.metrics.verdict.verdict import judge
+from nrbench.plugins.forms import Observation, Score
+from nrbench.plugins.texture import Texture
 
 from .conftest import MODELS, Case
 

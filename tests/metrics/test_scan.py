@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nrbench.metrics.colors import Colors, smoothed
-from nrbench.metrics.scan import Scan
-from nrbench.metrics.yardstick import model_yardstick
+from nrbench.metrics.ncc.colors import Colors, smoothed
+from nrbench.metrics.ncc.scan import Scan
+from nrbench.metrics.verdict.reference import model_yardstick
 
 from .conftest import MODELS, make_case
 

@@ -10,13 +10,13 @@ from scipy.stats import spearmanr
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
-from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.noise import Noise
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.self_similarity import REACH, SelfSimilarity, regularity
-from nrbench.suite import load_suite
-from nrbench.synthesis import Metric, Observation
+from nrbench.plugins.forms import Metric, Observation
+from nrbench.suites.suite import load_suite
 
 FULL = {"color": 0.6, "intensity": 0.3, "noise": 0.08, "jitter": 0.8, "bend": 1.0}
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from nrbench.metrics.source import SourceUse
-from nrbench.synthesis import Observation, Score, SourceMap
+from nrbench.plugins.forms import Observation, Score, SourceMap
 
 SAMPLE = np.zeros((32, 48, 3), np.float32)
 

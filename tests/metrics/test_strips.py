@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.imaging.door import quantize
+from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics import strip_template
-from nrbench.metrics.judgement import judge
-from nrbench.metrics.scatter import scatter_suspicion
-from nrbench.metrics.strip_template import StripTemplate
-from nrbench.metrics.strips import strip_suspicion, strips
+from nrbench.metrics.ncc import strip_template
+from nrbench.metrics.ncc.strip_template import StripTemplate
+from nrbench.metrics.verdict.scatter import scatter_suspicion
+from nrbench.metrics.verdict.strips import strip_suspicion, strips
+from nrbench.metrics.verdict.verdict import judge
 
 from .conftest import MODELS, Case
 from .test_tiles import measure

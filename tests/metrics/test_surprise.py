@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from nrbench.metrics.surprise import Tail
+from nrbench.metrics.verdict.exponential_tail import Tail
 
 
 @pytest.mark.parametrize("count", [50, 500, 5000])

@@ -3,9 +3,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from nrbench.metrics.judgement import judge
-from nrbench.metrics.tiles import inspect
-from nrbench.metrics.yardstick import Yardstick, model_yardstick
+from nrbench.metrics.verdict.reference import Yardstick, model_yardstick
+from nrbench.metrics.verdict.tiles import inspect
+from nrbench.metrics.verdict.verdict import judge
 
 from .conftest import MODELS, Case
 

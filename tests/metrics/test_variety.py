@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.distance import distance
-from nrbench.metrics.repetition import SIZES, Share, Twins, twins, window_pairs
-from nrbench.metrics.tileset import TileSet, even_grid, quarters
+from nrbench.metrics.residual_tiles.distance import distance
+from nrbench.metrics.residual_tiles.repetition import SIZES, Share, Twins, twins, window_pairs
+from nrbench.metrics.residual_tiles.tileset import TileSet, even_grid, quarters
 
 SQUARE = Lattice((16, 0), (0, 16))
 FLAT = np.ones((16, 16), np.float32)

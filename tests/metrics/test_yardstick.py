@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.imaging.door import quantize
+from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.judgement import compare
-from nrbench.metrics.limits import SURE_SHARE
-from nrbench.metrics.look import look_at_references
-from nrbench.metrics.yardstick import DRAWS, best_yardstick, sample_yardstick, yardstick
-from nrbench.texture import Texture
+from nrbench.metrics.verdict.limits import SURE_SHARE
+from nrbench.metrics.verdict.measurements import look_at_references
+from nrbench.metrics.verdict.reference import DRAWS, best_yardstick, sample_yardstick, yardstick
+from nrbench.metrics.verdict.verdict import compare
+from nrbench.plugins.texture import Texture
 
 from .conftest import MODELS, Case
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nrbench.cell import Cell, Recipe
 from nrbench.imaging.files import write_image
 from nrbench.lattice.geometry import Lattice
-from nrbench.records import CellRecord, Run
-from nrbench.synthesis import Column
+from nrbench.plugins.forms import Column
+from nrbench.runs.records import CellRecord, Run
+from nrbench.suites.cell import Cell, Recipe
 
 TRUTH = Lattice((8.5, 0.0), (4.25, 6.1), (1.0, 2.0))
 COLUMNS: dict[str, Column] = {

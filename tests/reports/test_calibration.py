@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.reports.calibration import calibration
+from nrbench.reports.plots.calibration import calibration
 
 
 def test_a_known_answer() -> None:

@@ -7,16 +7,16 @@ from typing import Any
 
 import pytest
 
-from nrbench.records import Run
-from nrbench.reports.cheats import LEGEND, SIGN, NoCheat, is_right, sentence
-from nrbench.reports.comparison import comparison
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
-from nrbench.reports.perils import caption, places
-from nrbench.reports.plane import drawn
+from nrbench.reports.perils import drawn
+from nrbench.reports.statistics.baselines import LEGEND, SIGN, NoCheat, is_right, sentence
+from nrbench.reports.statistics.comparison import comparison
+from nrbench.reports.statistics.perils import caption, places
 from nrbench.reports.text import TextTable
+from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
 SCORES = {"randomness.variation": 0.1, "randomness.repetition": 2.0, "randomness.distance": 0.01}

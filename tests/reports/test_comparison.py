@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from nrbench.records import Run
-from nrbench.reports.comparison import comparison
-from nrbench.reports.foot import others
-from nrbench.reports.summary import COSTS, headlines_first
-from nrbench.reports.verdicts import SCORE
+from nrbench.reports.statistics.comparison import comparison
+from nrbench.reports.statistics.summary import COSTS, headlines_first
+from nrbench.reports.statistics.summary_rows import others
+from nrbench.reports.statistics.verdicts import SCORE
+from nrbench.runs.records import Run
 
 from .conftest import COLUMNS
 

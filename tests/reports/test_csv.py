@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from nrbench.records import Run
 from nrbench.reports.csv import CsvTables
+from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
 

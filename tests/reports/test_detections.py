@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.records import CellRecord, Run
+from nrbench.plugins.forms import Column, FoundLattice
 from nrbench.reports.csv import CsvTables, detectors_table
-from nrbench.reports.detections import answers, detectors
 from nrbench.reports.html import HtmlReport
-from nrbench.reports.statistics import wilson
+from nrbench.reports.statistics.detections import answers, detectors
+from nrbench.reports.statistics.statistics import wilson
 from nrbench.reports.text import TextTable
-from nrbench.synthesis import Column, FoundLattice
+from nrbench.runs.records import CellRecord, Run
 
 from .conftest import HOSTILE, TRUTH, MakeCell, MakeRun
 

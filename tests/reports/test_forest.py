@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from nrbench.records import Run
-from nrbench.reports.comparison import comparison
-from nrbench.reports.forest import panels
-from nrbench.reports.summary import headlines
+from nrbench.reports.plots.forest_plot import panels
+from nrbench.reports.statistics.comparison import comparison
+from nrbench.reports.statistics.summary import headlines
+from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
 

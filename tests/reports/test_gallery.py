@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.records import Run
-from nrbench.reports.comparison import comparison
-from nrbench.reports.figures import shade
-from nrbench.reports.gallery import Section, gallery
-from nrbench.reports.pictures import Picture, Pictures
+from nrbench.reports.page.figures import shade
+from nrbench.reports.page.gallery import Section, gallery
+from nrbench.reports.page.pictures import Picture, Pictures
+from nrbench.reports.statistics.comparison import comparison
+from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
 

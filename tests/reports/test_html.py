@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from nrbench.records import Run
 from nrbench.reports.html import HtmlReport
+from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
 VOID = {"meta", "img", "input", "br", "path"}

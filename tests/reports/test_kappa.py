@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nrbench.reports.kappa import kappa, mean_kappa, tables
+from nrbench.reports.statistics.kappa import kappa, mean_kappa, tables
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from nrbench.errors import BadInput
-from nrbench.records import Run
 from nrbench.reports.latex import LatexTables, escaped
+from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
 

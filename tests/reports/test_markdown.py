@@ -5,8 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from nrbench.records import Run
 from nrbench.reports.markdown import MarkdownTables, escaped
+from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.reports.overlay import beside, overlay, parsed
+from nrbench.reports.page.overlay import beside, overlay, parsed
 
 
 def _segments(path: str) -> np.ndarray:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nrbench.labels import ANSWERS, Sheet, judge_says, make_sheet, write_key
-from nrbench.records import Run
+from nrbench.labelling.labels import ANSWERS, Sheet, judge_says, make_sheet, write_key
 from nrbench.reports.html import HtmlReport
-from nrbench.reports.people import agreement_table, labels_table, people
+from nrbench.reports.statistics.people import agreement_table, labels_table, people
+from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
 

@@ -13,14 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
-from nrbench.records import CellRecord, Run
-from nrbench.reports.captions import overlap, placed
-from nrbench.reports.comparison import comparison
-from nrbench.reports.kept import KEPT, WALLPAPER, kept
-from nrbench.reports.perils import Place, caption, perils_table, places, wrapped
-from nrbench.reports.plane import PerilsPlane, drawn
-from nrbench.reports.statistics import Estimate
-from nrbench.reports.summary import Head
+from nrbench.reports.perils import PerilsPlane, drawn
+from nrbench.reports.plots.captions import overlap, placed
+from nrbench.reports.statistics.comparison import comparison
+from nrbench.reports.statistics.perils import Place, caption, perils_table, places, wrapped
+from nrbench.reports.statistics.randomness_kept import KEPT, WALLPAPER, kept
+from nrbench.reports.statistics.statistics import Estimate
+from nrbench.reports.statistics.summary import Head
+from nrbench.runs.records import CellRecord, Run
 
 Make = Callable[..., Any]
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nrbench.reports import statistics
-from nrbench.reports.statistics import Estimate
+from nrbench.reports.statistics import statistics
+from nrbench.reports.statistics.statistics import Estimate
 
 
 def _cells(**columns: list[object]) -> pd.DataFrame:

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from nrbench.errors import BadInput
-from nrbench.records import Run
 from nrbench.reports.text import TextTable
+from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from nrbench.records import CellRecord, Run
-from nrbench.reports import verdicts
+from nrbench.reports.statistics import verdicts
+from nrbench.runs.records import CellRecord, Run
 
 Make = Callable[..., Any]
 

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from nrbench.reports import wording
-from nrbench.reports.statistics import Estimate
+from nrbench.reports.page import format as wording
+from nrbench.reports.statistics.statistics import Estimate
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,13 @@ import numpy as np
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
-from nrbench.datasets_procedural.model import Model
+from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.imaging.door import Image
+from nrbench.imaging.convert import Image
+from nrbench.plugins.forms import Again, Synthesis, Task
+from nrbench.plugins.texture import Shape, Texture
 from nrbench.streams import stream
-from nrbench.synthesis import Again, Synthesis, Task
 from nrbench.synthesizers.planted import Planted
-from nrbench.texture import Shape, Texture
 
 MODELS: Mapping[str, Model] = {
     "brick": Brick(color=0.2, noise=0.02),

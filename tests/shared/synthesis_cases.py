@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Synthesis, Synthesizer, Task
+from nrbench.plugins.forms import Synthesis, Synthesizer, Task
 
 TURNED = math.radians(7)
 FRACTIONAL = Lattice(

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from synthesis_cases import noise, synthesize
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import quantize
-from nrbench.outputs import checked_synthesis
-from nrbench.synthesis import Refused
+from nrbench.imaging.convert import quantize
+from nrbench.plugins.forms import Refused
+from nrbench.running.outputs import checked_synthesis
 from nrbench.synthesizers.ann_pixel import AnnPixel
 
 

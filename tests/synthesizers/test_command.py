@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, quantize
-from nrbench.synthesis import Synthesis, Task
+from nrbench.imaging.convert import Image, quantize
+from nrbench.plugins.forms import Synthesis, Task
 from nrbench.synthesizers.command import Command
 
 TILES = """

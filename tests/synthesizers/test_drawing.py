@@ -4,7 +4,7 @@ import numpy as np
 from scipy import stats
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesizers.drawing import REMEMBERED, Drawing, best_places
+from nrbench.synthesizers.gap_filling.patch_sampling import REMEMBERED, Drawing, best_places
 
 
 def grid(count: int, step: int) -> np.ndarray:

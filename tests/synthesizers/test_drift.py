@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.imaging.door import quantize
+from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.judgement import judge
+from nrbench.metrics.verdict.verdict import judge
+from nrbench.plugins.forms import Observation, Synthesizer, Task
+from nrbench.plugins.texture import Shape, Texture
 from nrbench.streams import stream
-from nrbench.synthesis import Observation, Synthesizer, Task
 from nrbench.synthesizers.representative_tile import RepresentativeTile
 from nrbench.synthesizers.rsgf import Rsgf
 from nrbench.synthesizers.tile_set import TileSet
 from nrbench.synthesizers.tiling import Tiling
-from nrbench.texture import Shape, Texture
 
 MODEL = Brick(width=21.37, height=18.81, bond="stack", rotation=7.0, color=0.2, noise=0.03)
 SIDE = 400

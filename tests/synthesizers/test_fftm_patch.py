@@ -6,13 +6,13 @@ import pytest
 
 from nrbench.api import texture
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.lattice.rectangle import Rectangle, upright_rectangle
-from nrbench.outputs import checked_synthesis, is_picture
-from nrbench.synthesis import Refused, Synthesis, Task
-from nrbench.synthesizers.fftm_mask import Analysis, TextureMask
+from nrbench.plugins.forms import Refused, Synthesis, Task
+from nrbench.running.outputs import checked_synthesis, is_picture
 from nrbench.synthesizers.fftm_patch import FftmPatch, automatic_size
+from nrbench.synthesizers.masks.fftm_mask import Analysis, TextureMask
+from nrbench.synthesizers.rectangular_tiles.rectangular_supercell import Rectangle, upright_rectangle
 
 WHOLE = Lattice((24, 0), (0, 20))
 

@@ -12,13 +12,13 @@ from skimage.color import rgb2ypbpr
 from synthesis_cases import noise
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, quantize
-from nrbench.imaging.harmonics import Harmonics
+from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.source import SourceUse
-from nrbench.outputs import checked_synthesis, is_picture
-from nrbench.synthesis import Observation, Refused, Synthesis, Task
-from nrbench.synthesizers.fftm_mask import TextureMask
+from nrbench.plugins.forms import Observation, Refused, Synthesis, Task
+from nrbench.running.outputs import checked_synthesis, is_picture
+from nrbench.spectra.harmonics import Harmonics
 from nrbench.synthesizers.fftm_pixel import FftmPixel
+from nrbench.synthesizers.masks.fftm_mask import TextureMask
 
 SEARCHES = ("ann", "exhaustive", "k-coherence")
 MATCHES = ("full", "cluster")

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from nrbench.imaging.door import Image, quantize
-from nrbench.imaging.harmonics import Harmonics
-from nrbench.synthesis import Refused
-from nrbench.synthesizers.fftm_mask import TextureMask
+from nrbench.imaging.convert import Image, quantize
+from nrbench.plugins.forms import Refused
+from nrbench.spectra.harmonics import Harmonics
 from nrbench.synthesizers.fftm_pixel import FftmPixel
+from nrbench.synthesizers.masks.fftm_mask import TextureMask
 
 from .test_fftm_pixel import mask_of, noise, repeated, soft_tile, synthesize
 

@@ -1,7 +1,7 @@
 import numpy as np
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Synthesizer, Task
+from nrbench.plugins.forms import Synthesizer, Task
 from nrbench.synthesizers.lattice_only import LatticeOnly
 
 SAMPLE = np.random.default_rng(0).random((6, 5, 3), np.float32)

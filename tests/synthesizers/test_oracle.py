@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from nrbench.synthesis import Refused, Task
+from nrbench.plugins.forms import Refused, Task
+from nrbench.plugins.texture import Shape, Texture
 from nrbench.synthesizers.oracle import Oracle
-from nrbench.texture import Shape, Texture
 
 SAMPLE = np.full((20, 20, 3), 0.5, np.float32)
 

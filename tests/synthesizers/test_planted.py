@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from planted_cases import LARGEST, MODELS, TEXTURE, TEXTURES, Draws, S, plant, planted
 
-from nrbench.synthesis import Refused
+from nrbench.plugins.forms import Refused
+from nrbench.plugins.texture import Shape
 from nrbench.synthesizers.planted import FAULTS
-from nrbench.texture import Shape
 
 
 @pytest.mark.parametrize("kind", FAULTS)

@@ -5,10 +5,10 @@ import pytest
 from planted_cases import NEEDS_NO_LATTICE, TEXTURE, Draws, plant
 
 from nrbench.errors import BadInput
-from nrbench.synthesis import Refused
+from nrbench.plugins.forms import Refused
+from nrbench.plugins.texture import Shape, Texture
+from nrbench.synthesizers.defects.planting import read
 from nrbench.synthesizers.planted import FAULTS, Planted
-from nrbench.synthesizers.planting import read
-from nrbench.texture import Shape, Texture
 
 
 @pytest.mark.parametrize("kind", FAULTS)

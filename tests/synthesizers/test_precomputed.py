@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import write_image
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.synthesizers.precomputed import Precomputed, name_for
 
 

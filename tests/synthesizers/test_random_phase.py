@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, quantize
-from nrbench.outputs import checked_synthesis
-from nrbench.synthesis import Task
+from nrbench.imaging.convert import Image, quantize
+from nrbench.plugins.forms import Task
+from nrbench.running.outputs import checked_synthesis
 from nrbench.synthesizers.random_phase import RandomPhase, _periodic
 
 

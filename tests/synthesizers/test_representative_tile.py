@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from scipy import stats
 from synthesis_cases import noise
 
-from nrbench.imaging.door import Image, quantize
-from nrbench.imaging.tile_costs import continuity, resemblance
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Synthesis, Task
+from nrbench.plugins.forms import Synthesis, Task
+from nrbench.synthesizers.rectangular_tiles.tile_costs import continuity, resemblance
 from nrbench.synthesizers.representative_tile import RepresentativeTile, preselected
 
 TURN = math.radians(7)

@@ -8,11 +8,11 @@ from click.testing import CliRunner
 
 from nrbench.cli.pictures import synth_command
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image, write_image
-from nrbench.lattice.detection import Detection, NoLatticeFound
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Refused, Task
+from nrbench.plugins.detection import Detection, NoLatticeFound
+from nrbench.plugins.forms import Refused, Task
 from nrbench.synthesizers.representative_tile import RepresentativeTile
 
 from .test_representative_tile import OBLIQUE, UPRIGHT, noise, synthesize, waves

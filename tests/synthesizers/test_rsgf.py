@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from synthesis_cases import FRACTIONAL, noise, places, synthesize
 
 from nrbench.errors import BadInput
-from nrbench.imaging.canvas import Seam
-from nrbench.imaging.door import Image, quantize
-from nrbench.lattice.detection import Detection, NoLatticeFound
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.outputs import checked_synthesis
-from nrbench.synthesis import Refused, Task
+from nrbench.plugins.detection import Detection, NoLatticeFound
+from nrbench.plugins.forms import Refused, Task
+from nrbench.running.outputs import checked_synthesis
+from nrbench.synthesizers.gap_filling.canvas import Seam
 from nrbench.synthesizers.rsgf import Rsgf
 
 SEAMS = get_args(Seam)

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from scipy import stats
 from synthesis_cases import FRACTIONAL, noise, places, synthesize
 
-from nrbench.imaging.blocks import BlockGrid
-from nrbench.imaging.canvas import Canvas, Seam
-from nrbench.imaging.door import Image, quantize, to_bytes
-from nrbench.imaging.patches import FINEST, Patches
-from nrbench.imaging.sampling import room_for
+from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Task
-from nrbench.synthesizers.filling import Filling, Rules
+from nrbench.plugins.forms import Task
+from nrbench.synthesizers.gap_filling.blocks import BlockGrid
+from nrbench.synthesizers.gap_filling.canvas import Canvas, Seam
+from nrbench.synthesizers.gap_filling.gap_filling import Filling, Rules
 from nrbench.synthesizers.rsgf import Rsgf
+from nrbench.synthesizers.sampling.equal_places import room_for
+from nrbench.synthesizers.sampling.patches import FINEST, Patches
 
 SEAMS = get_args(Seam)
 PAPER = Rsgf(seam="blend", subpixel=False, tolerance=3.0, among=0.0, spread=False)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image, quantize
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.imaging.convert import Image, quantize
+from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.synthesizers.scatter import Scatter
 
 

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from nrbench.imaging.door import Image, quantize
-from nrbench.lattice.detection import NoLatticeFound
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.outputs import checked_synthesis
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.plugins.detection import NoLatticeFound
+from nrbench.plugins.forms import Refused, Synthesis, Task
+from nrbench.running.outputs import checked_synthesis
 from nrbench.synthesizers.shuffle import Shuffle
 
 WHOLE = Lattice((20, 4), (-3, 16))

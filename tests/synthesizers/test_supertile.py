@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.outputs import checked_synthesis
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.plugins.forms import Refused, Synthesis, Task
+from nrbench.running.outputs import checked_synthesis
 from nrbench.synthesizers.supertile import Supertile, supercell
 from nrbench.synthesizers.tiling import reach
 

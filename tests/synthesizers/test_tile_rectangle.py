@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Refused
-from nrbench.synthesizers.tile_rectangle import pixel_grid, rectangle_frame
+from nrbench.plugins.forms import Refused
+from nrbench.synthesizers.rectangular_tiles.tile_rectangle import pixel_grid, rectangle_frame
 
 SHAPE = (128, 150, 3)
 

@@ -6,9 +6,9 @@ import pytest
 from numpy.typing import NDArray
 from synthesis_cases import FRACTIONAL, noise, synthesize
 
-from nrbench.imaging.door import Image, quantize, to_bytes
+from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Synthesis, Task
+from nrbench.plugins.forms import Synthesis, Task
 from nrbench.synthesizers.tile_set import TileSet, _Laying
 
 TILES = ["auto", "upright", "lattice", "rectangle", "cell"]

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from nrbench.imaging.door import quantize, to_bytes
+from nrbench.imaging.convert import quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Task
+from nrbench.plugins.forms import Task
+from nrbench.synthesizers.tile_laying.stock import Cuts
 from nrbench.synthesizers.tile_set import TileSet, _Laying
-from nrbench.synthesizers.tile_stock import Cuts
 
 from .test_tile_set import noise, waves
 

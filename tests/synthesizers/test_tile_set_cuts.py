@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Task
-from nrbench.synthesizers.tile_anchor import element_costs
-from nrbench.synthesizers.tile_frame import frame_of
+from nrbench.plugins.forms import Task
+from nrbench.synthesizers.tile_laying.anchor import element_costs
+from nrbench.synthesizers.tile_laying.frame import frame_of
 from nrbench.synthesizers.tile_set import LEAST_SIDE, TileSet, _Laying
 
 LATTICES = [Lattice((24.3, 0.0), (0.0, 21.7)), Lattice((14.2, 12.7), (14.2, -12.7)), Lattice((23.4, 5.1), (-5.1, 23.4))]

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 import nrbench
 from nrbench.cli.pictures import synth_command
 from nrbench.errors import BadInput
-from nrbench.imaging.door import Image
+from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image, write_image
-from nrbench.lattice.detection import NoLatticeFound
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Refused
-from nrbench.synthesizers.tile_frame import frame_of
+from nrbench.plugins.detection import NoLatticeFound
+from nrbench.plugins.forms import Refused
+from nrbench.synthesizers.tile_laying.frame import frame_of
 from nrbench.synthesizers.tile_set import TileSet
 
 from .test_tile_set import LATTICES, TILES, noise, synthesize

@@ -4,10 +4,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nrbench.imaging.door import Image, quantize
-from nrbench.lattice.detection import Detection, NoLatticeFound
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.plugins.detection import Detection, NoLatticeFound
+from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.synthesizers.tiling import Tiling, reach
 
 OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))

@@ -5,11 +5,11 @@ import pytest
 from scipy import stats
 from synthesis_cases import noise
 
-from nrbench.imaging.door import Image, quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesis import Refused, Synthesis, Task
+from nrbench.plugins.forms import Refused, Synthesis, Task
+from nrbench.synthesizers.rectangular_tiles.wang import WangSet, colors_for
 from nrbench.synthesizers.representative_tile import RepresentativeTile
-from nrbench.synthesizers.wang import WangSet, colors_for
 
 LATTICE = Lattice((12, 0), (0, 10))
 

@@ -1,0 +1,1 @@
+"""TODO nrbench.datasets_procedural.modelling."""

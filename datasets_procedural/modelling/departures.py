@@ -1,0 +1,265 @@
+"""Departures: how a draw differs from its ideal image, element by element and as a whole.
+
+Jitter moves elements by a quarter of s, however small they are. Neighbors that move farther apart than they are broad
+would fold the picture over, so small elements move by themselves only as far as their breadth allows, and make the rest
+of the standard deviation together, in waves whose length is in proportion to how far they move.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import correlate1d
+
+from nrbench.imaging.convert import Image
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.texture import Kind, Shape
+
+from .coordinates import Displacement, Field
+from .fields import factor_variance, factors, grain, role_seed, uniform, unit
+from .pattern import Layer, Pattern
+from .waves import waves
+
+_ALONE = 0.27
+"""Standard deviation, as a share of an element's breadth, up to which jitter moves small elements by themselves."""
+_STRETCH = 22.0
+"""Length of the waves of the rest of the jitter, over its standard deviation: its gradients then have one of 0.2."""
+
+Elements = dict[str, NDArray[np.float64]]
+"""``NAME.index`` ``(n, k)``, ``NAME.factor`` ``(n, 3)``, ... of the n elements in the picture, for each kind."""
+
+
+@dataclass(frozen=True)
+class Departures:
+    """The strengths, all in [0, 1], of what :class:`~.model.Model` documents, and two lengths in px.
+
+    Parameters
+    ----------
+    s
+        Length of the shortest lattice vector: the unit of displacements.
+    element_size
+        Typical breadth of an element: holes worn into it, and seams between displaced ones, are a fraction of it.
+    """
+
+    color: float
+    intensity: float
+    noise: float
+    light: float
+    damage: float
+    missing: float
+    jitter: float
+    bend: float
+    s: float
+    element_size: float
+
+    @property
+    def kind(self) -> Kind:
+        """``"I"`` where colors depart, ``"II"`` where places do, ``"III"`` where both, ``"0"`` where neither."""
+        colors = self.color or self.intensity or self.noise or self.light or self.damage or self.missing
+        places = self.jitter or self.bend
+        return "III" if colors and places else "II" if places else "I" if colors else "0"
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation in px, along each axis, of displacements: of elements by jitter, of pixels by bend."""
+        return 0.25 * self.s * math.hypot(self.jitter, self.bend)
+
+    @property
+    def margin(self) -> int:
+        """How many px beyond the picture displacements depend on."""
+        return math.ceil(4 * self._seam) if self.jitter else 0
+
+    @property
+    def _alone(self) -> float:
+        """Standard deviation in px by which jitter moves each element by itself: more would fold the picture over.
+
+        Elements half as broad as s, with few seams, move alone up to a strength of 0.8.
+        """
+        share = max(_ALONE, 0.8 * self.element_size / self.s)
+        return min(0.25 * self.s * self.jitter, share * self.element_size)
+
+    @property
+    def _together(self) -> float:
+        """Standard deviation in px by which jitter moves elements with their neighbors: the rest of it."""
+        rest = (0.25 * self.s * self.jitter) ** 2 - self._alone**2
+        return math.sqrt(rest) if rest > 1e-9 * self.s**2 else 0.0
+
+    @property
+    def _seam(self) -> float:
+        """Standard deviation in px of the Gaussian across seams: as wide as elements move, else they fold over."""
+        size = self.element_size
+        return min(max(0.25 * self.s * self.jitter, 0.1 * size), 0.3 * size)
+
+    def displacement(self, around: Pattern, shape: Shape, seed: int) -> Displacement:
+        """Return how far the content at each pixel moves.
+
+        Parameters
+        ----------
+        around
+            The pattern on the picture and :attr:`margin` px around it: an element moves as one (but for the waves), and
+            what lies between two is stretched.
+        shape, seed
+            The picture's, and the draw's.
+        """
+        moved = np.zeros((*shape, 2))
+        if self.bend:
+            moved += self._waves("bend", 0.25 * self.s * self.bend, 5 * self.s, shape, seed)
+        if self.jitter:
+            moved += self._jitter(around, seed)
+        if self._together:
+            moved += self._drift(shape, seed)
+        return moved
+
+    def _waves(self, role: str, spread: float, period: float, shape: Shape, seed: int) -> Displacement:
+        return np.stack([spread * waves(role_seed(seed, f"{role}.{axis}"), shape, period) for axis in range(2)], -1)
+
+    def _drift(self, shape: Shape, seed: int) -> Displacement:
+        """Return what jitter moves together, in waves so long that the map of the picture stays one to one."""
+        return self._waves("drift", self._together, _STRETCH * self._together, shape, seed)
+
+    def _jitter(self, around: Pattern, seed: int) -> Displacement:
+        """Return the displacement of the element at each pixel, smoothed across the seams by a Gaussian."""
+        weight = self._smoothed(around.covered() + 1e-3)
+        moves = [self._moves(layer, seed) for layer in around.layers]
+        inside = slice(self.margin, -self.margin)
+        fields = (reduce(np.add, axis) for axis in zip(*moves, strict=True))
+        return np.stack([(self._smoothed(field) / weight)[inside, inside] for field in fields], -1)
+
+    def _moves(self, layer: Layer, seed: int) -> list[Field]:
+        """Return how far each element moves by itself along x and y, times its coverage, at each point."""
+        census = layer.census()
+        table = self._move_table(layer.name, census.index, seed)
+        return [layer.coverage * column.take(census.place) for column in np.ascontiguousarray(table.T)]
+
+    def _move_table(self, name: str, index: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
+        parts = [column[:, np.newaxis] for column in index.T]
+        return self._alone * uniform(role_seed(seed, f"{name}.jitter"), *parts, np.arange(2))
+
+    def _smoothed(self, field: Field) -> Field:
+        kernel = np.exp(-(np.arange(-self.margin, self.margin + 1) ** 2) / (2 * self._seam**2))
+        return np.asarray(correlate1d(correlate1d(field, kernel / kernel.sum(), 0), kernel / kernel.sum(), 1))
+
+    def painted(self, pattern: Pattern, seed: int) -> tuple[Image, Elements]:
+        """Return the image, not yet clipped, and the elements in it with their departures."""
+        elements: Elements = {}
+        layers, tables = [], []
+        for layer, factor, truth in self._departed(pattern, seed):
+            layers.append(layer)
+            tables.append(factor)
+            for name, rows in truth.items():
+                elements[name] = np.concatenate([elements[name], rows]) if name in elements else rows
+        image = replace(pattern, layers=tuple(layers)).bare()
+        for layer, factor in zip(layers, tables, strict=True):
+            image += layer.paint() * factor
+        return self._lit(image, seed), elements
+
+    def _departed(self, pattern: Pattern, seed: int) -> Iterator[tuple[Layer, Image, Elements]]:
+        """Yield each layer as worn, with its factor at each pixel and the truth about its elements."""
+        shape = pattern.layers[0].coverage.shape
+        holes = self._holes(shape, seed) if self.damage else 0.0
+        drift = self._drift(shape, seed) if self._together else None
+        for layer in pattern.layers:
+            census = layer.census()
+            seen = census.seen(layer.coverage)
+            table = factors(seed, layer.name, census.index, self.color, self.intensity)
+            truth = {"index": census.index.astype(np.float64), "factor": table}
+            if self.damage or self.missing:
+                truth["damage"] = self._losses(layer.name, census.index, seed)
+                loss = truth["damage"].take(census.place)
+                lost = np.where(loss < 1, (loss > 0) * holes, 1.0)
+                layer = replace(layer, coverage=layer.coverage * (1 - lost))
+            if self.jitter:
+                truth["displacement"] = self._move_table(layer.name, census.index, seed)
+            if drift is not None:
+                truth["displacement"] += census.means(drift)
+            named = {f"{layer.name}.{part}": rows[seen] for part, rows in truth.items()}
+            yield layer, table.astype(np.float32).take(census.place, 0), named
+
+    def _losses(self, name: str, index: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
+        """Return the share that each element has lost: 0, 0.5 (holes in it) or 1 (missing)."""
+        number = unit(role_seed(seed, f"{name}.damage"), *index.T)
+        worn = number < self.missing + (1 - self.missing) * self.damage
+        return np.where(number < self.missing, 1.0, 0.5 * worn)
+
+    def _holes(self, shape: Shape, seed: int) -> Field:
+        """Return the share of each pixel that a hole would take: half of the plane, in blots about an element wide."""
+        slope = 2 * math.pi / self.element_size
+        return np.clip(0.5 + waves(role_seed(seed, "holes"), shape, self.element_size) / slope, 0, 1)
+
+    def _lit(self, image: Image, seed: int) -> Image:
+        shape = image.shape[:2]
+        if self.light:
+            gradient = waves(role_seed(seed, "light"), shape, 16 * self.s, count=1)
+            image *= np.asarray(1 + 0.25 * self.light * gradient, np.float32)[..., np.newaxis]
+        image += np.float32(self.noise) * grain(role_seed(seed, "noise"), shape)[..., np.newaxis]
+        return image
+
+    def regular_share(self, cell: Pattern, lattice: Lattice) -> float:
+        """Return the variance of the mean over draws, as a share of the mean total variance.
+
+        Parameters
+        ----------
+        cell
+            The pattern on a grid of cell coordinates, ``(n, n)``, that covers one cell.
+        lattice
+            Its lattice.
+        """
+        mean, variance = self._moments(cell)
+        regular = mean.var((0, 1), dtype=np.float64).mean()
+        kept = self._unblurred(mean, lattice) if self.spread else 1.0
+        return float(kept * regular / (regular + variance.mean()))
+
+    def measured_share(self, draws: Iterable[Pattern]) -> float:
+        """Return the regular share over some draws of the displacements, colors and losses integrated out.
+
+        How far a pixel moves under jitter depends on how many elements the seams around it blend.
+
+        Parameters
+        ----------
+        draws
+            The displaced patterns on one grid ``(n, m)``, at least two, some periods wide.
+        """
+        moments = [self._moments(draw) for draw in draws]
+        means = np.stack([mean for mean, _ in moments])
+        height, width = means.shape[1:3]
+        # a window that fades out counts broken periods at the border for little
+        window = np.outer(np.hanning(height + 2)[1:-1], np.hanning(width + 2)[1:-1])[..., np.newaxis]
+        window /= window.sum() * means.shape[-1]
+        moved = float((window * means.var(0, ddof=1)).sum())
+        mean = means.mean(0)
+        flat = (window * mean).sum((0, 1)) * means.shape[-1]
+        regular = max(float((window * (mean - flat) ** 2).sum()) - moved / len(means), 0.0)
+        own = float(np.mean([(window * variance).sum() for _, variance in moments]))
+        return regular / (regular + moved + own)
+
+    def _moments(self, cell: Pattern) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return mean and variance over draws at each point, displacements left out."""
+        kept = (1 - self.missing) * (1 - self.damage / 2)
+        ground = np.asarray(cell.ground, np.float64)
+        mean = cell.bare().astype(np.float64)
+        variance = np.zeros_like(mean)
+        for layer in cell.layers:
+            paint, bare = layer.paint().astype(np.float64), layer.coverage[..., np.newaxis] * ground
+            expected = kept * paint + (1 - kept) * bare
+            square = kept * paint**2 * (1 + factor_variance(self.color, self.intensity)) + (1 - kept) * bare**2
+            mean += expected
+            variance += square - expected**2
+        lit = (0.25 * self.light) ** 2 * (mean**2 + variance)
+        return mean, variance + lit + self.noise**2
+
+    def _unblurred(self, mean: NDArray[np.float64], lattice: Lattice) -> float:
+        """Return the share of the periodic image's variance that remains when each point moves by :attr:`spread`.
+
+        The mean over normal displacements is the image under a Gaussian: a product in the cell's Fourier series.
+        """
+        power = (np.abs(np.fft.fft2(mean, axes=(0, 1))) ** 2).sum(-1)
+        power[0, 0] = 0
+        order = np.fft.fftfreq(len(mean), 1 / len(mean))
+        waves_xy = np.stack(np.meshgrid(order, order), -1) @ np.linalg.inv(lattice.matrix).T
+        gain = np.exp(-((2 * math.pi * self.spread) ** 2) * (waves_xy**2).sum(-1))
+        return float((power * gain).sum() / power.sum())

@@ -1,0 +1,213 @@
+"""The machinery that all texture models share: from a pattern of elements to a texture with its truth."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from nrbench.errors import BadInput
+from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.plugins.texture import Kind, Shape, Texture
+
+from .checks import check, check_shape, check_strengths
+from .coordinates import Field, Frame
+from .departures import Departures
+from .fields import role_seed
+from .pattern import Pattern
+from .shades import hue_turn
+
+_STRENGTHS = ("color", "intensity", "noise", "light", "damage", "missing", "jitter", "bend")
+_CELL_STEPS = 96
+"""Samples along each side of a cell when its variance is integrated."""
+_DRAWS = 32
+"""Draws of the displacements, of fixed seeds, from which the regular share under jitter is measured."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model(ABC):
+    """A texture model: a pattern on a lattice, with departures that act on the pattern's own elements.
+
+    A model gives its vectors and its pattern; what is here makes textures of them. The parameters below are every
+    model's, and stand at the end of its page. All departures but damaged and missing elements leave the mean color of
+    each point alone, before clipping; the ideal image is undamaged, and nothing in it is displaced.
+
+    ``Texture.elements`` holds, for each kind of element and the n of them in the picture, ``NAME.index`` ``(n, k)``,
+    whole numbers, ``NAME.factor`` ``(n, 3)``, and where there are such departures ``NAME.damage`` ``(n,)``, the share
+    lost (0, 0.5 or 1), and ``NAME.displacement`` ``(n, 2)`` px. The regular share is the variance of the mean over
+    draws, damage and displacements included, over mean total variance; under jitter it is measured, to about 0.05, on
+    draws of fixed seeds.
+
+    Parameters
+    ----------
+    rotation
+        Degrees by which the pattern is turned, from x towards y (clockwise on the screen).
+    phase
+        Where the lattice starts: fractions (u, v), the origin is u t1 + v t2 from pixel (0, 0); None: drawn at random.
+    hue
+        Degrees by which all colors are turned around the gray axis.
+    color
+        Strength in [0, 1]: each element's channels are multiplied by independent uniform factors of mean 1 and
+        standard deviation ``color / 2``.
+    intensity
+        The same by one factor common to the channels.
+    noise
+        Strength in [0, 1]: standard deviation of the grain added to every pixel, all channels alike. Up to 0.05 it
+        clips less than 0.1 % of the pixels; above, visibly more.
+    light
+        Strength in [0, 1] of a lighting gradient: everything is multiplied by a wave of random direction, about 16 s
+        long (s: the shortest vector of any of its lattices), of mean 1 and standard deviation ``light / 4``.
+    damage
+        Probability that an element is worn: about half of it, in blots, is lost to the ground.
+    missing
+        Probability that an element is lost whole, before any is worn.
+    jitter
+        Strength in [0, 1]: each element is displaced as one, by numbers of mean 0 and standard deviation
+        ``jitter * s / 4`` along x and y; what lies between two elements is stretched. Elements move by themselves, by
+        uniform numbers, as far as their breadth allows; small ones make the rest of it with their neighbors, in waves
+        (:mod:`~.departures`), so that the picture folds over at about 3 % of the pixels at most up to 0.6.
+    bend
+        Strength in [0, 1] of a smooth warp: nearly normal displacements of standard deviation ``bend * s / 4`` along x
+        and y, in waves about 5 s long.
+    """
+
+    rotation: float = 0.0
+    phase: tuple[float, float] | None = None
+    hue: float = 0.0
+    color: float = 0.2
+    intensity: float = 0.1
+    noise: float = 0.03
+    light: float = 0.0
+    damage: float = 0.0
+    missing: float = 0.0
+    jitter: float = 0.0
+    bend: float = 0.0
+
+    procedural: ClassVar[bool] = True
+    version: ClassVar[str] = "1"
+
+    def __init_subclass__(cls) -> None:
+        """Complete a model's page: its own parameters, then those of all models."""
+        super().__init_subclass__()
+        if cls.__doc__ and Model.__doc__:
+            shared = inspect.cleandoc(Model.__doc__).partition("Parameters\n----------\n")[2]
+            own = inspect.cleandoc(cls.__doc__)
+            heading = "" if "\nParameters\n" in own else "\nParameters\n----------\n"
+            cls.__doc__ = f"{own}\n{heading}{shared}\n"
+
+    def __post_init__(self) -> None:
+        check_strengths(self, *_STRENGTHS)
+        for name in ("rotation", "hue"):
+            check(math.isfinite(getattr(self, name)), f"{name} is {getattr(self, name)}; give degrees")
+        fixed = () if self.phase is None else self.phase
+        check(bool(np.isfinite(fixed).all()), f"phase is {self.phase}; give two fractions of the generating vectors")
+
+    @property
+    @abstractmethod
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Generating vectors of the smallest lattice in px, before rotation."""
+
+    @abstractmethod
+    def pattern(self, x: Field, y: Field) -> Pattern:
+        """Return the pattern at points (x, y) px in the model's own axes, a lattice point at (0, 0)."""
+
+    @property
+    def s(self) -> float:
+        """Length in px of the shortest vector of any of its lattices: the unit of displacements."""
+        return min(Lattice(*vectors).s for vectors in (self.vectors, *self.sublattices()))
+
+    @property
+    def element_size(self) -> float:
+        """Typical breadth of an element in px."""
+        return self.s / 2
+
+    def sublattices(self) -> tuple[tuple[Vector, Vector], ...]:
+        """Return the generating vectors, before rotation, of parts that have a lattice of their own."""
+        return ()
+
+    def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
+        """Return a texture of ``shape``: its phase, then its departures, drawn from ``rng``."""
+        drawn = rng.random(2)
+        u, v = drawn if self.phase is None else self.phase
+        origin = np.array([u, v]) @ self._lattice((0.0, 0.0)).matrix
+        return self._drawn(shape, (float(origin[0]), float(origin[1])), rng)
+
+    def again(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture:
+        """Return an independent draw on the lattice of ``texture``, origin included."""
+        if texture.lattice is None:
+            raise BadInput(f"texture {texture.name!r} has no lattice; pass one that this model rendered")
+        return self._drawn(shape, texture.lattice.origin, rng)
+
+    @cached_property
+    def departures(self) -> Departures:
+        """The strengths, with the lengths that they refer to."""
+        strengths = {name: getattr(self, name) for name in _STRENGTHS}
+        return Departures(**strengths, s=self.s, element_size=self.element_size)
+
+    @cached_property
+    def regular_share(self) -> float:
+        """Variance of the mean over draws, over mean total variance: integrated over one cell, or measured (jitter)."""
+        if self.jitter:
+            return self.departures.measured_share(self._displaced())
+        steps = (np.arange(_CELL_STEPS) + 0.5) / _CELL_STEPS
+        u, v = np.meshgrid(steps, steps)
+        (ax, ay), (bx, by) = self.vectors
+        cell = self._tinted(u * ax + v * bx, u * ay + v * by)
+        return self.departures.regular_share(cell, Lattice(*self.vectors))
+
+    def _displaced(self) -> Iterator[Pattern]:
+        """Yield the pattern on about three periods, upright, under some draws of the displacements."""
+        side = int(np.clip(3 * np.abs(self.vectors).max(), 96, 192))
+        frame, shape = Frame(), (side, side)
+        around = self._tinted(*frame.grid(shape, self.departures.margin))
+        for draw in range(_DRAWS):
+            moved = self.departures.displacement(around, shape, role_seed(draw, "regular share"))
+            yield self._tinted(*frame.grid(shape, moved=moved))
+
+    @property
+    def kind(self) -> Kind:
+        """The type of departures, see :class:`~nrbench.plugins.texture.Texture`."""
+        return self.departures.kind
+
+    def _tinted(self, x: Field, y: Field) -> Pattern:
+        pattern = self.pattern(x, y)
+        return pattern.tinted(hue_turn(self.hue)) if self.hue else pattern
+
+    def _lattice(self, origin: Vector, vectors: tuple[Vector, Vector] | None = None) -> Lattice:
+        t1, t2 = vectors or self.vectors
+        frame = Frame(rotation=self.rotation)
+        return Lattice(frame.vector(t1), frame.vector(t2), origin)
+
+    def _drawn(self, shape: Shape, origin: Vector, rng: np.random.Generator) -> Texture:
+        """Return a draw on the lattice of that origin: all of it is a function of one number from ``rng``."""
+        check_shape(shape)
+        seed = int(rng.integers(2**63))
+        around = self._tinted(*Frame(origin, self.rotation).grid(shape, self.departures.margin))
+        pattern = around.cropped(self.departures.margin)
+        ideal, moved = pattern.ideal(), None
+        if self.departures.spread:
+            moved = self.departures.displacement(around, shape, seed)
+            pattern = self._tinted(*Frame(origin, self.rotation).grid(shape, moved=moved))
+        image, elements = self.departures.painted(pattern, seed)
+        drawn = Texture(np.clip(image, 0, 1), ideal=ideal, elements=elements)
+        return self._told(drawn if moved is None else replace(drawn, displacement=moved.astype(np.float32)), origin)
+
+    def _told(self, drawn: Texture, origin: Vector) -> Texture:
+        """Return a draw with what is true of every draw on the lattice of that origin."""
+        name = type(self).__name__.lower()
+        lattices = tuple(self._lattice(origin, vectors) for vectors in (self.vectors, *self.sublattices()))
+        return replace(
+            drawn,
+            lattice=lattices[0],
+            lattices=lattices,
+            name=name,
+            family=name,
+            kind=self.kind,
+            regular_share=self.regular_share,
+        )

@@ -1,0 +1,121 @@
+"""Compiled sums along all lines of an image."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.jit import kernel
+
+
+@kernel("float32[:, ::1](float32[:, ::1])")
+def steep_line_sums(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the sums along the lines that lean right by up to 45 degrees from upright.
+
+    The discrete Radon transform by halves (Brady, SIAM Journal on Computing 27, 1998): lines through two strips are
+    joined of lines through each, so that all of them take N^2 log N sums.
+
+    Parameters
+    ----------
+    image
+        ``float32 (N, N)``, N a power of two.
+
+    Returns
+    -------
+    NDArray[np.float32]
+        ``(N, 2 N)``: entry (t, x) is the line from column ``x - N`` of the first row to ``x - N + t`` of the last.
+    """
+    size = image.shape[0]
+    width = 2 * size
+    before = np.zeros((size, width), np.float32)
+    before[:, size:] = image
+    height = 1
+    while height < size:
+        after = np.zeros((size, width), np.float32)
+        for strip in range(size // (2 * height)):
+            top, bottom, out = 2 * strip * height, (2 * strip + 1) * height, 2 * strip * height
+            for lean in range(2 * height):
+                shift = (lean + 1) // 2
+                for x in range(width - shift):
+                    after[out + lean, x] = before[top + lean // 2, x] + before[bottom + lean // 2, x + shift]
+                for x in range(width - shift, width):
+                    after[out + lean, x] = before[top + lean // 2, x]
+        before = after
+        height *= 2
+    return before
+
+
+@kernel("float64[:, ::1](float32[:, ::1], float32[:, ::1], float32[:, ::1], float64, float64[::1])")
+def worst_of_parallels(
+    value: NDArray[np.float32],
+    energy: NDArray[np.float32],
+    length: NDArray[np.float32],
+    least: float,
+    floors: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the line with the largest step, and that with the largest gradient, against its parallels.
+
+    Parameters
+    ----------
+    value, energy, length
+        ``(N, 2 N)``: sums of brightness, of squared gradient, and of ones along lines.
+    least
+        Pixels that a line has at least.
+    floors
+        Departures of step and gradient, times the root of the pixels, that are added to those of the parallels.
+
+    Returns
+    -------
+    NDArray[np.float64]
+        ``(2, 4)``: for step and gradient the strength (departure from the parallels' mean over their root mean squared
+        one, as their mean absolute one tells it), lean, the column that the line lies before, plus N, and the step or
+        the excess of squared gradient itself.
+    """
+    leans, width = value.shape
+    side, far = 3, 6
+    worst = np.zeros((2, 4))
+    sums = np.zeros((3, width + 1))
+    found = np.zeros((2, width))
+    raw = np.zeros((2, width))
+    known = np.zeros(width, np.bool_)
+    for lean in range(leans):
+        for x in range(width):
+            sums[0, x + 1] = sums[0, x] + value[lean, x]
+            sums[1, x + 1] = sums[1, x] + energy[lean, x]
+            sums[2, x + 1] = sums[2, x] + length[lean, x]
+        number = 0
+        mean = np.zeros(2)
+        for x in range(far + 1, width - far):
+            right, left = sums[2, x + side] - sums[2, x], sums[2, x] - sums[2, x - side]
+            pixels = min(right, left) / side
+            on = sums[2, x + 1] - sums[2, x - 1]
+            known[x] = pixels >= least and on >= 2 * least
+            if not known[x]:
+                continue
+            step = (sums[0, x + side] - sums[0, x]) / right - (sums[0, x] - sums[0, x - side]) / left
+            here = sums[1, x + 1] - sums[1, x - 1]
+            around = sums[1, x + 1 + far] - sums[1, x - 1 - far]
+            room = sums[2, x + 1 + far] - sums[2, x - 1 - far]
+            raw[0, x] = step
+            raw[1, x] = here / on - (around - here) / (room - on)
+            found[0, x] = step * np.sqrt(pixels)
+            found[1, x] = raw[1, x] * np.sqrt(on / 2)
+            number += 1
+            mean[0] += found[0, x]
+            mean[1] += found[1, x]
+        if number == 0:
+            continue
+        mean /= number
+        for kind in range(2):
+            usual, most, at = 0.0, 0.0, 0
+            for x in range(far + 1, width - far):
+                if known[x]:
+                    departure = abs(found[kind, x] - mean[kind])
+                    usual += departure
+                    if departure > most:
+                        most, at = departure, x
+            strength = most / (usual / number * 1.2533141373155001 + floors[kind])
+            if strength > worst[kind, 0]:
+                worst[kind, 0], worst[kind, 1], worst[kind, 2] = strength, lean, at
+                worst[kind, 3] = abs(raw[kind, at])
+    return worst

@@ -1,0 +1,230 @@
+"""What a synthesis is measured against: the periodic image that it should follow, and textures that do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.fold import Values, fold, tile_grid
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import Again, Observation
+from nrbench.plugins.texture import Shape, Texture
+
+from ..ncc.periodic import LARGE, WINDOW_TILES, Periodic, tile_box, window_shape
+from . import limits
+from .known_lattice import KnownLattice, Origin, known_lattice, settled
+from .own_lattice import moved, spread
+from .window_registration import affine_part, place
+
+FIRST_DRAW = 1 << 16
+"""Fresh draws from here on are the judge's own: the oracle and the planted defects use others."""
+DRAWS = 3
+"""Fresh draws looked at: of :data:`~.periodic.LARGE` tiles a side, some 150 tiles and 600 one-tile windows."""
+LATTICE_UNCERTAINTY = 0.02
+"""How far a lattice that was given for a photograph may be off, as a fraction of its vectors: three pixels over the
+five to six tiles of a sample of 128 px, which is what marking it by hand comes to."""
+_LEAST_TILES_A_SIDE = 5
+"""Fewest tiles along each side of a fresh draw, where :data:`~.periodic.LARGE` would be too large."""
+_SIDES = (128, 320)
+"""Least and largest side of a fresh draw, px, as long as the fewest tiles fit."""
+_DETAIL = 0.2
+"""Standard deviation, in s, of the blur that detail is without: colors that differ from tile to tile are gone then,
+joints are not."""
+_WINDOWS, _MOST = 1.5, 0.7
+"""A part of the sample is this many windows long, but no more than that share of the sample."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """An image that is known to be right, and the periodic image that it follows."""
+
+    image: Image
+    periodic: Periodic
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """What an output is compared with.
+
+    Parameters
+    ----------
+    source
+        ``"model"``: ideal image and fresh draws of the texture's model; ``"sample"``: mean tile of the sample, and
+        the sample itself, each part judged by the mean tile of the rest.
+    periodic
+        What the output should follow.
+    references
+        What an output like the texture looks like.
+    regular_share
+        Share of the regular part in the variance, in [0, 1].
+    known
+        The lattice that was known beforehand, and from where.
+    fit
+        2 x 2 matrix that takes the vectors of that lattice to those of :attr:`lattice`, as fitted to the sample.
+    detail
+        Standard deviation, px, of the blur that is taken off images before they are judged; 0: they are judged whole.
+    """
+
+    source: Literal["model", "sample"]
+    periodic: Periodic
+    references: tuple[Reference, ...]
+    regular_share: float
+    known: KnownLattice
+    fit: Points = field(default_factory=lambda: np.eye(2))
+    detail: float = 0.0
+
+    def view(self, image: Values) -> Values:
+        """Return what is judged of an image: all of it, or its detail."""
+        return _detail(image, self.detail)
+
+    @property
+    def lattice(self) -> Lattice:
+        """The true lattice, in its canonical basis, in the sample's coordinates."""
+        return self.periodic.lattice
+
+    def forgiven(self, drift: Points) -> bool:
+        """Return whether an output's affine displacement may come from the uncertainty of the lattice.
+
+        Never where a model knows it. Else the output's lattice must lie within :data:`LATTICE_UNCERTAINTY` of the one
+        that was given, like the sample's own: what fitting the sample took of it is not allowed once more.
+        """
+        away = spread(drift) @ self.fit - np.eye(2)
+        return self.source == "sample" and float(np.linalg.norm(away, 2)) <= LATTICE_UNCERTAINTY
+
+
+def yardstick(observation: Observation) -> Yardstick | None:
+    """Return what the output is to be measured against; None where no lattice is known or found."""
+    known, truth = known_lattice(observation), observation.truth
+    if known.lattice is None:
+        return None
+    if known.origin == "model" and truth is not None and observation.again is not None:
+        return model_yardstick(truth, known.lattice, observation.again)
+    return best_yardstick(observation.sample, known.lattice, known.origin)
+
+
+def best_yardstick(sample: Image, lattice: Lattice, origin: Origin = "given") -> Yardstick:
+    """Return the yardstick of a sample, or of its detail where the whole has too little that is regular.
+
+    Tiles whose colors differ much swamp the joints between them, which the eye follows all the same.
+    """
+    whole = sample_yardstick(sample, lattice, origin)
+    if whole.regular_share >= limits.SURE_SHARE:
+        return whole
+    fine = sample_yardstick(sample, lattice, origin, _DETAIL * settled(lattice).s)
+    return fine if fine.regular_share > whole.regular_share else whole
+
+
+def _detail(image: Values, sigma: float) -> Values:
+    """Return an image less its blur; the image where ``sigma`` is 0."""
+    if not sigma:
+        return image
+    return np.asarray(image - ndimage.gaussian_filter(image, (sigma, sigma, 0), mode="reflect"), np.float32)
+
+
+def model_yardstick(truth: Texture, lattice: Lattice, again: Again) -> Yardstick:
+    """Return the yardstick of a texture whose model is known."""
+    lattice = settled(lattice)
+    box = tile_box(lattice)
+    side = np.ceil(np.maximum(np.clip(LARGE * box, *_SIDES), _LEAST_TILES_A_SIDE * box)).astype(int)
+    shape = (int(side[1]), int(side[0]))
+    draws = [_draw(again, shape, FIRST_DRAW + k) for k in range(DRAWS)]
+    departures = np.mean([(draw.image - _ideal(draw)) ** 2 for draw in draws], 0).mean(-1, keepdims=True)
+    variance = fold(departures, lattice)
+
+    def ideal(wanted: Shape) -> Values:
+        enough = wanted[0] <= shape[0] and wanted[1] <= shape[1]
+        return _ideal(draws[0])[: wanted[0], : wanted[1]] if enough else _ideal(_draw(again, wanted, FIRST_DRAW))
+
+    periodic = Periodic(lattice, ideal, variance)
+    share = truth.regular_share
+    if share is None:
+        share = _share(_ideal(draws[0]), float(departures.mean()))
+    references = tuple(Reference(quantize(draw.image), periodic) for draw in draws)
+    return Yardstick("model", periodic, references, share, KnownLattice(lattice, "model"))
+
+
+def sample_yardstick(sample: Image, lattice: Lattice, origin: Origin = "given", detail: float = 0.0) -> Yardstick:
+    """Return the yardstick of a sample, or of its detail, of which only the lattice is known.
+
+    The lattice is first fitted to the sample, as far as its uncertainty allows.
+    """
+    seen = _detail(sample, detail)
+    known = KnownLattice(settled(lattice), origin)
+    everywhere = np.ones(sample.shape[:2], np.bool_)
+    assert known.lattice is not None
+    rough = _folded(seen, known.lattice, everywhere)
+    drift = affine_part(place(seen, rough))
+    if not 0 < np.linalg.norm(spread(drift) - np.eye(2), 2) <= LATTICE_UNCERTAINTY:
+        drift = np.zeros((2, 2))
+    periodic = _folded(seen, moved(known.lattice, drift, np.zeros(2)), everywhere)
+    parts = _parts(sample.shape[:2], periodic.lattice)
+    references = tuple(_crossed(sample, seen, periodic.lattice, part) for part in parts)
+    share = _sample_share(seen, periodic.lattice)
+    return Yardstick("sample", periodic, references, share, known, spread(drift), detail)
+
+
+def _parts(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks of two ends of the sample's longer side: halves, or more where windows would not fit."""
+    axis = int(shape[1] >= shape[0])
+    length = int(np.clip(_WINDOWS * window_shape(lattice, WINDOW_TILES)[axis], shape[axis] / 2, _MOST * shape[axis]))
+    along = np.arange(shape[axis])
+    along = along[np.newaxis] if axis else along[:, np.newaxis]
+    first, last = (np.broadcast_to(end, shape) for end in (along < length, along >= shape[axis] - length))
+    return first, last
+
+
+def _crossed(sample: Image, seen: Values, lattice: Lattice, part: NDArray[np.bool_]) -> Reference:
+    """Return one part of the sample, to be judged by the mean tile of the rest, however little it is."""
+    rows, columns = np.flatnonzero(part.any(1)), np.flatnonzero(part.any(0))
+    crop = sample[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    rest = _folded(seen, lattice, ~part)
+    shifted = lattice.shifted((-float(columns[0]), -float(rows[0])))
+    return Reference(crop, rest.on(shifted))
+
+
+def _folded(sample: Values, lattice: Lattice, mask: NDArray[np.bool_]) -> Periodic:
+    """Return the sample's mean tile, and its variance across tiles: a mean of n tiles takes 1/n of it."""
+    tile = fold(sample, lattice, mask)
+    cells = max(float(mask.sum()) / lattice.area, 1.5)
+    departures = ((sample - tile.unfold(sample.shape[:2])) ** 2).mean(-1, keepdims=True)
+    return Periodic(lattice, tile, fold(departures * np.float32(cells / (cells - 1)), lattice, mask))
+
+
+def _sample_share(sample: Values, lattice: Lattice) -> float:
+    """Return the regular share of a sample, on the scale of a model's.
+
+    Folding smooths: with one sample a pixel the mean tile loses a fourth of the variance of thin joints. So the tile is
+    sampled twice as finely, what a second folding loses is put back, and 1/n of the departures, which a mean of n tiles
+    keeps, is taken out.
+    """
+    rows, columns = tile_grid(lattice)
+    grid, shape = (2 * rows, 2 * columns), sample.shape[:2]
+    once = fold(sample, lattice, grid=grid).unfold(shape)
+    twice = fold(once, lattice, grid=grid).unfold(shape)
+    total, regular, kept = (float(one.var((0, 1), dtype=np.float64).mean()) for one in (sample, once, twice))
+    share, left = regular**2 / max(kept * total, 1e-12), lattice.area / (shape[0] * shape[1])
+    return float(np.clip((share - left) / max(1 - left, 1e-12), 0, 1))
+
+
+def _share(ideal: Values, departures: float) -> float:
+    """Return the variance of the periodic image (mean over channels) over that plus the departures'."""
+    regular = float(ideal.var((0, 1), dtype=np.float64).mean())
+    return regular / max(regular + departures, 1e-12)
+
+
+def _draw(again: Again, shape: Shape, k: int) -> Texture:
+    draw = again(shape, k)
+    if draw is None:
+        raise ValueError(f"the texture's model gave no fresh draw of {shape[1]}x{shape[0]} px")
+    return draw
+
+
+def _ideal(texture: Texture) -> Values:
+    if texture.ideal is None:
+        raise ValueError(f"texture {texture.name!r}: a fresh draw came without its ideal image")
+    return texture.ideal

@@ -1,0 +1,216 @@
+"""Where the content of an image lies on the lattice: windows registered against the periodic image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.convert import Image
+from nrbench.lattice.geometry import Lattice, Points
+
+from ..ncc.periodic import Periodic
+from ..ncc.refinement import refined
+
+_FOLLOWS = 0.04
+"""A window follows an affine displacement that it is this near to, in s: twice the scatter of fresh draws' windows."""
+_NEARLY, _NEARLY_ALL = 0.95, 0.8
+"""Shares of followers: an affine part is as good as another; it is that of the whole image, and may be fitted to it."""
+_BANDWIDTH = 0.04
+"""Standard deviation, in s, of the Gaussian by which displacements count for the consensus: as :data:`_FOLLOWS`."""
+_CANDIDATES = 64
+"""Displacements from which the consensus may start."""
+_STEPS = 5
+"""Steps of the mean shift: each cuts what is left by the share of windows that are elsewhere, so few are enough."""
+_AT_ONCE = 256
+"""Windows registered at a time, which bounds memory."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Windows of an image, and how far the content of each has moved.
+
+    Parameters
+    ----------
+    lattice
+        Reduced.
+    window
+        Height and width of the windows in px.
+    grid
+        Rows and columns of windows, half a window apart.
+    corners
+        ``(n, 2)``: (x, y) of each window's top-left pixel, row by row.
+    displacement
+        ``(n, 2)``: (x, y) px from the ideal place to the content, modulo the lattice.
+    structure
+        ``(n,)``: weighted NCC of the window with the periodic image there.
+    """
+
+    lattice: Lattice
+    window: tuple[int, int]
+    grid: tuple[int, int]
+    corners: NDArray[np.intp]
+    displacement: Points
+    structure: NDArray[np.float64]
+
+    @cached_property
+    def phase(self) -> Points:
+        """The displacement (x, y) px that most windows share."""
+        return consensus(self.displacement, self.lattice)
+
+    @cached_property
+    def offsets(self) -> Points:
+        """``(n, 2)``: displacement from the consensus, modulo the lattice, in px."""
+        return self.lattice.wrap(self.displacement - self.phase)
+
+    @cached_property
+    def misplacement(self) -> NDArray[np.float64]:
+        """``(n,)``: length of :attr:`offsets` over the shortest lattice vector."""
+        return np.asarray(np.hypot(*self.offsets.T) / self.lattice.s)
+
+    @cached_property
+    def misalignment(self) -> float:
+        """Mean distance between the displacements of two windows, modulo the lattice, over s.
+
+        No phase is asked for: of content that is bent everywhere none is the right one. At most :data:`_CANDIDATES`
+        windows, evenly spread, are paired with all.
+        """
+        if not len(self.corners):
+            return 0.0
+        few = self.displacement[:: -(-len(self.displacement) // _CANDIDATES)]
+        apart = self.lattice.wrap(self.displacement[np.newaxis] - few[:, np.newaxis])
+        return float(np.hypot(*np.moveaxis(apart, -1, 0)).mean() / self.lattice.s)
+
+    @property
+    def centers(self) -> Points:
+        """``(n, 2)``: middles (x, y) of the windows in px."""
+        return self.corners + (np.array(self.window[::-1]) - 1) / 2
+
+    def without(self, drift: Points) -> Placement:
+        """Return the placement less an affine displacement ``drift @ (x, y)``, which so counts as no misplacement."""
+        rest = self.lattice.wrap(self.displacement - self.centers @ drift.T)
+        return replace(self, displacement=rest)
+
+    def neighborhoods(self, size: int = 3) -> NDArray[np.float64]:
+        """Return, for each block of ``size`` x ``size`` windows, the length of their median offset over s, ``(m,)``.
+
+        A wrong peak of one window does not reach the median; content that moved together does.
+        """
+        if not len(self.corners):
+            return np.zeros(0)
+        rows, columns = (min(size, side) for side in self.grid)
+        field = self.offsets.reshape(*self.grid, 2)
+        blocks = np.lib.stride_tricks.sliding_window_view(field, (rows, columns), axis=(0, 1))
+        middle = np.median(blocks, axis=(-2, -1)).reshape(-1, 2)
+        return np.asarray(np.hypot(*middle.T) / self.lattice.s)
+
+    def nearest(self, points: Points) -> NDArray[np.intp]:
+        """Return the index of the window whose middle is nearest to each point (x, y), along each axis."""
+        centers = self.centers.reshape(*self.grid, 2)
+        column = np.abs(points[:, :1] - centers[0, :, 0]).argmin(1)
+        row = np.abs(points[:, 1:] - centers[:, 0, 1]).argmin(1)
+        return np.asarray(row * self.grid[1] + column)
+
+
+def place(image: Image, periodic: Periodic) -> Placement:
+    """Register windows 2 tiles wide, half a window apart, over one cell of displacements.
+
+    Content that the window at p shows and the periodic image has at q has moved by p - q, so every window is looked
+    for in one patch of the periodic image that holds a whole cell of q.
+    """
+    template = periodic.windows
+    grid, corners = _grid(image.shape[:2], template.window)
+    if not len(corners):
+        return Placement(periodic.lattice, template.window, grid, corners, np.zeros((0, 2)), np.zeros(0))
+    planes = periodic.colors.planes(image)
+    few = np.array_split(corners, len(corners) // _AT_ONCE + 1)
+    at = np.concatenate([periodic.places.find(planes, some)[0] for some in few])
+    displacement, structure = refined(image, periodic.cell, corners, template.window, corners - at)
+    return Placement(periodic.lattice, template.window, grid, corners, periodic.lattice.wrap(displacement), structure)
+
+
+def _grid(shape: tuple[int, int], window: tuple[int, int]) -> tuple[tuple[int, int], NDArray[np.intp]]:
+    """Return rows, columns and corners of windows about half a window apart that reach all four borders."""
+    starts = []
+    for side, length in zip(shape, window, strict=True):
+        count = int((side - length) / (length / 2)) + 1 if side >= length else 0
+        starts.append(np.rint(np.linspace(0, side - length, count)).astype(np.intp))
+    y, x = np.meshgrid(*starts, indexing="ij")
+    return (len(starts[0]), len(starts[1])), np.stack([x.ravel(), y.ravel()], -1)
+
+
+def consensus(displacement: Points, lattice: Lattice) -> Points:
+    """Return the displacement that most share: a robust circular mean in cell coordinates, by mean shift.
+
+    On the torus of displacements modulo the lattice every displacement counts by a Gaussian of its distance from the
+    mean, which so forgets those that are elsewhere; it starts from the displacement that has the most others around it.
+    A plain circular mean would lie between two halves that are out of step; this one lies in the larger of them.
+    Time is linear in the number of displacements.
+    """
+    if not len(displacement):
+        return np.zeros(2)
+    width, basis = _BANDWIDTH * lattice.s, lattice.reduced().matrix
+    inverse = np.linalg.inv(basis)
+
+    def near(apart: Points) -> Points:
+        """Wrap what is near a lattice point exactly; all else stays far, and counts for nothing."""
+        return np.asarray(apart - np.rint(apart @ inverse) @ basis)
+
+    few = displacement[:: -(-len(displacement) // _CANDIDATES)]
+    apart = (near(displacement[np.newaxis] - few[:, np.newaxis]) ** 2).sum(-1)
+    phase = few[np.exp(-apart / (2 * width**2)).sum(1).argmax()]
+    for _ in range(_STEPS):
+        offsets = near(displacement - phase)
+        share = np.exp(-(offsets**2).sum(-1) / (2 * width**2))
+        phase = phase + share @ offsets / max(share.sum(), 1e-12)
+    return lattice.wrap(phase)
+
+
+def affine_part(placement: Placement) -> Points:
+    """Return the 2 x 2 matrix A of the affine part of the displacement: ``d = A (x, y) + constant``.
+
+    Starts from the median step between neighboring windows, modulo the lattice, so that a drift over many cells is
+    unwrapped; then least squares over the windows that follow it. Of none, the first and the last of these the one that
+    most windows follow is taken, the simpler one where they are nearly equal, and fitted once more where nearly all
+    follow it: two halves that are out of step are no drift. Zero where there are fewer than 3 x 3 windows.
+    """
+    none = np.zeros((2, 2))
+    if min(placement.grid) < 3:
+        return none
+    steps = _median_steps(placement)
+    found = [none, steps, _refined(placement, steps)]
+    followed = np.array([followers(placement, matrix)[1].sum() for matrix in found])
+    best = int(np.argmax(followed >= _NEARLY * followed.max()))
+    return _refined(placement, found[best]) if followed[best] >= _NEARLY_ALL * len(placement.corners) else found[best]
+
+
+def _median_steps(placement: Placement) -> Points:
+    matrix = np.zeros((2, 2))
+    field = placement.displacement.reshape(*placement.grid, 2)
+    centers = placement.centers.reshape(*placement.grid, 2)
+    for axis, along in ((1, 0), (0, 1)):
+        steps = placement.lattice.wrap(np.diff(field, axis=axis)).reshape(-1, 2)
+        length = np.diff(centers, axis=axis).reshape(-1, 2)[:, along]
+        matrix[:, along] = np.median(steps / length[:, np.newaxis], 0)
+    return matrix
+
+
+def _refined(placement: Placement, matrix: Points) -> Points:
+    for _ in range(3):
+        offsets, inside, _ = followers(placement, matrix)
+        if inside.sum() < 6:
+            break
+        design = np.column_stack([placement.centers[inside], np.ones(inside.sum())])
+        matrix = matrix + np.linalg.lstsq(design, offsets[inside], rcond=None)[0][:2].T
+    return matrix
+
+
+def followers(placement: Placement, matrix: Points) -> tuple[Points, NDArray[np.bool_], Points]:
+    """Return what an affine displacement leaves of each window's, which windows follow it, and its constant part."""
+    lattice = placement.lattice
+    rest = lattice.wrap(placement.displacement - placement.centers @ matrix.T)
+    constant = consensus(rest, lattice)
+    offsets = lattice.wrap(rest - constant)
+    return offsets, np.hypot(*offsets.T) < _FOLLOWS * lattice.s, constant

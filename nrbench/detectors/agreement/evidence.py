@@ -1,0 +1,175 @@
+"""How well an image agrees with itself when it is shifted by a lattice, and the lattice that it agrees with best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from nrbench.detectors.agreement.evidence_kernels import between, jets
+from nrbench.imaging.correlation import Correlation
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.points_in_box import integers_within
+
+REACH = 0.75
+"""Lags up to this share of the image's sides are compared: beyond, too little overlaps."""
+PAD = 4
+"""Columns mirrored to the left of lag 0, for the spline."""
+NEARBY = 0.25
+"""Lags up to this share of the image's sides tell the grain of a texture."""
+GROWTH = 1.7
+"""By how much a fit reaches further out at each step."""
+STEPS = 14
+"""Steps of a fit: enough to cross a hundred cells and to settle."""
+LOST = 0.2
+"""A fit that moves a vector by more than this share of the shorter one has followed another peak."""
+
+
+class Agreement(NamedTuple):
+    """The correlations at a set of lags: their mean (-1 where there are none), variance and number."""
+
+    mean: float
+    variance: float
+    lags: int
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The autocorrelation of an image as a smooth surface.
+
+    Parameters
+    ----------
+    gamma
+        The right half of an autocorrelation, ``(2H-1, W)``.
+    """
+
+    gamma: Correlation
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) of the image."""
+        return (self.gamma.shape[0] + 1) // 2, self.gamma.shape[1]
+
+    @cached_property
+    def _spline(self) -> NDArray[np.float64]:
+        mirrored = np.concatenate([self.gamma[::-1, PAD:0:-1], self.gamma], 1)
+        return np.asarray(ndimage.spline_filter(mirrored, 3, np.float64))
+
+    def jets(self, lags: Points) -> NDArray[np.float64]:
+        """Return value, gradient and second derivatives (xx, yy, xy) at lags ``(n, 2)``, as ``(n, 6)``."""
+        turned = np.where(lags[:, :1] < 0, -lags, lags)
+        found = jets(self._spline, turned + np.array([PAD, self.shape[0] - 1.0]))
+        found[:, 1:3] *= np.where(lags[:, :1] < 0, -1, 1)
+        return found
+
+    def multiples(self, basis: Points, reach: float = REACH) -> NDArray[np.int64]:
+        """Return the integers (a, b), ``(n, 2)``, whose a t1 + b t2 lie within reach, one of each +- pair, not 0."""
+        height, width = self.shape
+        end = np.array([reach * (width - 1), reach * (height - 1)])
+        numbers = integers_within(basis, -end, end)
+        half = (numbers[:, 1] > 0) | ((numbers[:, 1] == 0) & (numbers[:, 0] > 0))
+        return np.asarray(numbers[half])
+
+    def overlaps(self, lags: Points) -> NDArray[np.float64]:
+        """Return the area, px^2, in which the image and its copy shifted by each lag overlap."""
+        height, width = self.shape
+        return np.asarray((width - np.abs(lags[:, 0])) * (height - np.abs(lags[:, 1])))
+
+    def agreement(self, basis: Points, but: Points | None = None) -> Agreement:
+        """Return the correlation at a basis's multiples, each weighted by the overlap of the image with its copy.
+
+        Parameters
+        ----------
+        basis
+            Rows (x, y) px.
+        but
+            A coarser lattice's basis, whose multiples are left out.
+        """
+        height, width = self.shape
+        end = REACH * np.array([width - 1.0, height - 1.0])
+        cells = np.zeros((2, 2)) if but is None else np.asarray(np.linalg.inv(but), np.float64)
+        mean, variance, count = between(self._spline, np.ascontiguousarray(basis), cells, end, PAD)
+        return Agreement(mean, variance, int(count))
+
+    def repeated(self, basis: Points) -> float:
+        """Return the mean correlation at all multiples of a basis: the share of the variance that repeats."""
+        return self.agreement(basis).mean
+
+    def foretold(self, basis: Points) -> float:
+        """Return the share of the variance that is explained where each tile is predicted from all others.
+
+        With n tiles of which the share rho repeats, the mean of the n - 1 others explains rho - (1 - rho) / (n - 1).
+        The mean correlation at all multiples is that rho without the bias of a fold, in which a tile predicts itself.
+        """
+        rho, tiles = float(self.repeated(basis)), self.tiles(basis)
+        return rho - (1 - rho) / (tiles - 1) if tiles > 2 else -1.0
+
+    @cached_property
+    def grain(self) -> float:
+        """Area, px^2: the sum of squared correlations over the lags up to a quarter of the image's sides."""
+        height, width = self.shape
+        down, across = int(NEARBY * height), int(NEARBY * width)
+        near = self.gamma[height - 1 - down : height + down, : across + 1].astype(np.float64) ** 2
+        return float(2 * near.sum() - near[:, 0].sum())
+
+    def sigmas(self, basis: Points) -> float:
+        """Return the mean correlation at a basis's multiples, in units of a spread like that of Bartlett's formula.
+
+        The correlation of one random field at a far lag has the variance grain / overlap; the mean over lags further
+        apart than a grain, weighted by overlap, has grain / (sum of overlaps). Here it is an index on that scale, no
+        significance: the surface is a mean of several fields' correlations, and a lattice's own peaks add to the grain.
+        What noise reaches is measured by ``benchmarks/consensus_calibration.py``.
+        """
+        lags = self.multiples(basis) @ basis
+        total = float(self.overlaps(lags).sum())
+        return self.repeated(basis) * float(np.sqrt(total / self.grain)) if total else 0.0
+
+    def tiles(self, basis: Points) -> float:
+        """Return the image's area in cells."""
+        return float(self.shape[0] * self.shape[1] / abs(np.linalg.det(basis)))
+
+    def fit(self, basis: Points) -> Points:
+        """Return the basis at whose multiples the mean correlation is highest, near the given one, reduced.
+
+        Newton's method on all multiples at once, from the nearest outward: a far multiple tells more, but only to a
+        basis that is precise already. What strays (:data:`LOST`) is returned as it was.
+        """
+        numbers, fitted = self.multiples(basis), basis
+        far = REACH * float(np.hypot(*self.shape))
+        radius = float(np.hypot(*basis.T).max())
+        for _ in range(STEPS):
+            radius = min(radius * GROWTH, far)
+            step = self._step(numbers, fitted, radius)
+            fitted = fitted + step
+            if radius >= far and np.abs(step).max() * len(numbers) ** 0.5 < 1e-3:
+                break
+        strayed = np.hypot(*(fitted - basis).T).max() > LOST * np.hypot(*basis.T).min()
+        return reduced(basis if strayed else fitted)
+
+    def _step(self, numbers: NDArray[np.int64], basis: Points, radius: float) -> Points:
+        """Return Newton's step for the basis, ``(2, 2)``; no multiple in use moves by more than a pixel."""
+        height, width = self.shape
+        lags = numbers @ basis
+        near = np.hypot(*lags.T) <= radius
+        near &= (np.abs(lags) <= (REACH + 0.02) * np.array([width - 1, height - 1])).all(1)
+        n, lags = numbers[near].astype(np.float64), lags[near]
+        if len(n) < 2:
+            return np.zeros((2, 2))
+        weights, (_, x, y, xx, yy, xy) = self.overlaps(lags), self.jets(lags).T
+        slope = np.concatenate([n.T @ (weights * x), n.T @ (weights * y)])
+        blocks = [[(n.T * (weights * bend)) @ n for bend in row] for row in ((xx, xy), (xy, yy))]
+        bends, axes = np.linalg.eigh(-np.block(blocks))
+        if bends[-1] <= 0:
+            return np.zeros((2, 2))
+        move = axes @ ((axes.T @ slope) / np.maximum(bends, 1e-3 * bends[-1]))
+        step = move.reshape(2, 2).T
+        return np.asarray(step / max(1.0, float(np.abs(n @ step).max())))
+
+
+def reduced(basis: Points) -> Points:
+    """Return the Lagrange-Gauss basis of the same lattice, rows (x, y) px."""
+    return Lattice.from_basis(basis).reduced().matrix

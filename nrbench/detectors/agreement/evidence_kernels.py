@@ -1,0 +1,200 @@
+"""The compiled loops of the consensus search: a spline surface read at lags, and every pair of candidates rated."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.detectors.agreement.rows import row_ends
+from nrbench.jit import kernel
+
+
+@kernel("float64[:, ::1](float64[:, ::1], float64[:, ::1])")
+def jets(spline: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a cubic spline surface's value and derivatives at real-valued places.
+
+    Parameters
+    ----------
+    spline
+        ``(H, W)``: B-spline coefficients, one a sample.
+    at
+        ``(n, 2)``: (x, y) in samples, at least 1 from the first and 3 from the last along each axis.
+
+    Returns
+    -------
+    NDArray
+        ``(n, 6)``: value, its derivatives by x, by y, by x twice, by y twice, by x and y.
+    """
+    out = np.zeros((at.shape[0], 6))
+    weight, slope, bend = np.zeros((2, 4)), np.zeros((2, 4)), np.zeros((2, 4))
+    for i in range(at.shape[0]):
+        column, row = int(np.floor(at[i, 0])), int(np.floor(at[i, 1]))
+        for axis in range(2):
+            t = at[i, 0] - column if axis == 0 else at[i, 1] - row
+            u = 1 - t
+            weight[axis, 0], weight[axis, 3] = u * u * u / 6, t * t * t / 6
+            weight[axis, 1] = 2 / 3 - t * t * (2 - t) / 2
+            weight[axis, 2] = 2 / 3 - u * u * (2 - u) / 2
+            slope[axis, 0], slope[axis, 3] = -u * u / 2, t * t / 2
+            slope[axis, 1], slope[axis, 2] = -2 * t + 1.5 * t * t, 2 * u - 1.5 * u * u
+            bend[axis, 0], bend[axis, 1], bend[axis, 2], bend[axis, 3] = u, 3 * t - 2, 3 * u - 2, t
+        for j in range(4):
+            value, along, twice = 0.0, 0.0, 0.0
+            for k in range(4):
+                c = spline[row + j - 1, column + k - 1]
+                value += c * weight[0, k]
+                along += c * slope[0, k]
+                twice += c * bend[0, k]
+            out[i, 0] += value * weight[1, j]
+            out[i, 1] += along * weight[1, j]
+            out[i, 2] += value * slope[1, j]
+            out[i, 3] += twice * weight[1, j]
+            out[i, 4] += value * bend[1, j]
+            out[i, 5] += along * slope[1, j]
+    return out
+
+
+@kernel("float64[::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], int64)")
+def between(
+    spline: NDArray[np.float64],
+    finer: NDArray[np.float64],
+    coarser: NDArray[np.float64],
+    end: NDArray[np.float64],
+    pad: int,
+) -> NDArray[np.float64]:
+    """Return mean and variance of an autocorrelation at a lattice's multiples that are none of a coarser lattice.
+
+    Parameters
+    ----------
+    spline
+        ``(2H-1, pad + W)``: B-spline coefficients of its right half, with ``pad`` columns mirrored to the left.
+    finer
+        ``(2, 2)``, rows (x, y) px.
+    coarser
+        ``(2, 2)``: the cell coordinates' matrix (the inverse of the coarser lattice's rows); all zeros: skip nothing
+        but lag 0.
+    end
+        Largest lag (x, y), px; each lag counts by the area in which image and shifted copy overlap.
+    pad
+        Mirrored columns.
+
+    Returns
+    -------
+    NDArray
+        ``(3,)``: mean, variance and number of lags; -1, 0, 0 where there are none.
+    """
+    height, width = (spline.shape[0] + 1) // 2, spline.shape[1] - pad
+    skips = np.abs(coarser).max() > 0
+    x1, y1, x2, y2 = finer[0, 0], finer[0, 1], finer[1, 0], finer[1, 1]
+    area = abs(x1 * y2 - x2 * y1)
+    rows = int((end[1] * abs(x1) + end[0] * abs(y1)) / area)
+    total, squares, weights, count = 0.0, 0.0, 0.0, 0
+    for b in range(rows + 1):
+        first, last = row_ends(x1, y1, x2, y2, b, end[0], end[1])
+        for a in range(first, last + 1):
+            x, y = a * x1 + b * x2, a * y1 + b * y2
+            if (b == 0 and a <= 0) or abs(x) > end[0] or abs(y) > end[1]:
+                continue
+            if skips:
+                u, v = x * coarser[0, 0] + y * coarser[1, 0], x * coarser[0, 1] + y * coarser[1, 1]
+                if max(abs(u - np.rint(u)), abs(v - np.rint(v))) < 0.02:
+                    continue
+            if x < 0:
+                x, y = -x, -y
+            across, down = x + pad, y + height - 1
+            column, row = int(np.floor(across)), int(np.floor(down))
+            t, r = across - column, down - row
+            value = 0.0
+            for j in range(4):
+                if j == 0:
+                    weight = (1 - r) ** 3 / 6
+                elif j == 1:
+                    weight = 2 / 3 - r * r * (2 - r) / 2
+                elif j == 2:
+                    weight = 2 / 3 - (1 - r) ** 2 * (1 + r) / 2
+                else:
+                    weight = r * r * r / 6
+                line = row + j - 1
+                value += weight * (
+                    spline[line, column - 1] * (1 - t) ** 3 / 6
+                    + spline[line, column] * (2 / 3 - t * t * (2 - t) / 2)
+                    + spline[line, column + 1] * (2 / 3 - (1 - t) ** 2 * (1 + t) / 2)
+                    + spline[line, column + 2] * t * t * t / 6
+                )
+            overlap = (height - abs(y)) * (width - x)
+            total += overlap * value
+            squares += overlap * value * value
+            weights += overlap
+            count += 1
+    if count == 0:
+        return np.array((-1.0, 0.0, 0.0))
+    mean = total / weights
+    return np.array((mean, max(squares / weights - mean * mean, 0.0), float(count)))
+
+
+@kernel("float64[:, ::1](int32[:, ::1], float64[:, ::1], float64, float64)")
+def rate_pairs(
+    surface: NDArray[np.int32], candidates: NDArray[np.float64], unit: float, reach: float
+) -> NDArray[np.float64]:
+    """Return the likeness at the multiples of every pair of candidates.
+
+    Parameters
+    ----------
+    surface
+        ``(2H-1, W)``: autocorrelation of an image ``(H, W)`` in whole multiples of 1 / ``unit``, lag (dx, dy) at
+        ``[H-1+dy, dx]``.
+    candidates
+        ``(n, 2)``: vectors (x, y) px in ascending length.
+    unit
+        What 1 is in ``surface``.
+    reach
+        Lags up to this share of the image's sides count, each by the area of its overlap.
+
+    Returns
+    -------
+    NDArray
+        ``(m, 5)``: x1, y1, x2, y2 of the pair, half reduced (the second vector less its rounded share of the first),
+        and the mean correlation; pairs whose cell is thin, under 8 px^2, or over 2/7 of the image are left out.
+
+    Notes
+    -----
+    Time is the number of pairs times the number of their cells in the image.
+    """
+    height, width = (surface.shape[0] + 1) // 2, surface.shape[1]
+    end_x, end_y = reach * (width - 1), reach * (height - 1)
+    n = candidates.shape[0]
+    out = np.zeros((n * (n - 1) // 2, 5))
+    m = 0
+    for i in range(n):
+        x1, y1 = candidates[i]
+        square = x1 * x1 + y1 * y1
+        for j in range(i + 1, n):
+            x2, y2 = candidates[j]
+            times = np.rint((x2 * x1 + y2 * y1) / square)
+            x2, y2 = x2 - times * x1, y2 - times * y1
+            area = abs(x1 * y2 - x2 * y1)
+            long = max(square, x2 * x2 + y2 * y2)
+            if area < 8 or area > height * width / 3.5 or area * area < 0.01 * long * square:
+                continue
+            if x2 * x2 + y2 * y2 < 0.81 * square:
+                continue
+            rows = int((end_y * abs(x1) + end_x * abs(y1)) / area)
+            total, weights = 0.0, 0.0
+            for b in range(rows + 1):
+                first, last = row_ends(x1, y1, x2, y2, b, end_x, end_y)
+                for a in range(first, last + 1):
+                    if b == 0 and a <= 0:
+                        continue
+                    x, y = a * x1 + b * x2, a * y1 + b * y2
+                    if abs(x) > end_x or abs(y) > end_y:
+                        continue
+                    if x < 0:
+                        x, y = -x, -y
+                    weight = (height - abs(y)) * (width - x)
+                    total += weight * surface[int(np.rint(y)) + height - 1, int(np.rint(x))]
+                    weights += weight
+            if weights > 0:
+                out[m, 0], out[m, 1], out[m, 2], out[m, 3] = x1, y1, x2, y2
+                out[m, 4] = total / (weights * unit)
+                m += 1
+    return out[:m].copy()

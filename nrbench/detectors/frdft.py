@@ -1,0 +1,243 @@
+"""Lattices from fractional frequencies: the waves of a texture, their fundamentals, and the lattice dual to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.detectors.chance.surrogates import chance, upper_limit
+from nrbench.errors import checker
+from nrbench.imaging.convert import Image
+from nrbench.lattice.geometry import Lattice, Points, Vector
+from nrbench.plugins.detection import Detection, NoLatticeFound, Surface
+from nrbench.spectra.fundamentals import FINALISTS, Basis, find_fundamentals
+from nrbench.spectra.harmonic_fit import Fit, refine
+from nrbench.spectra.harmonic_grouping import waveset as to_waveset
+from nrbench.spectra.pursuit import QUICK, THOROUGH, Effort, Found, pursue
+from nrbench.spectra.spectrum import Spectrum
+from nrbench.streams import pixels_hash, stream
+
+WINDOW = 1024
+"""px a side: of larger images the middle is analyzed, which bounds time and memory."""
+TESTED = 256
+"""px a side: the test against chance looks at the middle of this size, or of :data:`PERIODS` periods where longer."""
+PERIODS = 10.0
+SHORTLIST = 6
+"""Pairs of fundamentals that the test fits."""
+STRONGEST = 24
+"""Waves that the test looks for: the evidence of weaker ones, which count by their energy, is small."""
+
+
+class Answer(NamedTuple):
+    """What the waves of an image say.
+
+    Parameters
+    ----------
+    found
+        The waves.
+    order
+        Their numbers, the strongest first: the order of ``basis``.
+    basis
+        The fundamentals, in bins.
+    surplus
+        Evidence of the waves beyond those that any two fundamentals explain; see :class:`Frdft`.
+    """
+
+    found: Found
+    order: NDArray[np.intp]
+    basis: Basis
+    surplus: float
+
+
+@dataclass(frozen=True)
+class Frdft:
+    """Fractional frequencies: the coarsest lattice of frequencies that explains the waves of the texture.
+
+    The paper finds the waves (its section 3.1; here :func:`~nrbench.spectra.harmonics.analyze`) and reads the size of a
+    tile off the lowest of them (equation 7), which is right where the lowest wave is there and along an axis. Here the
+    waves vote: each whole combination of two fundamentals that a wave lies at is evidence in the measure in which
+    chance would not have put it there, weighted by the wave's energy, so that a finer lattice of frequencies (a larger
+    tile) wins only where it explains waves that a coarser one leaves, and low waves may be missing. The fundamentals
+    are then fitted to the image, all explained waves jointly; the lattice is the one dual to them. Its origin is where
+    both fundamental waves have their crest, (0, 0) where one of them is not among the waves.
+
+    The confidence is the share of the image's variance, all channels together, that the lattice's waves explain.
+
+    Images of more than 1024 px a side are judged by their middle; longer periods than about 600 px are not found.
+
+    Parameters
+    ----------
+    threshold
+        Least amplitude of a wave, units of 1/255; 0: automatic, what noise reaches with probability ``false_alarms``.
+    waves
+        Only so many of the strongest waves count.
+    tolerance
+        How far, bins (cycles in the image's side), a wave may lie off its place beside its own standard error.
+    reject
+        ``"none"``: answer wherever the waves have two directions. ``"surrogate"``: no lattice where the evidence does
+        not exceed what phase-randomized copies of the image reach. The evidence here is a plain log-likelihood, every
+        wave counted alike: energy tells which lattice is the texture's, places whether there is one. It is that of all
+        explained waves, less the two best, which any two fundamentals explain, less that of all waves on the line that
+        has most, so that a grating, or one and a stray wave, is no lattice. A lattice of two waves without harmonics is
+        refused, too. Image and copies are judged alike, by a shorter search: 24 waves, in one pass, of the image's
+        middle (256 px a side or ten periods).
+    surrogates
+        Number of phase-randomized copies.
+    false_alarms
+        Probability at which noise would be taken for a wave, and a phase-randomized copy for a lattice.
+    """
+
+    threshold: float = 0.0
+    waves: int = 60
+    tolerance: float = 0.05
+    reject: Literal["none", "surrogate"] = "surrogate"
+    surrogates: int = 12
+    false_alarms: float = 0.01
+
+    version: ClassVar[str] = "1"
+    paper: ClassVar[str] = """@inproceedings{nicoll2005fftm,
+  author    = {Nicoll, Alexander and Meseth, Jan and M{\\"u}ller, Gero and Klein, Reinhard},
+  title     = {Fractional Fourier Texture Masks: Guiding Near-Regular Texture Synthesis},
+  journal   = {Computer Graphics Forum},
+  volume    = {24},
+  number    = {3},
+  year      = {2005},
+}"""
+
+    def __post_init__(self) -> None:
+        _check(self.threshold >= 0, f"threshold is {self.threshold}; give 0 (automatic) or an amplitude in 1/255")
+        _check(self.waves >= 2, f"waves is {self.waves}; give at least 2")
+        _check(self.tolerance > 0, f"tolerance is {self.tolerance}; give bins above 0, e.g. 0.05")
+        _check(self.reject in ("none", "surrogate"), f"reject is {self.reject!r}; give none or surrogate")
+        _check(self.surrogates >= 2, f"surrogates is {self.surrogates}; give at least 2")
+        _check(0 < self.false_alarms < 1, f"false_alarms is {self.false_alarms}; give a probability, e.g. 0.01")
+
+    def detect(self, image: Image) -> Detection:
+        """Return the lattice of ``image``.
+
+        Diagnostics: ``spectrum`` (log magnitude; its peaks are the waves, its vectors the fundamentals, in bins),
+        ``frequencies`` ``(n, 2)`` cycles/px of all waves, ``explained`` (which of them the lattice explains),
+        ``surplus`` (the evidence); where tested, ``tested_surplus`` (that of the shorter search), ``surrogate_surplus``
+        (the same of the copies) and ``limit``.
+
+        Raises
+        ------
+        NoLatticeFound
+            Where the image is constant, its waves are fewer than two or all along one direction, or, unless ``reject``
+            is ``"none"``, the best lattice is no better than chance.
+        """
+        if np.ptp(image, (0, 1)).max() == 0:
+            raise NoLatticeFound("the image is constant: it has no texture")
+        middle, start = _middle(image, WINDOW)
+        answer = self._search(middle, self.waves, THOROUGH, FINALISTS)
+        if isinstance(answer, str):
+            raise NoLatticeFound(answer)
+        found = _detection(answer, start)
+        return found if self.reject == "none" else self._tested(image, found)
+
+    def _search(self, image: NDArray[np.float32], waves: int, effort: Effort, finalists: int) -> Answer | str:
+        """Return what the waves of an image say, or why they say nothing."""
+        spectrum = Spectrum(image.astype(np.float64))
+        found = pursue(spectrum, self.threshold or None, self.false_alarms, waves, effort)
+        order = np.argsort(-found.powers.sum(1), kind="stable")
+        if len(order) < 2:
+            return f"the image has {len(order)} waves above its noise; a lattice has at least two"
+        waveset = to_waveset(found, order, self.tolerance)
+        basis = find_fundamentals(waveset, finalists)
+        if basis is None or np.linalg.matrix_rank(basis.orders[basis.explained]) < 2:
+            return "the waves of the image have one direction only: a grating has no lattice"
+        return Answer(found, order, basis, surplus(basis, waveset.weights))
+
+    def _tested(self, image: Image, found: Detection) -> Detection:
+        """Return what was found, with what it was compared with, unless it is a grating or chance."""
+        longest = float(abs(found.lattice.matrix).max())
+        part, _ = _middle(image, max(TESTED, min(round(PERIODS * longest), WINDOW)))
+        copies = chance(part, self._reached, stream("detection", pixels_hash(part)), self.surrogates)
+        reached, limit = self._reached(part), upper_limit(copies, self.false_alarms)
+        more = {"tested_surplus": reached, "surrogate_surplus": copies, "limit": limit}
+        found = Detection(found.lattice, found.confidence, {**found.diagnostics, **more})
+        if reached <= limit:
+            raise NoLatticeFound(
+                f"the best lattice (evidence {reached:.2f}) is no better than chance ({limit:.2f})", found
+            )
+        return found
+
+    def _reached(self, image: NDArray[np.float32]) -> float:
+        """Return the evidence of an image's best lattice by the shorter search; 0 where it has none."""
+        answer = self._search(image, min(self.waves, STRONGEST), QUICK, SHORTLIST)
+        return 0.0 if isinstance(answer, str) else answer.surplus
+
+
+def _middle(image: Image, side: int) -> tuple[Image, Vector]:
+    """Return the middle of an image, at most ``side`` px a side, and the (x, y) of its first pixel."""
+    top, left = (max(n - side, 0) // 2 for n in image.shape[:2])
+    return image[top : top + side, left : left + side], (left, top)
+
+
+def surplus(basis: Basis, weights: NDArray[np.float64]) -> float:
+    """Return the evidence beyond what any two fundamentals explain, and beyond what is on one line.
+
+    Parameters
+    ----------
+    basis
+        Fundamentals of n waves. Waves that they do not explain count nothing, wherever they are.
+    weights
+        ``(n,)``: by which the evidence was multiplied; it is divided by them again.
+    """
+    evidence, orders = (basis.evidence / weights)[basis.explained], basis.orders[basis.explained]
+    beyond = evidence.sum() - np.sort(evidence)[-2:].sum()
+    x, y = orders[:, 0], orders[:, 1]
+    collinear = np.outer(x, y) == np.outer(y, x)
+    best_line = int(np.argmax(collinear @ evidence))
+    off = evidence[~collinear[best_line]]
+    return float(max(min(beyond, off.sum() - off.max(initial=0)), 0.0))
+
+
+def _detection(answer: Answer, start: Vector) -> Detection:
+    """Return the lattice dual to the fundamentals, fitted to the image."""
+    found, basis, spectrum = answer.found, answer.basis, answer.found.waves.spectrum
+    orders = basis.orders[basis.explained]
+    fit = refine(spectrum, basis.vectors / spectrum.size, orders)
+    origin = np.add(_origin(fit, orders), start)
+    lattice = Lattice.from_basis(np.linalg.inv(fit.fundamentals).T, origin).reduced()
+    share = float(fit.waves.explained.sum() / spectrum.energy.sum())
+    diagnostics = {
+        "spectrum": _surface(found, fit.fundamentals * spectrum.size),
+        "frequencies": found.waves.frequencies[answer.order],
+        "explained": basis.explained,
+        "surplus": answer.surplus,
+    }
+    return Detection(lattice, min(max(share, 0.0), 1.0), diagnostics)
+
+
+def _origin(fit: Fit, orders: Points) -> Vector:
+    """Return where both fundamental waves have their crest, in the channel where each is strongest; else (0, 0)."""
+    phases = []
+    for unit in ((1.0, 0.0), (0.0, 1.0)):
+        at = np.flatnonzero((np.abs(orders) == unit).all(1))
+        if not len(at):
+            return 0.0, 0.0
+        wave = at[0]
+        p, q = (amplitude[1 + wave] for amplitude in fit.waves.amplitudes)
+        strongest = int(np.argmax(p**2 + q**2))
+        phases.append(np.arctan2(q[strongest], p[strongest]) * orders[wave].sum())
+    centre = (fit.waves.spectrum.size - 1) / 2
+    x, y = centre + np.linalg.solve(fit.fundamentals, np.array(phases) / (2 * np.pi))
+    return float(x), float(y)
+
+
+def _surface(found: Found, vectors: Points) -> Surface:
+    """Return the log magnitude of the spectrum with the waves and the fundamentals, frequency 0 in the middle."""
+    spectrum = found.waves.spectrum
+    height, width = spectrum.shape
+    magnitude = np.sqrt((np.abs(spectrum.bins()) ** 2).sum(0))
+    negative = magnitude[-np.arange(height) % height][:, 1 : (width + 1) // 2][:, ::-1]
+    whole = np.concatenate([negative, magnitude], 1)
+    values = np.log1p(np.roll(whole, height // 2, 0) / max(float(np.median(magnitude)), 1e-12))
+    return Surface(values, (negative.shape[1], height // 2), found.waves.frequencies * spectrum.size, vectors)
+
+
+_check = checker("frdft")

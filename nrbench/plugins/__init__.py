@@ -1,0 +1,29 @@
+"""Plugins: their registry, their parameters, and the forms that they have."""
+
+from nrbench.plugins.registry import (
+    FORMS,
+    Form,
+    Plugin,
+    add_file,
+    build,
+    fault,
+    files,
+    find,
+    inventory,
+    names,
+    parameters_of,
+)
+
+__all__ = [
+    "FORMS",
+    "Form",
+    "Plugin",
+    "add_file",
+    "build",
+    "fault",
+    "files",
+    "find",
+    "inventory",
+    "names",
+    "parameters_of",
+]

@@ -1,0 +1,276 @@
+"""What a method is asked, what it answers, and what a metric makes of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.convert import Image
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.detection import Detector, NoLatticeFound
+from nrbench.plugins.texture import Shape, Texture
+
+Again = Callable[[Shape, int], Texture | None]
+"""``again(shape, k)``: the k-th independent draw of the sample's texture, same lattice and origin."""
+SourceMap = NDArray[np.float32]
+"""``float32 (H, W, 3)``: for each output pixel the (x, y) of the sample pixel it came from (of the largest weight where
+several were blended) and that weight in (0, 1]. NaN where it came from none."""
+Value = float | bool | None
+
+
+class Refused(Exception):
+    """The input lies outside a method's domain: shown as N/A, not a failure."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+def _ignore(fraction: float) -> None:
+    """Report progress to nobody."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One synthesis.
+
+    Parameters
+    ----------
+    sample
+        The texture to continue, rounded to 8 bits.
+    shape
+        Height and width of the output in px.
+    lattice
+        The lattice handed over, in the sample's pixel coordinates; None: find it yourself.
+    rng
+        The only source of randomness.
+    progress
+        Call it with the fraction done, in [0, 1], as often as you like.
+    again
+        Fresh draws of the same texture; None unless the method declares ``reference = True``.
+    """
+
+    sample: Image
+    shape: Shape
+    lattice: Lattice | None
+    rng: np.random.Generator
+    progress: Callable[[float], None] = _ignore
+    again: Again | None = None
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """The answer to a task.
+
+    Parameters
+    ----------
+    image
+        The output, ``task.shape`` and the sample's channels.
+    lattice
+        The lattice that was used, in the sample's coordinates; None where none was.
+    source
+        A :data:`SourceMap`, where the method copies pixels.
+    extras
+        Pictures or arrays to keep beside the output, by name.
+    detection_seconds
+        Wall seconds spent in finding the lattice.
+    note
+        One sentence that the tables show beside the row (e.g. a fallback that was taken).
+    """
+
+    image: Image
+    lattice: Lattice | None = None
+    source: SourceMap | None = None
+    extras: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    detection_seconds: float = 0.0
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class FoundLattice:
+    """What a method works with: the lattice given or found (or None and why), and what finding it cost.
+
+    Parameters
+    ----------
+    lattice
+        In the sample's coordinates; None where there is none.
+    seconds
+        Wall seconds spent in finding it.
+    reason
+        Why there is none.
+    confidence
+        In [0, 1], as the detector makes it; None where none was asked, or it found no lattice.
+    """
+
+    lattice: Lattice | None
+    seconds: float = 0.0
+    reason: str = ""
+    confidence: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the answer, JSON-ready."""
+        return {**vars(self), "lattice": self.lattice.as_dict() if self.lattice else None}
+
+    @classmethod
+    def from_dict(cls, mapping: Mapping[str, Any]) -> FoundLattice:
+        """Rebuild an answer from :meth:`as_dict`; what else stands in the mapping is left out."""
+        names = ("seconds", "reason", "confidence")
+        lattice = Lattice.from_dict(mapping["lattice"]) if mapping.get("lattice") else None
+        return cls(lattice, **{name: mapping[name] for name in names if name in mapping})
+
+
+def find_lattice(task: Task, detector: Detector) -> FoundLattice:
+    """Return the task's lattice where it was given one, else what ``detector`` finds in the sample."""
+    if task.lattice is not None:
+        return FoundLattice(task.lattice)
+    return timed_detection(detector, task.sample)
+
+
+def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Lattice, float]:
+    """Return the lattice given or found, and the wall seconds that finding it cost.
+
+    Parameters
+    ----------
+    task, detector
+        As in :func:`find_lattice`.
+    without
+        What cannot be done where there is none, for the refusal.
+
+    Raises
+    ------
+    Refused
+        Where there is none.
+    """
+    found = find_lattice(task, detector)
+    if found.lattice is None:
+        raise Refused(f"no lattice found ({found.reason}): {without}")
+    return found.lattice, found.seconds
+
+
+def timed_detection(detector: Detector, image: Image) -> FoundLattice:
+    """Return what a detector answers on an image, "there is none" included, and the wall seconds that it took."""
+    start = time.perf_counter()
+    try:
+        found = detector.detect(image)
+    except NoLatticeFound as none:
+        return FoundLattice(None, time.perf_counter() - start, none.reason)
+    return FoundLattice(found.lattice, time.perf_counter() - start, confidence=float(found.confidence))
+
+
+@runtime_checkable
+class Synthesizer(Protocol):
+    """The form of a synthesizer plugin: a frozen dataclass with this method.
+
+    Optional class variables: ``reference`` (True: receives ``task.again`` and is never ranked), ``uses_lattice``
+    (False: the lattice axis does not apply), ``needs_lattice`` (False: where a detector of the lattice axis finds none,
+    the method runs without one; otherwise the cell is refused), ``right_on`` (a cheat's: the kinds of texture on which
+    it is no cheat but right), ``always_told`` (parameters that the method's label shows even at their defaults),
+    ``paper`` (BibTeX), ``version``.
+    """
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the synthesis, or raise :class:`Refused`."""
+        ...
+
+
+@dataclass(frozen=True)
+class Observation:
+    """All that a metric may look at.
+
+    Parameters
+    ----------
+    sample, output
+        The pixels as the PNGs hold them.
+    truth
+        The sample's texture with all that is known of it; None where nothing is.
+    lattice_given
+        The lattice that the method was handed, if any.
+    lattice_used
+        The lattice that the method says it used, if any.
+    source, extras
+        As in :class:`Synthesis`.
+    seconds
+        Wall seconds of ``synthesize``; None where it was not measured.
+    again
+        Fresh draws of the sample's texture at any shape; None for photographs.
+    rng
+        The metric's own stream.
+    detected
+        What the detector of the lattice axis answered; None where the lattice source is no detector.
+    cost
+        Further costs by name: ``cpu_seconds``, ``detection_seconds``, ``peak_mib``; ``side_by_side`` is 1 when other
+        cells ran at the same time.
+    """
+
+    sample: Image
+    output: Image
+    truth: Texture | None = None
+    lattice_given: Lattice | None = None
+    lattice_used: Lattice | None = None
+    source: SourceMap | None = None
+    extras: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    seconds: float | None = None
+    again: Again | None = None
+    rng: np.random.Generator = field(default_factory=np.random.default_rng)
+    cost: Mapping[str, float] = field(default_factory=dict)
+    detected: FoundLattice | None = None
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a score's column means.
+
+    Parameters
+    ----------
+    meaning
+        One sentence.
+    unit
+        ``""`` for ratios and truth values.
+    range
+        Lowest and highest possible value.
+    better
+        ``"higher"``, ``"lower"``, ``"one"`` (two-sided: nearest to 1), or ``"none"`` (no better way).
+    """
+
+    meaning: str
+    unit: str = ""
+    range: tuple[float, float] = (0.0, 1.0)
+    better: Literal["higher", "lower", "one", "none"] = "none"
+
+
+@dataclass(frozen=True)
+class Score:
+    """A metric's answer.
+
+    Parameters
+    ----------
+    values
+        One value for each declared column: a number, a truth value, or None.
+    reasons
+        For each None, one sentence that says why.
+    pictures
+        Images for the report, by name.
+    records
+        Anything else worth keeping, JSON-ready, by name.
+    """
+
+    values: Mapping[str, Value]
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    pictures: Mapping[str, Image] = field(default_factory=dict)
+    records: Mapping[str, Any] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Metric(Protocol):
+    """The form of a metric plugin: a frozen dataclass with declared columns and this method."""
+
+    columns: ClassVar[Mapping[str, Column]]
+
+    def score(self, observation: Observation) -> Score:
+        """Return a value, or None and a reason, for every declared column."""
+        ...

@@ -1,0 +1,293 @@
+"""The plugin registry: entry points and plain files, checked at registration, one door for all."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib.util
+import inspect
+import re
+import sys
+import traceback
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from nrbench.errors import BadInput
+from nrbench.plugins.forms import Column
+from nrbench.plugins.parameters import nearest, validated
+
+
+@dataclass(frozen=True)
+class Form:
+    """What a kind of plugin must offer.
+
+    Parameters
+    ----------
+    noun
+        What one is called.
+    methods
+        Each with the number of arguments it is called with.
+    taken
+        Names of the arguments that :mod:`nrbench.api` takes beside the parameters: none of these may be called so.
+    """
+
+    noun: str
+    methods: Mapping[str, int]
+    taken: tuple[str, ...] = ()
+
+    @property
+    def method(self) -> str:
+        """The method that tells this form from the others."""
+        return next(iter(self.methods))
+
+
+FORMS: Mapping[str, Form] = {
+    "datasets": Form("dataset", {"render": 2, "again": 3}, ("model", "shape", "seed")),
+    "detectors": Form("detector", {"detect": 1}, ("image", "detector")),
+    "synthesizers": Form("method", {"synthesize": 1}, ("method", "image", "shape", "lattice", "seed", "progress")),
+    "metrics": Form("metric", {"score": 1}),
+    "reports": Form("report", {"write": 2}),
+}
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """One registered plugin, or what kept it from being one.
+
+    Parameters
+    ----------
+    kind, name
+        A key of :data:`FORMS`, and the name it is called by.
+    cls
+        The frozen dataclass; None where it is broken.
+    distribution
+        The installed distribution (or file) it comes from.
+    version
+        What goes into keys: the class's ``version``, else the distribution's; for a plain file its hash as well.
+    error
+        The traceback or the finding, where it is broken or a duplicate; else empty.
+    """
+
+    kind: str
+    name: str
+    cls: type[Any] | None
+    distribution: str
+    version: str
+    error: str = ""
+
+
+_files: dict[Path, list[Plugin]] = {}
+
+
+def add_file(path: str | Path) -> None:
+    """Register the plugins that a plain Python file defines (``--plugin mine.py``).
+
+    A plugin's name is its class variable ``name``, else the class's name in lower case.
+
+    Raises
+    ------
+    BadInput
+        When the file is missing, does not import, or defines no plugin.
+    """
+    file = Path(path).resolve()
+    if file in _files:
+        return
+    found = _file_plugins(file, _import_file(file))
+    if not found:
+        raise BadInput(f"plugin {path}: defines no plugin; write a frozen dataclass with one of: {_methods_wanted()}")
+    for plugin in found:
+        if plugin.error:
+            raise BadInput(f"plugin {path}: {plugin.error}")
+        if plugin.name in names(plugin.kind):
+            raise BadInput(f"plugin {path}: the name {plugin.name!r} is taken; give the class another `name`")
+    _files[file] = found
+
+
+def files() -> list[str]:
+    """Return the paths of the plain files registered so far (for worker processes)."""
+    return [str(path) for path in _files]
+
+
+def names(kind: str) -> list[str]:
+    """Return the names registered for ``kind``, without loading anything."""
+    return list(dict.fromkeys([*_entry_points(kind), *(plugin.name for plugin in _from_files(kind))]))
+
+
+def inventory(kind: str) -> list[Plugin]:
+    """Load every plugin of a kind; broken and duplicate ones are listed with their error, and harm no other."""
+    listed = [_load(kind, point, i > 0) for points in _entry_points(kind).values() for i, point in enumerate(points)]
+    return listed + list(_from_files(kind))
+
+
+def find(kind: str, name: str) -> Plugin:
+    """Return the working plugin called ``name``.
+
+    Raises
+    ------
+    BadInput
+        When there is none (naming the nearest), or it is broken.
+    """
+    for plugin in _from_files(kind):
+        if plugin.name == name:
+            return plugin
+    points = _entry_points(kind).get(name)
+    if not points:
+        raise BadInput(
+            f"{FORMS[kind].noun} {name!r} is not known{nearest(name, names(kind))}; see `nrbench list {kind}`"
+        )
+    plugin = _load(kind, points[0], False)
+    if plugin.cls is None:
+        last = plugin.error.strip().splitlines()[-1]
+        raise BadInput(f"{FORMS[kind].noun} {name!r} of {plugin.distribution} does not load: {last}")
+    return plugin
+
+
+def build(kind: str, name: str, parameters: Mapping[str, Any] | None = None) -> Any:
+    """Return an instance of a plugin, its parameters converted to their declared types and checked.
+
+    Raises
+    ------
+    BadInput
+        For an unknown plugin or parameter (naming the nearest), or a value of the wrong type or range.
+    """
+    cls = find(kind, name).cls
+    assert cls is not None
+    return validated(cls, parameters or {}, f"{FORMS[kind].noun} {name}")
+
+
+def parameters_of(plugin: Any) -> dict[str, Any]:
+    """Return a plugin instance's parameters, defaults filled in, JSON-ready."""
+    return {field.name: _plain(getattr(plugin, field.name)) for field in dataclasses.fields(plugin)}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple | list):
+        return [_plain(part) for part in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+@cache
+def _entry_points(kind: str) -> dict[str, list[EntryPoint]]:
+    """Return the entry points of a kind by name, ours before anybody's of the same name."""
+    found = sorted(entry_points(group=f"nrbench.{kind}"), key=lambda point: _distribution(point)[0] != "nrbench")
+    grouped: dict[str, list[EntryPoint]] = {}
+    for point in found:
+        grouped.setdefault(point.name, []).append(point)
+    return grouped
+
+
+def _from_files(kind: str) -> Iterator[Plugin]:
+    return (plugin for plugins in _files.values() for plugin in plugins if plugin.kind == kind)
+
+
+def _distribution(point: EntryPoint) -> tuple[str, str]:
+    return (point.dist.name, point.dist.version) if point.dist else ("unknown", "0")
+
+
+@cache
+def _load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
+    distribution, version = _distribution(point)
+    if duplicate:
+        error = f"duplicate: the name {point.name!r} was registered before; this one ({point.value}) is not used"
+        return Plugin(kind, point.name, None, distribution, version, error)
+    try:
+        cls = point.load()
+        error = fault(kind, cls)
+    except (Exception, SystemExit):
+        return Plugin(kind, point.name, None, distribution, version, traceback.format_exc())
+    return Plugin(kind, point.name, None if error else cls, distribution, getattr(cls, "version", version), error)
+
+
+def fault(kind: str, cls: Any) -> str:
+    """Return what keeps a class from being a plugin of ``kind``, in one sentence; empty where nothing does."""
+    checks = (_form_fault, _field_fault, _method_fault, _column_fault)
+    return next((found for check in checks if (found := check(kind, cls))), "")
+
+
+def _form_fault(kind: str, cls: Any) -> str:
+    label = f"{FORMS[kind].noun} {getattr(cls, '__name__', cls)!r}"
+    if not (inspect.isclass(cls) and dataclasses.is_dataclass(cls)):
+        return f"{label} is no dataclass; decorate it with @dataclass(frozen=True)"
+    if not cls.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+        return f"{label} is not frozen; decorate it with @dataclass(frozen=True)"
+    name = str(getattr(cls, "name", "x"))
+    if not re.fullmatch(r"[\w.-]+", name):
+        return f"{label}: its name {name!r} cannot be called; use letters, digits, '.', '-' and '_'"
+    own_page = cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
+    return "" if own_page else f"{label} has no docstring; write one, it is the plugin's page"
+
+
+def _field_fault(kind: str, cls: Any) -> str:
+    form = FORMS[kind]
+    label = f"{form.noun} {cls.__name__!r}: parameter"
+    for field in dataclasses.fields(cls):
+        if field.name in form.taken:
+            taken = ", ".join(form.taken)
+            return f"{label} {field.name!r} has the name of an argument of the call; rename it (taken: {taken})"
+        if not _has_default(field) and kind in ("detectors", "metrics", "reports"):
+            return f"{label} {field.name!r} has no default; give it one"
+    return ""
+
+
+def _has_default(field: dataclasses.Field[Any]) -> bool:
+    return field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
+
+
+def _method_fault(kind: str, cls: Any) -> str:
+    for method, arguments in FORMS[kind].methods.items():
+        function = getattr(cls, method, None)
+        if not callable(function):
+            return f"{FORMS[kind].noun} {cls.__name__!r} lacks the method {method}()"
+        try:
+            inspect.signature(function).bind(*[None] * (arguments + 1))
+        except TypeError as error:
+            wanted = f"self and {arguments} argument{'s' * (arguments > 1)}"
+            return f"{FORMS[kind].noun} {cls.__name__!r}: {method}() must take {wanted} ({error})"
+    return ""
+
+
+def _column_fault(kind: str, cls: Any) -> str:
+    if kind != "metrics":
+        return ""
+    columns = getattr(cls, "columns", None)
+    if not (isinstance(columns, Mapping) and columns and all(isinstance(c, Column) for c in columns.values())):
+        return f"metric {cls.__name__!r} declares no columns; set `columns: ClassVar = {{name: Column(...)}}`"
+    return ""
+
+
+def _import_file(file: Path) -> Any:
+    if not file.is_file():
+        raise BadInput(f"plugin {file}: there is no such file")
+    path_hash = hashlib.blake2b(str(file).encode(), digest_size=4).hexdigest()
+    spec = importlib.util.spec_from_file_location(f"nrbench_plugin_{file.stem}_{path_hash}", file)
+    if spec is None or spec.loader is None:
+        raise BadInput(f"plugin {file}: is no Python file; its name must end in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module.__name__] = module
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        raise BadInput(f"plugin {file}: does not import: {type(error).__name__}: {error}") from error
+    return module
+
+
+def _file_plugins(file: Path, module: Any) -> list[Plugin]:
+    digest = hashlib.blake2b(file.read_bytes(), digest_size=8).hexdigest()
+    found = []
+    for cls in vars(module).values():
+        if not (inspect.isclass(cls) and cls.__module__ == module.__name__):
+            continue
+        for kind, form in FORMS.items():
+            if callable(getattr(cls, form.method, None)):
+                name = getattr(cls, "name", cls.__name__.lower())
+                version = f"{getattr(cls, 'version', '0')}+{digest}"
+                found.append(Plugin(kind, str(name), cls, str(file), version, fault(kind, cls)))
+    return found
+
+
+def _methods_wanted() -> str:
+    return ", ".join(f"{form.method}()" for form in FORMS.values())

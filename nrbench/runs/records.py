@@ -1,0 +1,225 @@
+"""A run, read back: one record a cell, and tidy tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from nrbench import plugins
+from nrbench.plugins.forms import Column
+from nrbench.running.scoring import score_file
+from nrbench.runs.store import CellFolder, RunDirectory, read_json
+from nrbench.suites.cell import Cell
+
+FAILED = ("error", "timeout", "memory", "crash", "invalid")
+"""Statuses of a cell that should have worked."""
+HEAD = (
+    *("suite", "texture", "family", "kind", "regular_share", "method", "parameters", "lattice_source", "replicate"),
+    *("reference", "status", "phase", "message", "note", "seconds", "peak_mib", "key"),
+)
+"""The table's columns before the scores."""
+
+
+@dataclass(frozen=True)
+class CellRecord:
+    """One cell of a run: what was asked, how it ended, and its scores.
+
+    Parameters
+    ----------
+    cell
+        What was asked.
+    folder
+        Where it lies.
+    result
+        What ``result.json`` holds; empty while the cell has not ended.
+    values, reasons
+        Every score by ``metric.column``; for None, why.
+    pictures
+        The metrics' pictures by ``metric.name``.
+    records
+        The metrics' further records by ``metric``.
+    """
+
+    cell: Cell
+    folder: Path
+    result: Mapping[str, Any]
+    values: Mapping[str, float | bool | None] = field(default_factory=dict)
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    pictures: Mapping[str, Path] = field(default_factory=dict)
+    records: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """The cell's key."""
+        return self.folder.name
+
+    @property
+    def suite(self) -> str:
+        """Name of the suite."""
+        return self.cell.suite
+
+    @property
+    def texture(self) -> str:
+        """Name of the texture."""
+        return self.cell.texture
+
+    @property
+    def family(self) -> str:
+        """Family of the texture."""
+        return self.cell.family
+
+    @property
+    def kind(self) -> str | None:
+        """Kind of the texture: 0, I, II, III or stochastic."""
+        return self.cell.kind
+
+    @property
+    def regular_share(self) -> float | None:
+        """Regular share of the texture, in [0, 1]."""
+        return self.cell.regular_share
+
+    @property
+    def method(self) -> str:
+        """The method, with the parameters that differ from its defaults."""
+        return self.cell.label
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """All parameters of the method."""
+        return self.cell.parameters
+
+    @property
+    def reference(self) -> bool:
+        """Whether the row calibrates the scores and is never ranked."""
+        return self.cell.reference
+
+    @property
+    def lattice_source(self) -> str:
+        """``given``, ``own``, ``none``, or the detector."""
+        return self.cell.lattice_source
+
+    @property
+    def replicate(self) -> int:
+        """Number of the draw."""
+        return self.cell.replicate
+
+    @property
+    def status(self) -> str:
+        """``ok | refused | error | timeout | memory | crash | invalid``, or ``missing`` while it has not ended."""
+        return str(self.result.get("status", "missing"))
+
+    @property
+    def phase(self) -> str:
+        """Where it failed; empty where it did not."""
+        return str(self.result.get("phase", ""))
+
+    @property
+    def message(self) -> str:
+        """Why it failed or refused."""
+        return str(self.result.get("message", ""))
+
+    @property
+    def note(self) -> str:
+        """What the method says of its run."""
+        return str(self.result.get("note", ""))
+
+    @property
+    def seconds(self) -> float | None:
+        """Wall seconds of the synthesis."""
+        return self.result.get("seconds")
+
+    @property
+    def peak_mib(self) -> float | None:
+        """Peak memory above the idle worker, MiB."""
+        return self.result.get("peak_mib")
+
+    @property
+    def lattice_given(self) -> dict[str, Any] | None:
+        """The lattice handed over."""
+        return self.cell.lattice_given.as_dict() if self.cell.lattice_given else None
+
+    @property
+    def lattice_truth(self) -> dict[str, Any] | None:
+        """The true lattice of the sample."""
+        return self.cell.lattice_truth.as_dict() if self.cell.lattice_truth else None
+
+    @property
+    def lattice_used(self) -> dict[str, Any] | None:
+        """The lattice that the method used."""
+        return self.result.get("lattice_used")
+
+    @property
+    def log_tail(self) -> str:
+        """The last lines that the method printed."""
+        return CellFolder(self.folder).log_tail()
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run on disk.
+
+    Parameters
+    ----------
+    root
+        The run directory.
+    """
+
+    root: Path
+
+    @cached_property
+    def info(self) -> dict[str, Any]:
+        """What ``run.json`` holds: suite, argv, versions, machine, git state, the cells' keys."""
+        return RunDirectory(self.root).info()
+
+    @cached_property
+    def columns(self) -> dict[str, Column]:
+        """Every score's column by ``metric.column``, of the metrics that score this run."""
+        return {f"{p.name}.{name}": column for p in self._metrics for name, column in p.cls.columns.items()}  # type: ignore[union-attr]
+
+    @cached_property
+    def _metrics(self) -> list[plugins.Plugin]:
+        """The metrics that score this run: those that its suite names, else all; only those that load."""
+        named = self.info.get("suite", {}).get("content", {}).get("metrics")
+        working = [plugin for plugin in plugins.inventory("metrics") if plugin.cls is not None]
+        return [plugin for plugin in working if not named or plugin.name in named]
+
+    @cached_property
+    def cells(self) -> list[CellRecord]:
+        """Every cell of the run, in the suite's order; those that have not ended included."""
+        directory = RunDirectory(self.root)
+        metrics = [plugin.name for plugin in self._metrics]
+        return [_record(directory.cell(entry["key"]), entry, metrics) for entry in self.info["cells"]]
+
+    def table(self) -> pd.DataFrame:
+        """Return the tidy table: one row a cell, one column a score."""
+        rows = [_row(record, self.columns) for record in self.cells]
+        return pd.DataFrame(rows, columns=list(rows[0]) if rows else [*HEAD, *self.columns])
+
+
+def _record(where: CellFolder, entry: dict[str, Any], metrics: list[str]) -> CellRecord:
+    begun = read_json(where.cell_file) or entry
+    cell = Cell.from_dict({**entry, **{name: begun.get(name) for name in ("lattice_given", "detected")}})
+    result = where.result() or {}
+    values: dict[str, float | bool | None] = {}
+    reasons: dict[str, str] = {}
+    pictures: dict[str, Path] = {}
+    records: dict[str, Any] = {}
+    for name in metrics if result.get("status") == "ok" else ():
+        score = read_json(score_file(where, name)) or {}
+        values.update({f"{name}.{column}": value for column, value in score.get("values", {}).items()})
+        reasons.update({f"{name}.{column}": why for column, why in score.get("reasons", {}).items()})
+        pictures.update({f"{name}.{title}": where.scores / file for title, file in score.get("pictures", {}).items()})
+        records[name] = score.get("records", {})
+    return CellRecord(cell, where.path, result, values, reasons, pictures, records)
+
+
+def _row(record: CellRecord, columns: Mapping[str, Column]) -> dict[str, Any]:
+    row = {name: getattr(record, name) for name in HEAD}
+    row["parameters"] = json.dumps(dict(record.parameters), sort_keys=True)
+    return {**row, **{name: record.values.get(name) for name in columns}}

@@ -1,0 +1,212 @@
+"""The regular part of a texture as waves of real frequencies: FFTM's analysis, and their evaluation at any size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.errors import checker
+from nrbench.spectra.analytic_signal import pursue_analytic
+from nrbench.spectra.dirichlet import Array
+from nrbench.spectra.harmonic_fit import Waves
+from nrbench.spectra.pursuit import pursue
+from nrbench.spectra.regular_part import quickly, regular_part
+from nrbench.spectra.spectrum import Planes, Spectrum
+from nrbench.spectra.wave_sum import about_origin, wave_sum
+
+Harmonic = Literal["free", "tied"]
+Signal = Literal["real", "analytic"]
+Channels = Literal["joint", "each"]
+
+
+@dataclass(frozen=True)
+class Harmonics:
+    """A periodic picture: mean + sum of cosine cos(2 pi f r) + sine sin(2 pi f r), r = (x, y) px from pixel (0, 0).
+
+    Parameters
+    ----------
+    frequencies
+        ``(n, 2)``: (f_x, f_y) cycles/px, the strongest first; of each pair f, -f one. Beyond half a cycle/px where
+        pixels have folded a wave back: on whole px it looks like the folded one.
+    cosine, sine
+        ``(n, C)``: amplitudes, units of the planes.
+    mean
+        ``(C,)``.
+    fundamentals
+        ``(g, 2)`` cycles/px; where free, the frequencies themselves.
+    orders
+        ``(n, g)`` whole numbers: ``frequencies = orders @ fundamentals``.
+    groups
+        How many fundamentals, 1 or 2, each group has: two make a lattice of frequencies, one makes stripes. They follow
+        each other in ``fundamentals``.
+    share
+        Share of the planes' variance, all channels together, that the waves explain, in [0, 1].
+    """
+
+    frequencies: Array
+    cosine: Array
+    sine: Array
+    mean: Array
+    fundamentals: Array
+    orders: NDArray[np.int64]
+    groups: tuple[int, ...]
+    share: float
+
+    @property
+    def amplitudes(self) -> Array:
+        """The waves' amplitudes, ``(n, C)``."""
+        return np.hypot(self.cosine, self.sine)
+
+    def evaluate(self, shape: tuple[int, int], offset: tuple[float, float] = (0.0, 0.0)) -> Array:
+        """Return the picture on any window, ``(H, W, C)``, not clipped (equation 6 of the paper); see :func:`wave_sum`.
+
+        Parameters
+        ----------
+        shape
+            (height, width) px.
+        offset
+            (x, y) px of the window's first pixel, any real numbers.
+        """
+        return wave_sum(self.frequencies, self.cosine, self.sine, self.mean, shape, offset)
+
+
+def analyze(
+    planes: Planes,
+    threshold: float | None = None,
+    harmonics: Harmonic = "free",
+    channels: Channels = "joint",
+    false_alarms: float = 0.01,
+    most: int = 400,
+    signal: Signal = "real",
+    given: Array | None = None,
+) -> Harmonics:
+    """Return the waves of a picture: fractional Fourier texture masks, Nicoll et al. 2005, section 3.
+
+    Candidates are DFT coefficients above a threshold; each is refined within a bin to the maximum of the fractional
+    transform, subtracted, and all are fitted jointly by least squares. Differences from the paper: real waves are
+    fitted as cosine and sine, not by way of an analytic signal (``signal`` selects it), so that a wave and its mirror
+    image do not disturb each other; what is left after a subtraction is known in closed form, not transformed again;
+    all waves are fitted after each round, not only at the end, which also replaces the alternating one-dimensional
+    searches.
+
+    Parameters
+    ----------
+    planes
+        ``(H, W, C)``, any floating dtype; the paper takes YCbCr.
+    threshold
+        Least amplitude of a wave, units of 1/255, in some channel. None: what noise, its floor measured in the
+        spectrum, exceeds anywhere with probability ``false_alarms``.
+    harmonics
+        ``"free"``: every frequency for itself. ``"tied"``: frequencies are whole combinations of few fundamentals,
+        fitted jointly, and the lattices' further waves are looked for at their places; the inexact frequencies that
+        make masks interfere far from the sample (figure 10) are then exact multiples.
+    channels
+        ``"joint"``: a wave has one frequency in all channels. ``"each"``: every channel is analyzed by itself, as in
+        the paper; waves then have amplitude 0 in the other channels.
+    false_alarms
+        Probability in (0, 1) that noise alone yields a wave.
+    most
+        At most so many waves (a channel, where each is analyzed by itself).
+    signal
+        ``"real"``: waves are searched as cosine and sine. ``"analytic"``: the paper's search, one complex wave after
+        the other in the analytic signal, fitted jointly at the end only. Waves near the border of the half plane that
+        the analytic signal keeps (f_x within a few bins of 0) are then misplaced by some hundredths of a bin and found
+        as several, which only the joint fit and its dropping of needless waves mend. Where tied, such waves
+        propose the fundamentals; all amplitudes are then fitted to the picture.
+    given
+        ``(2, 2)`` cycles/px: where tied, fundamentals of the first group that are known within about 2 %.
+
+    Raises
+    ------
+    BadInput
+        For planes of another form, and parameters out of range.
+    """
+    _check(np.ndim(planes) == 3 and min(np.shape(planes)) >= 1, f"planes of shape {np.shape(planes)}; pass (H, W, C)")
+    _check(bool(np.isfinite(planes).all()), "planes have NaN or infinite values; replace them first")
+    _check(threshold is None or threshold > 0, f"threshold is {threshold}; give an amplitude above 0, units of 1/255")
+    _check(harmonics in ("free", "tied"), f"harmonics is {harmonics!r}; give free or tied")
+    _check(channels in ("joint", "each"), f"channels is {channels!r}; give joint or each")
+    _check(signal in ("real", "analytic"), f"signal is {signal!r}; give real or analytic")
+    _check(0 < false_alarms < 1, f"false_alarms is {false_alarms}; give a probability, e.g. 0.01")
+    _check(most >= 1, f"most is {most}; give at least 1")
+    if channels == "joint":
+        return _analyze(planes, threshold, harmonics, false_alarms, most, signal, given)
+    count = planes.shape[2]
+    each = [planes[..., c : c + 1] for c in range(count)]
+    return _joined([_analyze(p, threshold, harmonics, false_alarms / count, most, signal, given) for p in each], planes)
+
+
+def _analyze(
+    planes: Planes,
+    threshold: float | None,
+    harmonics: Harmonic,
+    false_alarms: float,
+    most: int,
+    signal: Signal,
+    given: Array | None,
+) -> Harmonics:
+    spectrum = Spectrum(planes)
+    if harmonics == "tied":
+        part = regular_part(
+            spectrum, threshold, false_alarms, most, quickly if signal == "real" else pursue_analytic, given
+        )
+        f = part.orders @ part.fundamentals
+        return _sorted(part.waves, f, part.fundamentals, part.orders, part.groups, part.kept)
+    search = pursue if signal == "real" else pursue_analytic
+    waves = search(spectrum, threshold, false_alarms, most).waves
+    n = len(waves.frequencies)
+    return _sorted(waves, waves.frequencies, waves.frequencies, np.eye(n), (1,) * n, None)
+
+
+def _sorted(
+    waves: Waves,
+    frequencies: Array,
+    fundamentals: Array,
+    orders: Array,
+    groups: tuple[int, ...],
+    kept: NDArray[np.bool_] | None,
+) -> Harmonics:
+    """Return fitted waves as seen from pixel (0, 0), the strongest first."""
+    cosine, sine, mean = about_origin(waves, kept)
+    power = (cosine**2 + sine**2).sum(1)
+    order = np.argsort(-power, kind="stable")
+    whole = np.rint(orders[order]).astype(np.int64)
+    share = _share(
+        waves, None if kept is None else wave_sum(waves.frequencies, cosine, sine, mean, waves.spectrum.shape)
+    )
+    return Harmonics(frequencies[order], cosine[order], sine[order], mean, fundamentals, whole, groups, share)
+
+
+def _share(waves: Waves, picture: Array | None) -> float:
+    """Return the share of the variance that waves explain: with all amplitudes fitted, or as pictured."""
+    planes, total = waves.spectrum.planes, float(waves.spectrum.energy.sum())
+    explained = waves.explained.sum() if picture is None else total - np.square(planes - picture).sum()
+    return min(max(float(explained) / total, 0.0), 1.0) if total > 0 else 0.0
+
+
+def _joined(parts: list[Harmonics], planes: Planes) -> Harmonics:
+    """Return the waves of single channels as those of one picture."""
+    fundamentals = [part.fundamentals for part in parts]
+    orders = np.zeros((sum(len(p.orders) for p in parts), sum(len(f) for f in fundamentals)), np.int64)
+    amplitudes = np.zeros((2, len(orders), len(parts)))
+    row = column = 0
+    for channel, part in enumerate(parts):
+        n, g = len(part.orders), len(part.fundamentals)
+        orders[row : row + n, column : column + g] = part.orders
+        amplitudes[:, row : row + n, channel] = part.cosine[:, 0], part.sine[:, 0]
+        row, column = row + n, column + g
+    frequencies = np.concatenate([part.frequencies for part in parts])
+    mean, groups = np.concatenate([part.mean for part in parts]), sum((part.groups for part in parts), ())
+    variances = planes.var((0, 1), dtype=np.float64)
+    share = float(variances @ [part.share for part in parts]) / max(float(variances.sum()), 1e-300)
+    strongest = np.argsort(-(amplitudes**2).sum((0, 2)), kind="stable")
+    cosine, sine = amplitudes[:, strongest]
+    return Harmonics(
+        frequencies[strongest], cosine, sine, mean, np.concatenate(fundamentals), orders[strongest], groups, share
+    )
+
+
+_check = checker("harmonics")

@@ -1,0 +1,179 @@
+"""The cell: one texture, one method, one lattice source, one replicate - and the key that names its result."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from nrbench import plugins
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Again, FoundLattice
+from nrbench.plugins.texture import Region, Shape, Texture
+from nrbench.streams import stream
+
+RESULTS_VERSION = 4
+"""Raised whenever a kernel changes an output or a score: results of other versions are never reused."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a texture is drawn: dataset, parameters and the entropy of its streams.
+
+    Parameters
+    ----------
+    dataset, parameters
+        The plugin's name and its parameters, defaults filled in.
+    seed, texture, replicate
+        The suite's seed, the row's name and the replicate: the entropy of the streams.
+    shape
+        Shape (height, width) of the sample.
+    """
+
+    dataset: str
+    parameters: Mapping[str, Any]
+    seed: int
+    texture: str
+    replicate: int
+    shape: Shape
+
+    def plugin(self) -> Any:
+        """Return the dataset plugin's instance."""
+        return plugins.build("datasets", self.dataset, self.parameters)
+
+    @property
+    def procedural(self) -> bool:
+        """Whether the texture comes from a model (rather than from a picture)."""
+        return bool(getattr(plugins.find("datasets", self.dataset).cls, "procedural", True))
+
+    def render(self) -> Texture:
+        """Draw the sample's texture."""
+        rng = stream("render", self.seed, self.texture, self.replicate)
+        texture: Texture = self.plugin().render(self.shape, rng)
+        return texture
+
+    def again(self, texture: Texture) -> Again:
+        """Return ``again(shape, k)``: the k-th independent draw of ``texture``'s model and lattice."""
+        plugin = self.plugin()
+
+        def draw(shape: Shape, k: int) -> Texture | None:
+            rng = stream("again", self.seed, self.texture, self.replicate, k)
+            drawn: Texture | None = plugin.again(texture, shape, rng)
+            return drawn
+
+        return draw
+
+
+@dataclass(frozen=True)
+class Cell:
+    """All that decides a result, and what the tables say of it.
+
+    Parameters
+    ----------
+    suite, texture, family, kind, regular_share, description, region
+        What the tables print of the texture.
+    recipe
+        How the sample is drawn.
+    method, version, parameters
+        The synthesizer, its version, and its parameters with defaults filled in.
+    label
+        The method with only those parameters that differ from the defaults.
+    reference
+        Whether the row calibrates the scores and is never ranked.
+    lattice_source
+        ``given``, ``own``, a detector's name, the numbers ``x1,y1,x2,y2``, or ``none`` for a method that uses
+        no lattice.
+    detector
+        Name, version and parameters of the detector, where ``lattice_source`` is one.
+    lattice_given, lattice_truth
+        The lattice handed over, and the true one, in the sample's coordinates.
+    detected
+        What the detector answered, "there is none" included, once it was asked.
+    replicate, seed
+        The draw, and the suite's seed.
+    shape
+        Shape (height, width) of the output.
+    sample_hash
+        Hash of the sample's pixels; empty where the texture could not be drawn.
+    procedural
+        Whether the texture comes from a model; a metric can then draw it again.
+    again_hash
+        For a picture and a reference method: hash of the region handed over.
+    fault
+        Why the cell cannot be run (the texture could not be drawn, no lattice was found); empty otherwise.
+    fault_status
+        The status that such a cell gets.
+    """
+
+    suite: str
+    texture: str
+    recipe: Recipe
+    method: str
+    version: str
+    parameters: Mapping[str, Any]
+    label: str
+    reference: bool
+    lattice_source: str
+    replicate: int
+    seed: int
+    shape: Shape
+    sample_hash: str
+    family: str = ""
+    kind: str | None = None
+    regular_share: float | None = None
+    description: str = ""
+    region: Region | None = None
+    detector: tuple[str, str, Mapping[str, Any]] | None = None
+    lattice_given: Lattice | None = None
+    lattice_truth: Lattice | None = None
+    detected: FoundLattice | None = None
+    procedural: bool = True
+    again_hash: str = ""
+    fault: str = ""
+    fault_status: str = "refused"
+
+    @property
+    def key(self) -> str:
+        """Hexadecimal hash of all that decides the result: the name of the cell's folder."""
+        decides: dict[str, Any] = {
+            "results": RESULTS_VERSION,
+            "method": [self.method, self.version, dict(self.parameters)],
+            "lattice": [self.lattice_source, self.detector],
+            "truth": self.lattice_truth.as_dict() if self.lattice_truth else None,
+            "sample": self.sample_hash,
+            "shape": list(self.shape),
+            "seed": [self.seed, self.replicate],
+            "recipe": _recipe_dict(self.recipe) if self.procedural else self.again_hash,
+            "dataset": plugins.find("datasets", self.recipe.dataset).version,
+        }
+        text = json.dumps(decides, sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the cell, JSON-ready."""
+        mapping = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        mapping["recipe"] = _recipe_dict(self.recipe)
+        for name in ("lattice_given", "lattice_truth", "detected"):
+            known: Lattice | FoundLattice | None = mapping[name]
+            mapping[name] = known.as_dict() if known else None
+        return {"key": self.key, **mapping}
+
+    @classmethod
+    def from_dict(cls, mapping: Mapping[str, Any]) -> Cell:
+        """Rebuild a cell from :meth:`as_dict`."""
+        values = {key: value for key, value in mapping.items() if key != "key"}
+        values["recipe"] = Recipe(**{**values["recipe"], "shape": tuple(values["recipe"]["shape"])})
+        for name in ("lattice_given", "lattice_truth"):
+            values[name] = Lattice.from_dict(values[name]) if values[name] else None
+        values["detected"] = FoundLattice.from_dict(values["detected"]) if values.get("detected") else None
+        values["shape"] = tuple(values["shape"])
+        values["detector"] = tuple(values["detector"]) if values["detector"] else None
+        values["region"] = tuple(values["region"]) if values["region"] else None
+        return cls(**values)
+
+
+def _recipe_dict(recipe: Recipe) -> dict[str, Any]:
+    return {**dataclasses.asdict(recipe), "shape": list(recipe.shape)}

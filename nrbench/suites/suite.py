@@ -1,0 +1,241 @@
+"""Suites: which textures, methods and lattice sources make up a run, as TOML."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.metadata import entry_points
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationError
+
+from nrbench import plugins
+from nrbench.errors import BadInput
+from nrbench.plugins.parameters import nearest
+from nrbench.plugins.texture import Shape
+
+LARGEST_SIDE = 16384
+DEFAULT = "default"
+"""The suite that runs where none is named; a directory of pictures takes its methods."""
+
+PICTURE_SIZES = {"sample": "256x256", "size": "256x256"}
+"""Of a directory of pictures: samples that hold some periods of a wall, outputs for which there is room beside them."""
+
+
+def parse_size(text: Any) -> Shape:
+    """Read ``"WIDTHxHEIGHT"`` into the shape (height, width).
+
+    Raises
+    ------
+    BadInput
+        When it is not two integers from 1 to 16384 joined by an ``x``.
+    """
+    if isinstance(text, tuple | list):
+        text = "x".join(str(part) for part in reversed(text))
+    width, x, height = str(text).lower().partition("x")
+    if not (x and width.isdecimal() and height.isdecimal()):
+        raise BadInput(f"size {text!r}: write WIDTHxHEIGHT in px, e.g. 256x256")
+    if not (1 <= int(width) <= LARGEST_SIDE and 1 <= int(height) <= LARGEST_SIDE):
+        raise BadInput(f"size {text!r}: each side must be from 1 to {LARGEST_SIDE} px")
+    return int(height), int(width)
+
+
+def size_text(shape: Shape) -> str:
+    """Return the shape (height, width) as ``"WIDTHxHEIGHT"``."""
+    return f"{shape[1]}x{shape[0]}"
+
+
+Size = Annotated[Shape, BeforeValidator(parse_size), PlainSerializer(size_text)]
+_Name = Annotated[str, Field(pattern=r"^[^/\\\x00-\x1f]*[^/\\\x00-\x1f.][^/\\\x00-\x1f]*$", max_length=200)]
+
+
+class Drawing(BaseModel):
+    """How a picture in a file was once drawn: see :class:`~nrbench.suites.cell.Recipe`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    dataset: str
+    parameters: dict[str, Any]
+    seed: int = Field(ge=0)
+    texture: str
+    replicate: int = Field(ge=0)
+    shape: Size
+
+
+class TextureRow(BaseModel):
+    """One texture of a suite: a dataset with its parameters, under a name.
+
+    ``departure`` says which departure the row is about, ``level`` how strong: reports group by them.
+
+    A picture that was rendered from a model may say by ``recipe`` how: where the recipe still gives the same pixels,
+    the texture is drawn by it, and all of its truth is known.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    name: _Name
+    dataset: str
+    family: str = ""
+    description: str = ""
+    figure: int | None = None
+    parameters: dict[str, Any] = {}
+    sample: Size | None = None
+    size: Size | None = None
+    recipe: Drawing | None = None
+    departure: str = ""
+    level: float | None = None
+
+
+class Suite(BaseModel):
+    """Textures x methods x lattice sources x replicates, and the seed of them all.
+
+    Attributes
+    ----------
+    sample, size
+        Shapes (height, width) of sample and output; a texture's own go first.
+    lattice
+        ``given``, ``own``, a detector's name (with parameters), or a lattice's numbers ``x1,y1,x2,y2``.
+    metrics
+        The metrics that score the cells; none named: all that there are.
+    methods
+        Methods as on the command line: ``name:param=value,...``.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    name: _Name
+    version: int = 1
+    description: str = ""
+    seed: int = Field(default=0, ge=0)
+    replicates: int = Field(default=1, ge=1, le=100000)
+    sample: Size = (128, 128)
+    size: Size = (256, 256)
+    lattice: tuple[str, ...] = ("own",)
+    methods: tuple[str, ...] = Field(default=(), min_length=0)
+    metrics: tuple[str, ...] = ()
+    texture: tuple[TextureRow, ...] = ()
+
+    @property
+    def hash(self) -> str:
+        """Hexadecimal hash of the suite's whole content."""
+        content = json.dumps(self.model_dump(mode="json", exclude=self._unset), sort_keys=True)
+        return hashlib.blake2b(content.encode(), digest_size=8).hexdigest()
+
+    @property
+    def _unset(self) -> dict[str, Any]:
+        """The later keys that this suite does not use: suites without them keep the hash that they had."""
+        rows = {
+            i: {key for key in ("departure", "level") if getattr(row, key) in ("", None)}
+            for i, row in enumerate(self.texture)
+        }
+        return {"texture": rows, **({} if self.metrics else {"metrics": True})}
+
+    def with_changes(self, **changes: Any) -> Suite:
+        """Return the suite with some fields replaced, checked like the file."""
+        return validated_suite({**self.model_dump(mode="json"), **changes}, f"suite {self.name}")
+
+
+def validated_suite(content: dict[str, Any], where: str) -> Suite:
+    """Build a suite from a mapping.
+
+    Raises
+    ------
+    BadInput
+        For an unknown key (naming the nearest valid one), a wrong value, no texture, or two of the same name.
+    """
+    try:
+        suite = Suite.model_validate(content)
+    except ValidationError as error:
+        raise BadInput(f"{where}: {_first(error)}") from error
+    rows = [row.name for row in suite.texture]
+    twice = next((name for i, name in enumerate(rows) if name in rows[:i]), None)
+    if twice is not None:
+        raise BadInput(f"{where}: two textures are called {twice!r}; rename one")
+    if not rows:
+        raise BadInput(f"{where}: has no texture; add a [[texture]] table with name and dataset")
+    return suite
+
+
+def _first(error: ValidationError) -> str:
+    first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
+    place = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        model = TextureRow if first["loc"][0] == "texture" else Suite
+        return f"key {place!r} is not known{nearest(str(first['loc'][-1]), model.model_fields)}"
+    message = first["msg"].removeprefix("Value error, ")
+    return f"{place}: {message}"
+
+
+@cache
+def builtin() -> dict[str, Traversable]:
+    """Return the suites that are installed, by name."""
+    packages = [files(point.value) for point in entry_points(group="nrbench.suites")]
+    found = {item.name.removesuffix(".toml"): item for package in packages for item in package.iterdir()}
+    return {name: item for name, item in sorted(found.items()) if item.name.endswith(".toml")}
+
+
+def load_suite(what: str | Path) -> Suite:
+    """Load a suite by name, from a TOML file, or from a directory of pictures.
+
+    Raises
+    ------
+    BadInput
+        When there is no such suite, or its content is not valid.
+    """
+    name = str(what)
+    if name in builtin():
+        return _parse(builtin()[name].read_text("utf-8"), f"suite {name}")
+    path = Path(what)
+    if path.is_dir():
+        return directory_suite(path)
+    if path.is_file():
+        return _parse(_text(path), name)
+    raise BadInput(f"suite {name!r}: no suite, TOML file or directory of that name{nearest(name, builtin())}")
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text("utf-8")
+    except UnicodeDecodeError:
+        raise BadInput(f"{path}: is no TOML file; for one picture use `nrbench synth`, or pass its directory") from None
+
+
+def _parse(text: str, where: str) -> Suite:
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(f"{where}: is no valid TOML: {error}") from None
+    return validated_suite(content, where)
+
+
+def directory_suite(directory: Path) -> Suite:
+    """Return a suite of all pictures in a directory, by the dataset plugin that can list one (``directory_rows``)."""
+    for plugin in plugins.inventory("datasets"):
+        lister = getattr(plugin.cls, "directory_rows", None)
+        if lister is not None:
+            rows = [{"dataset": plugin.name, **row} for row in lister(directory)]
+            title = directory.resolve().name or "pictures"
+            seed = _common_seed([_validated_row(row, directory) for row in rows])
+            content: dict[str, Any] = {"name": title, "texture": rows, "seed": seed, **PICTURE_SIZES}
+            content["methods"] = load_suite(DEFAULT).methods
+            return validated_suite(content, str(directory))
+    raise BadInput(f"{directory}: no dataset plugin reads a directory; see `nrbench list datasets`")
+
+
+def _validated_row(row: Mapping[str, Any], directory: Path) -> TextureRow:
+    try:
+        return TextureRow.model_validate(row)
+    except ValidationError as error:
+        told = error.errors()[0]["loc"][0] not in ("name", "dataset", "parameters")
+        where = directory / "truth.json" if told else directory
+        remedy = "; render the textures again, or delete the file" if told else ""
+        raise BadInput(f"{where}: picture {row.get('name')!r}: {_first(error)}{remedy}") from None
+
+
+def _common_seed(rows: Sequence[TextureRow]) -> int:
+    """Return the seed of the suite that all pictures were rendered from; 0 where they were not, or from several."""
+    seeds = {row.recipe.seed if row.recipe else None for row in rows}
+    return (seeds.pop() or 0) if len(seeds) == 1 else 0

@@ -1,0 +1,86 @@
+"""The compiled loop of unwrapping."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.jit import kernel
+
+
+@kernel(
+    "float64[:, :, ::1](float32[:, :, :, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[:, ::1],"
+    " int64)"
+)
+def grow(
+    surfaces: NDArray[np.float32],
+    trust: NDArray[np.float64],
+    steps: NDArray[np.float64],
+    costs: NDArray[np.float64],
+    matrix: NDArray[np.float64],
+    sweeps: int,
+) -> NDArray[np.float64]:
+    """Return the displacement (x, y) px of each node, ``(rows, columns, 2)``, continuous.
+
+    Grown from the most trusted node, always the most trusted beside those known; then every node is asked again
+    ``sweeps`` times. Time grows with nodes times labels, and slowly (as a scan for the next node) with their square.
+
+    Parameters
+    ----------
+    surfaces
+        ``(rows, columns, n, n)``: correlation at displacement (i t1 + j t2) / n.
+    trust
+        ``(rows, columns)``, positive: weight of each node in the mean of its neighbors.
+    steps
+        ``(n, n, 2)``: each displacement as its shortest representative.
+    costs
+        ``(n, n)``: what that step away from the neighbors costs.
+    matrix
+        Rows t1 and t2.
+    sweeps
+        How often.
+    """
+    rows, columns, n = surfaces.shape[0], surfaces.shape[1], surfaces.shape[2]
+    count = rows * columns
+    field, state = np.zeros((rows, columns, 2)), np.zeros((rows, columns), np.int64)
+    order, front, waiting = np.zeros(count, np.int64), np.zeros(count, np.int64), 1
+    front[0] = np.argmax(trust)
+    determinant = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
+    for turn in range(count * (1 + sweeps)):
+        if turn < count:
+            best = 0
+            for k in range(1, waiting):
+                if (
+                    trust[front[k] // columns, front[k] % columns]
+                    > trust[front[best] // columns, front[best] % columns]
+                ):
+                    best = k
+            order[turn] = front[best]
+            waiting -= 1
+            front[best] = front[waiting]
+        y, x = order[turn % count] // columns, order[turn % count] % columns
+        state[y, x] = 1
+        total, near_x, near_y = 0.0, 0.0, 0.0
+        for b in range(max(y - 1, 0), min(y + 2, rows)):
+            for a in range(max(x - 1, 0), min(x + 2, columns)):
+                if state[b, a] == 0:
+                    state[b, a] = 2
+                    front[waiting] = b * columns + a
+                    waiting += 1
+                elif state[b, a] == 1 and (a != x or b != y):
+                    total += trust[b, a]
+                    near_x += trust[b, a] * field[b, a, 0]
+                    near_y += trust[b, a] * field[b, a, 1]
+        if total > 0:
+            near_x, near_y = near_x / total, near_y / total
+        i = int(np.rint(n * (near_x * matrix[1, 1] - near_y * matrix[1, 0]) / determinant))
+        j = int(np.rint(n * (near_y * matrix[0, 0] - near_x * matrix[0, 1]) / determinant))
+        highest, u, v = -1e30, 0, 0
+        for k in range(n):
+            for m in range(n):
+                value = surfaces[y, x, (k + i) % n, (m + j) % n] - costs[k, m]
+                if value > highest:
+                    highest, u, v = value, k, m
+        for axis in range(2):
+            field[y, x, axis] = (i * matrix[0, axis] + j * matrix[1, axis]) / n + steps[u, v, axis]
+    return field

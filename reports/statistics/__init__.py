@@ -1,0 +1,1 @@
+"""TODO nrbench.reports.statistics.statistics."""

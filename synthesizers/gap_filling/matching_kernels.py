@@ -1,0 +1,51 @@
+"""The compiled loop of border matching."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.jit import kernel
+
+LONGEST_RUN = 256
+"""Products of 8-bit values whose sum float32 still holds exactly: 256 * 255^2 < 2^24."""
+
+
+@kernel("float64[::1](float32[:, ::1], float32[:, ::1], int64[:, ::1], int64[:, ::1])")
+def correlate_at(
+    image: NDArray[np.float32],
+    template: NDArray[np.float32],
+    runs: NDArray[np.int64],
+    positions: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Return the sum of products of a template and the image under it, for each position.
+
+    Parameters
+    ----------
+    image, template
+        Rows of whole numbers from 0 to 255.
+    runs
+        ``(k, 3)``: the parts of the template that count: row, first column, last column + 1; at most
+        :data:`LONGEST_RUN` long.
+    positions
+        ``(n, 2)``: (column, row) of the template's first value in the image, wholly inside.
+
+    Returns
+    -------
+    NDArray
+        ``(n,)``, exact.
+    """
+    sums = np.zeros(positions.shape[0], np.float64)
+    for n in range(positions.shape[0]):
+        left, top = positions[n, 0], positions[n, 1]
+        total = np.float64(0)
+        for k in range(runs.shape[0]):
+            row, start, stop = runs[k, 0], runs[k, 1], runs[k, 2]
+            under = image[top + row, left + start : left + stop]
+            over = template[row, start:stop]
+            part = np.float32(0)
+            for i in range(over.size):
+                part += under[i] * over[i]
+            total += part
+        sums[n] = total
+    return sums

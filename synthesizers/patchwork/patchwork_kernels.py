@@ -1,0 +1,99 @@
+"""The compiled loop of patchworks: what the links of a window cost with and without a new patch."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.jit import kernel
+
+UNIT = 16.0
+"""Costs are whole numbers of this part of a gray level, so that flows are exact."""
+STAY, SECOND, FIRST = 0, 1, 2
+"""Of a link's two pixels both stay; only the second becomes new; only the first does. When both do it costs nothing."""
+
+
+@kernel("int64(int32[:, :, ::1], int32[:, :, ::1], int64, boolean, int64, int64, int64, int64)")
+def step_cost(
+    features: NDArray[np.int32],
+    slopes: NDArray[np.int32],
+    axis: int,
+    normalized: bool,
+    y: int,
+    x: int,
+    v: int,
+    u: int,
+) -> int:
+    """Return what it costs to change between two patches on a link to the right (axis 0) or below (axis 1).
+
+    See :class:`nrbench.synthesizers.patchwork.patchwork.Patchwork`. (y, x) and (v, u) are where the two patches, continued, show the
+    link's first pixel; beyond the sample's edge its last pixels stand for what is not known.
+    """
+    if y == v and x == u:
+        return 0
+    height, width, channels = features.shape
+    apart, busy = 0.0, 0.0
+    for k in range(2):
+        j, i = y + k * axis, x + k * (1 - axis)
+        m, n = v + k * axis, u + k * (1 - axis)
+        j, i = min(max(j, 0), height - 1), min(max(i, 0), width - 1)
+        m, n = min(max(m, 0), height - 1), min(max(n, 0), width - 1)
+        squares = 0
+        for c in range(channels):
+            difference = int(features[j, i, c]) - int(features[m, n, c])
+            squares += difference * difference
+        apart += np.sqrt(np.float64(squares))
+        busy += slopes[axis, j, i] + slopes[axis, m, n]
+    if normalized:
+        return int(np.rint(UNIT * UNIT * apart * apart / (busy + UNIT)))
+    return int(np.rint(UNIT * apart))
+
+
+@kernel(
+    "int64[:, :, :, ::1](int32[:, :, ::1], int32[:, :, ::1], boolean, int64[:, :, ::1], boolean[:, ::1], int64, int64)"
+)
+def link_choices(
+    features: NDArray[np.int32],
+    slopes: NDArray[np.int32],
+    normalized: bool,
+    source: NDArray[np.int64],
+    known: NDArray[np.bool_],
+    x: int,
+    y: int,
+) -> NDArray[np.int64]:
+    """Return what each link of a window costs, whichever of its pixels a new patch takes.
+
+    Parameters
+    ----------
+    features, slopes, normalized
+        See :class:`nrbench.synthesizers.patchwork.patchwork.Patchwork`.
+    source
+        ``(h, w, 2)``: (x, y) in the sample of what the window shows.
+    known
+        ``(h, w)``: where it shows something.
+    x, y
+        Where in the sample the new patch has the window's first pixel.
+
+    Returns
+    -------
+    NDArray
+        ``(2, 3, h, w)``: of the links to the right, and to below, of each pixel: :data:`STAY`, :data:`SECOND`,
+        :data:`FIRST`. 0 where there is no link, or a pixel that would stay shows nothing. O(h w F).
+    """
+    height, width = known.shape
+    costs = np.zeros((2, 3, height, width), np.int64)
+    for axis in range(2):
+        down, right = axis, 1 - axis
+        for j in range(height - down):
+            for i in range(width - right):
+                n, m = j + down, i + right
+                first, second = known[j, i], known[n, m]
+                ay, ax = source[j, i, 1], source[j, i, 0]
+                by, bx = source[n, m, 1] - down, source[n, m, 0] - right
+                if first and second:
+                    costs[axis, STAY, j, i] = step_cost(features, slopes, axis, normalized, ay, ax, by, bx)
+                if first:
+                    costs[axis, SECOND, j, i] = step_cost(features, slopes, axis, normalized, ay, ax, y + j, x + i)
+                if second:
+                    costs[axis, FIRST, j, i] = step_cost(features, slopes, axis, normalized, y + j, x + i, by, bx)
+    return costs

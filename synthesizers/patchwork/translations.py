@@ -1,0 +1,125 @@
+"""How well each translation of a sample agrees with a window of an output: all of them at once.
+
+Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts), section 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from nrbench.imaging.box_sums import boxes_of, integral
+
+from ..seams.minimum_cut import Mask
+
+Features = NDArray[np.int32]
+"""``int32 (H, W, F)``: what pixels are compared by, whole numbers, so that sums are exact and equal places tie."""
+Costs = NDArray[np.float64]
+"""``float64 (rows, columns)``: by the (y, x) in the sample of the window's first pixel; wholly inside only."""
+_Spectra = NDArray[np.complex128]
+
+
+class Layer(NamedTuple):
+    """One group of a window's channels, with the pixels at which it counts.
+
+    Parameters
+    ----------
+    values
+        ``int32 (h, w, C)``.
+    known
+        ``bool (h, w)``: where it counts; None: everywhere.
+    """
+
+    values: Features
+    known: Mask | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Translations:
+    """Rates every translation of a sample (sub-patch matching: only those that cover the window).
+
+    Parameters
+    ----------
+    layers
+        The sample's channels in groups, ``int32 (H, W, C)`` each: its colors, say, and the values of a mask. Each may
+        count at other pixels of a window. Sums of squares over the sample must stay below 2^47.
+    """
+
+    layers: tuple[Features, ...]
+
+    def rate(self, window: Sequence[Layer]) -> Costs:
+        """Return the sum of squared differences between a window and the part of the sample that each place puts there.
+
+        Parameters
+        ----------
+        window
+            As many layers as the sample has, all ``(h, w)``, not larger than the sample.
+
+        Returns
+        -------
+        Costs
+            ``(H - h + 1, W - w + 1)``, exact.
+
+        Notes
+        -----
+        Multiplied out (their section 5): squares by integral images, or, where not all pixels count, by transforms as
+        products are. O(F H W log(H W)) whatever the window's size.
+        """
+        height, width = window[0].values.shape[:2]
+        rows, columns = self.layers[0].shape[0] - height + 1, self.layers[0].shape[1] - width + 1
+        product, total = np.zeros(self._prepared[1][0].shape, np.complex128), np.zeros((rows, columns))
+        for spectra, squares, table, layer in zip(*self._prepared, window, strict=True):
+            known = 1 if layer.known is None else layer.known[..., np.newaxis]
+            values = layer.values * known
+            product += np.einsum("chw,chw->hw", spectra, self._transformed(-2 * values))
+            total += float((values.astype(np.int64) ** 2).sum())
+            if layer.known is None:
+                total += boxes_of(table, (height, width))
+            else:
+                product += squares * self._transformed(layer.known[..., np.newaxis])[0]
+        products = fft.irfft(fft.ifft(product.conj(), axis=0)[:rows], self._fast_shape[1], axis=1)
+        return np.asarray(total + np.rint(products[:, :columns]))
+
+    def _transformed(self, pixels: NDArray[Any]) -> _Spectra:
+        """Return the spectra ``(C, rows, columns)`` of ``(h, w, C)``, which zeros fill up."""
+        lines = fft.rfft(np.moveaxis(pixels, -1, 0).astype(np.float64), self._fast_shape[1], axis=2)
+        return np.asarray(fft.fft(lines, self._fast_shape[0], axis=1))
+
+    @cached_property
+    def _prepared(self) -> tuple[list[_Spectra], list[_Spectra], list[Costs]]:
+        """Return each layer's spectra, the spectrum of its summed squares, conjugate, and their integral image."""
+        squares = [(layer.astype(np.int64) ** 2).sum(-1, keepdims=True) for layer in self.layers]
+        spectra = [self._transformed(layer).conj() for layer in self.layers]
+        sums = [self._transformed(each)[0].conj() for each in squares]
+        return spectra, sums, [integral(each[..., 0]) for each in squares]
+
+    @cached_property
+    def _fast_shape(self) -> tuple[int, int]:
+        height, width = self.layers[0].shape[:2]
+        return fft.next_fast_len(height, real=True), fft.next_fast_len(width, real=True)
+
+
+def drawn(costs: Costs, scale: float, rng: np.random.Generator) -> tuple[int, int]:
+    """Draw a place, (x, y) px: with a probability proportional to exp(-cost / scale).
+
+    Parameters
+    ----------
+    costs
+        Of :meth:`Translations.rate`.
+    scale
+        In the costs' unit: the paper's k sigma^2 (section 4), times the window's pixels. 0: one of the best.
+    rng
+        One number is drawn from it.
+    """
+    above = costs - costs.min()
+    weights = np.exp(-above / scale) if scale > 0 else (above == 0).astype(np.float64)
+    heaped = np.cumsum(weights)
+    index = int(np.searchsorted(heaped, rng.random() * heaped[-1], "right"))
+    y, x = divmod(min(index, heaped.size - 1), costs.shape[1])
+    return x, y

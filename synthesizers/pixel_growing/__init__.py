@@ -1,0 +1,1 @@
+"""TODO nrbench.synthesizers.pixel_growing."""

@@ -1,0 +1,118 @@
+import sys
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from nrbench import jit
+from nrbench.synthesizers.gap_filling.matching_kernels import correlate_at
+
+
+def double(x: float) -> float:
+    """Return twice the argument."""
+    return 2 * x
+
+
+@jit.kernel("float64(float64)")
+def squared(x: float) -> float:
+    """Return the square."""
+    return x * x
+
+
+def sum_of_squares(x: float, y: float) -> float:
+    """Return what two calls of a kernel give together."""
+    return squared(x) + squared(y)
+
+
+@pytest.fixture
+def undeclared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the kernels declared in a test from the others."""
+    monkeypatch.setattr(jit, "KERNELS", [])
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_a_kernel_is_compiled_on_its_first_call_and_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel is compiled when first called, gives what Python gives, and leaves its machine code in the cache."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(sys, "platform", "linux")
+    kernel = jit.kernel("float64(float64)")(double)
+    assert not list(tmp_path.rglob("*.nbi"))
+    assert kernel(3.0) == double(3.0)
+    assert list(tmp_path.rglob("*.nbi"))
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_load_kernels_loads_every_declared_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After load_kernels nothing is left to compile."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    kernel = jit.kernel("float64(float64)")(double)
+    jit.load_kernels()
+    assert kernel.load() is kernel.load()
+    assert kernel.load() is not double
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_without_numba_a_kernel_runs_as_python_and_warns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where numba is absent the kernel runs uncompiled, and a warning says how to mend it."""
+    monkeypatch.setitem(sys.modules, "numba", None)
+    kernel = jit.kernel("float64(float64)")(double)
+    with pytest.warns(RuntimeWarning, match="pip install numba"):
+        assert kernel(3.0) == 6.0
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel works where no folder can be written to."""
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setattr(jit, "_user_cache", lambda: blocked)
+    assert jit.kernel("float64(float64)")(double)(3.0) == 6.0
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_numbas_own_cache_setting_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiling a kernel does not move the cache of the user's own numba functions."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    before = numba.config.CACHE_DIR
+    jit.kernel("float64(float64)")(double).load()
+    assert before == numba.config.CACHE_DIR
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_a_kernel_may_call_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel that calls another is compiled with it, is read back from the cache, and gives what Python gives."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(sys, "platform", "linux")
+    for _ in range(2):
+        compiled = jit.kernel("float64(float64, float64)")(sum_of_squares).load()
+        assert compiled(3.0, 4.0) == 25.0
+    assert compiled.stats.cache_hits  # type: ignore[attr-defined]
+
+
+def test_the_cache_follows_the_kernels_that_are_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Machine code is made anew when the text of a called kernel's file changes, though the caller's has not."""
+    other = tmp_path / "other.py"
+    other.write_text("first")
+    monkeypatch.setattr(jit.inspect, "getfile", lambda f: str(other) if f is squared.function else __file__)
+    before = jit.cache_folder(sum_of_squares, "1.0")
+    other.write_text("second")
+    assert jit.cache_folder(sum_of_squares, "1.0") != before
+
+
+def test_the_cache_folder_is_keyed_by_source_and_version(tmp_path: Path) -> None:
+    """Another numba gets another folder."""
+    first, second = (jit.cache_folder(double, version) for version in ("1.0", "2.0"))
+    assert first != second
+    assert first.parent == second.parent
+
+
+def test_compiled_and_plain_kernels_agree() -> None:
+    """The border-matching kernel gives compiled what it gives as Python, to the last bit."""
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (12, 30)).astype(np.float32)
+    template = rng.integers(0, 256, (5, 9)).astype(np.float32)
+    runs = np.array([[0, 0, 9], [3, 2, 7]])
+    positions = np.array([[0, 0], [21, 7], [4, 3]])
+    compiled = correlate_at(image, template, runs, positions)
+    np.testing.assert_array_equal(compiled, correlate_at.function(image, template, runs, positions))

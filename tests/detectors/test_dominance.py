@@ -1,0 +1,169 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nrbench.api import texture
+from nrbench.detectors.autocorrelation.dominance_kernels import rate_pairs
+from nrbench.detectors.autocorrelation.regions import dominance
+from nrbench.detectors.dominance import Dominance
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import quantize
+from nrbench.lattice.comparison import lattice_error
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.detection import Detector, NoLatticeFound, Surface
+
+PERIODIC = {"color": 0.0, "noise": 0.0}
+FAST = Dominance(reject="none")
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 60), st.integers(0, 2**32 - 1))
+def test_a_region_ends_at_the_nearest_higher_peak(count: int, seed: int) -> None:
+    """The radius is the distance to the nearest higher peak, mirror images and lag 0 among them: by brute force."""
+    rng = np.random.default_rng(seed)
+    lags, values = rng.uniform(-50, 50, (count, 2)), rng.permutation(count) / count
+    for i, radius in enumerate(dominance(lags, values)):
+        higher = lags[values > values[i]]
+        others = np.concatenate([higher, -higher, np.zeros((1, 2))])
+        assert radius == pytest.approx(np.hypot(*(others - lags[i]).T).min())
+
+
+@pytest.mark.parametrize("model", ["squares", "brick", "hexagon", "weave"])
+def test_periodic_textures_are_exact(model: str) -> None:
+    """Without departures the lattice is exact, within 0.1 px, on an image that is not square."""
+    sample = texture(model, (150, 128), 0, **PERIODIC)
+    found = Dominance().detect(quantize(sample.image))
+    assert sample.lattice is not None
+    error = lattice_error(found.lattice, sample.lattice, (128, 128))
+    assert error.relation == "exact" and error.vector < 0.1
+    assert found.diagnostics["tested_support"] > found.diagnostics["limit"] > 0
+
+
+@pytest.mark.parametrize("model", ["squares", "brick", "hexagon"])
+def test_departures_leave_the_lattice(model: str) -> None:
+    """With color, grain and jitter three in four draws at least are exact."""
+    exact = 0
+    for seed in range(4):
+        sample = texture(model, (128, 128), seed, color=0.3, noise=0.1, jitter=0.2)
+        assert sample.lattice is not None
+        found = FAST.detect(quantize(sample.image)).lattice
+        exact += lattice_error(found, sample.lattice, (128, 128)).relation == "exact"
+    assert exact >= 3
+
+
+@pytest.mark.parametrize("model", ["brick", "weave"])
+@pytest.mark.parametrize("seed", range(3))
+def test_strong_color_makes_no_supercell(model: str, seed: int) -> None:
+    """Where tiles differ much in color the cell is still the smallest that explains the peaks, and surely so."""
+    sample = texture(model, (128, 128), seed, color=0.6, noise=0.1)
+    assert sample.lattice is not None
+    found = FAST.detect(quantize(sample.image))
+    assert lattice_error(found.lattice, sample.lattice, (128, 128)).relation == "exact" and found.confidence > 0.5
+
+
+def test_peaks_on_ridges_count() -> None:
+    """Rows that stand out far more than the joints within them leave the lattice: a peak of each row is not enough."""
+    y, x = np.indices((192, 192))
+    row = y // 16
+    joints = (x + 20 * (row % 2)) % 40 < 3
+    image = 0.5 + 0.3 * (y % 16 < 6) - 0.1 * joints + 0.03 * np.random.default_rng(0).standard_normal(y.shape)
+    found = FAST.detect(quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)))
+    assert found.lattice.is_equivalent(Lattice((40.0, 0.0), (20.0, 16.0)), 0.3) and found.confidence > 0.5
+
+
+def test_few_hits_give_little_confidence() -> None:
+    """White noise, answered all the same, is no surer than a twentieth."""
+    found = FAST.detect(np.random.default_rng(0).random((128, 128, 3)).astype(np.float32))
+    assert found.confidence < 0.05
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(6, 30), st.floats(6, 30), st.floats(0.9, 2.2), st.floats(0, 3), st.integers(0, 2**32 - 1))
+def test_hits_and_points_are_counted(a: float, b: float, angle: float, turn: float, seed: int) -> None:
+    """The kernel's points and hits are those that the lattice's own points and wrapped peaks tell."""
+    lattice = Lattice(
+        (a * np.cos(turn), a * np.sin(turn)), (b * np.cos(turn + angle), b * np.sin(turn + angle))
+    ).reduced()
+    rng, reach = np.random.default_rng(seed), np.array([60.3, 47.7])
+    peaks = rng.uniform((0, -48), (60, 48), (400, 2))
+    row = rate_pairs(peaks, np.ones(400, np.int64), lattice.matrix, reach, 0.15, 10**6)[0]
+    every = lattice.from_cell(lattice.cell_numbers((-61, -48), (61, 48)))
+    points = ((np.abs(every) <= reach).all(1).sum() - 1) // 2
+    hits = np.hypot(*lattice.wrap(peaks[(np.abs(peaks) <= reach).all(1)][:points]).T) <= max(0.15 * lattice.s, 1)
+    assert row[4] == points and row[5] == row[6] == hits.sum()
+    assert Lattice(tuple(row[:2]), tuple(row[2:4])).is_equivalent(lattice)
+
+
+def test_whole_pixels_stay_near() -> None:
+    """Without the sub-pixel fit the vectors are off by a pixel at most."""
+    sample = texture("hexagon", (128, 128), 0, **PERIODIC)
+    assert sample.lattice is not None
+    found = Dominance(subpixel=False, reject="none").detect(quantize(sample.image)).lattice
+    assert np.all(found.matrix == np.rint(found.matrix)) and found.is_equivalent(sample.lattice, 1.0)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.6, np.pi / 2])
+def test_a_grating_has_no_lattice(angle: float) -> None:
+    """Stripes in noise repeat along one direction only: refused."""
+    y, x = np.indices((128, 128))
+    stripes = np.tanh(4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 17.3))
+    image = 0.5 + 0.15 * stripes + 0.03 * np.random.default_rng(0).standard_normal((128, 128))
+    with pytest.raises(NoLatticeFound):
+        Dominance().detect(quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)))
+
+
+def test_noise_and_constants_have_no_lattice() -> None:
+    """White noise is refused with the best candidate; a constant image for what it is."""
+    with pytest.raises(NoLatticeFound, match="no better than chance") as no:
+        Dominance().detect(np.random.default_rng(0).random((96, 64, 3)).astype(np.float32))
+    assert no.value.best is not None
+    with pytest.raises(NoLatticeFound, match="constant"):
+        FAST.detect(np.full((64, 64, 3), 0.4, np.float32))
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (8, 40), (13, 9)])
+def test_tiny_images_are_refused_in_words(shape: tuple[int, int]) -> None:
+    """The smallest images raise nothing but a refusal."""
+    for seed in range(10):
+        image = np.random.default_rng(seed).random((*shape, 3)).astype(np.float32)
+        with pytest.raises(NoLatticeFound, match=r"no two peaks|chance"):
+            Dominance(surrogates=10).detect(image)
+
+
+def test_it_is_a_detector_that_can_be_drawn_and_repeats() -> None:
+    """The plugin has the form, its surface holds as many peaks as multiples, and twice it answers the same."""
+    image = quantize(texture("brick", (96, 96), 0, **PERIODIC).image)
+    first, second = Dominance().detect(image), Dominance().detect(image)
+    surface = first.diagnostics["correlation"]
+    assert isinstance(Dominance(), Detector) and isinstance(surface, Surface)
+    assert 0 < first.diagnostics["hits"] <= len(surface.peaks) <= first.diagnostics["multiples"]
+    assert first.lattice == second.lattice and 0 < first.confidence <= 1
+    np.testing.assert_array_equal(first.diagnostics["surrogate_support"], second.diagnostics["surrogate_support"])
+
+
+@pytest.mark.parametrize(
+    ("parameter", "hint"),
+    [
+        ({"prominence": 1.0}, "below 1"),
+        ({"candidates": 1}, "at least 2"),
+        ({"tolerance": 0.5}, "between 0 and 0.5"),
+        ({"reject": "maybe"}, "none or surrogate"),
+        ({"surrogates": 1}, "at least 2"),
+        ({"false_alarms": 0.0}, "probability"),
+    ],
+)
+def test_parameters_out_of_range_are_refused(parameter: dict[str, object], hint: str) -> None:
+    """Each says which parameter it is, and what to give."""
+    with pytest.raises(BadInput, match=hint) as refusal:
+        Dominance(**parameter)  # type: ignore[arg-type]
+    assert str(refusal.value).startswith(f"dominance: {next(iter(parameter))}")
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 0.7, 1.1])
+def test_stripes_at_any_angle_have_none(angle: float) -> None:
+    """The peaks of a grating are one ridge, whatever its angle."""
+    y, x = np.indices((128, 128))
+    stripes = 0.5 + 0.4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 9.3)
+    with pytest.raises(NoLatticeFound):
+        Dominance().detect(stripes[..., np.newaxis].astype(np.float32))

@@ -1,0 +1,142 @@
+"""What a spline surface of correlations tells of lattices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from nrbench.detectors.agreement.evidence import PAD, REACH, Evidence
+from nrbench.detectors.agreement.evidence_kernels import between, rate_pairs
+from nrbench.imaging.correlation import half_autocorrelation
+from nrbench.lattice.geometry import Lattice
+
+
+def waves(shape: tuple[int, int], basis: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return a smooth periodic image ``(H, W, 1)``: each generating vector's wave, and their product."""
+    y, x = np.indices(shape)
+    u, v = np.moveaxis(np.stack([x, y], -1) @ np.linalg.inv(basis), -1, 0)
+    image = np.cos(2 * np.pi * u) + 0.7 * np.sin(2 * np.pi * v) + 0.5 * np.cos(2 * np.pi * (u + v))
+    return (image[..., np.newaxis] / 5 + 0.5).astype(np.float32)
+
+
+BASIS = np.array([[17.3, 2.1], [-4.4, 14.8]])
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Return a generator of its own for each test."""
+    return np.random.default_rng(7)
+
+
+@pytest.fixture(scope="module")
+def evidence() -> Evidence:
+    """Return the evidence of a smooth periodic image."""
+    return Evidence(half_autocorrelation(waves((130, 150), BASIS)))
+
+
+def test_jets_read_the_spline(evidence: Evidence, rng: np.random.Generator) -> None:
+    """Values equal scipy's cubic spline; derivatives equal differences of values."""
+    lags = rng.uniform((-80, -80), (80, 80), (200, 2))
+    found = evidence.jets(lags)
+    turned = np.where(lags[:, :1] < 0, -lags, lags)
+    padded = np.concatenate([evidence.gamma[::-1, PAD:0:-1], evidence.gamma], 1).astype(np.float64)
+    there = turned.T[::-1] + np.array([[129], [PAD]])
+    np.testing.assert_allclose(found[:, 0], ndimage.map_coordinates(padded, there, order=3), atol=1e-6)
+    step = np.array([1e-4, 0])
+    along = (evidence.jets(lags + step)[:, :3] - evidence.jets(lags - step)[:, :3]) / 2e-4
+    np.testing.assert_allclose(along, found[:, [1, 3, 5]], atol=1e-4)
+    along = (evidence.jets(lags + step[::-1])[:, :3] - evidence.jets(lags - step[::-1])[:, :3]) / 2e-4
+    np.testing.assert_allclose(along, found[:, [2, 5, 4]], atol=1e-4)
+
+
+def test_agreement_is_the_mean_over_multiples(evidence: Evidence) -> None:
+    """The compiled mean and variance equal those over the listed multiples, weighted by overlaps."""
+    lags = evidence.multiples(BASIS) @ BASIS
+    values, weights = evidence.jets(lags)[:, 0], evidence.overlaps(lags)
+    mean = np.average(values, weights=weights)
+    found = evidence.agreement(BASIS)
+    assert found.lags == len(lags)
+    assert found.mean == pytest.approx(mean, abs=1e-9)
+    assert found.variance == pytest.approx(np.average((values - mean) ** 2, weights=weights), abs=1e-9)
+
+
+def test_agreement_leaves_out_a_coarser_lattice(evidence: Evidence) -> None:
+    """Without the multiples of a supercell of 4, three of four multiples are left, and their mean with them."""
+    coarse = 2 * BASIS
+    whole, rest, part = evidence.agreement(BASIS), evidence.agreement(BASIS, coarse), evidence.agreement(coarse)
+    assert whole.lags == rest.lags + part.lags
+    assert rest.lags == pytest.approx(3 * part.lags, rel=0.1)
+    assert rest.mean == pytest.approx(whole.mean, abs=0.02)
+
+
+def test_no_multiples_is_told() -> None:
+    """Where a lattice has no multiple within reach, the mean is -1 and the count 0."""
+    spline = np.zeros((15, 8 + PAD))
+    np.testing.assert_array_equal(between(spline, 90 * np.eye(2), np.zeros((2, 2)), np.full(2, 5.0), PAD), [-1, 0, 0])
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(-3, 3), st.integers(-3, 3), st.booleans())
+def test_any_basis_has_the_same_evidence(a: int, b: int, flip: bool) -> None:
+    """A change of basis by an integer matrix of determinant +-1 changes neither mean nor count."""
+    seen = Evidence(half_autocorrelation(waves((64, 72), BASIS)))
+    change = np.array([[1, a], [b, 1 + a * b]]) * (np.array([[-1], [1]]) if flip else 1)
+    found, expected = seen.agreement(change @ BASIS), seen.agreement(BASIS)
+    assert found.lags == expected.lags
+    assert found.mean == pytest.approx(expected.mean, abs=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.tuples(*[st.floats(-1.2, 1.2)] * 4))
+def test_fit_finds_the_vectors(offsets: tuple[float, ...]) -> None:
+    """From within a pixel of the true vectors, the fit ends within 0.01 px of them."""
+    seen = Evidence(half_autocorrelation(waves((130, 150), BASIS)))
+    fitted = seen.fit(BASIS + np.reshape(offsets, (2, 2)))
+    expected = Lattice((BASIS[0, 0], BASIS[0, 1]), (BASIS[1, 0], BASIS[1, 1])).reduced().matrix
+    np.testing.assert_allclose(fitted, expected, atol=0.01)
+
+
+def test_foretold_is_what_leave_one_out_explains(rng: np.random.Generator) -> None:
+    """Predicting each tile by the mean of all others explains the share that ``foretold`` says."""
+    tile, tiles = rng.normal(size=(16, 16)), 64
+    stack = tile + 0.8 * rng.normal(size=(tiles, 16, 16))
+    image = stack.reshape(8, 8, 16, 16).transpose(0, 2, 1, 3).reshape(128, 128, 1).astype(np.float32)
+    others = (stack.sum(0) - stack) / (tiles - 1)
+    explained = 1 - ((stack - others) ** 2).mean() / stack.var()
+    seen = Evidence(half_autocorrelation(image))
+    assert seen.foretold(16 * np.eye(2)) == pytest.approx(explained, abs=0.02)
+
+
+def test_sigmas_are_standard_deviations(rng: np.random.Generator) -> None:
+    """On white and on smooth noise, a lattice that is not looked for deviates by one sigma in the mean square."""
+    for smoothness in (0.0, 1.5):
+        found = [
+            Evidence(
+                half_autocorrelation(
+                    ndimage.gaussian_filter(rng.normal(size=(96, 96, 1)), (smoothness, smoothness, 0)).astype(
+                        np.float32
+                    )
+                )
+            ).sigmas(np.array([[19.0, 3.0], [-2.0, 22.0]]))
+            for _ in range(60)
+        ]
+        assert 0.5 < np.sqrt(np.mean(np.square(found))) < 1.4
+
+
+def test_pairs_are_rated_by_their_multiples(rng: np.random.Generator) -> None:
+    """The compiled rating of a pair equals the mean, weighted by overlap, of the surface at its whole multiples."""
+    surface = rng.integers(-1000, 1000, (79, 50)).astype(np.int32)
+    pair = np.array([[7.0, 2.0], [-3.0, 9.0]])
+    (x1, y1, x2, y2, rated), *rest = rate_pairs(surface, pair, 1000.0, REACH)
+    assert not rest
+    assert (x1, y1, x2, y2) == (7, 2, -3, 9)
+    numbers = [(a, b) for b in range(20) for a in range(-20, 21) if b > 0 or a > 0]
+    lags = np.array(numbers) @ pair.astype(int)
+    lags = lags[(np.abs(lags) <= REACH * np.array([49, 39])).all(1)]
+    lags = np.where(lags[:, :1] < 0, -lags, lags)
+    weights = (50 - lags[:, 0]) * (40 - np.abs(lags[:, 1]))
+    assert rated == pytest.approx(np.average(surface[39 + lags[:, 1], lags[:, 0]], weights=weights) / 1000)

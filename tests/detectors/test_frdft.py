@@ -1,0 +1,219 @@
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.hexagon import Hexagon
+from nrbench.datasets_procedural.weave import Weave
+from nrbench.detectors.frdft import Frdft, surplus
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import quantize
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.detection import Detector, NoLatticeFound
+from nrbench.plugins.texture import Texture
+from nrbench.spectra.fundamentals import Basis, Waveset, find_fundamental, find_fundamentals
+
+FAMILIES = {"brick": Brick, "weave": Weave, "hexagon": Hexagon}
+FAST = Frdft(reject="none")
+
+
+def texture(family: str, seed: int = 0, **strengths: float) -> Texture:
+    """Return a 128 x 128 texture of a family's own periods."""
+    rendered: Texture = FAMILIES[family](**strengths).render((128, 128), np.random.default_rng(seed))
+    return rendered
+
+
+def waveset(places: np.ndarray, spread: float = 0.05) -> Waveset:
+    """Return waves of equal weight."""
+    return Waveset(places, np.full(len(places), spread), np.ones(len(places)))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("rotation", [0.0, 17.0])
+def test_lattices_are_found_exactly(family: str, rotation: float) -> None:
+    """At middle strengths, axis-aligned and rotated, the lattice is exact, its vectors within a quarter pixel."""
+    for seed in range(2):
+        sample = texture(family, seed, color=0.3, noise=0.1, rotation=rotation)
+        assert sample.lattice is not None
+        assert FAST.detect(quantize(sample.image)).lattice.is_equivalent(sample.lattice, 0.25)
+
+
+@given(st.integers(0, 10_000), st.booleans())
+@settings(max_examples=12, deadline=None)
+def test_fundamentals_are_recovered_without_the_lowest_waves(seed: int, sparse: bool) -> None:
+    """From shifted places and strays, the fundamentals' own places left out, the lattice is the true one."""
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(0, np.pi)
+    basis = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) @ [[5.3, 0.4], [0.9, 6.8]]
+    orders = np.array([(a, b) for a in range(4) for b in range(-3, 4) if (a, b) > (0, 0) and abs(a) + abs(b) > sparse])
+    strays = rng.uniform(-25, 25, (3, 2))
+    places = np.concatenate([orders @ basis + 0.03 * rng.standard_normal(orders.shape), strays])
+    found = find_fundamentals(waveset(places[rng.permutation(len(places))]))
+    assert found is not None
+    dual = Lattice(tuple(basis[0]), tuple(basis[1]))
+    assert Lattice(tuple(found.vectors[0]), tuple(found.vectors[1])).is_equivalent(dual, 0.1)
+
+
+def test_one_fundamental_is_the_greatest_common_divisor() -> None:
+    """Of multiples 2, 3, 5 of a step the step is found; a lone wave is its own."""
+    step = np.array([3.1, 1.7])
+    found = find_fundamental(waveset(np.array([2, 3, 5])[:, None] * step))
+    np.testing.assert_allclose(found.vectors, step[np.newaxis], atol=1e-6)
+    np.testing.assert_array_equal(found.orders[:, 0], (2, 3, 5))
+    np.testing.assert_allclose(find_fundamental(waveset(step[np.newaxis] * 4)).vectors[0], 4 * step)
+
+
+def test_lattices_are_told_from_chance() -> None:
+    """By default a regular texture is accepted, its evidence above the limit of the copies."""
+    sample = texture("hexagon", 1, color=0.3, noise=0.1)
+    found = Frdft(surrogates=6).detect(quantize(sample.image))
+    assert sample.lattice is not None and found.lattice.is_equivalent(sample.lattice, 0.25)
+    assert found.diagnostics["tested_surplus"] > found.diagnostics["limit"]
+    assert len(found.diagnostics["surrogate_surplus"]) == 6
+
+
+def test_bands_of_noise_are_refused_by_the_test_alone() -> None:
+    """Narrow bands of noise at places of no lattice have waves, an answer without the test and none with it."""
+    rng = np.random.default_rng(2)
+    y, x = np.indices((128, 128))
+    turns = rng.uniform(-0.2, 0.2, (12, 2)) @ np.stack([x.ravel(), y.ravel()]) + rng.random((12, 1))
+    image = 0.5 + 0.03 * np.cos(2 * np.pi * turns).sum(0).reshape(x.shape) + 0.03 * rng.standard_normal(x.shape)
+    picture = np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)
+    assert FAST.detect(picture).lattice.area > 0
+    with pytest.raises(NoLatticeFound, match="chance") as refusal:
+        Frdft(surrogates=6).detect(picture)
+    best = refusal.value.best
+    assert best is not None and best.diagnostics["tested_surplus"] <= best.diagnostics["limit"]
+
+
+def basis(orders: list[tuple[int, int]], evidence: list[float]) -> Basis:
+    """Return a basis with waves of given orders and evidence."""
+    values = np.array(evidence)
+    return Basis(np.eye(2) * 5, np.array(orders, np.float64), values > 0, values)
+
+
+def test_unexplained_waves_do_not_change_the_evidence() -> None:
+    """A wave near frequency 0, of order (0, 0), or anywhere else off the lattice, leaves the surplus as it is."""
+    orders, evidence = [(1, 0), (0, 1), (1, 1), (2, 1)], [4.0, 3.0, 2.0, 5.0]
+    known = surplus(basis(orders, evidence), np.ones(4))
+    for stray in [(0, 0), (3, 0), (1, 1)]:
+        assert surplus(basis([*orders, stray], [*evidence, -2.3]), np.ones(5)) == known == 5.0
+
+
+def test_the_evidence_needs_two_directions() -> None:
+    """A grating has none, however many its harmonics, nor with one stray wave; two waves have none; weights cancel."""
+    line = [(1, 0), (2, 0), (3, 0), (4, 0)]
+    assert surplus(basis(line, [5.0] * 4), np.ones(4)) == 0
+    assert surplus(basis([*line, (1, 1)], [5.0] * 5), np.ones(5)) == 0
+    assert surplus(basis([(1, 0), (0, 1)], [5.0] * 2), np.ones(2)) == 0
+    weights = np.array([1.0, 0.5, 0.25, 0.1, 0.01])
+    assert surplus(basis([*line, (1, 1)][::-1], list(5 * weights)), weights) == 0
+    both = [*line, (0, 1), (1, 1)]
+    weights = np.linspace(1, 0.1, 6)
+    assert surplus(basis(both, list(5 * weights)), weights) == pytest.approx(5)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.6])
+def test_a_grating_has_no_lattice(angle: float) -> None:
+    """Stripes in noise repeat along one direction only: refused in both modes."""
+    y, x = np.indices((128, 128))
+    stripes = np.tanh(4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 17.3))
+    image = 0.5 + 0.15 * stripes + 0.03 * np.random.default_rng(0).standard_normal((128, 128))
+    for detector in (FAST, Frdft(surrogates=4)):
+        with pytest.raises(NoLatticeFound):
+            detector.detect(quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)))
+
+
+def test_noise_has_no_lattice() -> None:
+    """White noise has no waves, and the refusal says so."""
+    for seed in range(3):
+        with pytest.raises(NoLatticeFound, match="waves"):
+            Frdft().detect(np.random.default_rng(seed).random((64, 64, 3)).astype(np.float32))
+
+
+def test_a_constant_image_has_no_texture() -> None:
+    """A constant image is refused for what it is."""
+    with pytest.raises(NoLatticeFound, match="constant"):
+        FAST.detect(np.full((64, 64, 3), 0.4, np.float32))
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (8, 40), (13, 9)])
+def test_tiny_images_are_answered_in_words(shape: tuple[int, int]) -> None:
+    """The smallest images of noise are refused with a reason."""
+    for seed in range(10):
+        with pytest.raises(NoLatticeFound, match=r"waves|chance"):
+            Frdft(surrogates=4).detect(np.random.default_rng(seed).random((*shape, 3)).astype(np.float32))
+
+
+@pytest.mark.parametrize("shape", [(96, 170), (1100, 300)])
+def test_any_shape_works(shape: tuple[int, int]) -> None:
+    """One channel, sides of different length, and sides beyond the window change nothing."""
+    sample = Hexagon(period=18.4, noise=0.1).render(shape, np.random.default_rng(1))
+    found = FAST.detect(quantize(sample.image)[..., 1:2]).lattice
+    assert sample.lattice is not None and found.is_equivalent(sample.lattice, 0.3)
+
+
+def test_large_images_are_judged_by_their_middle() -> None:
+    """Of an image of 3000 px a side no more than the window is analyzed, and the origin is still the image's own."""
+    truth = Lattice((31.3, 2.1), (-3.4, 37.9), (5.2, 9.7))
+    y, x = np.indices((3000, 1200), np.float32)
+    u, v = np.moveaxis(truth.to_cell(np.stack([x, y], -1)), -1, 0)
+    waves = sum(0.06 * np.cos(2 * np.pi * (a * u + b * v)) for a, b in ((1, 0), (0, 1), (1, 1), (2, 1)))
+    found = FAST.detect((0.5 + waves)[..., np.newaxis].astype(np.float32))
+    assert found.diagnostics["spectrum"].values.shape == (1024, 1024)
+    assert found.lattice.is_equivalent(truth, 0.01)
+    off = truth.wrap(np.subtract(found.lattice.origin, truth.origin))
+    assert np.abs(off).max() < 0.3
+
+
+def test_the_origin_is_a_crest() -> None:
+    """Where the texture is two crossed waves with harmonics, the origin is where both have their crest."""
+    truth = Lattice((17.3, 2.1), (-3.4, 21.9), (5.2, 9.7))
+    y, x = np.indices((128, 150))
+    u, v = np.moveaxis(truth.to_cell(np.stack([x, y], -1)), -1, 0)
+    waves = sum(0.06 * np.cos(2 * np.pi * (a * u + b * v)) for a, b in ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1)))
+    noise = 0.02 * np.random.default_rng(0).standard_normal(x.shape)
+    found = FAST.detect(np.clip(0.5 + waves + noise, 0, 1)[..., np.newaxis].astype(np.float32)).lattice
+    assert found.is_equivalent(truth, 0.05)
+    assert np.abs(truth.wrap(np.subtract(found.origin, truth.origin))).max() < 0.3
+
+
+def test_the_diagnostics_can_be_drawn() -> None:
+    """The spectrum's peaks lie where it is high, and its vectors are the fundamentals of the lattice."""
+    found = FAST.detect(quantize(texture("brick", color=0.3, noise=0.1).image))
+    surface = found.diagnostics["spectrum"]
+    x, y = np.rint(surface.peaks[:10] + surface.zero).astype(int).T
+    assert surface.values.shape == (128, 128)
+    assert surface.values[y % 128, x % 128].min() > 2 * np.median(surface.values)
+    product = found.lattice.matrix @ (surface.vectors / 128).T
+    np.testing.assert_allclose(product, np.rint(product), atol=1e-6)
+    assert found.diagnostics["explained"].sum() >= 3 and 0 < found.confidence <= 1
+
+
+def test_detection_repeats_and_travels() -> None:
+    """Twice the same answer, which survives pickling; the plugin has the form."""
+    image = quantize(texture("weave", 3, noise=0.1).image)
+    first, second = FAST.detect(image), FAST.detect(image)
+    assert first.lattice == second.lattice == pickle.loads(pickle.dumps(first)).lattice
+    assert isinstance(Frdft(), Detector)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "hint"),
+    [
+        ({"threshold": -1.0}, "amplitude"),
+        ({"waves": 1}, "at least 2"),
+        ({"tolerance": 0.0}, "above 0"),
+        ({"reject": "maybe"}, "none or surrogate"),
+        ({"surrogates": 1}, "at least 2"),
+        ({"false_alarms": 0.0}, "probability"),
+    ],
+)
+def test_parameters_out_of_range_are_refused(parameter: dict[str, object], hint: str) -> None:
+    """Each says which parameter it is, and what to give."""
+    with pytest.raises(BadInput, match=hint) as refusal:
+        Frdft(**parameter)  # type: ignore[arg-type]
+    assert str(refusal.value).startswith(f"frdft: {next(iter(parameter))}")

@@ -1,0 +1,197 @@
+import itertools
+import pickle
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.hexagon import Hexagon
+from nrbench.datasets_procedural.weave import Weave
+from nrbench.detectors.autocorrelation.goodness_kernels import best_pair
+from nrbench.detectors.gncc import Gncc
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import quantize
+from nrbench.lattice.comparison import lattice_error
+from nrbench.plugins.detection import Detector, NoLatticeFound
+from nrbench.plugins.texture import Texture
+
+FAMILIES = {"brick": (Brick, 17.3), "weave": (Weave, 31.7), "hexagon": (Hexagon, 11.9)}
+FAST = Gncc(reject="none")
+
+
+def texture(family: str, seed: int = 0, rotated: bool = False, **strengths: float) -> Texture:
+    """Return a 128 x 128 texture of a family's own periods."""
+    kind, rotation = FAMILIES[family]
+    model = kind(rotation=rotation if rotated else 0.0, **strengths)
+    rendered: Texture = model.render((128, 128), np.random.default_rng(seed))
+    return rendered
+
+
+def noise(sigma: float, seed: int) -> np.ndarray:
+    """Return smoothed noise of correlated channels, 128 x 128, in [0, 1]."""
+    rng = np.random.default_rng(seed)
+    fields = gaussian_filter(rng.standard_normal((160, 160, 2)), (sigma, sigma, 0))[16:144, 16:144]
+    values = fields @ rng.uniform(0.2, 1, (2, 3))
+    return quantize((0.5 + 0.15 * (values - values.mean()) / values.std()).astype(np.float32))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_lattices_are_found_exactly(family: str) -> None:
+    """On mild and middle strengths, axis-aligned and rotated, at least 95 % are exact, within 0.1 px in the middle."""
+    errors = []
+    for color, grain, rotated, seed in itertools.product((0.1, 0.3), (0.02, 0.1), (False, True), range(3)):
+        sample = texture(family, seed, rotated, color=color, noise=grain)
+        found = FAST.detect(quantize(sample.image)).lattice
+        assert sample.lattice is not None
+        errors.append(lattice_error(found, sample.lattice, (256, 256)))
+    assert sum(error.relation == "exact" for error in errors) >= 0.95 * len(errors)
+    assert np.median([error.vector for error in errors]) < 0.1
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("rotated", [False, True])
+def test_lattices_are_told_from_chance(family: str, rotated: bool) -> None:
+    """By default a regular texture is accepted, its goodness well above the surrogates', and the lattice is exact."""
+    sample = texture(family, 5, rotated, color=0.3, noise=0.1)
+    found = Gncc().detect(quantize(sample.image))
+    assert sample.lattice is not None and found.lattice.is_equivalent(sample.lattice, 0.5)
+    assert found.diagnostics["tested_goodness"] > found.diagnostics["limit"] > 0
+    assert len(found.diagnostics["surrogate_goodness"]) == 30
+
+
+def test_a_lattice_commensurate_with_the_image_is_found() -> None:
+    """A period of exactly a quarter of the image, which its own torus could not tell from noise, is accepted."""
+    sample = Brick(width=32, height=16, color=0.3, noise=0.1).render((128, 128), np.random.default_rng(0))
+    assert sample.lattice is not None
+    assert Gncc().detect(quantize(sample.image)).lattice.is_equivalent(sample.lattice, 0.5)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1.0, 3.0])
+def test_noise_has_no_lattice(sigma: float) -> None:
+    """White and smooth noise are refused, the best candidate and its goodness with the reason."""
+    refused = 0
+    for seed in range(3):
+        with pytest.raises(NoLatticeFound, match="no better than chance") as no:
+            Gncc().detect(noise(sigma, seed))
+        refused += 1
+        assert no.value.best is not None
+        assert no.value.best.diagnostics["tested_goodness"] <= no.value.best.diagnostics["limit"]
+    assert refused == 3
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.6])
+def test_a_grating_has_no_lattice(angle: float) -> None:
+    """Stripes in noise repeat along one direction only: refused."""
+    y, x = np.indices((128, 128))
+    stripes = np.tanh(4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 17.3))
+    image = 0.5 + 0.15 * stripes + 0.03 * np.random.default_rng(0).standard_normal((128, 128))
+    with pytest.raises(NoLatticeFound):
+        Gncc().detect(quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)))
+
+
+def test_none_always_answers() -> None:
+    """With reject none even noise gets a lattice, as in the paper, and its confidence says how good it is."""
+    regular, random = FAST.detect(quantize(texture("hexagon").image)), FAST.detect(noise(1.0, 0))
+    assert 0 <= random.confidence < 0.3 < 0.6 < regular.confidence <= 1
+
+
+def test_a_constant_image_has_no_texture() -> None:
+    """A constant image is refused for what it is, in both modes."""
+    for detector in (Gncc(), FAST):
+        with pytest.raises(NoLatticeFound, match="constant"):
+            detector.detect(np.full((64, 64, 3), 0.4, np.float32))
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (8, 40), (13, 9)])
+def test_tiny_images_are_refused_with_a_reason(shape: tuple[int, int]) -> None:
+    """The smallest images either have two candidate peaks or are refused in words."""
+    for seed in range(20):
+        image = np.random.default_rng(seed).random((*shape, 3)).astype(np.float32)
+        with pytest.raises(NoLatticeFound, match=r"no two peaks|chance"):
+            Gncc(surrogates=10).detect(image)
+
+
+def test_the_papers_own_choice_is_exact_on_whole_periods() -> None:
+    """At whole pixels, with every local maximum a candidate, lattices of whole periods are found to the pixel."""
+    sample = Brick(width=26, height=13, color=0.2).render((128, 128), np.random.default_rng(0))
+    found = Gncc(subpixel=False, tolerance=0, prominence=0, reject="none").detect(quantize(sample.image)).lattice
+    assert sample.lattice is not None and found.is_equivalent(sample.lattice)
+
+
+def test_detection_repeats() -> None:
+    """Surrogates are drawn from the image's own stream: twice the same answer, to the last bit."""
+    image = quantize(texture("weave", 3).image)
+    first, second = Gncc().detect(image), Gncc().detect(image)
+    assert first.lattice == second.lattice
+    np.testing.assert_array_equal(first.diagnostics["surrogate_goodness"], second.diagnostics["surrogate_goodness"])
+
+
+def test_gray_and_wide_images_work() -> None:
+    """One channel, and sides of different length, change nothing."""
+    sample = Hexagon(period=18.4).render((96, 170), np.random.default_rng(1))
+    found = FAST.detect(quantize(sample.image)[..., 1:2]).lattice
+    assert sample.lattice is not None and found.is_equivalent(sample.lattice, 0.5)
+
+
+def test_the_goodness_is_that_of_the_paper() -> None:
+    """For one pair it is the sum over the valid multiples, raised to alpha, over their number: by brute force."""
+    rng = np.random.default_rng(0)
+    height, width, alpha, overlap = 40, 52, 1.12, 0.85
+    surface = rng.integers(-200, 1000, (2 * height - 1, width), np.int32)
+    pair = np.array([[6.3, -4.1], [5.2, 8.8]])
+    box_w, box_h = np.abs(pair).sum(0)
+    total, count = 0, 0
+    for a, b in itertools.product(range(-30, 31), repeat=2):
+        x, y = a * pair[0] + b * pair[1]
+        covered = min(width - abs(x), box_w) * min(height - abs(y), box_h) if abs(x) < width and abs(y) < height else 0
+        if x > 0 and covered >= overlap * box_w * box_h:
+            total += int(surface[round(y) + height - 1, round(x)])
+            count += 1
+    goodness, *vectors, multiples = best_pair(surface, pair, 1000.0, alpha, overlap)
+    assert multiples == count and goodness == pytest.approx((total / 1000) ** alpha / count)
+    assert vectors == pair.ravel().tolist()
+
+
+def test_equivalent_pairs_are_rated_alike() -> None:
+    """v2 is reduced first: adding v1 to it any number of times changes nothing."""
+    surface = np.random.default_rng(0).integers(0, 1000, (99, 60), np.int32)
+    near, far = np.array([[7.0, 2.0], [-3.0, 9.0]]), np.array([[7.0, 2.0], [25.0, 17.0]])
+    near[1] *= -1
+    first, second = (best_pair(surface, pair, 1000.0, 1.12, 0.85) for pair in (near, far))
+    assert first[0] > 0 and first[0] == second[0] and first[5] == second[5]
+
+
+def test_vectors_without_a_valid_multiple_have_no_goodness() -> None:
+    """A pair whose second vector is longer than the image allows gets 0."""
+    surface = np.full((79, 40), 1000, np.int32)
+    assert best_pair(surface, np.array([[6.0, 0.0], [0.0, 30.0]]), 1000.0, 1.12, 0.85)[0] == 0
+
+
+def test_it_is_a_detector_and_its_answers_travel() -> None:
+    """The plugin has the form, and both its answers survive pickling."""
+    assert isinstance(Gncc(), Detector)
+    found = FAST.detect(quantize(texture("brick").image))
+    assert pickle.loads(pickle.dumps(found)).lattice == found.lattice
+    refusal = pickle.loads(pickle.dumps(NoLatticeFound("why", found)))
+    assert refusal.reason == "why" and refusal.best.lattice == found.lattice
+
+
+@pytest.mark.parametrize(
+    ("parameter", "hint"),
+    [
+        ({"alpha": 0.9}, "at least 1"),
+        ({"overlap": 0.0}, "share above 0"),
+        ({"tolerance": -1}, "0 or more px"),
+        ({"prominence": 1.0}, "below 1"),
+        ({"peaks": 1}, "at least 2"),
+        ({"reject": "maybe"}, "none or surrogate"),
+        ({"surrogates": 1}, "at least 2"),
+        ({"false_alarms": 0.0}, "probability"),
+    ],
+)
+def test_parameters_out_of_range_are_refused(parameter: dict[str, object], hint: str) -> None:
+    """Each says which parameter it is, and what to give."""
+    with pytest.raises(BadInput, match=hint) as refusal:
+        Gncc(**parameter)  # type: ignore[arg-type]
+    assert str(refusal.value).startswith(f"gncc: {next(iter(parameter))}")

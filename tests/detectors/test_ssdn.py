@@ -1,0 +1,157 @@
+import numpy as np
+import pytest
+
+from nrbench.api import texture
+from nrbench.detectors.chance.excerpt import SIDE, excerpt
+from nrbench.detectors.rectangular_periods.periods import find_period
+from nrbench.detectors.rectangular_periods.rectangle_kernels import inner_relief
+from nrbench.detectors.ssdn import Ssdn
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image, quantize
+from nrbench.lattice.comparison import lattice_error
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.detection import Curve, Detector, NoLatticeFound
+
+PERIODIC = {"color": 0.0, "noise": 0.0}
+PAPER = Ssdn(subpixel=False, primitive=False, reject="none")
+
+
+def stripes(angle: float) -> Image:
+    """Return a grating in noise, 128 x 128."""
+    y, x = np.indices((128, 128))
+    wave = np.tanh(4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 17.3))
+    image = 0.5 + 0.15 * wave + 0.03 * np.random.default_rng(0).standard_normal((128, 128))
+    return quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32))
+
+
+@pytest.mark.parametrize("model", ["squares", "windows", "card"])
+def test_periodic_rectangular_lattices_are_exact(model: str) -> None:
+    """Without departures the lattice is exact, within 0.1 px, on an image that is not square."""
+    sample = texture(model, (150, 128), 0, **PERIODIC)
+    found = Ssdn().detect(quantize(sample.image))
+    assert sample.lattice is not None
+    error = lattice_error(found.lattice, sample.lattice, (128, 128))
+    assert error.relation == "exact" and error.vector < 0.1
+
+
+@pytest.mark.parametrize("model", ["brick", "weave", "hexagon"])
+def test_other_lattices_are_refused_and_say_why(model: str) -> None:
+    """The rectangular period of a centred lattice holds two cells: refused, with the rectangle as the best."""
+    sample = texture(model, (128, 128), 0, **PERIODIC)
+    with pytest.raises(NoLatticeFound, match="only rectangular lattices along the axes") as no:
+        Ssdn().detect(quantize(sample.image))
+    assert no.value.best is not None and no.value.best.lattice.kind in ("rectangular", "square")
+
+
+@pytest.mark.parametrize("departure", [{"color": 0.3}, {"noise": 0.1}, {"jitter": 0.2}])
+def test_the_rows_of_a_wall_are_no_supercell(departure: dict[str, float]) -> None:
+    """A stacked wall repeats fairly well all along its rows: it is one cell a rectangle all the same, and exact."""
+    sample = texture("brick", (160, 160), 2, bond="stack", **departure)
+    assert sample.lattice is not None
+    found = Ssdn(reject="none").detect(quantize(sample.image))
+    assert lattice_error(found.lattice, sample.lattice, (160, 160)).relation == "exact"
+    assert found.diagnostics["inner"] < 0.5
+
+
+def test_the_inner_peak_is_measured_from_its_pass() -> None:
+    """On a rectangle with a ridge, a bump of a quarter of the corner's height above the pass counts a quarter."""
+    tile = np.zeros((20, 30), np.int32)
+    tile[0], tile[0, 0], tile[0, 15] = 800, 1000, 850
+    inside = np.ones(tile.shape, np.bool_)
+    inside[0, 0] = False
+    for planted, relief in (({}, 0.25), ({(10, 15): 900}, 0.9), ({(0, 15): 1000}, 1.0), ({(10, 15): 0}, 0.25)):
+        changed = tile.copy()
+        for place, height in planted.items():
+            changed[place] = height
+        order = np.argsort(-changed.ravel(), kind="stable")
+        assert inner_relief(changed, inside, order) == pytest.approx(relief)
+
+
+def test_the_papers_choice_tiles_a_weave_by_two_cells() -> None:
+    """With primitive off the rectangle of a centred lattice is returned: a supercell of two cells."""
+    sample = texture("weave", (128, 128), 0, **PERIODIC)
+    assert sample.lattice is not None
+    found = Ssdn(primitive=False, reject="none").detect(quantize(sample.image)).lattice
+    assert lattice_error(found, sample.lattice, (128, 128)).label == "supercell 2"
+
+
+def test_the_papers_period_is_the_last_minimum_over_its_number() -> None:
+    """Without sub-pixel minima the period is x_n / n, x_n whole: equation 3."""
+    found = PAPER.detect(quantize(texture("squares", (160, 160), 0, **PERIODIC).image))
+    marks = found.diagnostics["ssdn_x"].marks
+    assert all(mark == round(mark) for mark in marks)
+    assert found.lattice.matrix.max(0)[0] == pytest.approx(marks[-1] / len(marks))
+
+
+def test_the_curves_are_drawn_with_their_minima() -> None:
+    """Both are curves over the lag, and their marks are minima."""
+    found = Ssdn(reject="none").detect(quantize(texture("squares", (128, 128), 0, **PERIODIC).image))
+    for name in ("ssdn_x", "ssdn_y"):
+        curve = found.diagnostics[name]
+        assert isinstance(curve, Curve) and len(curve.marks) >= 3
+        assert all(curve.y[round(mark)] < 0.5 * np.median(curve.y) for mark in curve.marks)
+
+
+def test_a_period_needs_all_its_multiples() -> None:
+    """A peak half way that reaches half the height is passed over; one of nearly full height is the period."""
+    lags = np.arange(200)
+    for half, period in ((0.3, 40.0), (0.97, 20.0)):
+        curve = np.maximum(0, np.cos(2 * np.pi * lags / 20)) ** 8 * np.where((lags // 10) % 4 % 3 == 0, 1, half)
+        found = find_period(curve, 0.7, True)
+        assert found is not None and found.length == pytest.approx(period, abs=0.1)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.6, np.pi / 2])
+def test_a_grating_has_no_lattice(angle: float) -> None:
+    """Stripes in noise repeat along one direction only: refused."""
+    with pytest.raises(NoLatticeFound):
+        Ssdn().detect(stripes(angle))
+
+
+def test_noise_and_constants_have_no_lattice() -> None:
+    """White noise is refused; a constant image for what it is."""
+    with pytest.raises(NoLatticeFound):
+        Ssdn().detect(np.random.default_rng(0).random((96, 64, 3)).astype(np.float32))
+    with pytest.raises(NoLatticeFound, match="constant"):
+        PAPER.detect(np.full((64, 64, 3), 0.4, np.float32))
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (8, 40), (13, 9)])
+def test_tiny_images_are_refused_in_words(shape: tuple[int, int]) -> None:
+    """The smallest images raise nothing but a refusal."""
+    for seed in range(10):
+        image = np.random.default_rng(seed).random((*shape, 3)).astype(np.float32)
+        with pytest.raises(NoLatticeFound, match="only rectangular"):
+            Ssdn(surrogates=10).detect(image)
+
+
+def test_large_images_are_tested_by_their_middle() -> None:
+    """The excerpt is no smaller than SIDE, and no larger where the lattice is fine."""
+    image = np.zeros((2000, 300, 1), np.float32)
+    assert excerpt(image, Lattice((20.0, 0.0), (0.0, 30.0))).shape == (SIDE, 300, 1)
+    assert excerpt(image, Lattice((20.0, 0.0), (0.0, 90.0))).shape == (900, 300, 1)
+
+
+def test_it_is_a_detector_and_repeats() -> None:
+    """The plugin has the form, and twice the same image gets the same answer to the last bit."""
+    image = quantize(texture("card", (96, 96), 0, **PERIODIC).image)
+    first, second = Ssdn().detect(image), Ssdn().detect(image)
+    assert isinstance(Ssdn(), Detector) and first.lattice == second.lattice
+    np.testing.assert_array_equal(first.diagnostics["surrogate_strength"], second.diagnostics["surrogate_strength"])
+
+
+@pytest.mark.parametrize(
+    ("parameter", "hint"),
+    [
+        ({"depth": 0.0}, "above 0"),
+        ({"overlap": 1.0}, "between 0 and 1"),
+        ({"reject": "maybe"}, "none or surrogate"),
+        ({"surrogates": 1}, "at least 2"),
+        ({"false_alarms": 0.0}, "probability"),
+    ],
+)
+def test_parameters_out_of_range_are_refused(parameter: dict[str, object], hint: str) -> None:
+    """Each says which parameter it is, and what to give."""
+    with pytest.raises(BadInput, match=hint) as refusal:
+        Ssdn(**parameter)  # type: ignore[arg-type]
+    assert str(refusal.value).startswith(f"ssdn: {next(iter(parameter))}")

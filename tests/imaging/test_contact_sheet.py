@@ -1,0 +1,35 @@
+"""Claims about the contact sheet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nrbench.imaging.contact_sheet import contact_sheet
+
+
+def test_every_picture_is_there() -> None:
+    """Pictures of any size and channels stand whole on the sheet, in rows, with something written above each."""
+    pictures = [np.full((20 + i, 30, 3 if i % 2 else 1), 0.1 * (i + 1), np.float32) for i in range(5)]
+    sheet = contact_sheet(pictures, [f"number {i}\nand more" for i in range(5)], columns=2)
+    for picture in pictures:
+        same = np.abs(sheet - picture.flat[0]).max(-1) < 0.003
+        rows, columns = np.flatnonzero(same.any(1)), np.flatnonzero(same.any(0))
+        assert same.sum() >= picture.shape[0] * picture.shape[1]
+        above = sheet[rows[-1] - picture.shape[0] - 20 : rows[-1] - picture.shape[0], columns[0] : columns[0] + 40]
+        assert above.min() < 0.3 and above.max() == 1
+
+
+def test_long_captions_are_cut() -> None:
+    """A caption never runs into the next column."""
+    pictures = [np.ones((10, 10, 3), np.float32)] * 2
+    sheet = contact_sheet(pictures, ["W" * 300, ""], columns=2)
+    middle = sheet.shape[1] // 2
+    assert sheet[:20, : middle - 8].min() < 0.5 and sheet[:20, middle + 4 :].min() == 1
+
+
+@pytest.mark.parametrize("captions", [[], ["a"]])
+def test_as_many_captions(captions: list[str]) -> None:
+    """Nothing to show, and captions that do not match, are refused."""
+    with pytest.raises(ValueError, match="as many of both"):
+        contact_sheet([np.ones((10, 10, 3), np.float32)] * 2 * bool(captions), captions)

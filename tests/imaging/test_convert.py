@@ -1,0 +1,44 @@
+"""The door: what users hold comes in as one form, and what cannot be used is refused by name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import as_image, like_input, quantize, to_bytes
+
+GRAY = np.random.default_rng(0).random((9, 12))
+REFUSED = {
+    "NaN or infinite": np.where(GRAY > 0.9, np.nan, GRAY),
+    "scale floats": GRAY * 255,
+    "alpha channel": np.ones((9, 9, 4)),
+    "at least 8 px": np.ones((4, 9)),
+    "convert it to uint8": np.ones((9, 9), np.int64),
+    "is no image": np.ones(9),
+}
+
+
+@pytest.mark.parametrize("hint", REFUSED)
+def test_what_cannot_be_used_is_refused(hint: str) -> None:
+    """NaN, wrong range, alpha, a tiny side, another dtype or shape: the error says what was found and what to do."""
+    with pytest.raises(BadInput, match=f"sample: .*{hint}"):
+        as_image(REFUSED[hint], "sample")
+
+
+@pytest.mark.parametrize("peak", [255, 65535, None])
+def test_every_form_is_the_same_image(peak: int | None) -> None:
+    """8-bit, 16-bit and float pictures of the same pixels become the same image, one channel kept."""
+    eight = to_bytes(GRAY[..., np.newaxis].astype(np.float32))[..., 0]
+    held = eight / 255 if peak is None else eight if peak == 255 else eight.astype(np.uint16) * 257
+    image = as_image(held)
+    assert image.shape == (9, 12, 1) and image.dtype == np.float32
+    np.testing.assert_allclose(image[..., 0] * 255, eight, atol=1e-4)
+    assert like_input(image, held).shape == (9, 12)
+
+
+def test_rounding_is_what_the_png_holds() -> None:
+    """Rounded to 8 bits an image stays as it is, however often; values outside [0, 1] are clipped."""
+    once = quantize(np.array([[[-0.2], [0.5], [1.7]]], np.float32))
+    np.testing.assert_array_equal(once, quantize(once))
+    assert once.min() == 0 and once.max() == 1

@@ -1,0 +1,163 @@
+"""Methods, a metric and a detector that misbehave, each in its own way."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from nrbench.imaging.convert import Image
+from nrbench.plugins.detection import Detection
+from nrbench.plugins.forms import Column, Observation, Refused, Score, Synthesis, Task
+
+
+@dataclass(frozen=True)
+class Fine:
+    """The sample, repeated: what every other one here should have done."""
+
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Repeat the sample."""
+        height, width = task.shape
+        rows, columns = np.arange(height) % task.sample.shape[0], np.arange(width) % task.sample.shape[1]
+        return Synthesis(task.sample[rows][:, columns])
+
+
+@dataclass(frozen=True)
+class Faulty:
+    """Misbehave as ``how`` says."""
+
+    how: str = "raise"
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Misbehave."""
+        good = np.full((*task.shape, task.sample.shape[2]), 0.5, np.float32)
+        if self.how == "raise":
+            raise RuntimeError("planted failure")
+        if self.how == "refuse":
+            raise Refused("planted refusal")
+        if self.how == "loop":
+            while True:
+                time.sleep(0.01)
+        if self.how == "segfault":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        if self.how == "exit":
+            os._exit(3)
+        if self.how == "memory":
+            np.ones((1 << 33,), np.uint8)
+        if self.how == "hog":
+            hoard = []
+            while True:
+                hoard.append(np.ones(1 << 22, np.uint8))
+        if self.how == "nan":
+            good[0, 0] = np.nan
+        if self.how == "shape":
+            return Synthesis(good[:-1])
+        if self.how == "nothing":
+            return None  # type: ignore[return-value]
+        if self.how == "lie":
+            source = np.ones((*task.shape, 3), np.float32)
+            return Synthesis(1 - task.sample[1, 1] + np.zeros_like(good), source=source)
+        return Synthesis(good)
+
+
+@dataclass(frozen=True)
+class Odd:
+    """Return something that is of no declared type, as ``how`` says."""
+
+    how: str = "seconds"
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return it."""
+        good = np.full((*task.shape, task.sample.shape[2]), 0.5, np.float32)
+        odd = {
+            "seconds": {"detection_seconds": float("nan")},
+            "text": {"detection_seconds": "long"},
+            "lattice": {"lattice": "32,0,0,32"},
+            "pickle": {"extras": {"x": np.array([object()])}},
+            "path": {"extras": {"../x": good}},
+            "source": {"source": "nowhere"},
+        }
+        return Synthesis(good, **odd[self.how])  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Escaper:
+    """Leave a process of its own session behind, and a forged message in every open file."""
+
+    mark: str = "mark"
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Start it, write rubbish, and answer well."""
+        if os.fork() == 0:
+            os.setsid()
+            time.sleep(3)
+            with open(self.mark, "w") as late:  # noqa: PTH123
+                late.write("alive")
+            os._exit(0)
+        for handle in range(3, 64):
+            with contextlib.suppress(OSError):
+                os.write(handle, b"[1]\n{\n")
+        return Synthesis(np.full((*task.shape, task.sample.shape[2]), 0.25, np.float32))
+
+
+@dataclass(frozen=True)
+class Spawner:
+    """Leave a process behind that would outlive the cell."""
+
+    mark: str = "mark"
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Fork a grandchild that writes a file later, and loop for ever."""
+        if os.fork() == 0:
+            time.sleep(4)
+            with open(self.mark, "w") as late:  # noqa: PTH123
+                late.write("alive")
+            os._exit(0)
+        while True:
+            time.sleep(0.01)
+
+
+@dataclass(frozen=True)
+class Deadly:
+    """A metric that kills its process when the output is gray, and raises when it is NaN-free but tiny."""
+
+    columns: ClassVar = {"value": Column("Never there.")}
+
+    def score(self, observation: Observation) -> Score:
+        """Die on a gray output; else answer."""
+        if float(np.ptp(observation.output)) == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return Score({"value": 1.0})
+
+
+@dataclass(frozen=True)
+class Wordy:
+    """A metric that answers with words when the output is gray."""
+
+    columns: ClassVar = {"value": Column("Never there.")}
+
+    def score(self, observation: Observation) -> Score:
+        """Answer."""
+        return Score({"value": "good" if float(np.ptp(observation.output)) == 0 else 1.0})  # type: ignore[dict-item]
+
+
+@dataclass(frozen=True)
+class Blind:
+    """A detector that raises."""
+
+    name: ClassVar[str] = "blind"
+
+    def detect(self, image: Image) -> Detection:
+        """Fail."""
+        raise KeyError("gone")

@@ -1,0 +1,146 @@
+"""The registry: every plugin through the same door, the broken ones isolated."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nrbench import api, plugins
+from nrbench.errors import BadInput
+from nrbench.plugins.parameters import parse_spec, validated
+
+
+@pytest.mark.parametrize("kind", plugins.FORMS)
+def test_every_plugin_of_ours_works(kind: str) -> None:
+    """Each registered plugin loads, fits its form, and has a docstring."""
+    assert plugins.inventory(kind)
+    assert [plugin.error for plugin in plugins.inventory(kind) if plugin.error] == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "call"),
+    [("datasets", api.texture), ("detectors", api.detect_lattice), ("synthesizers", api.synthesize)],
+)
+def test_names_taken_by_the_call_are_those_of_its_arguments(kind: str, call: Callable[..., Any]) -> None:
+    """No parameter can be called like an argument of the Python call that takes it."""
+    own = {name for name, one in inspect.signature(call).parameters.items() if one.kind is not one.VAR_KEYWORD}
+    assert set(plugins.FORMS[kind].taken) == own
+
+
+def test_an_unknown_name_names_the_nearest() -> None:
+    """A misspelt method is answered with the one that was meant."""
+    with pytest.raises(BadInput, match=r"method 'rgsf' is not known \(did you mean 'rsgf'\?\)"):
+        plugins.find("synthesizers", "rgsf")
+
+
+def test_an_unknown_parameter_names_the_nearest() -> None:
+    """A misspelt parameter is answered with the one that was meant."""
+    with pytest.raises(BadInput, match=r"method rsgf: parameter 'blok' is not known \(did you mean 'block'\?\)"):
+        plugins.build("synthesizers", "rsgf", {"blok": "3"})
+
+
+def test_a_value_of_the_wrong_type_is_refused() -> None:
+    """Text for an integer is answered with the parameter's name and what is due."""
+    with pytest.raises(BadInput, match="method rsgf: block='big': input should be a valid integer"):
+        plugins.build("synthesizers", "rsgf", {"block": "big"})
+
+
+def test_a_missing_parameter_is_named() -> None:
+    """A parameter without default must be given."""
+    with pytest.raises(BadInput, match="parameter 'run' is missing; give command:run="):
+        plugins.build("synthesizers", "command")
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "parameters"),
+    [
+        ("rsgf", "rsgf", {}),
+        ("rsgf:block=20,border=5", "rsgf", {"block": "20", "border": "5"}),
+        ("command:run=a b,c --x=1", "command", {"run": "a b,c --x=1"}),
+        ("x:t1=3,4,t2=0,5", "x", {"t1": "3,4", "t2": "0,5"}),
+    ],
+)
+def test_specs(text: str, name: str, parameters: dict[str, str]) -> None:
+    """``name:param=value,...`` is split where a comma is followed by ``word=``."""
+    assert parse_spec(text) == (name, parameters)
+
+
+@pytest.mark.parametrize("text", ["rsgf:block", "rsgf:=3", "rsgf:block=1,block=2"])
+def test_bad_specs(text: str) -> None:
+    """A parameter without a value, without a name or given twice is refused."""
+    with pytest.raises(BadInput, match=r"write NAME:param=value|is given twice; leave one"):
+        parse_spec(text)
+
+
+def test_text_becomes_the_declared_type() -> None:
+    """Values from a command line are converted: numbers, truth values, nothing, pairs."""
+
+    @dataclass(frozen=True)
+    class Thing:
+        number: int = 1
+        share: float | None = 0.5
+        flag: bool = False
+        pair: tuple[float, float] | None = None
+
+    made = validated(Thing, {"number": "7", "share": "none", "flag": "true", "pair": "3,4.5"}, "thing")
+    assert made == Thing(7, None, True, (3.0, 4.5))
+
+
+def test_a_broken_and_a_duplicate_entry_point_are_isolated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plugin that does not import and one whose name is taken are listed with the reason; the rest works."""
+    real = plugins.registry.entry_points
+    broken = EntryPoint("broken", "nrbench_no_such_module:X", "nrbench.synthesizers")
+    double = EntryPoint("rsgf", "nrbench.synthesizers.scatter:Scatter", "nrbench.synthesizers")
+
+    def with_strangers(group: str) -> list[EntryPoint]:
+        return [*real(group=group), *([broken, double] if group == "nrbench.synthesizers" else [])]
+
+    monkeypatch.setattr(plugins.registry, "entry_points", with_strangers)
+    plugins.registry._entry_points.cache_clear()
+    try:
+        listed = plugins.inventory("synthesizers")
+        assert "No module named" in next(p.error for p in listed if p.name == "broken")
+        assert [bool(p.error) for p in listed if p.name == "rsgf"] == [False, True]
+        assert plugins.find("synthesizers", "rsgf").cls.__name__ == "Rsgf"  # type: ignore[union-attr]
+        with pytest.raises(BadInput, match="method 'broken' of unknown does not load: ModuleNotFoundError"):
+            plugins.find("synthesizers", "broken")
+    finally:
+        monkeypatch.undo()
+        plugins.registry._entry_points.cache_clear()
+
+
+HEAD = "from dataclasses import dataclass\n"
+FROZEN = HEAD + "@dataclass(frozen=True)\n"
+FILES = {
+    "class X:\n    def synthesize(self, task): ...": "is no dataclass; decorate it with @dataclass",
+    HEAD + "@dataclass\nclass X:\n    'Page.'\n    def synthesize(self, task): ...": "is not frozen",
+    FROZEN + "class X:\n    'Page.'\n    def synthesize(self): ...": "must take self and 1 argument",
+    FROZEN + "class X:\n    def synthesize(self, task): ...": "has no docstring",
+    FROZEN
+    + "class X:\n    'Page.'\n    shape: str = 'x'\n    def synthesize(self, task): ...": "rename it (taken: method",
+    FROZEN + "class X:\n    'Page.'\n    seed: int = 0\n    def render(self, s, r): ...": "rename it (taken: model",
+    FROZEN + "class X:\n    'Page.'\n    image: int = 0\n    def detect(self, i): ...": "rename it (taken: image",
+    FROZEN + "class X:\n    'Page.'\n    size: int\n    def detect(self, i): ...": "'size' has no default",
+    FROZEN + "class X:\n    'Page.'\n    def score(self, o): ...": "declares no columns",
+    FROZEN + "class X:\n    'Page.'\n    def render(self, s, r): ...": "lacks the method again",
+    FROZEN + "class Rsgf:\n    'Page.'\n    def synthesize(self, t): ...": "the name 'rsgf' is taken",
+    "x = 1": "defines no plugin",
+    "raise OSError('no')": "does not import: OSError: no",
+}
+
+
+@pytest.mark.parametrize("text", FILES)
+def test_a_file_that_holds_no_plugin_says_what_is_missing(text: str, tmp_path: Path) -> None:
+    """Each way to miss a plugin's form is answered with what to change, and nothing is registered."""
+    file = tmp_path / "mine.py"
+    file.write_text(text)
+    with pytest.raises(BadInput, match=re.escape(FILES[text])):
+        plugins.add_file(file)
+    assert str(file) not in plugins.files()

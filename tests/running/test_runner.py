@@ -1,0 +1,191 @@
+"""A run resumes, repeats nothing, and gives the same bytes in any order and number of workers."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from pathlib import Path
+
+import pytest
+import skimage.data
+import skimage.io
+
+from nrbench.api import changed, run
+from nrbench.errors import BadInput
+from nrbench.running.runner import Options
+from nrbench.runs.records import Run
+from nrbench.suites.cell import Cell
+from nrbench.suites.plan import make_plan
+from nrbench.suites.suite import Suite, validated_suite
+
+SUITE_TOML = """
+name = "small"
+sample = "64x64"
+size = "96x80"
+lattice = ["given"]
+methods = ["oracle", "tiling", "scatter", "rsgf:block=16,border=4"]
+replicates = 2
+texture = [{ name = "wall", dataset = "brick", parameters = { color = 0.2, noise = 0.02 } }]
+"""
+
+
+def small(**more: object) -> Suite:
+    """Return a suite of one wall and four methods."""
+    return validated_suite({**tomllib.loads(SUITE_TOML), **more}, "test")
+
+
+def outputs(found: Run) -> dict[str, bytes]:
+    """Return the bytes of every output and source map, by cell."""
+    return {
+        f"{record.key}/{name}": path.read_bytes()
+        for record in found.cells
+        for name in ("output.png", "source.npz")
+        if (path := record.folder / name).is_file()
+    }
+
+
+def scores(found: Run) -> list[tuple[object, ...]]:
+    """Return every score but the costs, in the table's order."""
+    table = found.table()
+    kept = [name for name in table.columns if not name.startswith("cost.") and name not in ("seconds", "peak_mib")]
+    return list(table[kept].astype(object).where(table[kept].notna(), None).itertuples(index=False, name=None))
+
+
+def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path) -> None:
+    """In this process, with one worker, and with two: outputs and scores are identical."""
+    runs = [run(small(), out=tmp_path / str(jobs), options=Options(jobs=jobs)) for jobs in (0, 1, 2)]
+    assert all(record.status == "ok" for found in runs for record in found.cells)
+    assert outputs(runs[0]) == outputs(runs[1]) == outputs(runs[2])
+    assert scores(runs[0]) == scores(runs[1]) == scores(runs[2])
+
+
+def test_a_second_run_starts_nothing(tmp_path: Path) -> None:
+    """Running again touches no result, and adding a method keeps the others' results."""
+    first = run(small(), out=tmp_path / "run", options=Options(jobs=0))
+    times = {record.key: (record.folder / "result.json").stat().st_mtime_ns for record in first.cells}
+    more = small(methods=[*small().methods, "scatter:block=24"])
+    second = run(more, out=tmp_path / "run", options=Options(jobs=0))
+    again = {record.key: (record.folder / "result.json").stat().st_mtime_ns for record in second.cells}
+    assert len(again) == len(times) + 2
+    assert times.items() <= again.items()
+
+
+def test_killed_halfway_it_resumes_to_the_same_table(tmp_path: Path) -> None:
+    """SIGKILL at any instant, then the same command: the table is that of an undisturbed run, no worker is left."""
+    suite = tmp_path / "small.toml"
+    suite.write_text(SUITE_TOML)
+    program = [sys.executable, "-c", "from nrbench.cli.main import main; main()"]
+    command = [*program, "run", str(suite), "--no-report", "--jobs", "2"]
+    broken = subprocess.Popen(
+        [*command, "--out", "broken"], cwd=tmp_path, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+    )
+    cells = tmp_path / "broken" / "cells"
+    while broken.poll() is None and len(list(cells.glob("*/result.json"))) < 3:
+        time.sleep(0.01)
+    os.kill(broken.pid, signal.SIGKILL)
+    broken.wait()
+    for name in ("broken", "whole"):
+        assert subprocess.run([*command, "--out", name], cwd=tmp_path, capture_output=True).returncode == 0
+    assert scores(Run(tmp_path / "broken")) == scores(Run(tmp_path / "whole"))
+    assert outputs(Run(tmp_path / "broken")) == outputs(Run(tmp_path / "whole"))
+
+
+def test_scores_are_keyed_apart(tmp_path: Path) -> None:
+    """With a score removed only that score is made again; the synthesis is not repeated."""
+    first = run(small(), out=tmp_path / "run", options=Options(jobs=0))
+    record = first.cells[0]
+    result = (record.folder / "result.json").stat().st_mtime_ns
+    score = next((record.folder / "scores").glob("cost-*.json"))
+    score.unlink()
+    run(small(), out=tmp_path / "run", options=Options(jobs=0))
+    assert score.is_file()
+    assert (record.folder / "result.json").stat().st_mtime_ns == result
+
+
+def test_failures_are_kept_until_asked_to_retry(faulty: Path, tmp_path: Path) -> None:
+    """A failed cell is not run again, unless asked for; then it is."""
+    suite = small(methods=["faulty"], replicates=1)
+    key = run(suite, out=tmp_path / "run", options=Options(jobs=0)).cells[0].key
+    result = tmp_path / "run" / "cells" / key / "result.json"
+    written = result.stat().st_mtime_ns
+    run(suite, out=tmp_path / "run", options=Options(jobs=0))
+    assert result.stat().st_mtime_ns == written
+    run(suite, out=tmp_path / "run", options=Options(jobs=0, retry_failed=True))
+    assert result.stat().st_mtime_ns > written
+
+
+def test_reuse_copies_results_of_equal_key(tmp_path: Path) -> None:
+    """`reuse` takes results over from another run, and computes only what is new."""
+    first = run(small(), out=tmp_path / "first", options=Options(jobs=0))
+    second = run(small(), out=tmp_path / "second", options=Options(jobs=0, reuse=tmp_path / "first"))
+    for old, new in zip(first.cells, second.cells, strict=True):
+        assert (old.folder / "result.json").read_bytes() == (new.folder / "result.json").read_bytes()
+
+
+def test_a_detector_finds_each_lattice_once(tmp_path: Path) -> None:
+    """With a detector on the lattice axis each sample has one detection, whose lattice every method is handed."""
+    suite = small(lattice=["gncc:reject=none"], replicates=1, sample="128x128")
+    found = run(suite, out=tmp_path / "run", options=Options(jobs=1))
+    assert len(list((tmp_path / "run" / "lattices").iterdir())) == 1
+    handed = {str(record.lattice_given) for record in found.cells if record.lattice_source.startswith("gncc")}
+    assert len(handed) == 1 and "None" not in handed
+
+
+def test_two_runs_in_one_directory_are_refused(tmp_path: Path) -> None:
+    """While one process runs in a directory a second one is told so."""
+    from nrbench.running.runner import _locked
+    from nrbench.runs.store import RunDirectory
+
+    directory = RunDirectory(tmp_path / "run")
+    directory.claim()
+    with _locked(directory), pytest.raises(BadInput, match=r"another nrbench is running in it; wait, or pass another"):
+        run(small(), out=tmp_path / "run", options=Options(jobs=0))
+
+
+def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    """A run directory that holds other files is refused, and nothing in it changes."""
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "mine.txt").write_text("mine")
+    with pytest.raises(BadInput, match="holds something that is no run; pass an empty or new directory"):
+        run(small(), out=tmp_path / "photos", options=Options(jobs=0))
+    assert [path.name for path in (tmp_path / "photos").iterdir()] == ["mine.txt"]
+
+
+def test_the_key_changes_with_what_decides_the_result_alone() -> None:
+    """Seed, size, method parameter and lattice source change a key; the suite's description does not."""
+
+    def keys(suite: Suite) -> list[str]:
+        return [cell.key for cell, _ in make_plan(suite).cells]
+
+    base = keys(small())
+    assert len(set(base)) == len(base)
+    assert keys(small(description="other words")) == base
+    for change in ({"seed": 5}, {"size": "96x96"}, {"sample": "72x64"}):
+        assert not set(keys(changed(small(), **change))) & set(base)  # type: ignore[arg-type]
+    assert keys(small(methods=["rsgf:block=18,border=4"]))[0] not in base
+
+
+def test_a_cell_survives_json(tmp_path: Path) -> None:
+    """A cell read back from its JSON is the same cell, with the same key."""
+    for cell, _ in make_plan(small(lattice=["given", "own", "gncc:alpha=1.2"])).cells:
+        back = Cell.from_dict(json.loads(json.dumps(cell.as_dict())))
+        assert back.key == cell.key
+        assert json.dumps(back.as_dict()) == json.dumps(cell.as_dict())
+
+
+def test_a_texture_that_cannot_be_drawn_is_a_row(tmp_path: Path) -> None:
+    """A broken picture among good ones gives failed cells with the reason; the others run."""
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    skimage.io.imsave(pictures / "good.png", skimage.data.brick()[:150, :150])
+    (pictures / "bad.png").write_text("no picture")
+    found = run(
+        pictures, methods=["scatter"], sample="64x64", size="96x96", out=tmp_path / "run", options=Options(jobs=0)
+    )
+    statuses = {record.texture: (record.status, record.phase) for record in found.cells}
+    assert statuses == {"bad": ("error", "render"), "good": ("ok", "")}

@@ -1,0 +1,299 @@
+"""Claims about textures as files, and what a run on their directory knows."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nrbench.api import run
+from nrbench.errors import BadInput
+from nrbench.imaging.files import read_image, write_image
+from nrbench.plugins.texture import Texture
+from nrbench.running.runner import Options
+from nrbench.suites.cell import Cell, Recipe
+from nrbench.suites.plan import drawn, make_plan
+from nrbench.suites.rendered import SHEET
+from nrbench.suites.rendering import model_suite, write_textures
+from nrbench.suites.suite import Suite, load_suite, validated_suite
+
+ROWS = [
+    {"name": "wall", "dataset": "brick", "description": "A wall.", "parameters": {"color": 0.3, "rotation": 7.0}},
+    {"name": "cloth", "dataset": "weave", "family": "fabric", "sample": "72x56", "size": "80x96"},
+    {"name": "sand", "dataset": "noise", "departure": "noise", "level": 0.5},
+]
+
+
+def _suite(**more: object) -> Suite:
+    content = {"name": "three", "seed": 5, "sample": "64x64", "size": "96x80", "replicates": 2, "lattice": ["given"]}
+    return validated_suite({**content, "texture": ROWS, "methods": ["oracle", "scatter"], **more}, "test")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Render the suite."""
+    write_textures(drawn(_suite()), tmp_path / "three")
+    return tmp_path / "three"
+
+
+def _cells(suite: Suite) -> list[Cell]:
+    changed = suite.with_changes(methods=["oracle", "scatter"], lattice=["given"], size="96x80")
+    return [cell for cell, _ in make_plan(changed).cells]
+
+
+def test_what_is_written(folder: Path) -> None:
+    """A PNG for each texture and replicate, a contact sheet, and both truths, which agree."""
+    pictures = {f"{name}{number}.png" for name in ("wall", "cloth", "sand") for number in ("", "-1")}
+    assert {path.name for path in folder.iterdir()} == pictures | {SHEET, "truth.csv", "truth.json"}
+    truth = json.loads((folder / "truth.json").read_text("utf-8"))
+    with (folder / "truth.csv").open(encoding="utf-8", newline="") as lines:
+        rows = {row["file"]: row for row in csv.DictReader(lines)}
+    assert set(rows) == set(truth["textures"]) == pictures
+    for name, known in truth["textures"].items():
+        assert rows[name]["family"] == known["family"] and rows[name]["kind"] == known["kind"]
+        if known["lattice"]:
+            assert float(rows[name]["t1x"]) == known["lattice"]["t1"][0]
+    assert truth["textures"]["wall.png"]["description"] == "A wall."
+    assert truth["textures"]["sand.png"]["lattice"] is None
+
+
+def test_a_run_on_the_directory_is_the_run_of_the_suite(folder: Path) -> None:
+    """Every cell of the directory has the key of a cell of the suite: nothing that decides a result differs."""
+    there = {(cell.key, cell.family, cell.regular_share) for cell in _cells(load_suite(folder))}
+    rows = {row.name: (row.departure, row.level) for row in load_suite(folder).texture}
+    assert rows["sand"] == rows["sand-1"] == ("noise", 0.5) and rows["wall"] == ("", None)
+    assert there == {(cell.key, cell.family, cell.regular_share) for cell in _cells(_suite())}
+
+
+def test_outputs_and_scores_are_identical(folder: Path, tmp_path: Path) -> None:
+    """Run on the directory, methods give the same bytes as run on the suite, and metrics the same numbers."""
+    methods = ["tiling", "rsgf:block=16,border=4"]
+    there = load_suite(folder).with_changes(methods=methods, lattice=["given"])
+    found = [
+        run(suite, textures=names, out=tmp_path / f"run{i}", options=Options(jobs=0))
+        for i, (suite, names) in enumerate(((_suite(methods=methods), ["wall", "cloth"]), (there, ["wall", "cloth-1"])))
+    ]
+    suite, directory = ({record.key: record for record in each.cells} for each in found)
+    assert set(directory) <= set(suite) and len(directory) == 4
+    for key, record in directory.items():
+        assert record.status == suite[key].status == "ok"
+        given, due = record.cell.lattice_given, suite[key].cell.lattice_given
+        assert given is not None and due is not None
+        np.testing.assert_allclose(given.matrix, due.matrix, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(given.origin, due.origin, rtol=0, atol=1e-9)
+        assert (record.folder / "output.png").read_bytes() == (suite[key].folder / "output.png").read_bytes()
+        scores = [
+            {name: value for name, value in one.values.items() if "cost" not in name} for one in (record, suite[key])
+        ]
+        assert scores[0] == scores[1] and scores[0]
+
+
+def test_an_edited_truth_counts(folder: Path) -> None:
+    """Where truth.csv was given another lattice, the picture is one like any other, with that lattice."""
+    with (folder / "truth.csv").open(encoding="utf-8", newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    next(row for row in rows if row["file"] == "wall.png")["originx"] = "2.5"
+    with (folder / "truth.csv").open("w", encoding="utf-8", newline="") as lines:
+        writer = csv.DictWriter(lines, rows[0].keys())
+        writer.writeheader()
+        writer.writerows(rows)
+    samples = {sample.row.name: sample for sample in drawn(load_suite(folder))}
+    wall = samples["wall"].texture
+    assert samples["wall"].recipe.dataset == "images" and samples["cloth"].recipe.dataset == "weave"
+    assert wall and wall.lattice and wall.lattice.origin[0] == 2.5
+    (folder / "truth.csv").unlink()
+    assert next(iter(drawn(load_suite(folder), ["wall"]))).recipe.dataset == "brick"
+
+
+def test_an_edited_picture_is_a_photograph(folder: Path) -> None:
+    """Where the recipe no longer gives the picture's pixels, the picture counts, and its lattice stays known."""
+    before = {sample.row.name: sample for sample in drawn(load_suite(folder))}
+    image = read_image(folder / "wall.png")
+    image[3, 3] = 1 - image[3, 3]
+    write_image(folder / "wall.png", image)
+    after = {sample.row.name: sample for sample in drawn(load_suite(folder))}
+    old, new = before["wall"].texture, after["wall"].texture
+    assert before["wall"].recipe.dataset == "brick" and after["wall"].recipe.dataset == "images"
+    assert old and new and old.lattice and new.lattice
+    np.testing.assert_allclose(new.image, image, atol=1e-6)
+    assert new.lattice.is_equivalent(old.lattice, tolerance=1e-9)
+    np.testing.assert_allclose(new.lattice.origin, old.lattice.origin, atol=1e-9)
+    assert after["cloth"].recipe.dataset == "weave"
+
+
+def test_a_recipe_of_a_stranger_is_passed_over(folder: Path) -> None:
+    """A recipe of a dataset that is not installed here leaves a picture with its lattice."""
+    text = (folder / "truth.json").read_text("utf-8").replace('"dataset": "brick"', '"dataset": "nobody"')
+    (folder / "truth.json").write_text(text, "utf-8")
+    wall = next(sample for sample in drawn(load_suite(folder), ["wall"]))
+    assert wall.recipe.dataset == "images" and wall.texture and wall.texture.lattice
+
+
+def test_another_seed_draws_other_outputs_of_the_same_samples(folder: Path) -> None:
+    """--seed on a rendered directory changes the methods' streams, never the pictures."""
+    changed = _cells(load_suite(folder).with_changes(seed=9))
+    assert {cell.sample_hash for cell in changed} == {cell.sample_hash for cell in _cells(load_suite(folder))}
+    assert {cell.seed for cell in changed} == {9}
+
+
+def test_one_model() -> None:
+    """A model's name with parameters is a suite of one texture."""
+    assert write_textures(drawn(model_suite("brick:color=0.4")), Path("out"))[0] == Path("out/brick.png")
+
+
+def _rows(directory: Path) -> dict[str, dict[str, str]]:
+    with (directory / "truth.csv").open(encoding="utf-8", newline="") as lines:
+        return {row["file"]: row for row in csv.DictReader(lines)}
+
+
+def _textures(directory: Path) -> dict[str, dict[str, object]]:
+    found: dict[str, dict[str, object]] = json.loads((directory / "truth.json").read_text("utf-8"))["textures"]
+    return found
+
+
+def _contents(directory: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(directory.iterdir())}
+
+
+def test_a_further_render_loses_nothing(folder: Path) -> None:
+    """What another model's render finds there is kept as it stands, and the contact sheet shows all of it."""
+    rows, textures, sheet = _rows(folder), _textures(folder), read_image(folder / SHEET)
+    write_textures(drawn(model_suite("hexagon")), folder)
+    after = {**_rows(folder)}
+    assert after.pop("hexagon.png")["family"] == "hexagon"
+    assert after == rows and list(_rows(folder)) == [*rows, "hexagon.png"]
+    known = _textures(folder)
+    assert known.pop("hexagon.png")["recipe"] and known == textures
+    assert read_image(folder / SHEET).size > sheet.size
+    assert {sample.recipe.dataset for sample in drawn(load_suite(folder))} == {"brick", "weave", "noise", "hexagon"}
+    assert not [path for path in folder.iterdir() if path.name.startswith(".")]
+
+
+def test_rendered_again_a_picture_is_told_anew(folder: Path) -> None:
+    """A picture of the same name is replaced with its truth; of one that is gone nothing is told any more."""
+    before = _contents(folder)
+    (folder / "sand.png").unlink()
+    other = _suite(texture=[{"name": "wall", "dataset": "weave"}], replicates=1)
+    write_textures(drawn(other), folder)
+    rows, textures = _rows(folder), _textures(folder)
+    assert set(rows) == set(textures) == {name for name in before if name.endswith(".png")} - {SHEET, "sand.png"}
+    assert rows["wall.png"]["family"] == textures["wall.png"]["family"] == "weave"
+    assert rows["wall-1.png"]["family"] == "brick"
+    assert (folder / "wall.png").read_bytes() != before["wall.png"]
+    assert (folder / "wall-1.png").read_bytes() == before["wall-1.png"]
+
+
+def test_rendered_twice_nothing_changes(folder: Path) -> None:
+    """The same render gives the same files, to the byte; what a user added to truth.csv stays."""
+    before = _contents(folder)
+    write_textures(drawn(_suite()), folder)
+    assert _contents(folder) == before
+    header, *lines = (folder / "truth.csv").read_text("utf-8").splitlines()
+    (folder / "truth.csv").write_text("\n".join([f"{header},notes", *(f"{line},mine" for line in lines)]), "utf-8")
+    write_textures(drawn(model_suite("hexagon")), folder)
+    assert [row["notes"] for row in _rows(folder).values()] == ["mine"] * 6 + [""]
+
+
+def test_an_interrupted_render_goes_on(folder: Path) -> None:
+    """Pictures that were written before their truth was are no obstacle to the same render."""
+    before = _contents(folder)
+    for name in ("truth.csv", "truth.json", SHEET, "sand.png"):
+        (folder / name).unlink()
+    write_textures(drawn(_suite()), folder)
+    assert _contents(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("truth.csv", "file,t1x,t1y,t2x,t2y\n", r"truth\.csv: was not written by `nrbench render` \(it lacks column"),
+        ("truth.csv", "name,city\nAda,London\n", r"truth\.csv line 1: lacks column 'file'"),
+        ("truth.csv", None, r"line 2: '12,zero,0,9' are not four numbers.*to render here, mend"),
+        ("truth.json", "{", r"truth\.json: is no JSON .*pass another -o, or move it away"),
+        ("truth.json", "[1]", r"truth\.json: was not written by `nrbench render`; pass another -o"),
+        ("truth.json", '{"sheet": "contact-sheet.png", "textures": {"wall.png": 3}}', "was not written by"),
+        ("truth.json", '{"sheet": "contact-sheet.png", "textures": {"wall.png": {"recipe": 3}}}', "was not written by"),
+        ("wall.png", "mine", r"wall\.png: is there, and no model drew it; pass another -o, or move it away, or rename"),
+        ("contact-sheet.png", "mine", r"contact-sheet\.png: is there, and was not written by `nrbench render`"),
+    ],
+)
+def test_what_is_not_of_a_render_is_left_alone(tmp_path: Path, name: str, text: str | None, message: str) -> None:
+    """Files that a render would spoil are named in one error, and nothing is written."""
+    (tmp_path / "a.png").write_bytes(b"another's")
+    header = "file,t1x,t1y,t2x,t2y,originx,originy,family,kind,regular_share"
+    (tmp_path / name).write_text(f"{header}\na.png,12,zero,0,9,,,,,\n" if text is None else text, "utf-8")
+    before = _contents(tmp_path)
+    with pytest.raises(BadInput, match=message):
+        write_textures(drawn(_suite()), tmp_path)
+    assert _contents(tmp_path) == before
+
+
+def test_pictures_of_two_folders(tmp_path: Path) -> None:
+    """Of pictures a/p.png and b/p.png both are kept, under the names of their textures, or the second is refused."""
+    rng = np.random.default_rng(0)
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        write_image(tmp_path / name / "p.png", rng.random((70, 70, 3)).astype(np.float32))
+    rows = [{"name": f"p-{n}", "dataset": "images", "parameters": {"path": str(tmp_path / n / "p.png")}} for n in "ab"]
+    write_textures(drawn(_suite(texture=rows, replicates=1)), tmp_path / "both")
+    first, second = (read_image(tmp_path / "both" / f"p-{name}.png") for name in "ab")
+    assert (first != second).any() and set(_rows(tmp_path / "both")) == {"p-a.png", "p-b.png"}
+    write_textures(drawn(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
+    before = _contents(tmp_path / "one")
+    with pytest.raises(BadInput, match=r"images\.png: is there, and no model drew it"):
+        write_textures(drawn(model_suite(f"images:path={tmp_path / 'b' / 'p.png'}")), tmp_path / "one")
+    write_textures(drawn(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
+    assert _contents(tmp_path / "one") == before
+
+
+def test_a_planned_picture_is_drawn_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan of a rendered directory draws each picture's model a single time, and reads each file once."""
+    renders: list[str] = []
+    render = Recipe.render
+
+    def counted(recipe: Recipe) -> Texture:
+        renders.append(recipe.dataset)
+        return render(recipe)
+
+    monkeypatch.setattr(Recipe, "render", counted)
+    _cells(load_suite(folder))
+    assert Counter(renders) == {"images": 6, "brick": 2, "weave": 2, "noise": 2}
+
+
+@pytest.mark.parametrize("names", [("a-1", "a"), ("contact-sheet", "b"), ("Wall", "wall")])
+def test_two_files_of_one_name(names: tuple[str, str]) -> None:
+    """A texture whose file would be another's, or the contact sheet, is refused."""
+    suite = _suite(texture=[{"name": name, "dataset": "brick"} for name in names])
+    with pytest.raises(BadInput, match="name of two pictures; rename the texture"):
+        write_textures(drawn(suite), Path("out"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ([1, 2], "recipe: "),
+        ({"seed": 3}, "recipe.dataset: "),
+        ({"seed": "three"}, "recipe.seed: "),
+        ({"seed": [3]}, "recipe.seed: "),
+        ({"shape": 7}, "size 7"),
+    ],
+)
+def test_a_malformed_recipe(folder: Path, change: object, message: str) -> None:
+    """A recipe that cannot be read is refused, by file and picture."""
+    truth = json.loads((folder / "truth.json").read_text("utf-8"))
+    whole = {**truth["textures"]["wall.png"]["recipe"], **change} if isinstance(change, dict) else change
+    truth["textures"]["wall.png"]["recipe"] = change if message == "recipe.dataset: " else whole
+    (folder / "truth.json").write_text(json.dumps(truth), "utf-8")
+    with pytest.raises(BadInput, match=r"truth\.json: picture 'wall': .*" + message.replace(".", r"\.")):
+        load_suite(folder)
+
+
+def test_no_table_of_a_picture(folder: Path) -> None:
+    """What is said of a picture must be a table."""
+    (folder / "truth.json").write_text('{"textures": {"wall.png": 3}}', "utf-8")
+    with pytest.raises(BadInput, match=r"truth\.json: picture 'wall\.png': 3 is no table"):
+        load_suite(folder)

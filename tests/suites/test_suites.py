@@ -1,0 +1,75 @@
+"""The suites that are installed: what they promise of their textures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.lib.stride_tricks import sliding_window_view
+
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image, to_bytes
+from nrbench.suites.plan import Sample, drawn
+from nrbench.suites.suite import builtin, load_suite, parse_size, validated_suite
+
+CORE = drawn(load_suite("core"))
+
+
+def windows(image: Image, side: int = 16) -> set[bytes]:
+    """Return every square window of an image as bytes."""
+    views = sliding_window_view(to_bytes(image), (side, side), axis=(0, 1))
+    return {window.tobytes() for row in views for window in row}
+
+
+@pytest.mark.parametrize("sample", CORE, ids=lambda sample: sample.row.name)
+def test_no_window_of_the_oracle_occurs_in_the_sample(sample: Sample) -> None:
+    """A fresh draw shares no 16 x 16 window with the sample: it is independent of it, not a copy."""
+    assert sample.texture is not None
+    fresh = sample.recipe.again(sample.texture)((256, 256), 0)
+    assert fresh is not None
+    assert not windows(sample.texture.image) & windows(fresh.image)
+
+
+@pytest.mark.parametrize("name", builtin())
+def test_every_suite_loads(name: str) -> None:
+    """Each installed suite is valid, says what it is, and names methods and textures."""
+    suite = load_suite(name)
+    assert suite.name == name and suite.description and suite.methods and suite.texture
+
+
+def test_the_hash_tells_contents_apart() -> None:
+    """Equal contents have equal hashes, and any change gives another."""
+    assert load_suite("core").hash == load_suite("core").hash
+    assert load_suite("core").with_changes(seed=99).hash != load_suite("core").hash
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"name": "x"}, "has no texture"),
+        ({"name": "x", "sed": 3, "texture": [{"name": "a", "dataset": "brick"}]}, "did you mean 'seed'"),
+        ({"name": "x", "texture": [{"name": "a", "dataset": "brick"}] * 2}, "two textures are called 'a'"),
+        ({"name": "x", "texture": [{"name": "a", "data": "brick"}]}, "did you mean 'dataset'"),
+        ({"name": "x", "size": "3", "texture": [{"name": "a", "dataset": "brick"}]}, "write WIDTHxHEIGHT"),
+        ({"name": "x", "seed": -1, "texture": [{"name": "a", "dataset": "brick"}]}, "seed"),
+        ({"name": "a/b", "texture": [{"name": "a", "dataset": "brick"}]}, "name"),
+    ],
+)
+def test_bad_suites(content: dict[str, object], message: str) -> None:
+    """Each mistake in a suite is named, with the nearest valid key where there is one."""
+    with pytest.raises(BadInput, match=message):
+        validated_suite(content, "suite x")
+
+
+def test_sizes() -> None:
+    """``WIDTHxHEIGHT`` becomes (height, width)."""
+    assert parse_size("256x128") == (128, 256)
+    for bad in ("256", "0x3", "x", "3x-1", "99999x3", "axb"):
+        with pytest.raises(BadInput, match=r"WIDTHxHEIGHT|from 1 to"):
+            parse_size(bad)
+
+
+def test_samples_are_rounded_to_8_bits() -> None:
+    """The sample that a method sees is the one that the PNG holds."""
+    texture = CORE[0].texture
+    assert texture is not None
+    np.testing.assert_array_equal(texture.image, to_bytes(texture.image) / np.float32(255))

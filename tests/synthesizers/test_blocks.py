@@ -1,0 +1,121 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nrbench.synthesizers.gap_filling.blocks import OWN, BlockGrid, Sides, wedges
+from nrbench.synthesizers.gap_filling.canvas import compose
+from nrbench.synthesizers.sampling.patches import Patches
+
+ALL: Sides = (True, True, True, True)
+sides = st.tuples(*[st.booleans()] * 4)
+
+
+def test_blocks_alternate_like_a_chess_board() -> None:
+    """Placed blocks and gaps share the grid, and no two of a kind are neighbours."""
+    grid = BlockGrid((90, 170), 40, 10)
+    assert grid.counts == (3, 5)
+    placed, gaps = set(grid.placed()), set(grid.gaps())
+    assert len(placed | gaps) == 15
+    assert not placed & gaps
+    for row, column in gaps:
+        assert {(row, column - 1), (row - 1, column), (row, column + 1), (row + 1, column)} <= placed | {
+            (r, c) for r in range(-1, 4) for c in range(-1, 6) if not (0 <= r < 3 and 0 <= c < 5)
+        }
+
+
+@given(sides)
+def test_the_border_is_what_lies_near_a_neighbour(there: Sides) -> None:
+    """Border and hole part the gap: border pixels are less than 10 px from a neighbour's block."""
+    border = wedges(40, 10, there)
+    rows, columns = np.indices((40, 40))
+    distances = np.stack([columns, rows, 39 - columns, 39 - rows])
+    near = (distances[np.array(there)] < 10).any(0) if any(there) else np.zeros((40, 40), bool)
+    marked = np.zeros((40, 40), bool)
+    marked[border.pixels[:, 1], border.pixels[:, 0]] = True
+    np.testing.assert_array_equal(marked, near)
+    y0, y1, x0, x1 = border.hole
+    marked[y0:y1, x0:x1] = True
+    assert marked.all()
+    assert len(border.pixels[:, 1]) + (y1 - y0) * (x1 - x0) == 1600
+
+
+@given(sides)
+def test_each_wedge_belongs_to_the_nearest_neighbour(there: Sides) -> None:
+    """The owner of a border pixel is the nearest side that has a neighbour: the corners' diagonals divide."""
+    border = wedges(40, 10, there)
+    distances = np.stack(
+        [border.pixels[:, 0], border.pixels[:, 1], 39 - border.pixels[:, 0], 39 - border.pixels[:, 1]]
+    ).astype(float)
+    distances[~np.array(there)] = np.inf
+    np.testing.assert_array_equal(distances[border.owner, np.arange(len(border.owner))], distances.min(0))
+
+
+def test_the_four_wedges_are_equal_trapezoids() -> None:
+    """Around a full gap each neighbour owns as much of the border, but for the pixels on the diagonals."""
+    border = wedges(40, 10, ALL)
+    counts = np.bincount(border.owner, minlength=4)
+    assert counts.sum() == 40**2 - 20**2
+    np.testing.assert_allclose(counts, 300, atol=20)
+
+
+@given(sides)
+def test_weights_sum_to_one_and_draw_on_neighbours_that_are_there(there: Sides) -> None:
+    """Blending is a partition of unity over the gap's own patch and existing neighbours."""
+    border = wedges(24, 7, there)
+    np.testing.assert_allclose(border.weights.sum(0), 1, atol=1e-6)
+    assert (border.weights >= 0).all()
+    used = np.unique(border.layers[border.weights > 0])
+    assert all(layer == OWN or there[layer] for layer in used)
+
+
+def test_the_gaps_own_patch_fades_in_linearly() -> None:
+    """Along the middle of a side the alpha rises by one tenth a pixel over a 10 px border."""
+    border = wedges(40, 10, ALL)
+    middle = (border.pixels[:, 1] == 20) & (border.pixels[:, 0] < 10)
+    np.testing.assert_allclose(border.weights[0, middle], (np.arange(10) + 0.5) / 10, atol=1e-6)
+
+
+def test_at_the_gaps_edge_each_neighbour_is_nearly_whole() -> None:
+    """No edge of a placed block shows: the pixel inside the gap is at least 9/10 its neighbour's, corners aside."""
+    border = wedges(40, 10, ALL)
+    edge = (border.pixels[:, 0] == 0) & (border.pixels[:, 1] >= 10) & (border.pixels[:, 1] < 30)
+    assert (border.weights[1, edge] > 0.9).all()
+    assert (border.layers[1, edge] == 0).all()
+
+
+def test_patches_that_continue_each_other_compose_without_a_trace() -> None:
+    """Places that all continue one image give that image back, with a source map that points at itself."""
+    sample = np.random.default_rng(0).random((70, 90, 3), np.float32)
+    grid = BlockGrid((49, 65), 16, 5)
+    rows, columns = np.indices(grid.counts)
+    image, source = compose(Patches(sample), grid, np.stack([columns, rows], -1) * 16.0 + (5, 4))
+    np.testing.assert_allclose(image, sample[4:53, 5:70], atol=1e-6)
+    x, y = np.meshgrid(np.arange(5, 70), np.arange(4, 53))
+    np.testing.assert_array_equal(source[..., :2], np.stack([x, y], -1))
+
+
+@pytest.mark.parametrize("shape", [(1, 33), (50, 1), (16, 16), (7, 9)])
+def test_any_shape_is_composed(shape: tuple[int, int]) -> None:
+    """Outputs cut through blocks, down to one row or column."""
+    grid = BlockGrid(shape, 16, 4)
+    image, source = compose(Patches(np.zeros((40, 40, 1), np.float32)), grid, np.full((*grid.counts, 2), 4.0))
+    assert image.shape == (*shape, 1)
+    assert source.shape == (*shape, 3)
+
+
+def test_squares_of_placed_blocks_are_untouched_copies() -> None:
+    """Borders lie inside the gaps: a placed block's square is copied whole, and the map says weight 1."""
+    rng = np.random.default_rng(1)
+    sample = rng.random((60, 60, 1), np.float32)
+    grid = BlockGrid((64, 64), 16, 6)
+    places = rng.integers(6, 38, (4, 4, 2))
+    image, source = compose(Patches(sample), grid, places.astype(float))
+    for row, column in grid.placed():
+        x, y = places[row, column]
+        window = np.s_[row * 16 : row * 16 + 16, column * 16 : column * 16 + 16]
+        np.testing.assert_array_equal(image[window], sample[y : y + 16, x : x + 16])
+        assert (source[window][..., 2] == 1).all()
+    x, y, weight = np.moveaxis(source, -1, 0)
+    copied = weight == 1
+    np.testing.assert_array_equal(image[copied], sample[y[copied].astype(int), x[copied].astype(int)])

@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from nrbench.synthesizers.pixel_growing.kdtree import KdTree
+
+
+def drawn(count: int, axes: int, spread: int, seed: int) -> NDArray[np.int16]:
+    """Return points whose coordinates take few values where the spread is small: many ties."""
+    return np.random.default_rng(seed).integers(-spread, spread + 1, (count, axes)).astype(np.int16)
+
+
+def distances(points: NDArray[np.int16], queries: NDArray[np.int16]) -> NDArray[np.int64]:
+    """Return all squared distances, (q, n)."""
+    apart = queries[:, np.newaxis].astype(np.int64) - points
+    return np.asarray((apart**2).sum(-1))
+
+
+SETS = st.tuples(st.integers(1, 120), st.integers(1, 20), st.sampled_from([0, 1, 3, 50, 5000]), st.integers(0, 999))
+
+
+@settings(max_examples=150, deadline=None)
+@given(SETS, st.integers(1, 5), st.integers(1, 9), st.integers(1, 4))
+def test_the_nearest_are_those_of_brute_force(
+    drawing: tuple[int, int, int, int], k: int, leaf: int, number: int
+) -> None:
+    """With eps 0 the k nearest of a group are found, ties by rank, whatever the leaves; -1 where there are fewer."""
+    count, axes, spread, seed = drawing
+    points, queries = drawn(count, axes, spread, seed), drawn(20, axes, spread, seed + 1)
+    rng = np.random.default_rng(seed)
+    ranks, groups = rng.permutation(count), np.sort(np.arange(count) % number)
+    among = rng.integers(groups.max() + 1, size=20)
+    numbers, apart = KdTree.of(points, ranks, groups, leaf).nearest(queries, k, groups=among)
+    for query, row in enumerate(distances(points, queries)):
+        mine = np.flatnonzero(groups == among[query])
+        due = mine[np.lexsort([ranks[mine], row[mine]])][:k]
+        np.testing.assert_array_equal(numbers[query, : len(due)], due)
+        np.testing.assert_array_equal(apart[query, : len(due)], row[due])
+        assert (numbers[query, len(due) :] == -1).all()
+
+
+@settings(max_examples=100, deadline=None)
+@given(SETS, st.sampled_from([0.1, 0.5, 1.0, 3.0]))
+def test_with_eps_none_is_farther_than_it_may_be(drawing: tuple[int, int, int, int], eps: float) -> None:
+    """What is found is at most (1 + eps) times as far as the nearest."""
+    count, axes, spread, seed = drawing
+    points, queries = drawn(count, axes, spread, seed), drawn(30, axes, spread, seed + 1)
+    _, apart = KdTree.of(points, leaf=2).nearest(queries, eps=eps)
+    assert (apart[:, 0] <= distances(points, queries).min(1) * (1 + eps) ** 2).all()
+
+
+def test_eps_saves_work_at_the_cost_of_some_distance() -> None:
+    """On scattered points a large eps finds farther ones now and then: it does something."""
+    points, queries = drawn(4000, 8, 3000, 0), drawn(500, 8, 3000, 1)
+    tree = KdTree.of(points)
+    exact, loose = tree.nearest(queries)[1], tree.nearest(queries, eps=2.0)[1]
+    assert (loose >= exact).all()
+    assert 0.02 < (loose > exact).mean() < 0.98
+
+
+@pytest.mark.parametrize("coordinate", [-16000, 0, 16000])
+def test_points_that_are_all_alike_are_one_leaf_and_the_first_rank_wins(coordinate: int) -> None:
+    """Ten thousand copies of a point neither stop the build nor hide which is preferred."""
+    points = np.full((10_000, 3), coordinate, np.int16)
+    ranks = np.random.default_rng(0).permutation(10_000)
+    numbers, apart = KdTree.of(points, ranks).nearest(points[:5], 2)
+    np.testing.assert_array_equal(numbers, [np.argsort(ranks)[:2]] * 5)
+    assert (apart == 0).all()
+
+
+def test_the_farthest_points_do_not_overflow() -> None:
+    """Distances up to 2^31 - 1 are right, which is as far as 32 bits tell."""
+    points = np.array([[-16000, 0, 0, 0], [16000, 0, 0, 0]], np.int16)
+    numbers, apart = KdTree.of(points).nearest(np.array([[16000, 32000, 0, 0]], np.int16), 2)
+    assert numbers.tolist() == [[1, 0]]
+    assert apart.tolist() == [[32000**2, 2 * 32000**2]]

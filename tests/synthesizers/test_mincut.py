@@ -1,0 +1,204 @@
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import maximum_flow
+
+from nrbench.synthesizers.seams.minimum_cut import (
+    Links,
+    Mask,
+    Weights,
+    cut_overlap,
+    cut_value,
+    graphcut_seam,
+    minimum_cut,
+    seam_links,
+)
+
+Problem = tuple[Links, Weights, Weights]
+BOUND = 1 << 20
+"""Stands for infinity where capacities must be whole numbers."""
+
+
+def problem(shape: tuple[int, int], seed: int, largest: int = 20, dense: float = 0.5, hard: float = 0.0) -> Problem:
+    """Return a random problem of whole numbers; some pixels are tied to a side."""
+    rng = np.random.default_rng(seed)
+    height, width = shape
+
+    def weights(*shape: int) -> Weights:
+        return (rng.integers(0, largest, shape) * (rng.random(shape) < dense)).astype(np.float64)
+
+    source, sink = weights(height, width), weights(height, width)
+    tied = rng.random(shape)
+    source[tied < hard], sink[tied > 1 - hard] = np.inf, np.inf
+    return Links(weights(height, width - 1), weights(height - 1, width)), source, sink
+
+
+def flow(links: Links, source: Weights, sink: Weights) -> int:
+    """Return the largest flow, by another program."""
+    shape, count = source.shape, source.size
+    index = np.arange(count).reshape(shape)
+    first = [index[:, :-1], index[:, 1:], index[:-1], index[1:], np.full(shape, count), index]
+    last = [index[:, 1:], index[:, :-1], index[1:], index[:-1], index, np.full(shape, count + 1)]
+    held = [links.across, links.across, links.down, links.down, source, sink]
+    data = np.concatenate([np.minimum(part, BOUND).ravel() for part in held]).astype(np.int32)
+    where = tuple(np.concatenate([part.ravel() for part in parts]) for parts in (first, last))
+    graph = coo_array((data, where), shape=(count + 2, count + 2)).tocsr()
+    return int(maximum_flow(graph, count, count + 1).flow_value)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.tuples(st.integers(1, 12), st.integers(1, 12)),
+    st.integers(0, 10**6),
+    st.sampled_from([2, 4, 1000]),
+    st.sampled_from([0.1, 0.5, 1.0]),
+    st.sampled_from([0.0, 0.2]),
+)
+def test_the_cut_costs_what_the_largest_flow_carries(
+    shape: tuple[int, int], seed: int, largest: int, dense: float, hard: float
+) -> None:
+    """On random grids, also with ties and pixels tied to a side, the cut equals the maximum flow."""
+    made = problem(shape, seed, largest, dense, hard)
+    assert cut_value(minimum_cut(*made), *made) == flow(*made)
+
+
+def test_a_large_grid_is_cut_exactly() -> None:
+    """So it is at the size of a patch, with a seam from side to side."""
+    links, source, sink = problem((60, 70), 3, 256, 1.0)
+    source[:], sink[:] = 0, 0
+    source[:, 0], sink[:, -1] = np.inf, np.inf
+    made = links, source, sink
+    assert cut_value(minimum_cut(*made), *made) == flow(*made)
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (2, 4), (1, 5)])
+@pytest.mark.parametrize("seed", range(8))
+def test_no_labelling_costs_less(shape: tuple[int, int], seed: int) -> None:
+    """By trying all labellings of a small grid; of those that cost least, the one with the fewest pixels is taken."""
+    made = problem(shape, seed, 5, hard=0.1)
+    labellings = [
+        np.array(bits).reshape(shape) for bits in itertools.product([False, True], repeat=shape[0] * shape[1])
+    ]
+    least = min(cut_value(one, *made) for one in labellings)
+    best = [one for one in labellings if cut_value(one, *made) == least]
+    found = minimum_cut(*made)
+    assert cut_value(found, *made) == least
+    assert found.sum() == min(one.sum() for one in best)
+
+
+def test_real_valued_weights_are_cut_as_well() -> None:
+    """Weights need not be whole: no labelling of a 3 x 4 grid costs less."""
+    rng = np.random.default_rng(5)
+    made = Links(rng.random((3, 3)), rng.random((2, 4))), rng.random((3, 4)), rng.random((3, 4))
+    every = (np.array(bits).reshape(3, 4) for bits in itertools.product([False, True], repeat=12))
+    assert cut_value(minimum_cut(*made), *made) == pytest.approx(min(cut_value(one, *made) for one in every), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "hint"),
+    [
+        (lambda a, d, s, t: (a[:, :-1], d, s, t), "do not fit a grid of 3 x 4"),
+        (lambda a, d, s, t: (a - 1, d, s, t), "at least 0"),
+        (lambda a, d, s, t: (a, d, s * np.nan, t), "at least 0"),
+        (lambda a, d, s, t: (a + np.inf, d, s, t), "links are finite"),
+        (lambda a, d, s, t: (a, d, s + np.inf, t + np.inf), "cannot be True and False"),
+    ],
+)
+def test_weights_that_mean_nothing_are_refused(change: object, hint: str) -> None:
+    """Each error says what is wrong."""
+    across, down, source, sink = change(  # type: ignore[operator]
+        np.zeros((3, 3)), np.zeros((2, 4)), np.zeros((3, 4)), np.zeros((3, 4))
+    )
+    with pytest.raises(ValueError, match=hint):
+        minimum_cut(Links(across, down), source, sink)
+
+
+def pictures(shape: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray, Mask, Mask]:  # type: ignore[type-arg]
+    """Return two random pictures, and the overlap's two sides."""
+    rng = np.random.default_rng(seed)
+    old, new = rng.random((2, *shape, 3)).astype(np.float32)
+    column = np.arange(shape[1]) * np.ones((shape[0], 1))
+    return old, new, column == 0, column == shape[1] - 1
+
+
+@pytest.mark.parametrize("normalized", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_seam_is_the_least_visible_of_all(normalized: bool, seed: int) -> None:
+    """By trying every labelling of a 3 x 4 overlap, with the cost of each link written out."""
+    old, new, fixed_old, fixed_new = pictures((3, 4), seed)
+    gradients = [[np.gradient(picture.astype(float), axis=axis) for axis in (0, 1)] for picture in (old, new)]
+
+    def link(s: tuple[int, int], t: tuple[int, int]) -> float:
+        cost = sum(float(np.linalg.norm(old[p].astype(float) - new[p])) for p in (s, t))
+        axis = 0 if s[1] == t[1] else 1
+        busy = sum(float(np.linalg.norm(one[axis][p])) for one in gradients for p in (s, t))
+        return cost / (busy + 1 / 255) if normalized else cost
+
+    def cost(mask: Mask) -> float:
+        pairs = [((y, x), (y, x + 1)) for y in range(3) for x in range(3)]
+        pairs += [((y, x), (y + 1, x)) for y in range(2) for x in range(4)]
+        return sum(link(s, t) for s, t in pairs if mask[s] != mask[t])
+
+    masks = (np.array(bits).reshape(3, 2) for bits in itertools.product([False, True], repeat=6))
+    edges = np.zeros((3, 1), bool), np.ones((3, 1), bool)
+    least = min(cost(np.hstack([edges[0], middle, edges[1]])) for middle in masks)
+    found = graphcut_seam(old, new, fixed_old, fixed_new, normalized=normalized)
+    assert not found[fixed_old].any() and found[fixed_new].all()
+    assert cost(found) == pytest.approx(least, rel=1e-6)
+
+
+def test_a_seam_follows_a_planted_path_where_the_pictures_agree() -> None:
+    """Two pictures that differ but for a zigzag are cut along the zigzag."""
+    rng = np.random.default_rng(0)
+    old, new, fixed_old, fixed_new = pictures((40, 20), 1)
+    path = np.clip(10 + np.cumsum(rng.integers(-1, 2, 40)), 2, 17)
+    for row, column in enumerate(path):
+        new[row, column - 1 : column + 2] = old[row, column - 1 : column + 2]
+    found = graphcut_seam(old, new, fixed_old, fixed_new)
+    np.testing.assert_array_less(np.abs(20 - found.sum(1) - path), 3)
+
+
+def test_pictures_that_agree_keep_the_old() -> None:
+    """Where nothing is to be gained only what must be new is new."""
+    old, _, fixed_old, fixed_new = pictures((6, 9), 0)
+    np.testing.assert_array_equal(graphcut_seam(old, old, fixed_old, fixed_new), fixed_new)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_old_seams_are_covered_where_that_is_worth_it(seed: int) -> None:
+    """By trying every labelling: an old seam counts as long as both its pixels stay, up to what covering both costs."""
+    old, new, fixed_old, fixed_new = pictures((3, 4), seed)
+    rng = np.random.default_rng(seed)
+    links = seam_links(old, new)
+    seams = Links(rng.random((3, 3)) * 2 * links.across, rng.random((2, 4)) * 2 * links.down)
+
+    def cost(mask: Mask) -> float:
+        total = 0.0
+        for kept, link, one, other in (
+            (seams.across, links.across, mask[:, 1:], mask[:, :-1]),
+            (seams.down, links.down, mask[1:], mask[:-1]),
+        ):
+            total += float(link[one != other].sum() + kept[~one & ~other].sum())
+        return total
+
+    masks = (np.array(bits).reshape(3, 2) for bits in itertools.product([False, True], repeat=6))
+    edges = np.zeros((3, 1), bool), np.ones((3, 1), bool)
+    least = min(cost(np.hstack([edges[0], middle, edges[1]])) for middle in masks)
+    assert cost(cut_overlap(links, fixed_old, fixed_new, seams)) == pytest.approx(least, abs=1e-9)
+
+
+def test_a_higher_power_prefers_many_weak_steps_to_a_strong_one() -> None:
+    """Squared, a short way over a strong difference costs more than a longer one over weak ones."""
+    old = np.zeros((3, 9, 1), np.float32)
+    new = np.full((3, 9, 1), 0.3, np.float32)
+    new[1] = 0.05
+    new[0, 4], new[2, 4] = 0.5, 0.5
+    plain, squared = (seam_links(old, new, power=power) for power in (1.0, 2.0))
+    assert plain.across.sum() == pytest.approx(np.sqrt(squared.across).sum())
+    strong, weak = plain.down[0, 4], plain.across[1, :3].sum()
+    assert strong > weak > 0
+    assert squared.down[0, 4] / squared.across[1, :3].sum() > strong / weak
