@@ -28,8 +28,7 @@ from nrbench.metrics.verdict.measurements import look_at_references
 from nrbench.metrics.verdict.reference import model_yardstick
 from nrbench.metrics.whole_elements.broken import BROKEN_SURPRISE, Broken, find_broken
 from nrbench.metrics.whole_elements.broken_map import broken_map, worst_tiles
-from nrbench.plugins.forms import Observation, Task
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Observation, Shape, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.oracle import Oracle
 from nrbench.synthesizers.rsgf import Rsgf

@@ -21,8 +21,7 @@ from nrbench.detectors.agreement.confidence import WEIGHTS
 from nrbench.detectors.consensus import Consensus
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.comparison import lattice_error
-from nrbench.plugins.detection import NoLatticeFound
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import NoLatticeFound, Texture
 
 MODELS = (
     *(

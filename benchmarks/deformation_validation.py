@@ -27,8 +27,7 @@ from nrbench.metrics.deformations.deformation_field import DeformationField
 from nrbench.metrics.deformations.tracks import obstacle, tracks
 from nrbench.metrics.geometry_appearance import GeometryAppearance
 from nrbench.metrics.self_similarity import SelfSimilarity
-from nrbench.plugins.forms import Metric, Observation, Task
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Metric, Observation, Shape, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.planted import Planted
 

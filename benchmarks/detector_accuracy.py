@@ -23,9 +23,8 @@ from nrbench.imaging.convert import Image, as_image, quantize
 from nrbench.jit import load_kernels
 from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import Detector, NoLatticeFound
+from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
 from nrbench.plugins.parameters import parse_spec
-from nrbench.plugins.texture import Texture
 
 DETECTORS = ("consensus", "gncc", "gncc:reject=none", "ssdn", "frdft:reject=none", "dominance", "dominance:reject=none")
 FAMILIES = {"brick": 17.3, "weave": 31.7, "hexagon": 11.9}

@@ -27,8 +27,7 @@ from nrbench.imaging.files import write_image
 from nrbench.jit import load_kernels
 from nrbench.metrics.regularity import Regularity
 from nrbench.metrics.source import SourceUse
-from nrbench.plugins.forms import Observation, Synthesis, Task
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Observation, Synthesis, Task, Texture
 from nrbench.synthesizers.ann_pixel import AnnPixel
 from nrbench.synthesizers.fftm_pixel import FftmPixel
 from nrbench.synthesizers.masks.fftm_mask import TextureMask

@@ -24,8 +24,7 @@ from nrbench.detectors.gncc import Gncc
 from nrbench.imaging.convert import Image, quantize
 from nrbench.jit import load_kernels
 from nrbench.lattice.comparison import lattice_error
-from nrbench.plugins.detection import NoLatticeFound
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import NoLatticeFound, Texture
 
 SIDE = 128
 SEEDS = range(10)

@@ -25,8 +25,7 @@ from nrbench.metrics.randomness import Randomness
 from nrbench.metrics.verdict.measurements import Look, look_at_references
 from nrbench.metrics.verdict.reference import Yardstick, model_yardstick
 from nrbench.metrics.verdict.verdict import Judgement, compare
-from nrbench.plugins.forms import Observation, Synthesizer, Task
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Observation, Shape, Synthesizer, Task, Texture
 from nrbench.running.outputs import checked_synthesis
 from nrbench.streams import stream
 from nrbench.synthesizers.planted import Planted

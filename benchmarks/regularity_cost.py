@@ -14,8 +14,7 @@ from scipy import fft
 from validation_textures import FIRST_SEED, specimen
 
 from nrbench.metrics.regularity import Regularity
-from nrbench.plugins.forms import Observation
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Observation, Texture
 
 IMAGE = np.random.default_rng(0).random((1024, 1024), np.float32)
 

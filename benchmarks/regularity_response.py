@@ -22,7 +22,7 @@ from nrbench.metrics.regularity import measured
 from nrbench.metrics.verdict.measurements import look_at_references
 from nrbench.metrics.verdict.reference import model_yardstick
 from nrbench.metrics.verdict.verdict import compare
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Shape, Texture
 
 SIDE = 256
 STEPS = np.arange(1, 9) / 8

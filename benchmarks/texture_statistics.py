@@ -29,7 +29,7 @@ import numpy as np
 
 from nrbench import plugins
 from nrbench.datasets_procedural.modelling.model import Model
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Texture
 
 RENDERS = 300
 SIDE = 96

@@ -17,8 +17,7 @@ from nrbench.datasets_procedural.corduroy import Corduroy
 from nrbench.datasets_procedural.windows import Windows
 from nrbench.imaging.convert import quantize
 from nrbench.jit import load_kernels
-from nrbench.plugins.forms import Refused, Synthesizer, Task
-from nrbench.plugins.texture import Dataset, Texture
+from nrbench.plugins.forms import Dataset, Refused, Synthesizer, Task, Texture
 from nrbench.suites.plan import drawn
 from nrbench.suites.suite import load_suite
 from nrbench.synthesizers.tile_set import TileSet

@@ -18,8 +18,7 @@ from nrbench.datasets_procedural.overlap import Overlap
 from nrbench.imaging.convert import Image
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Refused
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Refused, Texture
 
 MODEL = Overlap(period=36.7, color=0.15, intensity=0.1, noise=0.02)
 METHODS = ("fftm-pixel", "fftm-patch", "ann-pixel", "rsgf", "tile-set", "representative-tile")

@@ -15,8 +15,7 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.verdict.measurements import Look, look_at_references
 from nrbench.metrics.verdict.reference import Yardstick, best_yardstick, model_yardstick
 from nrbench.metrics.verdict.verdict import Judgement, compare
-from nrbench.plugins.forms import Again, Refused, Task
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Again, Refused, Shape, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.planted import Planted
 

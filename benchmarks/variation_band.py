@@ -41,8 +41,7 @@ from nrbench.metrics.residual_tiles.variety import Variety
 from nrbench.metrics.verdict.measurements import Look, look_at_references
 from nrbench.metrics.verdict.reference import FIRST_DRAW, Yardstick, model_yardstick
 from nrbench.metrics.verdict.verdict import compare, obstacle
-from nrbench.plugins.forms import Again, Observation, Refused, Synthesis, Task, Value
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Again, Observation, Refused, Synthesis, Task, Texture, Value
 from nrbench.running.outputs import checked_synthesis
 from nrbench.streams import stream
 from nrbench.suites.axes import Method

@@ -16,7 +16,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.plugins.texture import Region, Shape, Texture
+from nrbench.plugins.forms import Region, Shape, Texture
 
 from .modelling.checks import check
 from .photographs.truth import ENDINGS, read_rendered, read_truth

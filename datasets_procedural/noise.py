@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Shape, Texture
 
 from .modelling.checks import check, check_choice, check_shape, check_sizes
 from .modelling.fields import hashed, role_seed

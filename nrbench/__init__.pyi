@@ -6,14 +6,14 @@ from .api import synthesize as synthesize
 from .api import texture as texture
 from .errors import BadInput as BadInput
 from .lattice.geometry import Lattice as Lattice
-from .plugins.detection import Detection as Detection
-from .plugins.detection import NoLatticeFound as NoLatticeFound
 from .plugins.forms import Column as Column
+from .plugins.forms import Detection as Detection
+from .plugins.forms import NoLatticeFound as NoLatticeFound
 from .plugins.forms import Observation as Observation
 from .plugins.forms import Refused as Refused
 from .plugins.forms import Score as Score
 from .plugins.forms import Synthesis as Synthesis
 from .plugins.forms import Task as Task
-from .plugins.texture import Texture as Texture
+from .plugins.forms import Texture as Texture
 from .running.runner import Options as Options
 from .runs.records import Run as Run

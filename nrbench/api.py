@@ -16,9 +16,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, as_image, like_input, quantize
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.plugins.detection import Detection
-from nrbench.plugins.forms import Observation, Refused, Score, Synthesis, Task, Value
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Detection, Observation, Refused, Score, Shape, Synthesis, Task, Texture, Value
 from nrbench.running.outputs import checked_synthesis
 from nrbench.running.runner import Options, Progress, execute, working_metrics
 from nrbench.running.scoring import failure, scored

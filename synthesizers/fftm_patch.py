@@ -13,8 +13,7 @@ import numpy as np
 from nrbench.detectors.frdft import Frdft
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.plugins.forms import Refused, Synthesis, Task
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.spectra.harmonics import Channels, Harmonic, Signal
 
 from .masks.fftm_mask import Analysis, TextureMask

@@ -12,8 +12,7 @@ from typing import ClassVar
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, like_sample
 from nrbench.imaging.files import read_image
-from nrbench.plugins.forms import Refused, Synthesis, Task
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.streams import pixels_hash
 
 

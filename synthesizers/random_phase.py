@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.plugins.forms import Synthesis, Task
-from nrbench.plugins.texture import Kind, Shape
+from nrbench.plugins.forms import Kind, Shape, Synthesis, Task
 
 Planes = NDArray[np.float64]
 """``(C, H, W)``."""

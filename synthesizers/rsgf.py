@@ -10,8 +10,7 @@ from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.gncc import Gncc
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import Detector
-from nrbench.plugins.forms import FoundLattice, Synthesis, Task, find_lattice
+from nrbench.plugins.forms import Detector, FoundLattice, Synthesis, Task, find_lattice
 
 from .gap_filling.blocks import BlockGrid
 from .gap_filling.canvas import Canvas, Seam

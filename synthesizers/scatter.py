@@ -7,8 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nrbench.plugins.forms import Synthesis, Task
-from nrbench.plugins.texture import Kind
+from nrbench.plugins.forms import Kind, Synthesis, Task
 
 from .gap_filling.blocks import BlockGrid
 from .gap_filling.canvas import compose

@@ -12,8 +12,7 @@ from scipy import ndimage
 from nrbench.detectors.gncc import Gncc
 from nrbench.imaging.fold import Values, fold, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Refused, Synthesis, Task, require_lattice
-from nrbench.plugins.texture import Kind
+from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
 
 from .sampling.splines import resampled
 from .tiling import ASIDE, reach, whole_centres

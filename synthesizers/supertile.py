@@ -9,8 +9,7 @@ import numpy as np
 
 from nrbench.detectors.gncc import Gncc
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Refused, Synthesis, Task, require_lattice
-from nrbench.plugins.texture import Kind
+from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
 
 from .sampling.splines import resampled
 from .tiling import reach

@@ -12,8 +12,7 @@ from nrbench.detectors.gncc import Gncc
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import fold
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Refused, Synthesis, Task, require_lattice
-from nrbench.plugins.texture import Kind
+from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
 
 from .sampling.equal_places import EqualPlaces, pixel_grid
 from .sampling.patches import Patches, snapped

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from nrbench.errors import BadInput
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Shape
 
 LARGEST_AREA = 1 << 26
 """px^2 of the largest picture that a model draws: some 8000 x 8000, which takes a few GiB."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.lattice.geometry import Vector
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Shape
 
 Field = NDArray[np.float64]
 """One number for each point, any shape; usually ``(H, W)``."""

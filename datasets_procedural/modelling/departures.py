@@ -18,7 +18,7 @@ from scipy.ndimage import correlate1d
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.texture import Kind, Shape
+from nrbench.plugins.forms import Kind, Shape
 
 from .coordinates import Displacement, Field
 from .fields import factor_variance, factors, grain, role_seed, uniform, unit

@@ -14,7 +14,7 @@ import numpy as np
 
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.plugins.texture import Kind, Shape, Texture
+from nrbench.plugins.forms import Kind, Shape, Texture
 
 from .checks import check, check_shape, check_strengths
 from .coordinates import Field, Frame
@@ -172,7 +172,7 @@ class Model(ABC):
 
     @property
     def kind(self) -> Kind:
-        """The type of departures, see :class:`~nrbench.plugins.texture.Texture`."""
+        """The type of departures, see :class:`~nrbench.plugins.forms.Texture`."""
         return self.departures.kind
 
     def _tinted(self, x: Field, y: Field) -> Pattern:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Shape
 
 from .coordinates import Field
 from .fields import unit

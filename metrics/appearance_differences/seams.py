@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image, gray
 from nrbench.imaging.fold import Values, cell_coordinates, tile_grid
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Shape
 
 from .line_kernels import steep_line_sums, worst_of_parallels
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Shape
 from nrbench.tracking.tracker import Track
 
 _AFFINE = 3

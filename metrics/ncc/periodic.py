@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from nrbench.imaging.fold import Tile, Values, fold, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Shape
 
 from .colors import Colors
 from .dense_ncc import Bank

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.fold import Values
+from nrbench.imaging.parabola import find_vertex
 
 Map = NDArray[np.float32]
 _BATCH_PIXELS = 1 << 21
@@ -127,14 +128,7 @@ def peaks(surfaces: Map, where: NDArray[np.bool_] | None = None) -> tuple[NDArra
     rows, columns = np.nonzero(inner if where is None else inner & where)
     best = surfaces[:, rows, columns].argmax(1)
     rows, columns, each = rows[best], columns[best], np.arange(len(surfaces))
-    at = surfaces[each, rows, columns].astype(np.float64)
-    x, gain_x = _vertex(surfaces[each, rows, columns - 1], at, surfaces[each, rows, columns + 1])
-    y, gain_y = _vertex(surfaces[each, rows - 1, columns], at, surfaces[each, rows + 1, columns])
+    at = surfaces[each, rows, columns]
+    x, gain_x = find_vertex(surfaces[each, rows, columns - 1], at, surfaces[each, rows, columns + 1], climb=True)
+    y, gain_y = find_vertex(surfaces[each, rows - 1, columns], at, surfaces[each, rows + 1, columns], climb=True)
     return np.stack([columns + x, rows + y], -1), np.minimum(at + gain_x + gain_y, 1.0)
-
-
-def _vertex(left: Map, middle: NDArray[np.float64], right: Map) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return a parabola's offset from the middle of three points, in [-0.5, 0.5], and how far it rises above it."""
-    slope, bend = (right - left.astype(np.float64)) / 2, 2 * middle - left - right
-    offset = np.clip(slope / np.maximum(bend, 1e-12), -0.5, 0.5)
-    return offset, slope * offset - bend * offset**2 / 2

@@ -34,7 +34,7 @@ def survival(
     variety
         What is compared.
     elements
-        Of the sample, see :class:`~nrbench.plugins.texture.Texture`; empty where they are not known.
+        Of the sample, see :class:`~nrbench.plugins.forms.Texture`; empty where they are not known.
     """
     damage = [rows for name, rows in elements.items() if name.endswith(".damage")]
     if elements and not any((rows > 0).any() for rows in damage):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import Values, cut_tiles, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Shape
 
 Grid = tuple[int, int]
 QUARTERS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import Values, cut_tiles
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Observation
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Observation, Shape
 
 from ..verdict.measurements import Look
 from ..verdict.reference import FIRST_DRAW

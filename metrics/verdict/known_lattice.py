@@ -8,8 +8,7 @@ from typing import Literal
 from nrbench.detectors.dominance import Dominance
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import NoLatticeFound
-from nrbench.plugins.forms import Observation
+from nrbench.plugins.forms import NoLatticeFound, Observation
 
 Origin = Literal["model", "given", "dominance"]
 NO_LATTICE = "not applicable: no lattice in the truth"

@@ -8,7 +8,7 @@ import numpy as np
 
 from nrbench.lattice.comparison import LatticeError, lattice_error
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Shape
 
 from .window_registration import Placement, followers
 

@@ -12,8 +12,7 @@ from scipy import ndimage
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import Values, fold, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Again, Observation
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Again, Observation, Shape, Texture
 
 from ..ncc.periodic import LARGE, WINDOW_TILES, Periodic, tile_box, window_shape
 from . import limits

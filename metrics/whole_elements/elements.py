@@ -12,8 +12,9 @@ from scipy.spatial import cKDTree
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import Values
+from nrbench.imaging.parabola import find_vertex
 from nrbench.lattice.geometry import Lattice, Points, Vector
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Shape
 
 from ..ncc.periodic import HALVES
 from ..residual_tiles.tile_alignment import found_middles
@@ -163,12 +164,7 @@ def _peak(surface: NDArray[np.float64], row: int, column: int) -> Points:
     rows, columns = surface.shape
     across = surface[[(row - 1) % rows, row, (row + 1) % rows], column]
     along = surface[row, [(column - 1) % columns, column, (column + 1) % columns]]
-    return np.array([_vertex(along), _vertex(across)])
-
-
-def _vertex(three: NDArray[np.float64]) -> float:
-    bend = three[0] - 2 * three[1] + three[2]
-    return float(np.clip((three[0] - three[2]) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
+    return np.array([find_vertex(*along)[0], find_vertex(*across)[0]])
 
 
 def _smoothed(image: Image, spacing: float) -> Image:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from nrbench.imaging.overlay import COLOR
-from nrbench.plugins.detection import Curve, Surface
+from nrbench.plugins.forms import Curve, Surface
 
 PANEL = (5.6, 4.8)
 """Width and height of a panel, inches."""
@@ -32,7 +32,7 @@ def diagram(diagnostics: Mapping[str, Any], title: str = "") -> Figure | None:
     Parameters
     ----------
     diagnostics
-        Those of a :class:`~nrbench.plugins.detection.Detection`.
+        Those of a :class:`~nrbench.plugins.forms.Detection`.
     title
         Stands above.
 

@@ -79,7 +79,7 @@ def _by_hand(picture: Any, numbers: str | None, output: Path | None, as_json: bo
 def _detect(picture: Any, spec: str, output: Path | None, diagnostics: Path | None, as_json: bool) -> int:
     """Ask one detector."""
     from nrbench.api import detect_lattice
-    from nrbench.plugins.detection import NoLatticeFound
+    from nrbench.plugins.forms import NoLatticeFound
     from nrbench.plugins.parameters import parse_spec
 
     name, parameters = parse_spec(spec)

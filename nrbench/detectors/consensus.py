@@ -18,7 +18,7 @@ from nrbench.detectors.chance.surrogates import upper_limit
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.detection import Detection, NoLatticeFound, Surface
+from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
 from nrbench.streams import pixels_hash, stream
 
 TESTED = 256

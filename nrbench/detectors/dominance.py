@@ -22,7 +22,7 @@ from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.detection import Detection, NoLatticeFound, Surface
+from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
 from nrbench.streams import pixels_hash, stream
 
 MULTIPLES = 200

@@ -12,7 +12,7 @@ from nrbench.detectors.chance.surrogates import chance, upper_limit
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points, Vector
-from nrbench.plugins.detection import Detection, NoLatticeFound, Surface
+from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
 from nrbench.spectra.fundamentals import FINALISTS, Basis, find_fundamentals
 from nrbench.spectra.harmonic_fit import Fit, refine
 from nrbench.spectra.harmonic_grouping import waveset as to_waveset

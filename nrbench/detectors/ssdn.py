@@ -17,7 +17,7 @@ from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import FLAT, half_autocorrelation
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import Curve, Detection, NoLatticeFound
+from nrbench.plugins.forms import Curve, Detection, NoLatticeFound
 from nrbench.streams import pixels_hash, stream
 
 AXES = (("x", 1), ("y", 0))

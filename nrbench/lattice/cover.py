@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.lattice.geometry import Lattice, Points
-from nrbench.lattice.points_in_box import Integers
+from nrbench.lattice.geometry import Integers, Lattice, Points
 
 TOUCH = 1e-6
 """px by which a cell must reach into the image to meet it, or may reach out of it and still be whole."""

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nrbench.errors import BadInput
-from nrbench.lattice.geometry import Lattice, Points, shortest_pair
-from nrbench.lattice.points_in_box import Integers
+from nrbench.lattice.geometry import Integers, Lattice, Points, shortest_pair
 
 LARGEST = 10**9
 """Entries beyond this would not leave their products and determinants exact in 64 bits."""

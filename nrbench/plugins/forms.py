@@ -1,4 +1,4 @@
-"""What a method is asked, what it answers, and what a metric makes of it."""
+"""The forms of plugins: what a texture, a detection, a synthesis, an observation and a score are."""
 
 from __future__ import annotations
 
@@ -11,9 +11,165 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
-from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import Detector, NoLatticeFound
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.lattice.geometry import Lattice, Points
+
+Kind = Literal["0", "I", "II", "III", "stochastic"]
+Shape = tuple[int, int]
+"""(height, width) in px."""
+Region = tuple[int, int, int, int]
+"""(x0, y0, x1, y1) in px of the picture that a crop was cut from, half-open."""
+
+
+@dataclass(frozen=True)
+class Texture:
+    """An image, and the truth about it.
+
+    Parameters
+    ----------
+    image
+        The pixels, :data:`~nrbench.imaging.convert.Image`.
+    lattice
+        The smallest lattice of the ideal image, origin included; None where there is none or it is not known.
+    lattices
+        All lattices, where a texture has several (``lattice`` first).
+    name, family
+        For tables: the suite's row, and the group of rows it belongs to.
+    kind
+        ``"0"`` perfectly regular, ``"I"`` regular geometry with varying color, ``"II"`` varying geometry with regular
+        color, ``"III"`` both vary, ``"stochastic"`` no lattice; None where it is not known (photographs).
+    ideal
+        The periodic image, shape of ``image``: the mean over the model's draws at this lattice and phase, of undamaged
+        elements in their places; None unless the model is known.
+    displacement
+        ``float32 (H, W, 2)``: how far, (x, y) px, the content at each pixel has moved
+        from its ideal place; None: not at all.
+    elements
+        Departures of each element (brick, thread, tile) by name, one array each whose first axis counts elements.
+    regular_share
+        Variance of the mean over draws (the ideal image, but for damage and displacements) over mean total variance,
+        in [0, 1]; None where it is not known.
+    region
+        Where a photograph's crop was cut; None for models.
+    """
+
+    image: Image
+    lattice: Lattice | None = None
+    lattices: tuple[Lattice, ...] = ()
+    name: str = ""
+    family: str = ""
+    kind: Kind | None = None
+    ideal: Image | None = None
+    displacement: NDArray[np.float32] | None = None
+    elements: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    regular_share: float | None = None
+    region: Region | None = None
+
+
+@runtime_checkable
+class Dataset(Protocol):
+    """The form of a dataset plugin: a frozen dataclass with these two methods."""
+
+    def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
+        """Return a texture of ``shape``: lattice phase and departures drawn from ``rng``."""
+        ...
+
+    def again(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture | None:
+        """Return an independent draw: same model and lattice, origin included, fresh departures.
+
+        For a photograph, a region of ``shape`` disjoint from ``texture.region``. None where there is none.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A diagnostic that is drawn as a picture: a correlation, a spectrum.
+
+    Parameters
+    ----------
+    values
+        ``(H, W)``.
+    zero
+        (x, y) index of the sample at the coordinates' origin (lag 0, frequency 0).
+    peaks
+        ``(n, 2)``: the candidates, (x, y) in samples from ``zero``.
+    vectors
+        ``(2, 2)``, rows (x, y) in samples from ``zero``: the pair that was chosen; None where there is none.
+    """
+
+    values: NDArray[np.floating[Any]]
+    zero: tuple[int, int]
+    peaks: Points
+    vectors: Points | None = None
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A diagnostic that is drawn as a line: a one-dimensional search.
+
+    Parameters
+    ----------
+    x, y
+        ``(n,)`` each.
+    marks
+        The x that were chosen.
+    label
+        What x is, with its unit.
+    """
+
+    x: NDArray[np.floating[Any]]
+    y: NDArray[np.floating[Any]]
+    marks: tuple[float, ...] = ()
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Detection:
+    """A lattice found in an image.
+
+    Parameters
+    ----------
+    lattice
+        The lattice; its origin is a phase where the detector gives one, else (0, 0).
+    confidence
+        In [0, 1]; how each detector makes it is in its docstring.
+    diagnostics
+        What led to it, by name; each :class:`Surface` and :class:`Curve` can be drawn.
+    """
+
+    lattice: Lattice
+    confidence: float
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+
+
+class NoLatticeFound(Exception):
+    """The detector's "there is none": an answer, never a guess.
+
+    Parameters
+    ----------
+    reason
+        One sentence.
+    best
+        The best candidate that was rejected, or None.
+    """
+
+    def __init__(self, reason: str, best: Detection | None = None) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.best = best
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.reason, self.best)
+
+
+@runtime_checkable
+class Detector(Protocol):
+    """The form of a detector plugin: a frozen dataclass with this method."""
+
+    def detect(self, image: Image) -> Detection:
+        """Return the lattice of ``image``, or raise :class:`NoLatticeFound`."""
+        ...
+
 
 Again = Callable[[Shape, int], Texture | None]
 """``again(shape, k)``: the k-th independent draw of the sample's texture, same lattice and origin."""

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import SourceMap, Synthesis
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Shape, SourceMap, Synthesis
 
 COPY_TOLERANCE = 1.5 / 255
 """A pixel that a source map calls a plain copy may differ from its source by the rounding to 8 bits, no more."""

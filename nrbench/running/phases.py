@@ -10,8 +10,7 @@ from typing import Any
 
 from nrbench import plugins
 from nrbench.imaging.files import read_image, write_image
-from nrbench.plugins.forms import Again, Refused, Synthesis, Task, timed_detection
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Again, Refused, Shape, Synthesis, Task, Texture, timed_detection
 from nrbench.running.guard import cpu_seconds
 from nrbench.running.outputs import InvalidOutput, checked_synthesis, is_picture
 from nrbench.runs.store import CellFolder, read_json, write_arrays

@@ -17,8 +17,7 @@ from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Again, Observation, Score
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Again, Observation, Score, Texture
 from nrbench.running.phases import Send, read_cell
 from nrbench.runs.store import CellFolder, read_arrays, read_json, write_json
 from nrbench.streams import pixels_hash, stream

@@ -11,8 +11,7 @@ from typing import Any
 
 from nrbench import plugins
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Again, FoundLattice
-from nrbench.plugins.texture import Region, Shape, Texture
+from nrbench.plugins.forms import Again, FoundLattice, Region, Shape, Texture
 from nrbench.streams import stream
 
 RESULTS_VERSION = 4

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nrbench import plugins
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Texture
 from nrbench.streams import pixels_hash
 from nrbench.suites.cell import Recipe
 from nrbench.suites.suite import Suite, TextureRow

@@ -14,7 +14,7 @@ import numpy as np
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, as_image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Shape, Texture
 from nrbench.streams import pixels_hash
 from nrbench.suites.axes import Method, Source
 from nrbench.suites.cell import Cell, Recipe

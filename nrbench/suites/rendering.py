@@ -16,8 +16,8 @@ from nrbench.errors import BadInput
 from nrbench.imaging.contact_sheet import contact_sheet
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image, write_image
+from nrbench.plugins.forms import Texture
 from nrbench.plugins.parameters import parse_spec
-from nrbench.plugins.texture import Texture
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import Sample
 from nrbench.suites.rendered import KNOWN_FILE, SHEET, Rendered

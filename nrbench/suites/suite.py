@@ -17,8 +17,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 
 from nrbench import plugins
 from nrbench.errors import BadInput
+from nrbench.plugins.forms import Shape
 from nrbench.plugins.parameters import nearest
-from nrbench.plugins.texture import Shape
 
 LARGEST_SIDE = 16384
 DEFAULT = "default"

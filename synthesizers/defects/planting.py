@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Again, Refused
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Again, Refused, Shape
 
 Field = NDArray[np.intp]
 """``(H, W, 2)``: how far, (x, y) whole px, the content at each pixel has moved."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans, vq
 
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Shape
 
 from ..pixel_growing.neighborhoods import Integers, Layers, Neighborhood
 

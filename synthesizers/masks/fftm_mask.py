@@ -12,8 +12,7 @@ from skimage.color import rgb2ypbpr, ypbpr2rgb
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.plugins.forms import Refused
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Refused, Shape
 from nrbench.spectra.harmonics import Channels, Harmonic, Harmonics, Signal, analyze
 
 from ..sampling.two_periods import shows_two_periods

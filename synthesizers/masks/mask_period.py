@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.plugins.forms import Refused
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Refused, Shape
 
 from .common_period import misses
 from .fftm_mask import TextureMask

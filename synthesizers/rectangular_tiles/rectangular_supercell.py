@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nrbench.errors import BadInput
-from nrbench.lattice.geometry import Lattice, Points
-from nrbench.lattice.points_in_box import Integers, integers_within
+from nrbench.lattice.geometry import Integers, Lattice, Points, integers_within
 
 EXACT = 1e-6
 """Share of s within which a rectangle is a period whatever the tolerance: what rounding leaves."""

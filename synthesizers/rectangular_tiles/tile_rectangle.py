@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Refused
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Refused, Shape
 
 from ..sampling.patches import Patches
 from ..sampling.two_periods import WHOLE, require_two_periods

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nrbench.lattice.geometry import Lattice, Points, Vector
-from nrbench.lattice.points_in_box import integers_within
+from nrbench.lattice.geometry import Lattice, Points, Vector, integers_within
 
 Positions = NDArray[np.int64]
 """``int64 (n, 2)``: (x, y) of a patch's first pixel."""

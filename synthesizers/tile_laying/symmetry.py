@@ -10,6 +10,7 @@ from scipy import fft
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import fold
+from nrbench.imaging.parabola import find_vertex
 from nrbench.lattice.geometry import Lattice, Points
 
 SUPPORTED: Final = 0.9
@@ -86,9 +87,9 @@ def _alignment(sample: Image, other: Image, lattice: Lattice) -> tuple[Points, f
     spectra = np.conj(fft.rfft2(here, axes=(0, 1))) * fft.rfft2(there, axes=(0, 1))
     surface = fft.irfft2(spectra.sum(-1), here.shape[:2])
     row, column = np.unravel_index(int(surface.argmax()), surface.shape)
-    v = row + _vertex(surface[:, column], int(row))
-    u = column + _vertex(surface[row], int(column))
     rows, columns = surface.shape
+    v = row + find_vertex(*surface[[row - 1, row, (row + 1) % rows], column])[0]
+    u = column + find_vertex(*surface[row, [column - 1, column, (column + 1) % columns]])[0]
     return np.array([u / columns, v / rows]) @ lattice.matrix, float(surface[row, column])
 
 
@@ -96,10 +97,3 @@ def _whitened(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the tile less its channels' means, of unit norm."""
     centred = values - values.mean((0, 1))
     return np.asarray(centred / max(float(np.sqrt((centred**2).sum())), 1e-12))
-
-
-def _vertex(line: NDArray[np.float64], at: int) -> float:
-    """Return a parabola's offset from the highest of the values, which wrap round, in [-0.5, 0.5]."""
-    left, middle, right = line[at - 1], line[at], line[(at + 1) % len(line)]
-    bend = left - 2 * middle + right
-    return float(np.clip((left - right) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0

@@ -6,7 +6,7 @@ import matplotlib
 import numpy as np
 
 from nrbench.cli.detection_diagram import diagram
-from nrbench.plugins.detection import Curve, Surface
+from nrbench.plugins.forms import Curve, Surface
 
 PEAKS = np.array([(3.0, -4.0), (6.0, 2.0)])
 SURFACE = Surface(np.random.default_rng(0).random((21, 11)), (0, 10), PEAKS, np.array([(3.0, -4.0), (-6.0, -2.0)]))

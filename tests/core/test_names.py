@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize("first", ["import nrbench.plugins.texture", "from nrbench import plugins", "pass"])
+@pytest.mark.parametrize("first", ["import nrbench.plugins.forms", "from nrbench import plugins", "pass"])
 def test_a_function_keeps_its_name_beside_a_module(first: str) -> None:
     """``nrbench.texture`` is the function, whatever was imported before."""
     code = f"{first}; import nrbench; print(nrbench.texture('brick', shape=(16, 16)).image.shape)"

@@ -15,7 +15,7 @@ from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Texture
 
 MODELS = [
     plugin.cls for plugin in plugins.inventory("datasets") if plugin.cls is not None and issubclass(plugin.cls, Model)

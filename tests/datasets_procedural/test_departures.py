@@ -21,7 +21,7 @@ from nrbench.datasets_procedural.plaid import Plaid
 from nrbench.datasets_procedural.rug import Rug
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.datasets_procedural.windows import Windows
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Texture
 
 from .conftest import MODELS, NONE
 

@@ -13,7 +13,7 @@ from nrbench.datasets_procedural.images import Images, _free_corner
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image, write_image
-from nrbench.plugins.texture import Region
+from nrbench.plugins.forms import Region
 from nrbench.suites.plan import drawn
 from nrbench.suites.suite import load_suite
 

@@ -15,7 +15,7 @@ from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Texture
 
 from .conftest import MODELS, NONE, VARIANTS, render, truth
 

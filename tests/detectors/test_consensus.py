@@ -15,7 +15,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import Detection, NoLatticeFound
+from nrbench.plugins.forms import Detection, NoLatticeFound
 
 
 def exactly(found: Detection, truth: Lattice | None, image: Image, tolerance: float = 1.0) -> bool:

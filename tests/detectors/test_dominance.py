@@ -11,7 +11,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import Detector, NoLatticeFound, Surface
+from nrbench.plugins.forms import Detector, NoLatticeFound, Surface
 
 PERIODIC = {"color": 0.0, "noise": 0.0}
 FAST = Dominance(reject="none")

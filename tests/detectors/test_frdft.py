@@ -12,8 +12,7 @@ from nrbench.detectors.frdft import Frdft, surplus
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import Detector, NoLatticeFound
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
 from nrbench.spectra.fundamentals import Basis, Waveset, find_fundamental, find_fundamentals
 
 FAMILIES = {"brick": Brick, "weave": Weave, "hexagon": Hexagon}

@@ -13,8 +13,7 @@ from nrbench.detectors.gncc import Gncc
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.comparison import lattice_error
-from nrbench.plugins.detection import Detector, NoLatticeFound
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
 
 FAMILIES = {"brick": (Brick, 17.3), "weave": (Weave, 31.7), "hexagon": (Hexagon, 11.9)}
 FAST = Gncc(reject="none")

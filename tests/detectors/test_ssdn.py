@@ -10,7 +10,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import Curve, Detector, NoLatticeFound
+from nrbench.plugins.forms import Curve, Detector, NoLatticeFound
 
 PERIODIC = {"color": 0.0, "noise": 0.0}
 PAPER = Ssdn(subpixel=False, primitive=False, reject="none")

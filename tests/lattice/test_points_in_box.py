@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.lattice.points_in_box import integers_within
+from nrbench.lattice.geometry import integers_within
 
 CORNER = st.floats(-25, 25)
 SIZE = st.floats(0, 30)

@@ -14,8 +14,7 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
-from nrbench.plugins.forms import Observation, Task
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Observation, Shape, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.planted import Planted
 

@@ -14,8 +14,7 @@ from nrbench.metrics.appearance_differences.line_kernels import steep_line_sums
 from nrbench.metrics.appearance_differences.seams import worst_lines
 from nrbench.metrics.appearance_differences.tileable import border_excess
 from nrbench.metrics.appearance_differences.wasserstein import color_histograms, color_scale, cumulative, distance
-from nrbench.plugins.forms import Observation, Score
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Observation, Score, Texture
 
 from .conftest import MODELS, Case
 

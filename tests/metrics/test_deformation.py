@@ -20,8 +20,7 @@ from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.deformation import Deformation
 from nrbench.metrics.deformations.deformation_field import DeformationField, parts
-from nrbench.plugins.forms import Metric, Observation
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Metric, Observation, Texture
 from nrbench.tracking.local_phase import Nodes, cell_covariance
 from nrbench.tracking.tracker import MeanTile, Track, track
 from nrbench.tracking.unwrapping import LABELS, unwrap

@@ -9,8 +9,7 @@ import pytest
 
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.metrics.geometry_appearance import GeometryAppearance
-from nrbench.plugins.forms import Metric
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Metric, Texture
 
 from .conftest import Case
 from .test_deformation import seen

@@ -10,8 +10,7 @@ from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.integrity import Integrity
 from nrbench.metrics.whole_elements.composite_tiles import Joint, Whole, joined
-from nrbench.plugins.forms import Observation, Score, Task
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Observation, Score, Task, Texture
 from nrbench.synthesizers.rsgf import Rsgf
 
 from .conftest import MODELS, Case

@@ -8,8 +8,7 @@ from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.regularity import Regularity
 from nrbench.metrics.verdict.known_lattice import known_lattice, settled
-from nrbench.plugins.forms import Observation
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Observation, Texture
 
 from .conftest import MODELS, Case
 

@@ -7,8 +7,7 @@ import pytest
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.lattice_recovery import LatticeRecovery
-from nrbench.plugins.forms import FoundLattice, Metric, Observation
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import FoundLattice, Metric, Observation, Texture
 
 TRUTH = Lattice((20.0, 0.0), (10.0, 12.0))
 SAMPLE, OUTPUT = np.zeros((64, 64, 3), np.float32), np.zeros((200, 300, 3), np.float32)

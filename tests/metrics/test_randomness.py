@@ -10,8 +10,7 @@ from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.randomness import Randomness, sources
-from nrbench.plugins.forms import Observation, Score, Task
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Observation, Score, Task, Texture
 from nrbench.synthesizers.supertile import Supertile
 
 from .conftest import MODELS, Case

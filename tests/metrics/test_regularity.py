@@ -8,8 +8,7 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.regularity import Regularity
 from nrbench.metrics.verdict.verdict import judge
-from nrbench.plugins.forms import Observation, Score
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Observation, Score, Texture
 
 from .conftest import MODELS, Case
 

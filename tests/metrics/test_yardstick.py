@@ -11,7 +11,7 @@ from nrbench.metrics.verdict.limits import SURE_SHARE
 from nrbench.metrics.verdict.measurements import look_at_references
 from nrbench.metrics.verdict.reference import DRAWS, best_yardstick, sample_yardstick, yardstick
 from nrbench.metrics.verdict.verdict import compare
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Texture
 
 from .conftest import MODELS, Case
 

@@ -12,8 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from nrbench.imaging.convert import Image
-from nrbench.plugins.detection import Detection
-from nrbench.plugins.forms import Column, Observation, Refused, Score, Synthesis, Task
+from nrbench.plugins.forms import Column, Detection, Observation, Refused, Score, Synthesis, Task
 
 
 @dataclass(frozen=True)

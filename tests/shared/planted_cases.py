@@ -9,8 +9,7 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image
-from nrbench.plugins.forms import Again, Synthesis, Task
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Again, Shape, Synthesis, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.planted import Planted
 

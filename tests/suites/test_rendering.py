@@ -13,7 +13,7 @@ import pytest
 from nrbench.api import run
 from nrbench.errors import BadInput
 from nrbench.imaging.files import read_image, write_image
-from nrbench.plugins.texture import Texture
+from nrbench.plugins.forms import Texture
 from nrbench.running.runner import Options
 from nrbench.suites.cell import Cell, Recipe
 from nrbench.suites.plan import drawn, make_plan

@@ -11,8 +11,7 @@ from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.verdict.verdict import judge
-from nrbench.plugins.forms import Observation, Synthesizer, Task
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Observation, Shape, Synthesizer, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.representative_tile import RepresentativeTile
 from nrbench.synthesizers.rsgf import Rsgf

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from nrbench.plugins.forms import Refused, Task
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Refused, Shape, Task, Texture
 from nrbench.synthesizers.oracle import Oracle
 
 SAMPLE = np.full((20, 20, 3), 0.5, np.float32)

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from planted_cases import LARGEST, MODELS, TEXTURE, TEXTURES, Draws, S, plant, planted
 
-from nrbench.plugins.forms import Refused
-from nrbench.plugins.texture import Shape
+from nrbench.plugins.forms import Refused, Shape
 from nrbench.synthesizers.planted import FAULTS
 
 

@@ -5,8 +5,7 @@ import pytest
 from planted_cases import NEEDS_NO_LATTICE, TEXTURE, Draws, plant
 
 from nrbench.errors import BadInput
-from nrbench.plugins.forms import Refused
-from nrbench.plugins.texture import Shape, Texture
+from nrbench.plugins.forms import Refused, Shape, Texture
 from nrbench.synthesizers.defects.planting import read
 from nrbench.synthesizers.planted import FAULTS, Planted
 

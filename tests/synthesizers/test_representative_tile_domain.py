@@ -11,8 +11,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import Detection, NoLatticeFound
-from nrbench.plugins.forms import Refused, Task
+from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Task
 from nrbench.synthesizers.representative_tile import RepresentativeTile
 
 from .test_representative_tile import OBLIQUE, UPRIGHT, noise, synthesize, waves

@@ -12,8 +12,7 @@ from synthesis_cases import FRACTIONAL, noise, places, synthesize
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import Detection, NoLatticeFound
-from nrbench.plugins.forms import Refused, Task
+from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Task
 from nrbench.running.outputs import checked_synthesis
 from nrbench.synthesizers.gap_filling.canvas import Seam
 from nrbench.synthesizers.rsgf import Rsgf

@@ -3,8 +3,7 @@ import pytest
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import NoLatticeFound
-from nrbench.plugins.forms import Refused, Synthesis, Task
+from nrbench.plugins.forms import NoLatticeFound, Refused, Synthesis, Task
 from nrbench.running.outputs import checked_synthesis
 from nrbench.synthesizers.shuffle import Shuffle
 

@@ -13,8 +13,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import NoLatticeFound
-from nrbench.plugins.forms import Refused
+from nrbench.plugins.forms import NoLatticeFound, Refused
 from nrbench.synthesizers.tile_laying.frame import frame_of
 from nrbench.synthesizers.tile_set import TileSet
 

@@ -6,8 +6,7 @@ import pytest
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.detection import Detection, NoLatticeFound
-from nrbench.plugins.forms import Refused, Synthesis, Task
+from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Synthesis, Task
 from nrbench.synthesizers.tiling import Tiling, reach
 
 OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))

@@ -12,8 +12,7 @@ from scipy import ndimage
 
 from nrbench.detectors.agreement.evidence_kernels import between, jets
 from nrbench.imaging.correlation import Correlation
-from nrbench.lattice.geometry import Lattice, Points
-from nrbench.lattice.points_in_box import integers_within
+from nrbench.lattice.geometry import Lattice, Points, integers_within
 
 REACH = 0.75
 """Lags up to this share of the image's sides are compared: beyond, too little overlaps."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nrbench.detectors.autocorrelation.topography_kernels import prominences
 from nrbench.imaging.correlation import Correlation
+from nrbench.imaging.parabola import find_vertex
 from nrbench.lattice.geometry import Points
 
 Lags = NDArray[np.int64]
@@ -99,8 +100,5 @@ def subpixel(gamma: Correlation, lags: Lags) -> Points:
     """
     offsets = []
     for step in np.eye(2, dtype=np.int64):
-        before, here, after = (values_at(gamma, lags + k * step) for k in (-1, 0, 1))
-        curvature = 2 * here - before - after
-        maximum = (here >= before) & (here >= after) & (curvature > 0)
-        offsets.append(np.where(maximum, (after - before) / (2 * np.where(maximum, curvature, 1)), 0))
+        offsets.append(find_vertex(*(values_at(gamma, lags + k * step) for k in (-1, 0, 1)))[0])
     return np.asarray(lags + np.stack(offsets, 1))

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.imaging.parabola import find_vertex
+
 Values = NDArray[np.float64]
 
 NEAR = 1.5
@@ -72,17 +74,10 @@ def _follow(curve: Values, level: float, lag: int, subpixel: bool) -> Period:
     while abs(period - lag) <= LOST * lag and (k := len(peaks) + 1) * period <= len(curve) - 2:
         low = max(round(k * period - near), 1)
         place = low + int(curve[low : min(round(k * period + near) + 1, len(curve) - 1)].argmax())
-        peaks.append(_vertex(curve, place) if subpixel else float(place))
+        peaks.append(place + float(find_vertex(*curve[place - 1 : place + 2])[0]) if subpixel else float(place))
         heights.append(float(curve[place]))
         products, squares = products + k * peaks[-1], squares + k * k
         period = products / squares if subpixel else peaks[-1] / k
     height = float(np.mean(heights))
     far = float(np.average(heights, weights=np.square(np.arange(len(heights)) + 1.0))) - level
     return Period(period, tuple(peaks), height, height - level, far * float(np.sqrt(len(heights))))
-
-
-def _vertex(curve: Values, lag: int) -> float:
-    """Return where the parabola through a lag and its two neighbors is highest; the lag where it is no maximum."""
-    before, here, after = curve[lag - 1 : lag + 2]
-    maximum = here >= before and here >= after and 2 * here > before + after
-    return lag + float((after - before) / (2 * (2 * here - before - after))) if maximum else float(lag)
