@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 from nrbench.plugins.forms import Column, Observation, Score
 
-from .regularity import no_score
 from .verdict.verdict import judge, obstacle
 from .whole_elements.broken import BROKEN_SURPRISE, Broken, find_broken
 from .whole_elements.broken_map import broken_map, worst_tiles
@@ -59,16 +58,16 @@ class Integrity:
         """Return the scores, and two pictures: the ``broken`` tiles in their places, and the ``worst`` of them."""
         judgement = judge(observation)
         if judgement is None or obstacle(judgement):
-            return no_score(self.columns, obstacle(judgement, observation))
+            return Score.missing(self.columns, obstacle(judgement, observation))
         broken = find_broken(judgement, observation.sample, observation.again)
         if isinstance(broken, str):
-            return no_score(self.columns, broken)
+            return Score.missing(self.columns, broken)
         pictures = {"broken": broken_map(observation.output, broken)}
         if broken.number:
             pictures["worst"] = worst_tiles(observation.output, broken)
         if broken.power < LEAST_POWER:
             reason = f"undecided: only {broken.power:.0%} of tiles joined of two would be told from whole ones"
-            score = no_score(self.columns, reason)
+            score = Score.missing(self.columns, reason)
             reasons = {name: reason for name in self.columns if name != "power"}
             return Score({**score.values, "power": broken.power}, reasons, records=_records(broken))
         return Score(_values(broken), {}, pictures, _records(broken))

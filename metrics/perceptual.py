@@ -16,7 +16,6 @@ from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Column, Observation, Score
 
 from .appearance import fresh_images
-from .regularity import no_score
 
 piq: Any = lazy_loader.load("piq", error_on_import=False)
 torch: Any = lazy_loader.load("torch", error_on_import=False)
@@ -55,13 +54,13 @@ class Perceptual:
         if not reason and len(draws) < _DRAWS:
             reason = "not applicable: there are no fresh draws of the output's size"
         if reason:
-            return no_score(self.columns, reason)
+            return Score.missing(self.columns, reason)
         network = piq.DISTS()
         own = float(np.mean([_distance(network, observation.output, draw) for draw in draws]))
         pairs = [(one, other) for k, one in enumerate(draws) for other in draws[:k]]
         usual = float(np.mean([_distance(network, one, other) for one, other in pairs]))
         if not usual > 0:
-            return no_score(self.columns, "not applicable: fresh draws do not differ")
+            return Score.missing(self.columns, "not applicable: fresh draws do not differ")
         return Score({"dists": own / usual})
 
 

@@ -16,7 +16,6 @@ from nrbench.imaging.convert import Image, gray
 from nrbench.plugins.forms import Column, Observation, Score
 
 from .appearance import fresh_images
-from .regularity import no_score
 
 plenoptic: Any = lazy_loader.load("plenoptic", error_on_import=False)
 torch: Any = lazy_loader.load("torch", error_on_import=False)
@@ -55,11 +54,11 @@ class Portilla:
         """Return the distance, or None and why: the package is not there, or nothing to compare with."""
         obstacle = _obstacle(observation)
         if obstacle:
-            return no_score(self.columns, obstacle)
+            return Score.missing(self.columns, obstacle)
         side = _side(observation.output)
         draws = [statistics(_cropped(image, side)) for image in fresh_images(observation, _DRAWS)]
         if len(draws) < _DRAWS:
-            return no_score(self.columns, "not applicable: there are no fresh draws of the output's size")
+            return Score.missing(self.columns, "not applicable: there are no fresh draws of the output's size")
         own = departure(statistics(_cropped(observation.output, side)), np.array(draws))
         return Score({"distance": own / usual_departure(np.array(draws))})
 

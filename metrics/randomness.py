@@ -11,7 +11,6 @@ import numpy as np
 
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
-from .regularity import no_score
 from .residual_tiles.distance import distance
 from .residual_tiles.rare_elements import survival
 from .residual_tiles.repetition import SIZES, Library, Twins, sources, twins
@@ -83,17 +82,19 @@ class Randomness:
     def of(self, observation: Observation, judgement: Judgement | None) -> Score:
         """Return the scores, given what regularity has found (None: no lattice in the truth)."""
         if judgement is None or obstacle(judgement):
-            return no_score(self.columns, obstacle(judgement, observation))
+            return Score.missing(self.columns, obstacle(judgement, observation))
         if judgement.unsure:
-            return no_score(self.columns, f"not scored: the lattice may not be the sample's ({judgement.blindness})")
+            return Score.missing(
+                self.columns, f"not scored: the lattice may not be the sample's ({judgement.blindness})"
+            )
         if judgement.preserved is False:
-            return no_score(self.columns, f"not scored: regularity is lost ({judgement.faults[0]})")
+            return Score.missing(self.columns, f"not scored: regularity is lost ({judgement.faults[0]})")
         variety = Variety.of(observation, judgement)
         if variety.least < _LEAST_TILES:
-            return no_score(self.columns, f"undecided: fewer than {_LEAST_TILES} whole tiles to compare")
+            return Score.missing(self.columns, f"undecided: fewer than {_LEAST_TILES} whole tiles to compare")
         found = energies(variety)
         if min(found.reference, float(judgement.yardstick.periodic.variance.values.mean())) < _LEAST_VARIANCE:
-            return no_score(self.columns, "not applicable: the texture hardly varies from tile to tile")
+            return Score.missing(self.columns, "not applicable: the texture hardly varies from tile to tile")
         return _scored(observation, judgement, variety, found)
 
 

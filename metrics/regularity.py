@@ -98,15 +98,10 @@ class Regularity:
         """Return the scores, and the picture ``defects``: the output dimmed, bad tiles in color."""
         judgement = judge(observation)
         if judgement is None or obstacle(judgement):
-            return no_score(self.columns, obstacle(judgement, observation))
+            return Score.missing(self.columns, obstacle(judgement, observation))
         values = measured(judgement)
         reasons = {name: _reason(name, judgement) for name, value in values.items() if value is None}
         return Score(values, reasons, {"defects": defect_map(judgement)}, _records(judgement))
-
-
-def no_score(columns: Mapping[str, Column], reason: str) -> Score:
-    """Return None for every column, with the same reason."""
-    return Score(dict.fromkeys(columns), dict.fromkeys(columns, reason))
 
 
 def measured(judgement: Judgement) -> dict[str, Value]:

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from nrbench.plugins.forms import Column, Observation, Score, SourceMap
 
-from .regularity import no_score
-
 _SLACK = 0.25
 """A run goes on where the source moves by one pixel, give or take this: positions may be real-valued."""
 
@@ -41,9 +39,9 @@ class SourceUse:
         """Return the scores."""
         source = observation.source
         if source is None:
-            return no_score(self.columns, "not applicable: the method gives no source map")
+            return Score.missing(self.columns, "not applicable: the method gives no source map")
         if not np.isfinite(source).all(-1).any():
-            return no_score(self.columns, "not applicable: the source map names no pixel")
+            return Score.missing(self.columns, "not applicable: the source map names no pixel")
         counts = _uses(source, observation.sample.shape[:2])
         values = {"run": _run(source), "used": float((counts > 0).mean()), "entropy": _entropy(counts)}
         reasons = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,6 +177,7 @@ SourceMap = NDArray[np.float32]
 """``float32 (H, W, 3)``: for each output pixel the (x, y) of the sample pixel it came from (of the largest weight where
 several were blended) and that weight in (0, 1]. NaN where it came from none."""
 Value = float | bool | None
+T = TypeVar("T")
 
 
 class Refused(Exception):
@@ -375,6 +376,29 @@ class Observation:
     rng: np.random.Generator = field(default_factory=np.random.default_rng)
     cost: Mapping[str, float] = field(default_factory=dict)
     detected: FoundLattice | None = None
+    _shared: dict[Callable[[Observation], Any], Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def shared(self, make: Callable[[Observation], T]) -> T:
+        """Return ``make(self)``, computed on the first call and kept for all metrics of this observation.
+
+        Parameters
+        ----------
+        make
+            A function of the observation that does not use ``rng``: the metric that calls it first must not matter.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from nrbench import Observation
+        >>> white = np.ones((8, 8, 1), np.float32)
+        >>> observation = Observation(white, white)
+        >>> observation.shared(lambda seen: float(seen.output.mean()))
+        1.0
+        """
+        if make not in self._shared:
+            self._shared[make] = make(self)
+        found: T = self._shared[make]
+        return found
 
 
 @dataclass(frozen=True)
@@ -419,6 +443,11 @@ class Score:
     reasons: Mapping[str, str] = field(default_factory=dict)
     pictures: Mapping[str, Image] = field(default_factory=dict)
     records: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def missing(cls, columns: Mapping[str, Column], reason: str) -> Score:
+        """Return a score with None in every column, for one reason."""
+        return cls(dict.fromkeys(columns), dict.fromkeys(columns, reason))
 
 
 @runtime_checkable
