@@ -1,0 +1,153 @@
+"""The structure of the source tree: where plugins lie, and which folder may import which."""
+
+from __future__ import annotations
+
+import ast
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+WINGS = ("synthesizers", "metrics", "datasets_procedural", "reports")
+PLUGIN_FOLDERS = {
+    "nrbench.datasets": "nrbench.datasets_procedural",
+    "nrbench.detectors": "nrbench.detectors",
+    "nrbench.synthesizers": "nrbench.synthesizers",
+    "nrbench.metrics": "nrbench.metrics",
+    "nrbench.reports": "nrbench.reports",
+}
+FLOORS = (
+    ("nrbench.cli",),
+    ("nrbench.api",),
+    ("nrbench.labelling",),
+    ("nrbench.running",),
+    ("nrbench.runs",),
+    ("nrbench.suites",),
+    tuple(PLUGIN_FOLDERS.values()),
+    ("nrbench.plugins",),
+    ("nrbench.spectra",),
+    ("nrbench.tracking",),
+    ("nrbench.imaging",),
+    ("nrbench.lattice",),
+    ("nrbench.errors", "nrbench.streams", "nrbench.jit", "nrbench.policy", "nrbench.checkout"),
+)
+"""From the highest to the lowest. A module imports its own floor and those below; docs/structure.md shows the same."""
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Return the files of all modules by their dotted names."""
+    folders = {"nrbench": ROOT / "nrbench"} | {f"nrbench.{wing}": ROOT / wing for wing in WINGS}
+    found = {}
+    for package, folder in folders.items():
+        for file in folder.rglob("*.py"):
+            parts = file.relative_to(folder).with_suffix("").parts
+            found[".".join((package, *(parts[:-1] if parts[-1] == "__init__" else parts)))] = file
+    return found
+
+
+def package_of(module: str) -> str:
+    """Return the package that a module lies in; a package lies in itself."""
+    return module if modules()[module].name == "__init__.py" else module.rpartition(".")[0]
+
+
+@cache
+def imports(module: str) -> frozenset[str]:
+    """Return the modules of the project that a module imports, inside functions too."""
+    return frozenset(found for found in _imports(module) if found != module)
+
+
+def _imports(module: str) -> Iterator[str]:
+    for node in ast.walk(ast.parse(modules()[module].read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in modules())
+        elif isinstance(node, ast.ImportFrom):
+            above = package_of(module).split(".")
+            above = above[: len(above) - node.level + 1] if node.level else []
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            for alias in node.names:
+                name = f"{base}.{alias.name}"
+                yield from (found for found in (name if name in modules() else base,) if found in modules())
+
+
+def floor_of(module: str) -> int | None:
+    """Return the number of a module's floor from above; None for the package's own public names."""
+    for number, packages in enumerate(FLOORS):
+        if any(module == package or module.startswith(f"{package}.") for package in packages):
+            return number
+    assert module == "nrbench", f"{module} stands on no floor: add it to FLOORS and to docs/structure.md"
+    return None
+
+
+@pytest.mark.parametrize(("group", "folder"), PLUGIN_FOLDERS.items())
+def test_the_top_level_of_a_plugin_folder_holds_plugins_alone(group: str, folder: str) -> None:
+    """Each plugin's file is named like the plugin, and each file beside ``__init__.py`` is a plugin's."""
+    declared = PROJECT["project"]["entry-points"][group]
+    files = {name.rpartition(".")[2] for name in modules() if package_of(name) == folder and name != folder}
+    assert {name.replace("-", "_") for name in declared} == files
+    for name, value in declared.items():
+        assert value.partition(":")[0] == f"{folder}.{name.replace('-', '_')}"
+
+
+def test_no_plugin_folder_imports_another() -> None:
+    """Methods, metrics, models, reports and detectors share the core only; methods may call detectors."""
+    for module in modules():
+        own = [folder for folder in PLUGIN_FOLDERS.values() if f"{module}.".startswith(f"{folder}.")]
+        for imported in imports(module) if own else ():
+            others = set(PLUGIN_FOLDERS.values()) - {*own, "nrbench.detectors"}
+            assert not any(f"{imported}.".startswith(f"{other}.") for other in others), f"{module} imports {imported}"
+
+
+def test_imports_run_down() -> None:
+    """No module imports one of a higher floor, and the core names no plugin."""
+    for module in modules():
+        floor = floor_of(module)
+        for imported in imports(module) if floor is not None else ():
+            below = floor_of(imported)
+            assert below is not None and below >= floor, f"{module} imports {imported}, which stands above it"
+
+
+def test_the_core_names_no_plugin() -> None:
+    """Only plugin folders import from plugin folders: the core finds plugins by their entry points."""
+    for module in modules():
+        if not f"{module}.".startswith(tuple(f"{folder}." for folder in PLUGIN_FOLDERS.values())):
+            named = [name for name in imports(module) if name.startswith(tuple(PLUGIN_FOLDERS.values()))]
+            assert not named, f"{module} imports {named}"
+
+
+def test_no_two_packages_import_each_other() -> None:
+    """The packages can be read one after another: their imports have no circle."""
+    graph: dict[str, set[str]] = {}
+    for module in modules():
+        own = package_of(module)
+        if own != "nrbench":
+            graph.setdefault(own, set()).update(
+                package for package in map(package_of, imports(module)) if package not in (own, "nrbench")
+            )
+    tuple(TopologicalSorter(graph).static_order())
+
+
+def test_no_two_modules_import_each_other() -> None:
+    """Nor have the modules' imports a circle, inside functions either."""
+    tuple(TopologicalSorter({module: set(imports(module)) for module in modules()}).static_order())
+
+
+def test_an_init_file_holds_imports_only() -> None:
+    """A package's ``__init__.py`` computes nothing but the names it exports."""
+    for module, file in modules().items():
+        if file.name == "__init__.py" and module != "nrbench":
+            first, *rest = ast.parse(file.read_text("utf-8")).body
+            assert isinstance(first, ast.Expr), f"{module} has no docstring"
+            for node in rest:
+                assert isinstance(node, ast.ImportFrom | ast.Import | ast.Assign), f"{module}, line {node.lineno}"
+
+
+def test_every_package_is_declared_for_the_wheel() -> None:
+    """``pyproject.toml`` lists exactly the packages there are, so that a wheel lacks none."""
+    there = {name for name, file in modules().items() if file.name == "__init__.py"}
+    assert set(PROJECT["tool"]["setuptools"]["packages"]) == there
