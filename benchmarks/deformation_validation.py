@@ -23,8 +23,7 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import quantize
 from nrbench.metrics.deformation import Deformation
-from nrbench.metrics.deformations.deformation_field import DeformationField
-from nrbench.metrics.deformations.tracks import obstacle, tracks
+from nrbench.metrics.deformations.tracked_lattices import DeformationField, track_images
 from nrbench.metrics.geometry_appearance import GeometryAppearance
 from nrbench.metrics.self_similarity import SelfSimilarity
 from nrbench.plugins.forms import Metric, Observation, Shape, Task, Texture
@@ -107,8 +106,8 @@ def turned(seed: int, sizes: tuple[float, ...] = KNOB) -> Iterator[Planting]:
 
 def recovered(planting: Planting) -> tuple[float, float, float]:
     """Return the amplitude that was measured, the true one at the same points, and that of the error, all in s."""
-    found = tracks(planting.seen)
-    if found is None or obstacle(found):
+    found = planting.seen.shared(track_images)
+    if isinstance(found, str) or found.obstacle:
         return float("nan"), float("nan"), float("nan")
     field, s = DeformationField.of(found.output), found.output.lattice.s
     at = field.places.T[::-1]

@@ -1,4 +1,4 @@
-"""Deformation: how far content has moved off its lattice, how smoothly, and whether it folds over."""
+"""Deformation: amplitude, correlation length and folds of the displacement fields of sample and output."""
 
 from __future__ import annotations
 
@@ -12,90 +12,87 @@ import numpy as np
 from nrbench.plugins.forms import Column, Observation, Score, Value
 from nrbench.tracking.tracker import Track
 
-from .deformations.deformation_field import DeformationField, parts
-from .deformations.tracks import LEAST_CORRELATION, Tracks, obstacle, tracks
+from .deformations.tracked_lattices import LEAST_CORRELATION, DeformationField, Tracks, track_images
 
 LEAST_AMPLITUDE = 0.02
-"""Amplitude, of s, below which displacements are mostly errors of the tracker: they have no length worth a name."""
-Better = Literal["higher", "lower", "one", "none"]
+"""Amplitude, in units of s, below which displacements are mostly errors of the tracker."""
 Answer = float | str
-"""A value, or why there is none."""
+"""A value, or the reason why there is none."""
 
 
-def _column(meaning: str, unit: str = "", better: Better = "none") -> Column:
+def _column(meaning: str, unit: str = "", better: Literal["one", "none"] = "none") -> Column:
     return Column(meaning, unit, (0.0, math.inf), better)
 
 
-def _of(image: str) -> dict[str, Column]:
-    """Return the columns that describe one image, and say which."""
+def _columns_of(image: str) -> dict[str, Column]:
+    """Return the columns that describe the sample or the output."""
     start = "" if image == "output" else f"{image}_"
-    rms, far = "Root mean square displacement, its affine part left out, in the", "Distance at which displacements"
+    rms, far = "Root mean square displacement, without its affine part, in the", "Distance at which displacements"
     return {
         f"{start}amplitude": _column(f"{rms} {image}, over the shortest lattice vector s.", "of s"),
         f"{start}amplitude_px": _column(f"{rms} {image}.", "px"),
         f"{start}length": _column(f"{far} correlate by 1/e in the {image}, over s.", "of s"),
         f"{start}length_px": _column(f"{far} correlate by 1/e in the {image}.", "px"),
-        f"{start}folded": Column(f"Share of the {image}'s cells that are turned over.", better="none"),
+        f"{start}folded": Column(f"Share of the {image}'s cells that are folded over."),
     }
 
 
 @dataclass(frozen=True)
 class Deformation:
-    """The displacement field of sample and output, followed through their pixels.
+    """Displacement fields of sample and output, measured in their pixels.
 
-    The lattice is tracked tile by tile (:mod:`nrbench.tracking.tracker`): correlation with the mean tile under a window
-    of 1.5 tiles, unwrapped by continuity, refined by windows down to 1 tile. Of the places p of all lattice points at
-    least half a tile inside the image, the best regular fit (affine, least squares) is left out. *Amplitude* is the
-    root of sum |p - fit|^2 / (n - 3); *length* the distance at which the autocorrelation of p - fit falls to 1/e
-    (interpolated between steps of s / 2); *folded* the share of cells one of whose corners has a negative Jacobian.
-    Sample and output are compared in parts of equal size (the smaller of both), since a fit to a small image takes
-    more; a fresh draw, where there is one and the texture is deformed at all, over the whole.
+    The lattice is tracked tile by tile (:mod:`nrbench.tracking.tracker`): the image is correlated with the mean tile
+    under a window of 1.5 tiles, the displacements are unwrapped by continuity and refined by windows down to 1 tile.
+    Let p be the places of all lattice points that lie at least half a tile inside the image, and fit their best regular
+    fit (affine, least squares). The *amplitude* is the root of sum |p - fit|^2 / (n - 3). The *length* is the distance
+    at which the autocorrelation of p - fit falls to 1/e, interpolated between steps of s / 2. *Folded* is the share of
+    cells with a negative Jacobian at one of their corners. Sample and output are compared in parts of equal size (the
+    smaller of both), since an affine fit removes more from a small image. If the texture is deformed at all and has
+    fresh draws, the whole output is also compared with one of them.
 
-    What it follows: smooth displacements with slopes up to about 0.3, to within 10 % up to an amplitude of 0.25 s
-    (``benchmarks/deformation_validation.py``); above, tiles lock onto neighbors and the amplitude saturates. Parts of a
-    tile that move by themselves count as their mean. A region moved by a whole lattice vector has not moved.
+    The tracker follows smooth displacements with slopes up to about 0.3, to within 10 % up to an amplitude of 0.25 s
+    (``benchmarks/deformation_validation.py``). Above that tiles lock onto their neighbors and the amplitude saturates.
+    Parts of a tile that move independently count by their mean. A region that is moved by a whole lattice vector does
+    not count as moved.
     """
 
     version: ClassVar[str] = "1"
     columns: ClassVar[Mapping[str, Column]] = {
-        **_of("output"),
-        **_of("sample"),
+        **_columns_of("output"),
+        **_columns_of("sample"),
         "amplitude_ratio": _column(
             "Amplitude in the output over that in equally large parts of the sample.", "", "one"
         ),
-        "length_ratio": _column("Correlation length in the output over that in the sample, parts alike.", "", "one"),
+        "length_ratio": _column(
+            "Correlation length in the output over that in equally large parts of the sample.", "", "one"
+        ),
         "amplitude_to_fresh": _column("Amplitude in the output over that in a fresh draw.", "", "one"),
         "length_to_fresh": _column("Correlation length in the output over that in a fresh draw.", "", "one"),
-        "tracked": Column("Share of the output where the texture's tile was found.", better="higher"),
+        "tracked": Column("Share of the output in which the texture's tile was found.", better="higher"),
     }
 
     def score(self, observation: Observation) -> Score:
         """Return the scores."""
-        found = tracks(observation)
-        why = obstacle(found)
-        if found is None or why:
-            return _not_measured(self.columns, found, why)
+        tracks = observation.shared(track_images)
+        if isinstance(tracks, str):
+            return Score.missing(self.columns, tracks)
+        tracked = tracks.output.tracked_share(LEAST_CORRELATION)
+        if tracks.obstacle:
+            reasons = {name: tracks.obstacle for name in self.columns if name != "tracked"}
+            return Score({**dict.fromkeys(self.columns), "tracked": tracked}, reasons)
         answers = {
-            **_described(found.output, ""),
-            **_described(found.sample, "sample_"),
-            **_compared(found),
-            **_against_fresh(found),
-            "tracked": found.output.tracked(LEAST_CORRELATION),
+            **_describe(tracks.output, ""),
+            **_describe(tracks.sample, "sample_"),
+            **_compare_parts(tracks),
+            **_compare_fresh(tracks),
+            "tracked": tracked,
         }
         values: dict[str, Value] = {name: None if isinstance(one, str) else one for name, one in answers.items()}
         reasons = {name: one for name, one in answers.items() if isinstance(one, str)}
-        return Score(values, reasons, records={"points": len(found.output.numbers)})
+        return Score(values, reasons, records={"points": len(tracks.output.numbers)})
 
 
-def _not_measured(columns: Mapping[str, Column], found: Tracks | None, why: str) -> Score:
-    """Return None and the reason for all columns but the share that was tracked, which may be the reason."""
-    values: dict[str, Value] = dict.fromkeys(columns)
-    if found is not None:
-        values["tracked"] = found.output.tracked(LEAST_CORRELATION)
-    return Score(values, {name: why for name, value in values.items() if value is None})
-
-
-def _described(track: Track, start: str) -> dict[str, Answer]:
+def _describe(track: Track, start: str) -> dict[str, Answer]:
     """Return amplitude, correlation length and folded cells of one image."""
     field, s = DeformationField.of(track), track.lattice.s
     length, folded = _length(field), field.folded
@@ -115,44 +112,37 @@ def _length(field: DeformationField) -> float | str:
     return length if length is not None else "not measured: displacements correlate across the whole image"
 
 
-def _compared(found: Tracks) -> dict[str, Answer]:
-    """Return amplitude and length in equally large parts of output and sample, the first over the second."""
-    shapes = [track.image.shape[:2] for track in (found.output, found.sample)]
-    shape = min(shapes[0][0], shapes[1][0]), min(shapes[0][1], shapes[1][1])
-    both = [
-        parts(DeformationField.of(track), one, shape)
-        for track, one in zip((found.output, found.sample), shapes, strict=True)
-    ]
-    return _ratios(both[0], both[1], ("amplitude_ratio", "length_ratio"), "sample")
+def _compare_parts(tracks: Tracks) -> dict[str, Answer]:
+    """Return amplitude and length of the output over those of the sample, both in parts of equal size."""
+    both = tracks.output, tracks.sample
+    (height, width), (other_height, other_width) = (track.image.shape[:2] for track in both)
+    shape = min(height, other_height), min(width, other_width)
+    output, sample = (DeformationField.of(track).parts(track.image.shape[:2], shape) for track in both)
+    return _ratios(output, sample, ("amplitude_ratio", "length_ratio"), "sample")
 
 
-def _against_fresh(found: Tracks) -> dict[str, Answer]:
+def _compare_fresh(tracks: Tracks) -> dict[str, Answer]:
     names = ("amplitude_to_fresh", "length_to_fresh")
-    if found.again is None:
+    if tracks.again is None:
         return dict.fromkeys(names, "not measured: the texture has no fresh draws")
-    fields = [DeformationField.of(track) for track in (found.output, found.sample)]
-    if max(field.amplitude for field in fields) < LEAST_AMPLITUDE * found.output.lattice.s:
+    output, sample = (DeformationField.of(track) for track in (tracks.output, tracks.sample))
+    if max(output.amplitude, sample.amplitude) < LEAST_AMPLITUDE * output.lattice.s:
         return dict.fromkeys(names, "not applicable: neither sample nor output is deformed")
-    fresh = [DeformationField.of(track) for track in found.fresh]
-    return _ratios([fields[0]], fresh, names, "fresh draws")
+    fresh = [DeformationField.of(track) for track in tracks.fresh]
+    return _ratios([output], fresh, names, "fresh draws")
 
 
 def _ratios(
-    one: Sequence[DeformationField], other: Sequence[DeformationField], names: tuple[str, str], which: str
+    one: Sequence[DeformationField], other: Sequence[DeformationField], names: tuple[str, str], other_name: str
 ) -> dict[str, Answer]:
-    """Return the ratio of amplitudes and of correlation lengths, each the root mean square or the median of several."""
+    """Return the ratio of the root mean square amplitudes, and that of the median correlation lengths."""
     if not one or not other:
-        return dict.fromkeys(names, f"not measured: no part of output and {which} alike holds enough tiles")
+        return dict.fromkeys(names, f"not measured: no part of output and {other_name} holds enough tiles")
     sizes = [math.sqrt(float(np.mean([field.amplitude**2 for field in fields]))) for fields in (one, other)]
     if sizes[1] < LEAST_AMPLITUDE * other[0].lattice.s:
-        return dict.fromkeys(names, f"not applicable: hardly any deformation in the {which}")
-    lengths = [_typical(fields) for fields in (one, other)]
-    if lengths[0] is None or lengths[1] is None:
-        long = "not measured: displacements are too small, or correlate across the whole part"
-        return {names[0]: sizes[0] / sizes[1], names[1]: long}
-    return {names[0]: sizes[0] / sizes[1], names[1]: lengths[0] / lengths[1]}
-
-
-def _typical(fields: Sequence[DeformationField]) -> float | None:
-    lengths = [length for length in map(_length, fields) if isinstance(length, float)]
-    return float(np.median(lengths)) if lengths else None
+        return dict.fromkeys(names, f"not applicable: hardly any deformation in the {other_name}")
+    lengths = [[value for value in map(_length, fields) if isinstance(value, float)] for fields in (one, other)]
+    if not all(lengths):
+        reason = "not measured: displacements are too small, or correlate across the whole part"
+        return {names[0]: sizes[0] / sizes[1], names[1]: reason}
+    return {names[0]: sizes[0] / sizes[1], names[1]: float(np.median(lengths[0])) / float(np.median(lengths[1]))}

@@ -14,29 +14,28 @@ from nrbench.imaging.fold import Values, tile_grid
 from nrbench.plugins.forms import Column, Observation, Score, Value
 from nrbench.tracking.tracker import Track
 
-from .deformations.deformation_field import DeformationField
-from .deformations.tracks import obstacle, tracks
+from .deformations.tracked_lattices import DeformationField, track_images
 
 _LEAST_G, _LEAST_A = 0.005, 1 / 255
 
 
 @dataclass(frozen=True)
 class GeometryAppearance:
-    """How irregular the lattice is (G), and how unlike each other its tiles are (A); 0 for a perfectly regular texture.
+    """Irregularity of the lattice (G), and dissimilarity of its tiles (A); both are 0 for a perfectly regular texture.
 
     In the spirit of Liu, Lin, Hays: Near-regular texture analysis and manipulation (SIGGRAPH 2004), and Lin, Hays, Wu,
-    Kwatra, Liu: Quantitative evaluation of near regular texture synthesis algorithms (CVPR 2006), where a user helps to
-    find the lattice; here it is tracked (:class:`~.deformation.Deformation`). With p_i the places of the n lattice
-    points at least half a tile inside the image, k_i their whole cell coordinates, and (M, o) the affine map that fits
-    best::
+    Kwatra, Liu: Quantitative evaluation of near regular texture synthesis algorithms (CVPR 2006). There a user helps to
+    find the lattice; here it is tracked (:class:`~.deformation.Deformation`). Let p_i be the places of the n lattice
+    points that lie at least half a tile inside the image, k_i their integer cell coordinates, and (M, o) the affine map
+    that fits best. Then::
 
         G = sqrt(sum_i |p_i - (k_i M + o)|^2 / n) / s,   s the shortest lattice vector
         A = mean over pixels x of the tile and channels of std_i T_i(x)
 
-    where T_i is the i-th tile, straightened by the tracked lattice, and the standard deviation is taken over the n
-    tiles with n - 1 below the fraction, pixels in [0, 1]. Normalized so that images compare (G by s, A by n - 1), they
-    are not to be set beside figures printed in the papers. G takes each image as a whole; ``deformation`` compares
-    equal parts.
+    where T_i is the i-th tile, straightened by the tracked lattice, and std_i the standard deviation over the n tiles
+    (with the divisor n - 1) of pixels in [0, 1]. G is divided by s, and A is unbiased, so that images of different size
+    compare; do not compare them with figures printed in the papers. G describes each image as a whole, while
+    ``deformation`` compares parts of equal size.
     """
 
     version: ClassVar[str] = "1"
@@ -53,12 +52,12 @@ class GeometryAppearance:
 
     def score(self, observation: Observation) -> Score:
         """Return both scores for sample and output."""
-        found = tracks(observation)
-        why = obstacle(found)
-        if found is None or why:
-            return Score(dict.fromkeys(self.columns), dict.fromkeys(self.columns, why))
-        g, sample_g = (geometry(one) for one in (found.output, found.sample))
-        a, sample_a = (appearance(one) for one in (found.output, found.sample))
+        tracks = observation.shared(track_images)
+        reason = tracks if isinstance(tracks, str) else tracks.obstacle
+        if isinstance(tracks, str) or reason:
+            return Score.missing(self.columns, reason)
+        g, sample_g = (geometry(track) for track in (tracks.output, tracks.sample))
+        a, sample_a = (appearance(track) for track in (tracks.output, tracks.sample))
         values: dict[str, Value] = {
             "g": g,
             "a": a,
@@ -69,8 +68,8 @@ class GeometryAppearance:
             "g_ratio": g / sample_g if sample_g >= _LEAST_G else None,
             "a_ratio": a / sample_a if sample_a >= _LEAST_A else None,
         }
-        small = "not applicable: the sample's own is too near 0 for a ratio"
-        return Score(values, {name: small for name, value in values.items() if value is None})
+        reason = "not applicable: the sample's own value is too near 0 for a ratio"
+        return Score(values, {name: reason for name, value in values.items() if value is None})
 
 
 def geometry(track: Track) -> float:
@@ -88,6 +87,6 @@ def aligned_tiles(track: Track) -> Values:
     rows, columns = tile_grid(track.lattice)
     v, u = np.meshgrid((np.arange(rows) + 0.5) / rows - 0.5, (np.arange(columns) + 0.5) / columns - 0.5, indexing="ij")
     uv = track.numbers[:, np.newaxis, np.newaxis] + np.stack([u, v], -1)
-    at = np.moveaxis(track.found(uv), -1, 0)[::-1]
+    at = np.moveaxis(track.locate(uv), -1, 0)[::-1]
     planes = np.moveaxis(track.image, -1, 0)
     return np.stack([ndimage.map_coordinates(plane, at, np.float32, 1, "nearest") for plane in planes], -1)

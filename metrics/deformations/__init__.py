@@ -1,1 +1,1 @@
-"""TODO nrbench.metrics.deformations."""
+"""Displacement fields of tracked lattices."""

@@ -376,7 +376,9 @@ class Observation:
     rng: np.random.Generator = field(default_factory=np.random.default_rng)
     cost: Mapping[str, float] = field(default_factory=dict)
     detected: FoundLattice | None = None
-    _shared: dict[Callable[[Observation], Any], Any] = field(default_factory=dict, repr=False, compare=False)
+    _shared: dict[Callable[[Observation], Any], Any] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def shared(self, make: Callable[[Observation], T]) -> T:
         """Return ``make(self)``, computed on the first call and kept for all metrics of this observation.

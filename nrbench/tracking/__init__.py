@@ -1,1 +1,1 @@
-"""TODO nrbench.tracking."""
+"""Tracking of a lattice through a deformed image."""

@@ -1,4 +1,4 @@
-"""The compiled loop of unwrapping."""
+"""Compiled loop of :func:`nrbench.tracking.tracker.unwrap`."""
 
 from __future__ import annotations
 
@@ -20,25 +20,26 @@ def grow(
     matrix: NDArray[np.float64],
     sweeps: int,
 ) -> NDArray[np.float64]:
-    """Return the displacement (x, y) px of each node, ``(rows, columns, 2)``, continuous.
+    """Return a continuous displacement (x, y) px of each node, ``(rows, columns, 2)``.
 
-    Grown from the most trusted node, always the most trusted beside those known; then every node is asked again
-    ``sweeps`` times. Time grows with nodes times labels, and slowly (as a scan for the next node) with their square.
+    The field grows from the most trusted node, always by the most trusted of its neighbors. Then every node is revised
+    ``sweeps`` times. Time is linear in nodes times labels, plus a fast scan for the next node that is quadratic in the
+    nodes.
 
     Parameters
     ----------
     surfaces
         ``(rows, columns, n, n)``: correlation at displacement (i t1 + j t2) / n.
     trust
-        ``(rows, columns)``, positive: weight of each node in the mean of its neighbors.
+        ``(rows, columns)``, positive: weight of each node in the mean over neighbors.
     steps
         ``(n, n, 2)``: each displacement as its shortest representative.
     costs
-        ``(n, n)``: what that step away from the neighbors costs.
+        ``(n, n)``: cost of that step away from the neighbors' mean.
     matrix
         Rows t1 and t2.
     sweeps
-        How often.
+        How often every node is revised.
     """
     rows, columns, n = surfaces.shape[0], surfaces.shape[1], surfaces.shape[2]
     count = rows * columns

@@ -61,4 +61,4 @@ def test_no_lattice_is_not_applicable(case: Cases) -> None:
     one = case("brick").seen(case("brick").fresh())
     score = GeometryAppearance().score(replace(one, truth=Texture(one.sample)))
     assert set(score.values.values()) == {None}
-    assert set(score.reasons.values()) == {"not applicable: no lattice is known, or its mean tile is flat"}
+    assert set(score.reasons.values()) == {"not applicable: no lattice in the truth"}
