@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
+import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.resources import files
@@ -90,6 +92,75 @@ class TextureRow(BaseModel):
     level: float | None = None
 
 
+class GridPart(BaseModel):
+    """A part of a texture's row: some of its keys, and words for its texts."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    parameters: dict[str, Any] = {}
+
+
+class Grid(GridPart):
+    """Textures as a product: one row for each combination of one entry of each axis.
+
+    A row has the keys of the grid and of its entries. Where several give the same key, the later axis wins;
+    ``parameters`` are merged. ``{key}`` in a row's text stands for the value of that key. A key that no texture has
+    serves these texts only. The last axis varies fastest. The rows of all grids follow the ``[[texture]]`` tables.
+
+    Examples
+    --------
+    Four textures, from ``brick-mild`` to ``weave-strong``::
+
+        [[grid]]
+        name = "{dataset}-{strength}"
+        description = "{title} with {strength} colors."
+        parameters = { noise = 0.02 }
+        axes = [
+          [{ dataset = "brick", title = "Running bond" }, { dataset = "weave", title = "Plain weave" }],
+          [{ strength = "mild", parameters = { color = 0.1 } }, { strength = "strong", parameters = { color = 0.5 } }],
+        ]
+    """
+
+    axes: tuple[Annotated[tuple[GridPart, ...], Field(min_length=1)], ...] = ()
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield the rows.
+
+        Raises
+        ------
+        ValueError
+            When a text names a key that neither the grid nor its entries have, or when a key is used nowhere.
+        """
+        for entries in itertools.product(*self.axes):
+            row: dict[str, Any] = {}
+            parameters: dict[str, Any] = {}
+            for part in (self, *entries):
+                row |= part.model_extra or {}
+                parameters |= part.parameters
+            filled = {key: _filled(value, row) for key, value in row.items() if key in TextureRow.model_fields}
+            yield {**filled, "parameters": parameters}
+        extras = [part.model_extra or {} for part in (self, *itertools.chain.from_iterable(self.axes))]
+        used = {word for extra in extras for text in extra.values() for word in _WORD.findall(str(text))}
+        for key in (key for extra in extras for key in extra if key not in {*TextureRow.model_fields, *used}):
+            raise ValueError(
+                f"key {key!r} is not known, and no text has {{{key}}}{nearest(key, TextureRow.model_fields)}"
+            )
+
+
+def _filled(value: Any, row: Mapping[str, Any]) -> Any:
+    """Return a value of a row; in a text each ``{key}`` is replaced by the row's value of that key."""
+    if not isinstance(value, str):
+        return value
+    missing = [word for word in _WORD.findall(value) if word not in row]
+    if missing:
+        raise ValueError(
+            f"{value!r} has {{{missing[0]}}}, but a row has no key {missing[0]!r}{nearest(missing[0], row)}"
+        )
+    return _WORD.sub(lambda match: str(row[match[1]]), value)
+
+
+_WORD = re.compile(r"\{(\w+)\}")
+
+
 class Suite(BaseModel):
     """Textures x methods x lattice sources x replicates, and the seed of them all.
 
@@ -103,6 +174,9 @@ class Suite(BaseModel):
         The metrics that score the cells; none named: all that there are.
     methods
         Methods as on the command line: ``name:param=value,...``.
+    texture
+        The textures. In a file they are ``[[texture]]`` tables, or :class:`Grid` tables (``[[grid]]``), which stand for
+        several textures each.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -147,7 +221,7 @@ def validated_suite(content: dict[str, Any], where: str) -> Suite:
         For an unknown key (naming the nearest valid one), a wrong value, no texture, or two of the same name.
     """
     try:
-        suite = Suite.model_validate(content)
+        suite = Suite.model_validate(_without_grids(content, where))
     except ValidationError as error:
         raise BadInput(f"{where}: {_first(error)}") from error
     rows = [row.name for row in suite.texture]
@@ -157,6 +231,23 @@ def validated_suite(content: dict[str, Any], where: str) -> Suite:
     if not rows:
         raise BadInput(f"{where}: has no texture; add a [[texture]] table with name and dataset")
     return suite
+
+
+def _without_grids(content: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return the content of a suite with the rows of each grid written out."""
+    if "grid" not in content:
+        return content
+    grids, rows = content["grid"], list(content.get("texture", ()))
+    if not (isinstance(grids, list) and all(isinstance(table, dict) for table in grids)):
+        raise BadInput(f"{where}: grid: write [[grid]] in front of each grid")
+    for number, table in enumerate(grids):
+        try:
+            rows += Grid.model_validate(table).rows()
+        except ValidationError as error:
+            raise BadInput(f"{where}: grid.{number}.{_first(error)}") from error
+        except ValueError as error:
+            raise BadInput(f"{where}: grid.{number}: {error}") from None
+    return {**{key: value for key, value in content.items() if key != "grid"}, "texture": rows}
 
 
 def _first(error: ValidationError) -> str:

@@ -36,7 +36,7 @@ def asked(make_cell: MakeCell, make_run: MakeRun) -> Run:
     """Return a run of two detectors with every kind of answer, seen through two methods."""
 
     def cell(texture: str, source: str, detected: FoundLattice | None, **more: Any) -> CellRecord:
-        asked, method = (source.partition(":")[0], "1", {}), more.pop("method", "lattice_only")
+        asked, method = (source.partition(":")[0], "1", {}), more.pop("method", "lattice-only")
         return make_cell(texture, method, source, detector=asked, detected=detected, reference=True, **more)
 
     nothing = {"lattice_truth": None, "kind": "stochastic", "family": "noise"}

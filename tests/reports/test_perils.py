@@ -170,8 +170,8 @@ def test_captions_cover_nothing(seed: int) -> None:
 
 def test_captions_break_between_parameters() -> None:
     """A long name is broken after a colon or comma, before sources, and never inside them."""
-    assert wrapped("lattice_only:block=12,overlap=4 (given, own)").splitlines() == [
-        "lattice_only:block=12,", "overlap=4 (given, own)",
+    assert wrapped("lattice-only:block=12,overlap=4 (given, own)").splitlines() == [
+        "lattice-only:block=12,", "overlap=4 (given, own)",
     ]  # fmt: skip
 
 

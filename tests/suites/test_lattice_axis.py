@@ -17,11 +17,11 @@ from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import Suite, load_suite, validated_suite
 
 BRICK = {"name": "brick", "dataset": "brick", "parameters": {"color": 0.1}}
-METHODS = ("lattice_only", "rsgf:block=24,border=6,finder=gncc", "tiling")
+METHODS = ("lattice-only", "rsgf:block=24,border=6,finder=gncc", "tiling")
 NOISE = {"name": "noise", "dataset": "noise", "parameters": {"spectrum": "pink"}}
 
 
-def suite(*lattice: str, methods: tuple[str, ...] = ("lattice_only",), **more: object) -> Suite:
+def suite(*lattice: str, methods: tuple[str, ...] = ("lattice-only",), **more: object) -> Suite:
     """Return a suite of a brick wall and a noise."""
     axes = {"methods": methods, "lattice": lattice, "sample": "96x96", "size": "96x96"}
     content = {"name": "axis", "texture": [BRICK, NOISE], "metrics": ["lattice_recovery", "cost"], **axes, **more}
@@ -76,7 +76,7 @@ def test_a_detector_with_parameters_is_no_manual_lattice() -> None:
 def test_what_a_detector_said_is_in_the_record(asked: Run) -> None:
     """A lattice with confidence and seconds, or the reason why there is none."""
     records = {(record.texture, record.cell.method): record.cell.detected for record in asked.cells}
-    found, none = records["brick", "lattice_only"], records["noise", "lattice_only"]
+    found, none = records["brick", "lattice-only"], records["noise", "lattice-only"]
     assert found is not None and found.lattice is not None and found.confidence is not None and found.seconds > 0
     assert none is not None and none.lattice is None and "chance" in none.reason and none.seconds > 0
     assert records["noise", "tiling"] == none
@@ -86,9 +86,9 @@ def test_no_lattice_refuses_only_who_needs_one(asked: Run) -> None:
     """Where the detector finds none a method that needs a lattice is refused, one that does not goes on without."""
     status = {(record.texture, record.cell.method): record.status for record in asked.cells}
     assert status == {
-        ("brick", "lattice_only"): "ok",
+        ("brick", "lattice-only"): "ok",
         ("brick", "rsgf"): "ok",
-        ("noise", "lattice_only"): "ok",
+        ("noise", "lattice-only"): "ok",
         ("noise", "rsgf"): "ok",
         ("brick", "tiling"): "ok",
         ("noise", "tiling"): "refused",
@@ -106,7 +106,7 @@ def test_the_answer_reaches_the_tables(asked: Run) -> None:
     """Found or not, exact or not, confidence and seconds are columns; only the suite's metrics have any."""
     table = asked.table().set_index(["texture", "method"])
     assert {name.partition(".")[0] for name in asked.columns} == {"lattice_recovery", "cost"}
-    brick, noise = table.loc[("brick", "lattice_only")], table.loc[("noise", "lattice_only")]
+    brick, noise = table.loc[("brick", "lattice-only")], table.loc[("noise", "lattice-only")]
     assert brick["lattice_recovery.found"] and brick["lattice_recovery.exact"]
     assert 0 < brick["lattice_recovery.confidence"] <= 1 and brick["lattice_recovery.vector_error"] < 0.5
     assert noise["lattice_recovery.found"] is False
