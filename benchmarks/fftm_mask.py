@@ -110,7 +110,7 @@ def row(model: str, strength: tuple[float, float, float], seed: int, free: bool)
     """Return the figures of one texture."""
     color, intensity, noise = strength
     whole = (FAR * SIDE, FAR * SIDE)
-    texture = nrbench.plugins.forms(model, whole, seed, color=color, intensity=intensity, noise=noise)
+    texture = nrbench.texture(model, whole, seed, color=color, intensity=intensity, noise=noise)
     assert texture.ideal is not None and texture.lattice is not None
     sample = quantize(texture.image[:SIDE, :SIDE])
     values, ideal = planes(sample), planes(texture.ideal[:SIDE, :SIDE])
@@ -167,7 +167,7 @@ def mask_table(seeds: list[int], free: bool) -> None:
 def threshold_table(seed: int) -> None:
     """Print the number of waves (pairs f, -f) and the time by the threshold, as table 1 of the paper."""
     color, intensity, noise = STRENGTHS[1]
-    texture = nrbench.plugins.forms("brick", (SIDE, SIDE), seed, color=color, intensity=intensity, noise=noise)
+    texture = nrbench.texture("brick", (SIDE, SIDE), seed, color=color, intensity=intensity, noise=noise)
     sample = quantize(texture.image)
     print("\nthreshold (1/255)   free: pairs      u   tied: pairs      u")
     for threshold in (0.5, 1.0, 2.0, 5.0, 0.0):
@@ -182,7 +182,7 @@ def threshold_table(seed: int) -> None:
 def figure(folder: Path, seed: int) -> None:
     """Write a sample, and at 8x its free mask, its tied mask of the same threshold, and the automatic one."""
     color, intensity, noise = STRENGTHS[1]
-    texture = nrbench.plugins.forms("brick", (SIDE, SIDE), seed, color=color, intensity=intensity, noise=noise)
+    texture = nrbench.texture("brick", (SIDE, SIDE), seed, color=color, intensity=intensity, noise=noise)
     sample, side = quantize(texture.image), FAR * SIDE
     left = np.ones((side, SIDE, 3), np.float32)
     left[:SIDE] = sample

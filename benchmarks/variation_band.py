@@ -30,7 +30,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from reference_rows import LEAST, band
 
 from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
@@ -195,6 +194,20 @@ def table(arguments: argparse.Namespace) -> None:
         print_methods(str(suite), own)
     if arguments.each:
         print_each(told)
+
+
+LEAST = 20
+"""Fewer fresh draws make no band."""
+
+
+def band(values: pd.Series[float], level: float) -> tuple[float, float]:
+    """Return the ends between which the middle ``level`` of further values is expected: order statistics.
+
+    The r-th of n draws has r / (n + 1) of all further ones below it, whatever their distribution.
+    """
+    tail = (1 - level) / 2
+    low, high = np.quantile(values, [tail, 1 - tail], method="weibull")
+    return float(low), float(high)
 
 
 def judged(rows: pd.DataFrame) -> pd.DataFrame:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -379,6 +379,12 @@ class Observation:
     _shared: dict[Callable[[Observation], Any], Any] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
+
+    def with_stream(self, rng: np.random.Generator) -> Observation:
+        """Return the same observation with the random stream of another metric; what metrics share stays shared."""
+        observation = replace(self, rng=rng)
+        object.__setattr__(observation, "_shared", self._shared)
+        return observation
 
     def shared(self, make: Callable[[Observation], T]) -> T:
         """Return ``make(self)``, computed on the first call and kept for all metrics of this observation.

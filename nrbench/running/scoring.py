@@ -67,7 +67,7 @@ def scored(observation: Observation, name: str) -> Score:
     """
     metric = plugins.build("metrics", name)
     rng = stream("metric", pixels_hash(observation.output), name)
-    found: Score = metric.score(dataclasses.replace(observation, rng=rng))
+    found: Score = metric.score(observation.with_stream(rng))
     return dataclasses.replace(found, values=_checked_values(found, metric.columns))
 
 

@@ -20,7 +20,7 @@ class Broken:
 
 def pair() -> tuple[Any, Any, Any]:
     """Return a sample, an output of the same texture, and the lattice."""
-    sample, output = (nrbench.plugins.forms("brick", shape=(side, side), seed=0, color=0.3) for side in (128, 160))
+    sample, output = (nrbench.texture("brick", shape=(side, side), seed=0, color=0.3) for side in (128, 160))
     return sample.image, output.image, sample.lattice
 
 

@@ -14,7 +14,7 @@ SIZE = np.array([128.0, 128.0])
 
 def test_weak_signs_of_a_larger_tile_count() -> None:
     """English bond, whose courses differ little, has its own lattice, not the four times finer one of its headers."""
-    texture = nrbench.plugins.forms(
+    texture = nrbench.texture(
         "brick", shape=(160, 160), seed=3, bond="english", color=0.18, intensity=0.25, noise=0.04
     )
     found = analyze(texture.image.astype(np.float64), harmonics="tied")
@@ -34,7 +34,7 @@ def test_stripes_and_one_more_wave_are_no_lattice() -> None:
 
 def test_no_two_waves_of_a_mask_are_near() -> None:
     """Not even those that pixels fold back from beyond Nyquist: each is 3/4 bin from all others and their mirrors."""
-    texture = nrbench.plugins.forms("weave", seed=4, color=0.3, intensity=0.2, noise=0.03)
+    texture = nrbench.texture("weave", seed=4, color=0.3, intensity=0.2, noise=0.03)
     seen = folded(analyze(texture.image.astype(np.float64), harmonics="tied").frequencies)
     both = np.concatenate([seen, -seen])
     apart = np.hypot(*np.moveaxis(folded(both[:, np.newaxis] - both) * 128, 2, 0)) + 9 * np.eye(len(both))

@@ -20,7 +20,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 def drawn(model: str, seed: int, far: int = 1) -> tuple[Texture, Image]:
     """Return a texture of ``far`` times 128 px a side, and its first 128 as a sample."""
-    texture = nrbench.plugins.forms(model, shape=(128 * far, 128 * far), seed=seed, **STRENGTH)
+    texture = nrbench.texture(model, shape=(128 * far, 128 * far), seed=seed, **STRENGTH)
     return texture, quantize(texture.image[:128, :128])
 
 
@@ -76,14 +76,14 @@ def test_windows_are_of_one_picture() -> None:
 def test_noise_has_no_regular_part(spectrum: str, seed: int) -> None:
     """Textures without a lattice, whatever their spectrum, are refused."""
     with pytest.raises(Refused, match="no regular part"):
-        Analysis().of(quantize(nrbench.plugins.forms("noise", seed=seed, spectrum=spectrum).image))
+        Analysis().of(quantize(nrbench.texture("noise", seed=seed, spectrum=spectrum).image))
 
 
 @pytest.mark.parametrize("seed", [6, 8])
 def test_less_than_a_tile_has_no_regular_part(seed: int) -> None:
     """Of pieces nearly as large as the sample nothing is seen twice; waves of an edge and one more are no lattice."""
     known = {"width": 127.3, "height": 117.1, "gap": 3.1, "color": 0.2, "intensity": 0.15, "noise": 0.03}
-    texture = nrbench.plugins.forms("jigsaw", (160, 160), seed, **known)
+    texture = nrbench.texture("jigsaw", (160, 160), seed, **known)
     with pytest.raises(Refused, match="no regular part"):
         Analysis().of(quantize(texture.image))
 
@@ -116,7 +116,7 @@ def test_pinstripes_are_one_group(period: float) -> None:
 
 def test_two_lattices_have_a_common_tile() -> None:
     """Squares over hexagons are two groups of two; the tile of both is five squares wide, beyond the sample."""
-    texture = nrbench.plugins.forms(
+    texture = nrbench.texture(
         "overlap", shape=(160, 160), seed=5, period=36.6, color=0.15, intensity=0.1, noise=0.02
     )
     mask = Analysis().of(quantize(texture.image))
@@ -204,7 +204,7 @@ def test_small_and_odd_samples_are_refused_or_masked(shape: tuple[int, int], kin
 @pytest.mark.parametrize(("color", "seed"), [(0.14, 56), (0.3, 57)])
 def test_what_threads_have_in_common_by_chance_is_no_larger_tile(color: float, seed: int) -> None:
     """The lattice is the weave's, though some of its threads' colors nearly repeat after five rows."""
-    texture = nrbench.plugins.forms("weave", shape=(128, 128), seed=seed, color=color, intensity=color / 2, noise=0.03)
+    texture = nrbench.texture("weave", shape=(128, 128), seed=seed, color=color, intensity=color / 2, noise=0.03)
     mask = Analysis().of(quantize(texture.image))
     assert texture.lattice is not None and mask.lattice is not None
     assert mask.lattice.is_equivalent(texture.lattice, 0.1)

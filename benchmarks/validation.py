@@ -1,0 +1,514 @@
+"""Validation of the scores: planted defects and fresh draws as ordinary runs, and the tables of docs/validation.md.
+
+``python benchmarks/validation.py STUDY [--count N] [--replicates N] [--sides 256 512] [--half report] [--jobs 2]``
+
+Each study is an ordinary run of ``oracle`` (fresh draws) and ``planted`` (fresh draws with one known defect) on
+textures whose models are known. The run lies in ``runs/validation/``: the same command resumes it, more replicates add
+to it, and ``nrbench report`` shows its pictures.
+
+``verdict``
+    Textures of random periods, rotations and mixes of departures at six regular shares. Prints false alarms of
+    ``regularity`` and ``integrity`` on fresh draws, how near fresh draws come to each limit, and for each planted
+    defect the area under the ROC curve (AUC) and the shares called lost and undecided, by regular share.
+``response``
+    Three textures of regular share 0.8, each defect at eight sizes. Prints Spearman's correlation over single images
+    of the defect's size with the column that is meant for it, and the column's values at both ends.
+``silence``
+    The same textures, each defect at one size, all metrics. Prints the share of images outside the 95 % prediction
+    interval of fresh draws, by defect and column: about 0.05 where the column does not respond to the defect.
+``without-model``
+    The outputs of ``verdict`` again, judged by sample and lattice alone. Prints the same tables.
+``invariance``
+    Fresh draws of the textures of ``response``, described by another basis, another origin, and at another phase.
+    Prints the largest change of each column of ``regularity`` over its standard deviation over fresh draws.
+``departures``
+    The textures of ``response``, bent, jittered and colored at eight levels. Prints Spearman's correlation of the level
+    with the columns of ``deformation``, ``geometry_appearance`` and ``self_similarity`` over fresh draws.
+``references``
+    Fresh draws and the baselines on the textures of type I of ``core`` and ``report2004``. Prints how many of a second
+    set of fresh draws lie in the 95 % band of the first, and in which columns each baseline lies outside the 99 % band.
+
+Limits are set on the textures of ``--half calibration``; figures are reported for those of ``--half report``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import binomtest, mannwhitneyu, spearmanr
+from scipy.stats import t as student
+
+import nrbench
+from nrbench import plugins
+from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.hexagon import Hexagon
+from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.datasets_procedural.weave import Weave
+from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.files import read_image
+from nrbench.metrics.regularity import Regularity
+from nrbench.plugins.forms import Again, Shape
+from nrbench.streams import stream
+from nrbench.suites.suite import load_suite, validated_suite
+
+Row = dict[str, Any]
+FIRST_SEED = {"calibration": 0, "report": 100_000}
+SHARES = (0.93, 0.8, 0.7, 0.55, 0.4, 0.3)
+RESPONSE_TEXTURES = (14, 15, 16)
+"""Numbers of the textures of ``response`` and ``silence``: brick, weave and hexagon of regular share 0.8."""
+
+DEFECTS: Mapping[str, tuple[float, ...]] = {
+    "phase-step": (0.1, 0.15, 0.3),
+    "slipped-course": (0.1, 0.15, 0.3),
+    "stretch": (0.01, 0.02, 0.03),
+    "warp": (0.1, 0.15, 0.3),
+    "off-lattice": (0.1, 0.15, 0.3),
+    "dropped-row": (0.5,),
+    "doubled-row": (0.5,),
+    "displaced-tile": (0.15, 0.3, 0.4),
+    "missing-tile": (0.6, 1.0),
+    "doubled-tile": (0.3, 0.5),
+    "two-tone": (0.03, 0.08, 0.25),
+    "blurred-band": (0.2,),
+    "seam": (0.1,),
+    "color-mean": (0.1,),
+    "over-regular": (0.6,),
+    "verbatim": (0.4,),
+}
+"""The sizes at which ``verdict`` plants each defect; ``silence`` takes the middle one."""
+
+RESPONSES: Mapping[str, tuple[float, tuple[str, ...]]] = {
+    "phase-step": (0.45, ("regularity.misplacement_p95",)),
+    "slipped-course": (0.45, ("regularity.worst_tile_displacement",)),
+    "stretch": (0.03, ("regularity.drift",)),
+    "warp": (0.45, ("regularity.pairwise_displacement", "deformation.amplitude")),
+    "off-lattice": (0.25, ("regularity.misplacement_p95",)),
+    "dropped-row": (0.45, ("regularity.misplacement_p95",)),
+    "doubled-row": (0.45, ("regularity.misplacement_p95",)),
+    "displaced-tile": (0.45, ("regularity.worst_tile_displacement",)),
+    "missing-tile": (1.0, ("regularity.worst_tile",)),
+    "doubled-tile": (0.5, ("regularity.worst_tile",)),
+    "two-tone": (0.5, ("integrity.broken_share",)),
+    "blurred-band": (1.0, ("appearance.sharpness_worst",)),
+    "seam": (0.5, ("appearance.seam",)),
+    "color-mean": (1.0, ("appearance.color",)),
+    "over-regular": (0.8, ("randomness.variation", "randomness.distance")),
+    "verbatim": (0.5, ("randomness.repetition",)),
+}
+"""For each defect the size at which it saturates, and the columns that are meant for it."""
+
+LEVELS = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
+"""Levels of the departures of a model in ``departures``."""
+BASELINES = ("tiling", "supertile", "shuffle", "random-phase", "scatter")
+HEADLINES = (
+    "regularity.preserved",
+    "regularity.score",
+    "randomness.variation",
+    "randomness.repetition",
+    "randomness.distance",
+)
+LEAST_BAND = 20
+"""Fewer fresh draws make no band."""
+
+
+def texture_row(seed: int) -> Row:
+    """Return a suite's row for a texture: family, rotation and regular share by the seed, the rest at random."""
+    rng = stream("render", "validation", seed)
+    family, rotated, share = seed % 3, seed // 3 % 2, SHARES[seed // 6 % len(SHARES)]
+    model = at_share(
+        random_model(family, float(rng.uniform(-45, 45)) if rotated else 0.0, rng), rng.dirichlet([1, 1, 1]), share
+    )
+    name = type(model).__name__.lower()
+    parameters = {key: round(value, 6) for key, value in asdict(model).items() if value != getattr(type(model), key)}
+    return {"name": f"{name}-{seed}", "dataset": name, "family": f"{share:.2f}", "parameters": parameters}
+
+
+def random_model(family: int, rotation: float, rng: np.random.Generator) -> Model:
+    """Return a brick wall, a weave or a hexagonal pattern of random periods."""
+    if family == 0:
+        width, height, joint = rng.uniform(22, 36), rng.uniform(11, 17), rng.uniform(1.8, 3)
+        return Brick(rotation=rotation, width=width, height=height, joint=joint)
+    if family == 1:
+        warp, weft, gap = rng.uniform(9, 16), rng.uniform(9, 16), rng.uniform(1.2, 2.2)
+        return Weave(rotation=rotation, warp=warp, weft=weft, gap=gap)
+    return Hexagon(rotation=rotation, period=rng.uniform(18, 34), joint=rng.uniform(1.8, 3.2))
+
+
+def at_share(model: Model, mix: NDArray[np.float64], share: float) -> Model:
+    """Return the model with departures in the proportions ``mix``, as strong as the regular share allows."""
+
+    def at(level: float) -> Model:
+        color, intensity, noise = (float(min(1, level * part)) for part in 3 * mix * (1, 1, 0.3))
+        return replace(model, color=color, intensity=intensity, noise=noise)
+
+    low, high = 0.0, 1.0
+    for _ in range(25):
+        level = (low + high) / 2
+        low, high = (level, high) if at(level).regular_share > share else (low, level)
+    return at(low)
+
+
+def planted(kind: str, size: float) -> str:
+    """Return the method that plants a defect."""
+    return f"planted:kind={kind},size={size:g}"
+
+
+def run_study(name: str, options: argparse.Namespace, rows: list[Row], methods: list[str], **keys: Any) -> pd.DataFrame:
+    """Run a study on textures, and return its table with the defect's ``kind`` and ``size`` and the excesses."""
+    content = {
+        **{"name": f"validation-{name}", "seed": FIRST_SEED[options.half], "sample": "128x128", "lattice": ["given"]},
+        **{"replicates": options.replicates, "texture": rows, "methods": methods},
+        **keys,
+    }
+    out = Path(options.out) / f"{name}-{options.half}-{keys.get('size', 'own')!s}"
+    chosen = nrbench.Options(jobs=options.jobs)
+    run = nrbench.run(validated_suite(content, name), out=out, options=chosen, progress=show_progress)
+    table = run.table()
+    parameters = [record.parameters for record in run.cells]
+    table["defect"] = [each.get("kind", "none") for each in parameters]
+    table["size"] = [float(each.get("size", 0)) for each in parameters]
+    table["excess"] = [record.records.get("regularity", {}).get("excess", {}) for record in run.cells]
+    table["worst_excess"] = [max(each.values(), default=np.nan) for each in table["excess"]]
+    return table[table["status"] == "ok"]
+
+
+def run_folder(name: str, options: argparse.Namespace, size: str) -> Path:
+    """Return the run directory of a study."""
+    return Path(options.out) / f"{name}-{options.half}-{size}"
+
+
+def show_progress(done: int, total: int, what: str) -> None:
+    """Print a line for each hundredth cell."""
+    if done == total or not done % 100:
+        print(f"{done} of {total} cells", flush=True)
+
+
+def auc(low: pd.Series[float], high: pd.Series[float]) -> float:
+    """Return how often a value of ``high`` exceeds one of ``low``, ties counting half; NaN if one has no value."""
+    low, high = low.dropna(), high.dropna()
+    return float(mannwhitneyu(high, low).statistic) / (len(low) * len(high)) if len(low) and len(high) else np.nan
+
+
+def upper_bound(events: int, trials: int) -> float:
+    """Return the one-sided 95 % Clopper-Pearson bound of a rate."""
+    return float(binomtest(events, trials).proportion_ci(0.9, "exact").high) if trials else 1.0
+
+
+def print_head(*names: str) -> None:
+    """Print the head of a Markdown table."""
+    print(f"\n| {' | '.join(names)} |\n|{' --- |' * len(names)}")
+
+
+def print_row(*cells: object) -> None:
+    """Print a row of a Markdown table."""
+    print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
+def study_verdict(options: argparse.Namespace) -> None:
+    """Print false alarms, margins and detection on textures of all regular shares."""
+    rows = [texture_row(FIRST_SEED[options.half] + number) for number in range(options.count)]
+    methods = ["oracle", *(planted(kind, size) for kind, sizes in DEFECTS.items() for size in sizes)]
+    for side in options.sides:
+        table = run_study("verdict", options, rows, methods, size=f"{side}x{side}", metrics=["regularity", "integrity"])
+        fresh = table[table["defect"] == "none"]
+        print_alarms(fresh, side)
+        print_margins(fresh)
+        print_detection(table, fresh)
+
+
+def print_alarms(fresh: pd.DataFrame, side: int) -> None:
+    """Print how many fresh draws have a fault, with the one-sided 95 % bound of the rate."""
+    print(f"\nFalse alarms: fresh draws of {side} x {side} px.")
+    print_head("share", "n", "lost", "95 % bound", "undecided", "not intact", "n integrity", "broken", "95 % bound")
+    for share, own in [*fresh.groupby("family"), ("all", fresh)]:
+        kept, tiles = own["regularity.preserved"], own["integrity.broken_tiles"].dropna()
+        lost, broken = int((kept == False).sum()), int((tiles > 0).sum())  # noqa: E712
+        intact = int((own["regularity.intact"] == False).sum())  # noqa: E712
+        print_row(
+            *(share, len(own), lost, f"{upper_bound(lost, len(own)):.4f}", int(kept.isna().sum()), intact),
+            *(len(tiles), broken, f"{upper_bound(broken, len(tiles)):.4f}"),
+        )
+
+
+def print_margins(fresh: pd.DataFrame) -> None:
+    """Print how near fresh draws come to each limit; above 1 is a false alarm."""
+    print("\nExcess over each limit on fresh draws: 99th percentile, largest. Above 1 is a false alarm.")
+    names = list(fresh["excess"].iloc[0])
+    print_head("share", "n", *names)
+    for share, own in fresh.groupby("family"):
+        values = pd.DataFrame(list(own["excess"]))
+        print_row(share, len(own), *(f"{values[name].quantile(0.99):.2f}, {values[name].max():.2f}" for name in names))
+
+
+def print_detection(table: pd.DataFrame, fresh: pd.DataFrame) -> None:
+    """Print AUC, number of images, and shares called lost and undecided, by defect and regular share."""
+    print("\nDetection: AUC of the worst excess (n) lost / undecided; two-tone: AUC of broken tiles (n) found.")
+    shares = sorted(fresh["family"].unique(), reverse=True)
+    print_head("defect", "size", *shares)
+    for kind, sizes in DEFECTS.items():
+        for size in sizes:
+            own = table[(table["defect"] == kind) & np.isclose(table["size"], size)]
+            cells = (detection(fresh[fresh["family"] == share], own[own["family"] == share], kind) for share in shares)
+            print_row(kind, f"{size:g}", *cells)
+
+
+def detection(fresh: pd.DataFrame, defective: pd.DataFrame, kind: str) -> str:
+    """Return a cell of the table of detection."""
+    if defective.empty:
+        return "-"
+    if kind == "two-tone":
+        column = "integrity.broken_tiles"
+        held = defective[column].dropna()
+        return f"{auc(fresh[column], held):.3f} ({len(held)}) {(held > 0).mean():.2f}" if len(held) else "undecided"
+    kept = defective["regularity.preserved"]
+    value = auc(fresh["worst_excess"], defective["worst_excess"])
+    return f"{value:.3f} ({len(kept)}) {(kept == False).mean():.2f} / {kept.isna().mean():.2f}"  # noqa: E712
+
+
+def study_without_model(options: argparse.Namespace) -> None:
+    """Print the tables of ``verdict`` for outputs that are judged by their sample and its lattice alone."""
+    for side in options.sides:
+        run = nrbench.Run(run_folder("verdict", options, f"{side}x{side}"))
+        rows = []
+        for record in run.cells:
+            if record.status == "ok":
+                sample, output = (read_image(record.folder / f"{name}.png") for name in ("sample", "output"))
+                known = record.cell.lattice_truth
+                truth = nrbench.Texture(sample, known, (known,) if known else ())
+                score = Regularity().score(nrbench.Observation(sample, output, truth))
+                excess = score.records.get("excess", {})
+                rows.append(
+                    {
+                        **{"family": record.family, "defect": record.parameters.get("kind", "none")},
+                        **{"size": float(record.parameters.get("size", 0)), "excess": excess},
+                        **{f"regularity.{name}": value for name, value in score.values.items()},
+                        **{"worst_excess": max(excess.values(), default=np.nan), "integrity.broken_tiles": np.nan},
+                    }
+                )
+        table = pd.DataFrame(rows)
+        fresh = table[table["defect"] == "none"]
+        print_alarms(fresh, side)
+        print_detection(table, fresh)
+
+
+def study_invariance(options: argparse.Namespace) -> None:
+    """Print by how much the columns of regularity change under another description of the same texture."""
+    columns = ("misplacement_median", "misplacement_p95", "pairwise_displacement", "worst_neighborhood", "structure")
+    print_head("texture", "change", *columns)
+    for number in RESPONSE_TEXTURES:
+        row = texture_row(FIRST_SEED["report"] + number)
+        model = plugins.build("datasets", row["dataset"], row["parameters"])
+        texture = model.render((128, 128), stream("render", "invariance", number))
+
+        def draw(shape: Shape, k: int, texture: nrbench.Texture = texture, model: Model = model) -> nrbench.Texture:
+            drawn = model.again(texture, shape, stream("again", "invariance", model.s.hex(), k))
+            return replace(drawn, image=quantize(drawn.image))
+
+        outputs = [draw((options.sides[0], options.sides[0]), k).image for k in range(options.replicates)]
+        usual = regularity_values(texture, draw, outputs, columns)
+        for change, lattice, crop in described_anew(texture.lattice):
+            other = replace(texture, lattice=lattice)
+            away = np.abs(regularity_values(other, cropped(draw, crop), outputs, columns) - usual).max(0)
+            cells = (f"{one:.3f} ({size:.1e})" for one, size in zip(away / usual.std(0), away, strict=True))
+            print_row(row["name"], change, *cells)
+
+
+def regularity_values(
+    texture: nrbench.Texture, again: Again, outputs: Sequence[Image], columns: Sequence[str]
+) -> NDArray[np.float64]:
+    """Return columns of ``regularity`` for outputs of one texture, ``(n, columns)``."""
+    sample = quantize(texture.image)
+    scores = [Regularity().score(nrbench.Observation(sample, output, texture, again=again)) for output in outputs]
+    return np.array([[score.values[name] for name in columns] for score in scores], np.float64)
+
+
+def described_anew(lattice: nrbench.Lattice) -> list[tuple[str, nrbench.Lattice, tuple[int, int]]]:
+    """Return the lattice in another basis, from another origin, and for an image that is cropped at left and top."""
+    (a, b), (c, d), (x, y) = lattice.t1, lattice.t2, lattice.origin
+    return [
+        ("basis", nrbench.Lattice((a + 2 * c, b + 2 * d), (-a - c, -b - d), lattice.origin), (0, 0)),
+        ("origin", lattice.shifted((3 * a - 2 * c, 3 * b - 2 * d)), (0, 0)),
+        ("phase", nrbench.Lattice(lattice.t1, lattice.t2, (x - 5, y - 3)), (5, 3)),
+    ]
+
+
+def cropped(again: Again, crop: tuple[int, int]) -> Again:
+    """Return fresh draws of which some columns at the left and rows at the top are cut off."""
+    left, top = crop
+
+    def draw(shape: Shape, k: int) -> nrbench.Texture:
+        drawn = again((shape[0] + top, shape[1] + left), k)
+        assert drawn is not None and drawn.ideal is not None
+        return replace(drawn, image=drawn.image[top:, left:], ideal=drawn.ideal[top:, left:])
+
+    return draw
+
+
+def study_response(options: argparse.Namespace) -> None:
+    """Print how the columns follow the size of the defect that they are meant for."""
+    rows = [texture_row(FIRST_SEED["report"] + number) for number in RESPONSE_TEXTURES]
+    steps = [(kind, most * step / 8) for kind, (most, _) in RESPONSES.items() for step in range(1, 9)]
+    side = f"{options.sides[0]}x{options.sides[0]}"
+    table = run_study("response", options, rows, [planted(*step) for step in steps], size=side)
+    print_head("defect", "column", "up to", *(row["name"] for row in rows))
+    for kind, (most, columns) in RESPONSES.items():
+        for column in columns:
+            cells = []
+            for row in rows:
+                own = table[(table["texture"] == row["name"]) & (table["defect"] == kind)]
+                cells.append(correlation(own["size"], own[column]))
+            print_row(kind, column, f"{most:g}", *cells)
+
+
+def correlation(sizes: pd.Series[float], values: pd.Series[float]) -> str:
+    """Return Spearman's correlation, the number of images, and the median values at the least and the largest size."""
+    known = values.notna()
+    sizes, values = sizes[known].astype(float), values[known].astype(float)
+    if values.nunique() < 2:
+        return "-"
+    low, high = (values[sizes == end].median() for end in (sizes.min(), sizes.max()))
+    return f"{spearmanr(sizes, values).statistic:+.3f} ({len(values)}) {low:.3f} to {high:.3f}"
+
+
+def study_silence(options: argparse.Namespace) -> None:
+    """Print which columns respond to which defects."""
+    rows = [texture_row(FIRST_SEED["report"] + number) for number in RESPONSE_TEXTURES]
+    middle = {kind: sizes[len(sizes) // 2] for kind, sizes in DEFECTS.items()}
+    side = f"{options.sides[0]}x{options.sides[0]}"
+    methods = ["oracle", *(planted(kind, size) for kind, size in middle.items())]
+    table = run_study("silence", options, rows, methods, size=side)
+    columns = [name for name in table if str(name).partition(".")[0] in output_metrics() and table[name].nunique() > 2]
+    columns = [name for name in columns if ".sample_" not in str(name)]
+    print_head("column", "none", *(f"{kind} {size:g}" for kind, size in middle.items()))
+    for column in columns:
+        print_row(f"`{column}`", *(outside_share(table, str(column), kind) for kind in ("none", *middle)))
+
+
+def output_metrics() -> set[str]:
+    """Return the names of the metrics that measure an output, costs and what rests on the method's word aside."""
+    return set(plugins.names("metrics")) - {"cost", "source", "lattice_recovery"}
+
+
+def outside_share(table: pd.DataFrame, column: str, kind: str) -> str:
+    """Return the share of images outside the 95 % prediction interval of fresh draws of the same texture."""
+    outside: list[bool] = []
+    for _, own in table.groupby("texture"):
+        fresh = own.loc[own["defect"] == "none", column].astype(float).dropna()
+        for index, value in own.loc[own["defect"] == kind, column].astype(float).dropna().items():
+            others = fresh.drop(index) if kind == "none" else fresh
+            if len(others) > 1:
+                reach = student.ppf(0.975, len(others) - 1) * others.std() * np.sqrt(1 + 1 / len(others))
+                outside.append(bool(abs(value - others.mean()) > max(reach, 1e-9)))
+    return f"{np.mean(outside):.2f} ({len(outside)})" if outside else "-"
+
+
+def study_departures(options: argparse.Namespace) -> None:
+    """Print how deformation, geometry, appearance and self-similarity follow the departures of a model."""
+    bases = [texture_row(FIRST_SEED["report"] + number) for number in RESPONSE_TEXTURES]
+    rows = [
+        {**base, "name": f"{base['name']}-{kind}-{level:g}", "family": kind, "level": level}
+        | {"parameters": {**base["parameters"], kind: level}}
+        for base in bases
+        for kind in ("bend", "jitter", "color")
+        for level in LEVELS
+    ]
+    metrics = ["deformation", "geometry_appearance", "self_similarity"]
+    table = run_study("departures", options, rows, ["oracle"], metrics=metrics)
+    levels = {row["name"]: row["level"] for row in rows}
+    table["level"] = [levels[name] for name in table["texture"]]
+    columns = ["deformation.amplitude", "geometry_appearance.g", "geometry_appearance.a", "self_similarity.score"]
+    print_head("departure", *columns)
+    for kind, own in table.groupby("family"):
+        print_row(kind, *(correlation(own["level"], own[column]) for column in columns))
+
+
+def study_references(options: argparse.Namespace) -> None:
+    """Print where a second set of fresh draws and the baselines lie."""
+    names = options.textures or ["*"]
+    for suite in ("core", "report2004"):
+        rows = [
+            row
+            for row in load_suite(suite).model_dump(mode="json")["texture"]
+            if any(Path(row["name"]).match(name) for name in names) and not row["parameters"].get("bend")
+        ][: options.count]
+        metrics = ["regularity", "randomness"]
+        table = run_study(f"references-{suite}", options, rows, ["oracle", *BASELINES], metrics=metrics)
+        table[list(HEADLINES)] = table[list(HEADLINES)].astype(float)
+        print_head("texture", "n", "second set in the band", *BASELINES)
+        for texture, own in table.groupby("texture", sort=False):
+            fresh = own[own["method"] == "oracle"]
+            cells = (escape(fresh, own[own["method"] == name]) for name in BASELINES)
+            print_row(texture, len(fresh), second_set(fresh), *cells)
+
+
+def second_set(fresh: pd.DataFrame) -> str:
+    """Return the share of the odd draws that lie in the 95 % band of the even ones, over all columns."""
+    inside = [
+        band(fresh[column].iloc[::2], 0.95)(fresh[column].iloc[1::2].dropna())
+        for column in HEADLINES
+        if fresh[column].iloc[::2].notna().sum() >= LEAST_BAND and fresh[column].nunique() > 2
+    ]
+    return f"{np.concatenate(inside).mean():.3f}" if inside else f"fewer than {LEAST_BAND} draws"
+
+
+def escape(fresh: pd.DataFrame, outputs: pd.DataFrame) -> str:
+    """Return the columns in which all outputs of a baseline lie outside the 99 % band of fresh draws."""
+    if outputs.empty or fresh["regularity.score"].notna().sum() < LEAST_BAND:
+        return "refused" if outputs.empty else "too few draws"
+    outside = [
+        column.partition(".")[2]
+        for column in HEADLINES
+        if fresh[column].notna().sum() >= LEAST_BAND
+        and len(values := outputs[column].dropna())
+        and not band(fresh[column], 0.99)(values).any()
+    ]
+    return ", ".join(outside) or "ESCAPES"
+
+
+def band(values: pd.Series[float], level: float) -> Callable[[pd.Series[float]], NDArray[np.bool_]]:
+    """Return a test of whether further values lie in the middle ``level``: between order statistics.
+
+    The r-th of n draws has r / (n + 1) of all further ones below it, whatever their distribution.
+    """
+    tail = (1 - level) / 2
+    low, high = np.quantile(values.dropna(), [tail, 1 - tail], method="weibull")
+    return lambda further: np.asarray(further.between(low, high))
+
+
+STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {
+    "verdict": study_verdict,
+    "without-model": study_without_model,
+    "response": study_response,
+    "silence": study_silence,
+    "invariance": study_invariance,
+    "departures": study_departures,
+    "references": study_references,
+}
+
+
+def main() -> None:
+    """Run the studies, and print their tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("study", nargs="+", choices=STUDIES)
+    parser.add_argument("--count", type=int, default=36, help="textures; multiples of 36 hold each kind equally often")
+    parser.add_argument("--replicates", type=int, default=3, help="samples of each texture, and outputs of each method")
+    parser.add_argument("--sides", type=int, nargs="+", default=[256], help="width and height of the outputs in px")
+    parser.add_argument("--half", choices=FIRST_SEED, default="report", help="which textures and seeds")
+    parser.add_argument("--textures", nargs="*", help="of references: patterns of texture names")
+    parser.add_argument("--jobs", type=int, default=2, help="cells at the same time")
+    parser.add_argument("--out", default="runs/validation", help="where the runs lie")
+    options = parser.parse_args()
+    for study in options.study:
+        print(f"\n# {study}")
+        STUDIES[study](options)
+
+
+if __name__ == "__main__":
+    main()
