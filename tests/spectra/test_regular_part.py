@@ -14,9 +14,7 @@ SIZE = np.array([128.0, 128.0])
 
 def test_weak_signs_of_a_larger_tile_count() -> None:
     """English bond, whose courses differ little, has its own lattice, not the four times finer one of its headers."""
-    texture = nrbench.texture(
-        "brick", shape=(160, 160), seed=3, bond="english", color=0.18, intensity=0.25, noise=0.04
-    )
+    texture = nrbench.texture("brick", shape=(160, 160), seed=3, bond="english", color=0.18, intensity=0.25, noise=0.04)
     found = analyze(texture.image.astype(np.float64), harmonics="tied")
     assert texture.lattice is not None and found.groups == (2,)
     assert Lattice.from_basis(np.linalg.inv(found.fundamentals).T).is_equivalent(texture.lattice, 0.05)

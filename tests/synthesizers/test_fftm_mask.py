@@ -116,9 +116,7 @@ def test_pinstripes_are_one_group(period: float) -> None:
 
 def test_two_lattices_have_a_common_tile() -> None:
     """Squares over hexagons are two groups of two; the tile of both is five squares wide, beyond the sample."""
-    texture = nrbench.texture(
-        "overlap", shape=(160, 160), seed=5, period=36.6, color=0.15, intensity=0.1, noise=0.02
-    )
+    texture = nrbench.texture("overlap", shape=(160, 160), seed=5, period=36.6, color=0.15, intensity=0.1, noise=0.02)
     mask = Analysis().of(quantize(texture.image))
     assert mask.harmonics.groups[:2] == (2, 2)
     tile = mask.tileable(1.0)
