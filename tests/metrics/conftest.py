@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -31,11 +31,14 @@ class Case:
 
     model: Model
     texture: Texture
+    draws: dict[tuple[Shape, int], Texture | None] = field(default_factory=dict, init=False)
 
     def again(self, shape: Shape, k: int) -> Texture | None:
-        """Return the k-th fresh draw, rounded to 8 bits."""
-        drawn = self.model.again(self.texture, shape, stream("again", "tests", k))
-        return None if drawn is None else replace(drawn, image=quantize(drawn.image))
+        """Return the k-th fresh draw, rounded to 8 bits; each is drawn once."""
+        if (shape, k) not in self.draws:
+            drawn = self.model.again(self.texture, shape, stream("again", "tests", k))
+            self.draws[shape, k] = None if drawn is None else replace(drawn, image=quantize(drawn.image))
+        return self.draws[shape, k]
 
     def fresh(self, side: int = 192, k: int = 0) -> Image:
         """Return the pixels of a fresh draw."""

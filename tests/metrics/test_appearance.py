@@ -1,5 +1,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -9,14 +10,19 @@ from scipy.stats import spearmanr, wasserstein_distance
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.appearance import Appearance
-from nrbench.metrics.appearance_differences.line_kernels import steep_line_sums
-from nrbench.metrics.appearance_differences.seams import worst_lines
-from nrbench.metrics.appearance_differences.tileable import border_excess
-from nrbench.metrics.appearance_differences.wasserstein import color_histograms, color_scale, cumulative, distance
+from nrbench.metrics.appearance import (
+    Appearance,
+    border_excess,
+    color_histograms,
+    color_scale,
+    histogram_distance,
+    histograms,
+)
+from nrbench.metrics.seam_detection.line_kernels import steep_line_sums
+from nrbench.metrics.seam_detection.seam_lines import find_worst_lines
 from nrbench.plugins.forms import Observation, Score, Texture
 
-from .conftest import MODELS, Case
+from .conftest import MODELS, Case, make_case
 
 Cases = Callable[[str], Case]
 
@@ -29,6 +35,12 @@ def appearance(observation: Observation) -> Score:
     return score
 
 
+@cache
+def fresh_values(name: str, k: int, side: int = 192) -> Mapping[str, Any]:
+    """Return the scores of a fresh draw."""
+    return appearance(make_case(name).seen(make_case(name).fresh(side, k))).values
+
+
 def value(case: Case, image: Image, column: str) -> float:
     """Return one column."""
     found = appearance(case.seen(image)).values[column]
@@ -37,9 +49,9 @@ def value(case: Case, image: Image, column: str) -> float:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_fresh_draw_looks_like_one(case: Cases, name: str) -> None:
+def test_a_fresh_draw_looks_like_one(name: str) -> None:
     """Ratios are about 1, distances small."""
-    values = [appearance(case(name).seen(case(name).fresh(k=k))).values for k in range(3)]
+    values = [fresh_values(name, k) for k in range(3)]
     for column in ("sharpness", "sharpness_worst", "seam"):
         assert np.mean([one[column] for one in values]) == pytest.approx(1, abs=0.25)
     assert max(one["color"] for one in values) < 0.03
@@ -47,20 +59,20 @@ def test_a_fresh_draw_looks_like_one(case: Cases, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "column", "sizes", "sign"),
+    ("kind", "column", "sizes", "sign", "side"),
     [
-        ("color-mean", "color", (0.05, 0.1, 0.2, 0.4), 1),
-        ("blurred-band", "sharpness_worst", (0.1, 0.25, 0.5, 1.0), -1),
-        ("seam", "seam", (0.05, 0.1, 0.2, 0.4), 1),
+        ("color-mean", "color", (0.05, 0.1, 0.2, 0.4), 1, 96),
+        ("blurred-band", "sharpness_worst", (0.1, 0.25, 0.5, 1.0), -1, 192),
+        ("seam", "seam", (0.05, 0.1, 0.2, 0.4), 1, 128),
     ],
 )
 @pytest.mark.parametrize("name", MODELS)
 def test_each_score_follows_its_defect(
-    case: Cases, name: str, kind: str, column: str, sizes: tuple[float, ...], sign: int
+    case: Cases, name: str, kind: str, column: str, sizes: tuple[float, ...], sign: int, side: int
 ) -> None:
     """Over single images the rank correlation of size and score is 0.95 or more."""
     pairs = [(size, seed) for size in sizes for seed in range(2)]
-    found = [value(case(name), case(name).planted(kind, size, seed)[0], column) for size, seed in pairs]
+    found = [value(case(name), case(name).planted(kind, size, seed, side)[0], column) for size, seed in pairs]
     assert sign * spearmanr([size for size, _ in pairs], found).statistic >= 0.95
 
 
@@ -79,7 +91,7 @@ def test_scores_are_silent_on_the_defects_of_others(
     """A defect of one kind leaves the scores of other kinds where fresh draws have them."""
     image, _ = case("hexagon").planted(kind, size)
     own = appearance(case("hexagon").seen(image)).values
-    fresh = [appearance(case("hexagon").seen(case("hexagon").fresh(k=k))).values for k in range(4)]
+    fresh = [fresh_values("hexagon", k) for k in range(4)]
     for column in columns:
         usual = [float(one[column]) for one in fresh]
         assert abs(own[column] - np.mean(usual)) < max(6 * np.std(usual), 0.15 * np.mean(usual)), column
@@ -98,7 +110,7 @@ def test_the_seam_is_drawn_where_it_is(case: Cases) -> None:
     """The worst line of an image with one step lies on that step, and the picture marks it."""
     image = np.array(case("weave").fresh())
     image[:, 70:] = np.clip(image[:, 70:] + 0.1, 0, 1)
-    step, _ = worst_lines(quantize(image), case("weave").texture.lattice)
+    step, _ = find_worst_lines(quantize(image), case("weave").texture.lattice)
     assert [x for x, _ in step.ends] == pytest.approx([69.5, 69.5], abs=1.5)
     marked = appearance(case("weave").seen(quantize(image))).pictures["seam"]
     assert set(np.flatnonzero((marked != quantize(image)).any((0, 2)))) <= {68, 69, 70, 71}
@@ -112,7 +124,7 @@ def test_seams_are_found_in_any_direction(angle: float) -> None:
     beyond = (x - 80) * normal[0] + (y - 64) * normal[1] > 0
     noise = np.random.default_rng(0).normal(0.5, 0.05, (128, 160))
     image = np.clip(noise + 0.1 * beyond, 0, 1).astype(np.float32)[..., np.newaxis]
-    step, _ = worst_lines(image, None)
+    step, _ = find_worst_lines(image, None)
     for end in step.ends:
         assert abs((np.array(end) - (80, 64)) @ normal) < 6
 
@@ -127,18 +139,17 @@ def test_line_sums_are_those_of_digital_lines() -> None:
 
 
 def test_distances_are_wassersteins() -> None:
-    """The histogram distance is scipy's, and moving all colors by d moves it in proportion."""
+    """The distance of histograms is that of their values, and proportional to a shift of all colors."""
     rng = np.random.default_rng(0)
     one, other = rng.beta(2, 3, 4000).astype(np.float32), rng.beta(3, 2, 4000).astype(np.float32)
-    found = distance(cumulative(one[:, np.newaxis]), cumulative(other[:, np.newaxis]))
+    found = histogram_distance(histograms(one[:, np.newaxis]), histograms(other[:, np.newaxis]))
     assert found == pytest.approx(wasserstein_distance(one, other), abs=1e-3)
     image = rng.random((64, 64, 3), np.float32) * 0.5
-    moves = [distance(color_histograms(image), color_histograms(image + np.float32(d))) for d in (0.1, 0.2)]
+    moves = [histogram_distance(color_histograms(image), color_histograms(image + np.float32(d))) for d in (0.1, 0.2)]
     assert moves[1] == pytest.approx(2 * moves[0], rel=1e-3)
     gray = image[..., :1]
-    assert distance(color_histograms(gray), color_histograms(gray + np.float32(0.1))) * color_scale(1) == pytest.approx(
-        0.1, rel=1e-3
-    )
+    moved = histogram_distance(color_histograms(gray), color_histograms(gray + np.float32(0.1)))
+    assert moved * color_scale(1) == pytest.approx(0.1, rel=1e-3)
 
 
 def test_photographs_are_compared_with_the_sample(case: Cases) -> None:

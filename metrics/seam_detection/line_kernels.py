@@ -1,4 +1,4 @@
-"""Compiled sums along all lines of an image."""
+"""Compiled Radon transform, and the search for the worst line of each direction."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from nrbench.jit import kernel
 def steep_line_sums(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the sums along the lines that lean right by up to 45 degrees from upright.
 
-    The discrete Radon transform by halves (Brady, SIAM Journal on Computing 27, 1998): lines through two strips are
-    joined of lines through each, so that all of them take N^2 log N sums.
+    This is the fast discrete Radon transform (Brady, SIAM Journal on Computing 27, 1998): lines through two strips are
+    sums of lines through each strip, so that all lines take N^2 log N sums.
 
     Parameters
     ----------
@@ -53,23 +53,23 @@ def worst_of_parallels(
     least: float,
     floors: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the line with the largest step, and that with the largest gradient, against its parallels.
+    """Return the line with the largest step, and the one with the largest gradient, relative to their parallels.
 
     Parameters
     ----------
     value, energy, length
         ``(N, 2 N)``: sums of brightness, of squared gradient, and of ones along lines.
     least
-        Pixels that a line has at least.
+        Least number of pixels of a line.
     floors
-        Departures of step and gradient, times the root of the pixels, that are added to those of the parallels.
+        Departures of step and gradient, times the root of the pixels, that are added to the parallels' departures.
 
     Returns
     -------
     NDArray[np.float64]
-        ``(2, 4)``: for step and gradient the strength (departure from the parallels' mean over their root mean squared
-        one, as their mean absolute one tells it), lean, the column that the line lies before, plus N, and the step or
-        the excess of squared gradient itself.
+        ``(2, 4)``, for step and gradient: strength (departure from the parallels' mean over their standard deviation,
+        which is estimated from their mean absolute departure), lean, N plus the column right of the line, and the step
+        or the excess of squared gradient.
     """
     leans, width = value.shape
     side, far = 3, 6

@@ -1,1 +1,0 @@
-"""TODO nrbench.metrics.appearance_differences."""

@@ -1,0 +1,1 @@
+"""Detection of straight seams in any direction."""
