@@ -1,6 +1,7 @@
 # Two commands on a fresh machine with Python >= 3.11:
 #   make run    set up, run the default suite, print the comparison table and the report's path
 #   make test   set up, then lint, types and tests
+# And: make benchmark   set up, run every benchmark in a short form, print what each costs
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -27,8 +28,7 @@ unit: $(VENV)/.installed-test
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
 benchmark: $(VENV)/.installed-test
-	@for script in $(filter-out benchmarks/unit.py,$(wildcard benchmarks/*.py)); do \
-	  echo "== $$script"; env -u PYTHONSAFEPATH OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python $$script || exit 1; done
+	env -u PYTHONSAFEPATH $(BIN)/python benchmarks/all.py
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

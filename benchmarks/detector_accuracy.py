@@ -2,7 +2,7 @@
 
 Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/detector_accuracy.py [--count 8] [DETECTOR...]``.
 Brick, weave and hexagon, axis-aligned and rotated, 128 to 256 px a side with at least 4 periods, by regular share; and
-200 stochastic textures: noise of five spectra and crops of scikit-image's grass and gravel.
+200 stochastic textures: noise of five spectra, crops of scikit-image's grass and gravel, and stripes in noise.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import skimage.data
+from scipy.ndimage import gaussian_filter
 from unit import machine_unit
 
 from nrbench import plugins
@@ -26,7 +27,17 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
 from nrbench.plugins.parameters import parse_spec
 
-DETECTORS = ("consensus", "gncc", "gncc:reject=none", "ssdn", "frdft:reject=none", "dominance", "dominance:reject=none")
+PAPER = "gncc:reject=none,subpixel=false,tolerance=0,prominence=0"
+DETECTORS = (
+    "consensus",
+    "gncc",
+    "gncc:reject=none",
+    PAPER,
+    "ssdn",
+    "frdft:reject=none",
+    "dominance",
+    "dominance:reject=none",
+)
 FAMILIES = {"brick": 17.3, "weave": 31.7, "hexagon": 11.9}
 SIDES = (128, 160, 192, 256)
 STRENGTHS = ((0.1, 0.02), (0.14, 0.04), (0.3, 0.05), (0.4, 0.08), (0.5, 0.1), (0.6, 0.1), (0.7, 0.1))
@@ -97,6 +108,19 @@ def stochastic(count: int) -> Iterator[tuple[str, Image]]:
             yield "noise", noise.render((side, side), rng).image
 
 
+def gratings(count: int) -> Iterator[tuple[str, Image]]:
+    """Yield stripes of any direction in noise: they have one period, and no lattice."""
+    y, x = np.indices((128, 128))
+    for seed, noise in itertools.product(range(count), (0.3, 1.5)):
+        rng = np.random.default_rng(seed)
+        angle, period = rng.uniform(0, np.pi), rng.uniform(8, 30)
+        stripes = np.tanh(4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / period))
+        grain = gaussian_filter(rng.standard_normal((128, 128)), 1)
+        values = (stripes + noise * grain / grain.std())[..., np.newaxis] * [1.0, 0.8, 0.5]
+        values -= values.mean((0, 1))
+        yield f"gratings {noise:g}", np.clip(0.5 + 0.15 * values / values.std(), 0, 1).astype(np.float32)
+
+
 def main() -> None:
     """Print one table for each detector."""
     parser = argparse.ArgumentParser()
@@ -112,7 +136,7 @@ def main() -> None:
         tallies: dict[str, Tally] = defaultdict(Tally)
         for kind, texture in regular(options.first, options.count):
             tallies[kind].add(detector, quantize(texture.image), texture.lattice)
-        for kind, image in stochastic(options.stochastic):
+        for kind, image in itertools.chain(stochastic(options.stochastic), gratings(options.stochastic // 10)):
             tallies[kind].add(detector, quantize(image), None)
         print(spec)
         for kind, tally in tallies.items():
