@@ -60,14 +60,14 @@ BENCHMARKS = (
     Benchmark("drift.py 256", "How far methods are off a fractional lattice", "drift.py 256 1024"),
     Benchmark("two_lattices.py 1", "Which methods keep both lattices of a texture", "two_lattices.py 1 2 3"),
     Benchmark(
-        "texture_statistics.py brick --draws 60",
+        "texture_statistics.py brick",
         "Whether models have the statistics that the truth states",
         "texture_statistics.py",
     ),
     Benchmark(
-        "validation.py verdict without-model --count 6 --replicates 1",
+        "validation.py alarms detection without-model --count 6 --replicates 1",
         "False alarms, margins and detection of regularity and integrity",
-        "validation.py verdict without-model --count 108 --replicates 3 --sides 256 512 1024",
+        "validation.py alarms detection without-model --count 108 --replicates 3 --sides 256 512 1024",
     ),
     Benchmark(
         "validation.py response silence invariance departures --replicates 1 --sides 192",

@@ -6,18 +6,14 @@ Each study is an ordinary run of ``oracle`` (fresh draws) and ``planted`` (fresh
 textures whose models are known. The run lies in ``runs/validation/``: the same command resumes it, more replicates add
 to it, and ``nrbench report`` shows its pictures.
 
-``verdict``
-    Textures of random periods, rotations and mixes of departures at six regular shares. Prints false alarms of
-    ``regularity`` and ``integrity`` on fresh draws, how near fresh draws come to each limit, and for each planted
-    defect the area under the ROC curve (AUC) and the shares called lost and undecided, by regular share.
-``response``
-    Three textures of regular share 0.8, each defect at eight sizes. Prints Spearman's correlation over single images
-    of the defect's size with the column that is meant for it, and the column's values at both ends.
-``silence``
-    The same textures, each defect at one size, all metrics. Prints the share of images outside the 95 % prediction
-    interval of fresh draws, by defect and column: about 0.05 where the column does not respond to the defect.
+``alarms``
+    Fresh draws of textures of random periods, rotations and mixes of departures at six regular shares. Prints false
+    alarms of ``regularity`` and ``integrity``, and how near fresh draws come to each limit.
+``detection``
+    The same textures with planted defects. Prints for each defect the area under the ROC curve (AUC) and the shares
+    called lost and undecided, by regular share.
 ``without-model``
-    The outputs of ``verdict`` again, judged by sample and lattice alone. Prints the same tables.
+    The outputs of ``detection`` again, judged by sample and lattice alone. Prints the same tables.
 ``invariance``
     Fresh draws of the textures of ``response``, described by another basis, another origin, and at another phase.
     Prints the largest change of each column of ``regularity`` over its standard deviation over fresh draws.
@@ -82,7 +78,7 @@ DEFECTS: Mapping[str, tuple[float, ...]] = {
     "over-regular": (0.6,),
     "verbatim": (0.4,),
 }
-"""The sizes at which ``verdict`` plants each defect; ``silence`` takes the middle one."""
+"""The sizes at which ``detection`` plants each defect; ``silence`` takes the middle one."""
 
 RESPONSES: Mapping[str, tuple[float, tuple[str, ...]]] = {
     "phase-step": (0.45, ("regularity.misplacement_p95",)),
@@ -211,16 +207,27 @@ def print_row(*cells: object) -> None:
     print(f"| {' | '.join(map(str, cells))} |", flush=True)
 
 
-def study_verdict(options: argparse.Namespace) -> None:
-    """Print false alarms, margins and detection on textures of all regular shares."""
-    rows = [texture_row(FIRST_SEED[options.half] + number) for number in range(options.count)]
-    methods = ["oracle", *(planted(kind, size) for kind, sizes in DEFECTS.items() for size in sizes)]
+def study_alarms(options: argparse.Namespace) -> None:
+    """Print false alarms and margins of fresh draws on textures of all regular shares."""
     for side in options.sides:
-        table = run_study("verdict", options, rows, methods, size=f"{side}x{side}", metrics=["regularity", "integrity"])
-        fresh = table[table["defect"] == "none"]
+        fresh = run_verdicts("alarms", options, side, ["oracle"])
         print_alarms(fresh, side)
         print_margins(fresh)
-        print_detection(table, fresh)
+
+
+def study_detection(options: argparse.Namespace) -> None:
+    """Print how well each defect is detected on textures of all regular shares."""
+    methods = ["oracle", *(planted(kind, size) for kind, sizes in DEFECTS.items() for size in sizes)]
+    for side in options.sides:
+        table = run_verdicts("detection", options, side, methods)
+        print(f"\nOutputs of {side} x {side} px.")
+        print_detection(table, table[table["defect"] == "none"])
+
+
+def run_verdicts(name: str, options: argparse.Namespace, side: int, methods: list[str]) -> pd.DataFrame:
+    """Return the table of ``regularity`` and ``integrity`` on textures of all regular shares."""
+    rows = [texture_row(FIRST_SEED[options.half] + number) for number in range(options.count)]
+    return run_study(name, options, rows, methods, size=f"{side}x{side}", metrics=["regularity", "integrity"])
 
 
 def print_alarms(fresh: pd.DataFrame, side: int) -> None:
@@ -273,9 +280,9 @@ def detection(fresh: pd.DataFrame, defective: pd.DataFrame, kind: str) -> str:
 
 
 def study_without_model(options: argparse.Namespace) -> None:
-    """Print the tables of ``verdict`` for outputs that are judged by their sample and its lattice alone."""
+    """Print the tables of ``detection`` for outputs that are judged by their sample and its lattice alone."""
     for side in options.sides:
-        run = nrbench.Run(run_folder("verdict", options, f"{side}x{side}"))
+        run = nrbench.Run(run_folder("detection", options, f"{side}x{side}"))
         rows = []
         for record in run.cells:
             if record.status == "ok":
@@ -483,7 +490,8 @@ def band(values: pd.Series[float], level: float) -> Callable[[pd.Series[float]],
 
 
 STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {
-    "verdict": study_verdict,
+    "alarms": study_alarms,
+    "detection": study_detection,
     "without-model": study_without_model,
     "response": study_response,
     "silence": study_silence,
