@@ -100,7 +100,7 @@ def coherence(directory: Path) -> None:
             made = guided(method, texture.image, mask, 256)
             assert made.source is not None
             seen = Observation(texture.image, quantize(made.image), texture, source=made.source)
-            run, kept = SourceUse().score(seen).values["run"], Regularity().score(seen).values
+            run, kept = SourceUse().score(seen).values["mean_copy_length"], Regularity().score(seen).values
             print(
                 f"{model:8} {name:22} run {run:6.2f} px   regularity {kept['score']}, {kept['preserved']}", flush=True
             )

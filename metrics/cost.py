@@ -1,4 +1,4 @@
-"""What an output cost."""
+"""Cost: time and memory of the synthesis."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ def _column(meaning: str, unit: str, better: Literal["higher", "lower"] = "lower
 
 @dataclass(frozen=True)
 class Cost:
-    """Time and memory that the synthesis took, as the supervisor measured them.
+    """Time and memory of the synthesis, measured by the supervisor.
 
-    Reading the sample and writing the output do not count. Programs that the method starts and waits for do: their
-    processor time is added to that of its own process (in steps of 10 ms), and of its memory and theirs the larger peak
-    is taken; theirs is looked at ten times a second, so that of a program which ends sooner is not seen.
+    Reading the sample and writing the output do not count. Programs that the method starts and waits for do count:
+    their processor time is added (in steps of 10 ms), and the larger of both memory peaks is reported. Their memory is
+    measured ten times a second, so the peak of a program that ends sooner is missed.
     """
 
     version: ClassVar[str] = "3"
     columns: ClassVar[Mapping[str, Column]] = {
-        "seconds": _column("Wall time of the synthesis, with the detection that the method did itself.", "s"),
+        "seconds": _column("Wall time of the synthesis, including the lattice detection by the method itself.", "s"),
         "cpu_seconds": _column(
-            "Processor time during the synthesis, all threads, programs that the method waits for included.", "s"
+            "Processor time of the synthesis: all threads, and programs that the method waits for.", "s"
         ),
         "detection_seconds": _column(
-            "Wall time spent in finding the lattice, by the method or by the detector that the lattice comes from.", "s"
+            "Wall time of lattice detection, by the method or by the detector of the lattice axis.", "s"
         ),
         "peak_mib": _column(
-            "Peak memory above that of the idle worker; of programs that the method starts, where it is more.", "MiB"
+            "Peak memory above that of the idle worker, or of programs that the method starts if that is more.", "MiB"
         ),
-        "px_per_second": _column("Output pixels for each second of wall time.", "px/s", "higher"),
-        "reliable": Column("No other cell ran at the same time, so the times are comparable."),
+        "px_per_second": _column("Output pixels per second of wall time.", "px/s", "higher"),
+        "reliable": Column("Whether no other cell ran at the same time, so that times are comparable."),
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return what was measured; None and the reason for the rest."""
+        """Return the measurements, and a reason for each one that is missing."""
         height, width = observation.output.shape[:2]
         seconds, cost = observation.seconds, observation.cost
         values: dict[str, Value] = {name: cost.get(name) for name in ("cpu_seconds", "detection_seconds", "peak_mib")}
         values["seconds"] = seconds
         values["px_per_second"] = height * width / seconds if seconds else None
         values["reliable"] = None if seconds is None else not cost.get("side_by_side")
-        reasons = {name: "not measured by whatever made this output" for name, value in values.items() if value is None}
+        reasons = {name: "not measured when this output was made" for name, value in values.items() if value is None}
         if seconds == 0:
-            reasons["px_per_second"] = "not measured: the synthesis took less time than the clock shows"
+            reasons["px_per_second"] = "not measured: the synthesis took less time than the clock resolves"
         return Score({name: values[name] for name in self.columns}, reasons)

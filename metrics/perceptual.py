@@ -1,4 +1,4 @@
-"""A perceptual network's distance, where the optional packages and the network's weights are there."""
+"""Perceptual: a network's distance between output and fresh draws; needs optional packages and weights."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ piq: Any = lazy_loader.load("piq", error_on_import=False)
 torch: Any = lazy_loader.load("torch", error_on_import=False)
 
 WEIGHTS = ("vgg16-397923af.pth", "dists_weights.pt")
-"""What torch keeps in ``checkpoints/`` of its hub folder once ``piq.DISTS()`` has been made on line."""
+"""Files that the first call of ``piq.DISTS()`` downloads into the folder ``checkpoints`` of torch's hub."""
 _DRAWS = 3
 
 
 @dataclass(frozen=True)
 class Perceptual:
-    """How far the output is from fresh draws for a network that was trained to judge as people do.
+    """Distance between output and fresh draws for a network that is trained to agree with people.
 
-    DISTS, which is made to bear that texture is resampled (Ding, Ma, Wang, Simoncelli, IEEE Transactions on Pattern
-    Analysis 44, 2022), by the package piq: the mean distance between output and three fresh draws of its size, over
-    that between the draws.
+    The network is DISTS, which tolerates resampled texture (Ding, Ma, Wang, Simoncelli, IEEE Transactions on Pattern
+    Analysis 44, 2022), from the package piq. The mean distance between the output and three fresh draws of its size is
+    divided by that between the draws.
 
-    Needs ``pip install 'nrbench[perceptual]'`` and the network's weights, which are never fetched while scoring: call
-    ``piq.DISTS()`` once on line. Without them the column is empty.
+    Install the packages with ``pip install 'nrbench[perceptual]'`` and call ``piq.DISTS()`` once to download the
+    weights; scoring never downloads them. Without packages and weights the column is empty.
     """
 
     version: ClassVar[str] = "1"
@@ -48,7 +48,7 @@ class Perceptual:
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return the distance, or None and why: packages or weights are not there, or nothing to compare with."""
+        """Return the distance, or None and the reason: packages, weights or fresh draws are missing."""
         reason = _missing()
         draws = [] if reason else fresh_images(observation, _DRAWS)
         if not reason and len(draws) < _DRAWS:
@@ -65,17 +65,19 @@ class Perceptual:
 
 
 def _missing() -> str:
-    """Return what is not there; empty where all is."""
+    """Return which packages or weights are missing; empty if none is."""
     absent = [name for name in ("torch", "piq") if find_spec(name) is None]
     if absent:
         return f"{' and '.join(absent)}: not installed; pip install 'nrbench[perceptual]'"
     folder = Path(torch.hub.get_dir()) / "checkpoints"
     absent = [name for name in WEIGHTS if not (folder / name).is_file()]
-    return f"weights {', '.join(absent)} are not in {folder}: make piq.DISTS() once on line" if absent else ""
+    return (
+        f"weights {', '.join(absent)} are not in {folder}: call piq.DISTS() once with internet access" if absent else ""
+    )
 
 
 def _distance(network: Any, one: Image, other: Image) -> float:
-    """Return the network's distance between two images of one shape, gray ones shown to it in three channels."""
+    """Return the network's distance between two images of one shape; gray images are repeated in three channels."""
     with torch.no_grad():
         return float(network(_tensor(one), _tensor(other)))
 

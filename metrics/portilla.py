@@ -1,4 +1,4 @@
-"""Portilla and Simoncelli's texture statistics, where the optional package plenoptic is installed."""
+"""Portilla: distance between texture statistics of output and fresh draws; needs the optional package plenoptic."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import Image, gray
+from nrbench.imaging.convert import gray
 from nrbench.plugins.forms import Column, Observation, Score
 
 from .appearance import fresh_images
@@ -32,12 +32,14 @@ Statistics = NDArray[np.float64]
 class Portilla:
     """Joint statistics of wavelet coefficients, as z-scores against fresh draws.
 
-    Statistics of gray values and of steerable-pyramid coefficients (four scales, four orientations): marginals, and
-    correlations in place, across orientations and scales (Portilla and Simoncelli, International Journal of Computer
-    Vision 40, 2000, section 3), by the package plenoptic. Each is held against its mean and spread over six fresh
-    draws; the root mean squared z-score is divided by that of fresh draws, each against the others.
+    The statistics are those of gray values and of steerable-pyramid coefficients (four scales, four orientations):
+    marginals, and correlations across places, orientations and scales (Portilla and Simoncelli, International Journal
+    of Computer Vision 40, 2000, section 3), computed by the package plenoptic. Each statistic is standardized by its
+    mean and spread over six fresh draws. The root mean squared z-score is divided by that of a fresh draw against the
+    others.
 
-    Needs ``pip install 'nrbench[perceptual]'``, and takes some seconds an output; without it the column is empty.
+    Install the package with ``pip install 'nrbench[perceptual]'``; without it the column is empty. An output takes some
+    seconds.
     """
 
     version: ClassVar[str] = "1"
@@ -51,20 +53,21 @@ class Portilla:
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return the distance, or None and why: the package is not there, or nothing to compare with."""
+        """Return the distance, or None and the reason: the package or the fresh draws are missing."""
         obstacle = _obstacle(observation)
         if obstacle:
             return Score.missing(self.columns, obstacle)
-        side = _side(observation.output)
-        draws = [statistics(_cropped(image, side)) for image in fresh_images(observation, _DRAWS)]
+        output = observation.output
+        side = min(output.shape[0], output.shape[1], _MOST) // _STEP * _STEP
+        draws = [statistics(gray(image)[:side, :side]) for image in fresh_images(observation, _DRAWS)]
         if len(draws) < _DRAWS:
             return Score.missing(self.columns, "not applicable: there are no fresh draws of the output's size")
-        own = departure(statistics(_cropped(observation.output, side)), np.array(draws))
+        own = departure(statistics(gray(output)[:side, :side]), np.array(draws))
         return Score({"distance": own / usual_departure(np.array(draws))})
 
 
 def _obstacle(observation: Observation) -> str:
-    """Return why nothing can be measured; empty where something can."""
+    """Return why nothing can be measured; empty if something can."""
     if find_spec("plenoptic") is None:
         return "plenoptic is not installed: pip install 'nrbench[perceptual]'"
     if observation.again is None:
@@ -78,29 +81,21 @@ def statistics(plane: NDArray[np.float32]) -> Statistics:
     """Return the statistics of a square gray image whose side is a multiple of 16 px, ``(n,)``."""
     model = plenoptic.models.PortillaSimoncelli(plane.shape, n_scales=_SCALES)
     with torch.no_grad():
-        found = model(torch.from_numpy(np.ascontiguousarray(plane, np.float32))[None, None])
-    return np.asarray(found.numpy().ravel(), np.float64)
+        values = model(torch.from_numpy(np.ascontiguousarray(plane, np.float32))[None, None])
+    return np.asarray(values.numpy().ravel(), np.float64)
 
 
 def departure(own: Statistics, draws: NDArray[np.float64]) -> float:
     """Return the root mean squared z-score of statistics ``(n,)`` against those of draws, ``(k, n)``.
 
-    A thousandth of the statistic's size is added to its spread, so that one that hardly varies counts for no more than
-    it can be computed to.
+    A thousandth of the statistic's size is added to its spread, so that rounding does not count in statistics that
+    hardly vary.
     """
     spread = draws.std(0, ddof=1) + _SPREAD_FLOOR * (np.abs(draws).mean(0) + _SPREAD_FLOOR)
     return float(np.sqrt((((own - draws.mean(0)) / spread) ** 2).mean()))
 
 
 def usual_departure(draws: NDArray[np.float64]) -> float:
-    """Return the departure of a draw from the others, root mean square."""
+    """Return the root mean square departure of a draw from the others."""
     each = [departure(draws[k], np.delete(draws, k, 0)) for k in range(len(draws))]
     return max(float(np.sqrt(np.mean(np.square(each)))), _SPREAD_FLOOR)
-
-
-def _side(image: Image) -> int:
-    return int(min(image.shape[0], image.shape[1], _MOST)) // _STEP * _STEP
-
-
-def _cropped(image: Image, side: int) -> NDArray[np.float32]:
-    return gray(image)[:side, :side]

@@ -1,4 +1,4 @@
-"""Self-similarity: how regular a pattern is, without a lattice."""
+"""Self-similarity: regularity of a pattern along its most regular direction, without a lattice."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from nrbench.imaging.correlation import half_autocorrelation
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
 REACH = 0.6
-"""Longest lag that is looked at, as a share of the smaller side."""
+"""Longest lag, as a share of the smallest side."""
 _LEAST_LAG, _LEAST_REACH = 4, 12
 _DIRECTIONS = 180
 _FINE = 2
-"""Lags that are looked at for each px."""
+"""Lags per px."""
 _LONGER, _SHORTER = 1.2, 0.8
+"""Range of the second minimum, relative to twice the lag of the first."""
 _FLAT = 1e-6
 
 
@@ -46,24 +47,25 @@ class Regular:
 
 @dataclass(frozen=True)
 class SelfSimilarity:
-    """Regularity of sample and output in the manner of Chetverikov, from the autocorrelation alone.
+    """Regularity of sample and output after Chetverikov, computed from the autocorrelation.
 
-    D. Chetverikov: Pattern regularity as a visual key, Image and Vision Computing 18 (2000) 975-985. With rho the
-    normalized autocorrelation (all channels together, each lag over its overlap), the *contrast function* of a
-    direction is F(d) = 1 - rho(d cos a, d sin a), here for 180 directions and 4 <= d <= D px in steps of 1/2, D being
-    0.6 of the smallest side of sample and output. For every minimum d1 and every minimum d2 within 20 % of 2 d1::
+    D. Chetverikov: Pattern regularity as a visual key, Image and Vision Computing 18 (2000) 975-985. Let rho be the
+    normalized autocorrelation (of all channels together, each lag over its overlap). The *contrast function* of a
+    direction a is F(d) = 1 - rho(d cos a, d sin a), here for 180 directions and 4 <= d <= D px in steps of 1/2, where D
+    is 0.6 of the smallest side of sample and output. For every minimum d1 and every minimum d2 within 20 % of 2 d1::
 
         R_int = 1 - (F(d1) + F(d2)) / (2 F_max)     F_max: the lower of the highest F before d1, and between d1 and d2
         R_pos = 1 - |d2 - 2 d1| / d2
         R(a)  = max over d1, d2 of (R_int R_pos)^2
         score = max over a of R(a)
 
-    R_int, R_pos, their squared product and the maximum over directions are the paper's. It takes the two lowest minima
-    for d1 and d2, which need not be neighbors where more than two periods are in reach, and the lowest one for R_int:
-    here both must be low, and d2 must lie near 2 d1.
+    R_int, R_pos, their squared product and the maximum over directions are those of the paper. The paper chooses the
+    two lowest minima as d1 and d2, which need not be neighbors if D exceeds two periods, and only the lowest one counts
+    in R_int. Here both must be low, and d2 must be near 2 d1.
 
-    1: perfectly regular along some direction; 0: nothing repeats. Brightness, contrast, rotation and the period do not
-    count, as long as two periods fit into D. It sees no single fault, and stripes are regular.
+    The score is 1 if the pattern is perfectly regular along some direction, and 0 if nothing repeats. It does not
+    depend on brightness, contrast, rotation or period, as long as two periods fit into D. It is blind to single faults,
+    and stripes count as regular.
     """
 
     version: ClassVar[str] = "1"
@@ -82,14 +84,14 @@ class SelfSimilarity:
         values: dict[str, Value] = dict.fromkeys(self.columns)
         reasons: dict[str, str] = {}
         for start, image in images.items():
-            why = _obstacle(image, reach)
-            found = None if why else regularity(image, reach)
-            values[f"{start}score"] = found.score if found else None
-            values[f"{start}period"] = found.period if found and found.period else None
-            reasons |= dict.fromkeys((f"{start}score", f"{start}period"), why or "not applicable: nothing repeats")
+            obstacle = _obstacle(image, reach)
+            best = None if obstacle else regularity(image, reach)
+            values[f"{start}score"] = best.score if best else None
+            values[f"{start}period"] = best.period if best and best.period else None
+            reasons |= dict.fromkeys((f"{start}score", f"{start}period"), obstacle or "not applicable: nothing repeats")
         if isinstance(one := values["score"], float) and isinstance(other := values["sample_score"], float):
             values["difference"] = one - other
-        reasons["difference"] = "not measured: either image has no score"
+        reasons["difference"] = "not measured: sample or output has no score"
         return Score(values, {name: reasons[name] for name, value in values.items() if value is None})
 
 
@@ -100,22 +102,22 @@ def _obstacle(image: Image, reach: int) -> str:
 
 
 def regularity(image: Image, reach: int) -> Regular:
-    """Return the most regular direction of an image, lags of up to ``reach`` px considered."""
+    """Return the most regular direction of an image, for lags of up to ``reach`` px."""
     contrast = contrast_functions(image, reach)
     low = np.zeros(contrast.shape, np.bool_)
     low[:, 1:-1] = (contrast[:, 1:-1] <= contrast[:, :-2]) & (contrast[:, 1:-1] < contrast[:, 2:])
     best = Regular(0.0, 0.0, 0.0)
     for lag in range(_FINE * _LEAST_LAG, _FINE * reach // 2 + 1):
         rows = np.flatnonzero(low[:, lag])
-        found = _best_pair(contrast[rows], low[rows], lag)
-        if len(rows) and found.max() > best.score:
-            row = rows[int(found.argmax())]
-            best = Regular(float(found.max()), lag / _FINE, 180.0 * row / _DIRECTIONS - 90.0)
+        scores = _best_pair(contrast[rows], low[rows], lag)
+        if len(rows) and scores.max() > best.score:
+            row = rows[int(scores.argmax())]
+            best = Regular(float(scores.max()), lag / _FINE, 180.0 * row / _DIRECTIONS - 90.0)
     return best
 
 
 def contrast_functions(image: Image, reach: int) -> NDArray[np.float64]:
-    """Return 1 - rho by direction, -90 to 90 degrees, and lag, half px from 0 on: ``(180, 2 reach + 1)``."""
+    """Return 1 - rho by direction, from -90 degrees, and lag, in steps of half a px: ``(180, 2 reach + 1)``."""
     half = half_autocorrelation(image)
     middle, edge = image.shape[0] - 1, min(reach + 3, image.shape[0] - 1)
     near = half[middle - edge : middle + edge + 1, : reach + 4].astype(np.float64)
@@ -127,7 +129,7 @@ def contrast_functions(image: Image, reach: int) -> NDArray[np.float64]:
 
 
 def _best_pair(contrast: NDArray[np.float64], low: NDArray[np.bool_], lag: int) -> NDArray[np.float64]:
-    """Return for each direction the largest (R_int R_pos)^2 of a minimum at ``lag`` and one near twice as far."""
+    """Return for each direction the largest (R_int R_pos)^2 of a minimum at ``lag`` and one near twice the lag."""
     first, last = math.ceil(2 * _SHORTER * lag), min(math.floor(2 * _LONGER * lag), contrast.shape[1] - 2)
     if first > last or not len(contrast):
         return np.zeros(len(contrast))

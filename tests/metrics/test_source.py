@@ -33,7 +33,7 @@ def test_a_plain_copy_is_one_run() -> None:
     """The sample itself: runs as long as its sides, all of it used, evenly."""
     y, x = np.indices((32, 48))
     values = use(np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)).values
-    assert values["run"] == pytest.approx(2 * 32 * 48 / (32 + 48))
+    assert values["mean_copy_length"] == pytest.approx(2 * 32 * 48 / (32 + 48))
     assert values["used"] == 1
     assert values["entropy"] == pytest.approx(1)
 
@@ -42,9 +42,9 @@ def test_a_plain_copy_is_one_run() -> None:
 def test_runs_are_as_long_as_the_patches(side: int) -> None:
     """Patches of n px give runs of about n px; real-valued places are runs all the same."""
     source = blocks(side, 8)
-    assert use(source).values["run"] == pytest.approx(side, rel=0.1)
+    assert use(source).values["mean_copy_length"] == pytest.approx(side, rel=0.1)
     source[..., :2] += np.float32(0.3)
-    assert use(source).values["run"] == pytest.approx(side, rel=0.1)
+    assert use(source).values["mean_copy_length"] == pytest.approx(side, rel=0.1)
 
 
 def test_single_pixels_from_anywhere_have_runs_of_one() -> None:
@@ -52,7 +52,7 @@ def test_single_pixels_from_anywhere_have_runs_of_one() -> None:
     rng = np.random.default_rng(0)
     source = np.stack([rng.integers(48, size=(99, 99)), rng.integers(32, size=(99, 99)), np.ones((99, 99))], -1)
     values = use(source.astype(np.float32)).values
-    assert values["run"] == pytest.approx(1, abs=0.01)
+    assert values["mean_copy_length"] == pytest.approx(1, abs=0.01)
     assert values["used"] > 0.99
     assert values["entropy"] > 0.98
 
@@ -78,5 +78,5 @@ def test_pixels_without_a_source_break_runs() -> None:
     source = np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)
     source[:, 10] = np.nan
     score = use(source)
-    assert score.values["run"] == pytest.approx(2 * 320 / (2 * 16 + 20))
+    assert score.values["mean_copy_length"] == pytest.approx(2 * 320 / (2 * 16 + 20))
     assert score.records["mapped"] == pytest.approx(20 / 21)

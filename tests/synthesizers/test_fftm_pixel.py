@@ -60,7 +60,7 @@ def synthesize(method: FftmPixel, sample: Image, shape: tuple[int, int], mask: T
 
 def mean_run(made: Synthesis, sample: Image) -> float:
     """Return the mean unbroken run of the source map, px."""
-    found = SourceUse().score(Observation(sample, made.image, source=made.source)).values["run"]
+    found = SourceUse().score(Observation(sample, made.image, source=made.source)).values["mean_copy_length"]
     assert found is not None
     return float(found)
 
