@@ -9,11 +9,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_choice, check_sizes
-from .modelling.coordinates import Field
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.threads import interlaced
+from .modelling.drawing import Field, Layer, Pattern, interlace
+from .modelling.model import Model, check_choice, check_sizes
 
 _STAKE = (0.42, 0.32, 0.24)
 _STRAND = (0.62, 0.51, 0.34)
@@ -23,7 +20,7 @@ _DRAFTS = {
     "single": (_SQUARE.sum(0) % 2 == 0, ((1, 1), (1, -1))),
     "double": ((_SQUARE[1] + _SQUARE[0] // 2) % 2 == 0, ((1, 2), (1, -2))),
 }
-"""Where the stake lies above, and the generating vectors in stakes and strands."""
+"""Whether the stake lies above at each crossing, and the generating vectors in stakes and strands."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +30,12 @@ class Basket(Model):
     Parameters
     ----------
     stake, strand
-        From stake to stake along x, and from strand to strand along y, in px.
+        Distance from stake to stake along x, and from strand to strand along y, in px.
     gap
         Width of the dark gap between them in px, at least 1.
     draft
-        ``"single"``: each strand passes the stakes otherwise than the one above it, so the lattice is
-        (stake, strand), (stake, -strand); ``"double"``: strands in pairs.
+        ``"single"``: strands pass before and behind the stakes one by one in turn, so that the lattice is
+        (stake, strand), (stake, -strand); ``"double"``: strands do so in pairs.
     """
 
     stake: float = 19.3
@@ -53,7 +50,7 @@ class Basket(Model):
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """To crossings that are alike."""
+        """To the next equal crossings."""
         (a, b), (c, d) = _DRAFTS[self.draft][1]
         return (a * self.stake, b * self.strand), (c * self.stake, d * self.strand)
 
@@ -63,7 +60,7 @@ class Basket(Model):
         return self.strand
 
     def pattern(self, x: Field, y: Field) -> Pattern:
-        """Return strands and stakes before the dark inside; the origin is a crossing where the stake lies above."""
-        stake, strand = interlaced(x, y, (self.stake, self.strand), self.gap, _DRAFTS[self.draft][0], depth=0.35)
+        """Return strands and stakes on the dark inside; the origin is a crossing where the stake lies above."""
+        stake, strand = interlace(x, y, (self.stake, self.strand), self.gap, _DRAFTS[self.draft][0], depth=0.35)
         stakes = Layer("stake", (stake.index,), stake.coverage, _STAKE, stake.shade)
         return Pattern(_INSIDE, (stakes, Layer("strand", (strand.index,), strand.coverage, _STRAND, strand.shade)))

@@ -1,4 +1,4 @@
-"""Brick walls."""
+"""A brick wall."""
 
 from __future__ import annotations
 
@@ -9,17 +9,13 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check, check_choice, check_sizes
-from .modelling.coordinates import Field, boxes, nearest
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import rim
-from .modelling.shapes import box, coverage
+from .modelling.drawing import Field, Layer, Pattern, box, boxes, coverage, nearest, rim
+from .modelling.model import Model, check, check_choice, check_sizes
 
 _CLAY = (0.55, 0.38, 0.32)
 _MORTAR = (0.75, 0.72, 0.67)
 _SHIFTS = {"running": 0.5, "stack": 0.0, "english": 0.0, "flemish": 0.75}
-"""How many widths each course is moved against the one above it."""
+"""Number of widths by which each course is shifted against the one above it."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +25,14 @@ class Brick(Model):
     Parameters
     ----------
     width, height
-        From brick to brick along a course, and from course to course, in px.
+        Distance from brick to brick along a course, and from course to course, in px.
     joint
         Width of the mortar joints in px, at least 1.
     bond
-        ``"running"``: each course moved by half a brick; ``"stack"``: all joints in line; ``"english"``: courses of
-        bricks and of half bricks in turn; ``"flemish"``: a brick and a half brick in turn along every course.
+        ``"running"``: each course shifted by half a brick; ``"stack"``: all joints in line; ``"english"``: courses of
+        bricks and of half bricks alternate; ``"flemish"``: bricks and half bricks alternate along every course.
     small_every
-        Every so manieth course is of half bricks, at least 2; 0: none (English bond has its own).
+        Every n-th course has half bricks, with n at least 2; 0: none (English bond has such courses anyway).
     """
 
     width: float = 27.3
@@ -59,12 +55,12 @@ class Brick(Model):
 
     @property
     def _courses(self) -> int:
-        """After how many courses the wall repeats."""
+        """Number of courses after which the wall repeats."""
         return 2 if self.bond == "english" else max(1, self.small_every)
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """Along a course, and to the next one that is like it."""
+        """Along a course, and to the next equal course."""
         along = self.width * (1.5 if self.bond == "flemish" else 1.0)
         return (along, 0.0), (self._courses * _SHIFTS[self.bond] * self.width % along, self._courses * self.height)
 

@@ -10,12 +10,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_choice, check_sizes
-from .modelling.coordinates import Field, cells, honeycomb
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import mix
-from .modelling.shapes import capsule, coverage, disc
+from .modelling.drawing import Field, Layer, Pattern, capsule, cells, coverage, disc, honeycomb, mix
+from .modelling.model import Model, check_choice, check_sizes
 
 _LID = (0.46, 0.46, 0.45)
 _TAB = (0.44, 0.44, 0.46)
@@ -30,7 +26,7 @@ class Cans(Model):
     Parameters
     ----------
     period
-        From can to can in px.
+        Distance from can to can in px.
     packing
         ``"hexagonal"`` or ``"square"``.
     """

@@ -6,11 +6,8 @@ from dataclasses import dataclass
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check, check_sizes
-from .modelling.coordinates import Field, cells, hats
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shapes import box, coverage
+from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, hats
+from .modelling.model import Model, check, check_sizes
 
 _HOLE = (0.25, 0.24, 0.26)
 _PAPER = (0.62, 0.58, 0.47)
@@ -18,12 +15,12 @@ _PAPER = (0.62, 0.58, 0.47)
 
 @dataclass(frozen=True)
 class Card(Model):
-    """A punched card: columns of tall holes. Elements: hole, and the paper around it, which fades into the next.
+    """A punched card: columns of tall holes. Elements: hole, and the paper around each hole.
 
     Parameters
     ----------
     width, height
-        From hole to hole along and across a row in px.
+        Distance from hole to hole along and across a row in px.
     hole
         Breadth of a hole as a share of ``width``, from 0.2 to 0.8.
     """

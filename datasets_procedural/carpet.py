@@ -8,12 +8,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check, check_sizes
-from .modelling.coordinates import Field, cells
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import rim
-from .modelling.shapes import box, coverage
+from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, rim
+from .modelling.model import Model, check, check_sizes
 
 _COLORS = np.array([(0.50, 0.20, 0.22), (0.20, 0.23, 0.36), (0.60, 0.50, 0.34), (0.34, 0.39, 0.28)])
 _WARP = (0.25, 0.20, 0.19)
@@ -26,9 +22,10 @@ class Carpet(Model):
     Parameters
     ----------
     knot
-        From knot to knot in px.
+        Distance from knot to knot in px.
     knots
-        Of a medallion along x and y, even, from 6 to 40; every row of medallions is moved by half of one.
+        Number of knots of a medallion along x and y, even, from 6 to 40. Every row of medallions is shifted by half a
+        medallion.
     """
 
     knot: float = 3.7

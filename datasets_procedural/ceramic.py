@@ -6,14 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field, cells
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import bevel, mix
-from .modelling.shapes import box, coverage
+from .modelling.drawing import Field, Layer, Pattern, bevel, box, cells, coverage, mix
+from .modelling.model import SquareModel, check_sizes
 
 _GLAZE = (0.55, 0.55, 0.52)
 _BLUE = (0.25, 0.33, 0.52)
@@ -22,13 +16,13 @@ _GROUT = (0.44, 0.43, 0.42)
 
 
 @dataclass(frozen=True)
-class Ceramic(Model):
+class Ceramic(SquareModel):
     """Glazed ceramic tiles with a painted flower. Element: tile.
 
     Parameters
     ----------
     period
-        From tile to tile in px.
+        Distance from tile to tile in px.
     joint
         Width of the grout in px, at least 1.
     """
@@ -39,11 +33,6 @@ class Ceramic(Model):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_sizes(self, joint=1, period=6 * self.joint)
-
-    @property
-    def vectors(self) -> tuple[Vector, Vector]:
-        """Along a row, and to the next one."""
-        return (self.period, 0.0), (0.0, self.period)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return tiles on grout; the origin is the middle of a tile."""

@@ -8,12 +8,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field, nearest
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import round_profile
-from .modelling.shapes import coverage, stripe
+from .modelling.drawing import Field, Layer, Pattern, coverage, nearest, round_profile, stripe
+from .modelling.model import Model, check_sizes
 
 _PILE = (0.52, 0.41, 0.28)
 _GROUND = (0.28, 0.22, 0.18)
@@ -26,9 +22,9 @@ class Corduroy(Model):
     Parameters
     ----------
     width
-        From cord to cord in px.
+        Distance from cord to cord in px.
     tuft
-        From tuft to tuft along a cord in px.
+        Distance from tuft to tuft along a cord in px.
     """
 
     width: float = 14.3

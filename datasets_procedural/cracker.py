@@ -1,4 +1,4 @@
-"""Crackers."""
+"""Square crackers."""
 
 from __future__ import annotations
 
@@ -6,14 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field, cells, nearest
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import mix
-from .modelling.shapes import box, coverage, disc
+from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, disc, mix, nearest
+from .modelling.model import SquareModel, check_sizes
 
 _BISCUIT = (0.62, 0.52, 0.36)
 _BAKED = (0.52, 0.36, 0.22)
@@ -21,15 +15,15 @@ _TRAY = (0.26, 0.23, 0.22)
 
 
 @dataclass(frozen=True)
-class Cracker(Model):
+class Cracker(SquareModel):
     """Square crackers with nine holes and wavy edges, side by side. Element: cracker.
 
     Parameters
     ----------
     period
-        From cracker to cracker in px.
+        Distance from cracker to cracker in px.
     gap
-        Between crackers in px, at least 1.
+        Width of the gap between crackers in px, at least 1.
     """
 
     period: float = 33.7
@@ -38,11 +32,6 @@ class Cracker(Model):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_sizes(self, gap=1, period=16 + self.gap)
-
-    @property
-    def vectors(self) -> tuple[Vector, Vector]:
-        """Along a row, and to the next one."""
-        return (self.period, 0.0), (0.0, self.period)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return crackers on a tray; the origin is the middle of one."""

@@ -10,12 +10,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_choice, check_sizes
-from .modelling.coordinates import Field, Index, Local, honeycomb
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import rim, round_profile
-from .modelling.shapes import coverage, hexagon
+from .modelling.drawing import Field, Index, Layer, Local, Pattern, coverage, hexagon, honeycomb, rim, round_profile
+from .modelling.model import Model, check_choice, check_sizes
 
 _GLAZE = (0.32, 0.46, 0.52)
 _GROUT = (0.78, 0.77, 0.73)
@@ -32,7 +28,7 @@ class Hexagon(Model):
     Parameters
     ----------
     period
-        From a tile's centre to the next in px: the lattice is (period, 0), (period / 2, period sqrt(3) / 2).
+        Distance from a tile's center to the next in px: the lattice is (period, 0), (period / 2, period sqrt(3) / 2).
     joint
         Width of the grout, or of the wires, in px, at least 1.
     style
@@ -50,7 +46,7 @@ class Hexagon(Model):
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """To the next tile on the right, and to the one below it."""
+        """To the next tile on the right, and to the next one below it."""
         return (self.period, 0.0), (self.period / 2, self.period * math.sqrt(3) / 2)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
@@ -62,7 +58,7 @@ class Hexagon(Model):
         return Pattern(_GROUT, (Layer("tile", index, coverage(distance), _GLAZE, rim(distance, 0.2, 1.5)),))
 
     def _net(self, mesh: tuple[Index, Index], local: Local) -> Pattern:
-        """Return the wires, each named by the sum of the two meshes that it parts."""
+        """Return the wires, the index of each is the sum of those of the two meshes it separates."""
         sector = np.rint(np.arctan2(local[1], local[0]) / (math.pi / 3)).astype(np.int64) % 6
         beyond = _NEIGHBORS[sector]
         index = 2 * mesh[0] + beyond[..., 0], 2 * mesh[1] + beyond[..., 1]

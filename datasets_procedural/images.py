@@ -1,7 +1,8 @@
-"""Pictures from files: a sample is cut at random, the oracle is cut beside it."""
+"""Photographs and other pictures from files."""
 
 from __future__ import annotations
 
+import json
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -17,23 +18,28 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Region, Shape, Texture
+from nrbench.suites.truth import TruthTable
 
-from .modelling.checks import check
-from .photographs.truth import ENDINGS, read_rendered, read_truth
+from .modelling.model import check
+
+ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
+"""Endings of picture files."""
+_ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
+"""The keys of a suite's row that are read from ``truth.json``."""
 
 
 @dataclass(frozen=True)
 class Images:
-    """A picture in a file, photograph or other: its sample is a random crop, and the oracle another beside it.
+    """A picture from a file, such as a photograph. The sample is a random crop, a fresh draw is another beside it.
 
     Parameters
     ----------
     path
-        The picture: PNG, JPEG, TIFF; 8 bits, 16 bits gray, palette.
+        The file: PNG, JPEG or TIFF; 8 bits, 16 bits gray or palette.
     t1, t2
-        Generating vectors (x, y) in px of the picture's lattice, both or neither.
+        Generating vectors (x, y) of the picture's lattice in px; both or neither.
     origin
-        A lattice point (x, y) in px of the picture.
+        A lattice point (x, y) of the picture in px.
     """
 
     path: Path
@@ -46,13 +52,13 @@ class Images:
 
     def __post_init__(self) -> None:
         if (self.t1 is None) != (self.t2 is None):
-            raise BadInput(f"picture {self.path}: has one generating vector; give both t1 and t2, or neither")
+            raise BadInput(f"picture {self.path}: has only one generating vector; give both t1 and t2, or neither")
         self._lattice((0, 0, 0, 0))
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
         """Return a random crop of ``shape`` at a border of the picture; where the picture is smaller, all of it.
 
-        At a border, so that a strip as wide as can be is left beside it for the oracle.
+        A crop at a border leaves the widest possible strip beside it, from which :meth:`again` cuts.
 
         Raises
         ------
@@ -70,7 +76,7 @@ class Images:
         return self._cut(image, (x0, y0, x0 + width, y0 + height))
 
     def again(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture | None:
-        """Return a random region of exactly ``shape`` that ``texture.region`` does not touch; None without room."""
+        """Return a random region of exactly ``shape`` that does not touch ``texture.region``; None if none fits."""
         image = self._read()
         if texture.region is None:
             raise BadInput(f"picture {self.path}: the texture has no region; pass one that render returned")
@@ -86,14 +92,14 @@ class Images:
 
         No picture is opened. Hidden files and the contact sheet of ``nrbench render`` are left out.
 
-        A ``truth.csv`` in it may hold generating vectors: columns ``file,t1x,t1y,t2x,t2y`` and, at will,
-        ``originx,originy``; others are ignored. A picture without a line, or whose numbers are empty, has no known
-        lattice. A ``truth.json`` that ``nrbench render`` wrote says how each picture was drawn.
+        The directory may have a ``truth.csv`` with generating vectors: columns ``file,t1x,t1y,t2x,t2y`` and optionally
+        ``originx,originy``; others are ignored. A picture without a line, or with empty numbers, has no known lattice.
+        It may have a ``truth.json`` by ``nrbench render``, which holds how each picture was drawn.
 
         Raises
         ------
         BadInput
-            When there is no picture, or a truth file is malformed (naming the line).
+            When there is no picture, or a truth file is malformed (the message names the line).
         """
         folder = Path(directory)
         sheet, rendered = read_rendered(folder)
@@ -135,14 +141,14 @@ class Images:
 
 @lru_cache(maxsize=2)
 def _cached(path: Path, _written: int) -> Image:
-    """Read a picture once for all the regions that are cut from it."""
+    """Read a picture, once for all regions that are cut from it."""
     image = read_image(path)
     image.setflags(write=False)
     return image
 
 
 def _free_corner(picture: Shape, shape: Shape, region: Region, rng: np.random.Generator) -> tuple[int, int] | None:
-    """Draw the corner (x, y) of a rectangle of ``shape`` in the picture, clear of ``region``: each as likely."""
+    """Draw the corner (x, y) of a rectangle of ``shape`` in the picture that does not touch ``region``, uniformly."""
     rows, columns = (whole - part + 1 for whole, part in zip(picture, shape, strict=True))
     if rows < 1 or columns < 1:
         return None
@@ -160,6 +166,60 @@ def _free_corner(picture: Shape, shape: Shape, region: Region, rng: np.random.Ge
 
 
 def _named(pictures: list[Path]) -> Iterator[tuple[str, Path]]:
-    """Yield each picture with its name: without its ending, unless two would be called the same."""
+    """Yield each picture with its name: without its ending, unless two pictures would have the same name."""
     stems = Counter(path.stem for path in pictures)
     return ((path.stem if stems[path.stem] == 1 else path.name, path) for path in pictures)
+
+
+def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:
+    """Read ``truth.csv``: ``{"t1": (x, y), "t2": (x, y), "origin": (x, y)}`` in px by file name.
+
+    A file whose numbers are empty gets ``{}``. A file without an origin gets none.
+
+    Parameters
+    ----------
+    folder
+        A directory. Without a ``truth.csv`` in it the result is empty.
+
+    Raises
+    ------
+    BadInput
+        When the table is malformed (see :class:`~nrbench.suites.truth.TruthTable`), or a line names no
+        file in the folder.
+    """
+    rows = TruthTable.read(folder).rows
+    for name, row in rows.items():
+        if not (folder / name).is_file():
+            raise BadInput(f"{row.where}: there is no file {name!r} beside it; correct the name, or drop the line")
+    return {name: dict(row.vectors) for name, row in rows.items()}
+
+
+def read_rendered(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
+    """Read the ``truth.json`` by ``nrbench render``: the contact sheet's name, and a suite row for each picture.
+
+    Parameters
+    ----------
+    folder
+        A directory. Without such a ``truth.json`` in it the result is empty.
+
+    Raises
+    ------
+    BadInput
+        When ``truth.json`` is no JSON, or the entry of a picture is no table.
+    """
+    path = folder / "truth.json"
+    try:
+        content = json.loads(path.read_text("utf-8")) if path.is_file() else {}
+    except ValueError as error:
+        raise BadInput(f"{path}: is no JSON ({error}); render the textures again, or delete it") from None
+    textures = content.get("textures") if isinstance(content, dict) else None
+    if not isinstance(textures, dict):
+        return "", {}
+    rows = {}
+    for name, entry in textures.items():
+        if not isinstance(entry, dict):
+            raise BadInput(f"{path}: picture {name!r}: {entry!r} is no table; render the textures again, or delete it")
+        row = {key: entry[key] for key in _ROW if entry.get(key) not in (None, "")}
+        shape = row["recipe"].get("shape") if isinstance(row.get("recipe"), dict) else None
+        rows[name] = {**row, "sample": shape} if shape else row  # the whole picture is the sample
+    return str(content.get("sheet", "")), rows

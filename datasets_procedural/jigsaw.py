@@ -10,12 +10,8 @@ from numpy.typing import NDArray
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_choice, check_sizes
-from .modelling.coordinates import Field, nearest
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import rim
-from .modelling.shapes import coverage, disc
+from .modelling.drawing import Field, Layer, Pattern, coverage, disc, nearest, rim
+from .modelling.model import Model, check_choice, check_sizes
 
 _CARD = (0.52, 0.50, 0.39)
 _TABLE = (0.24, 0.22, 0.20)
@@ -28,12 +24,12 @@ class Jigsaw(Model):
     Parameters
     ----------
     width, height
-        From piece to piece in px.
+        Distance from piece to piece in px.
     gap
         Width of the seams in px, at least 1.
     tabs
-        ``"alternate"``: a piece has two tabs, opposite each other, and its neighbors have the other two, so the
-        lattice is (width, height), (width, -height); ``"same"``: all pieces are alike.
+        ``"alternate"``: a piece has two opposite tabs, and its neighbors have the other two, so that the lattice
+        is (width, height), (width, -height); ``"same"``: all pieces are alike.
     """
 
     width: float = 31.3
@@ -48,7 +44,7 @@ class Jigsaw(Model):
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """To the next piece that is alike."""
+        """To the next equal pieces."""
         if self.tabs == "same":
             return (self.width, 0.0), (0.0, self.height)
         return (self.width, self.height), (self.width, -self.height)

@@ -8,12 +8,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field, nearest
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import round_profile
-from .modelling.shapes import capsule, coverage
+from .modelling.drawing import Field, Layer, Pattern, capsule, coverage, nearest, round_profile
+from .modelling.model import Model, check_sizes
 
 _WOOL = (0.55, 0.31, 0.33)
 _SHADOW = (0.25, 0.18, 0.18)
@@ -26,7 +22,7 @@ class Knit(Model):
     Parameters
     ----------
     width, height
-        From stitch to stitch along and across a row in px.
+        Distance from stitch to stitch along and across a row in px.
     """
 
     width: float = 17.3
@@ -42,7 +38,7 @@ class Knit(Model):
         return (self.width, 0.0), (0.0, self.height)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
-        """Return stitches before a shadow; the origin is the tip of a V."""
+        """Return stitches on a shadow; the origin is the tip of a V."""
         i, right = nearest(x, self.width)
         aside = np.abs(right) - self.width / 4
         j, down = nearest(y + 1.1 * self.height / self.width * 2 * aside, self.height)

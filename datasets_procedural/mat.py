@@ -8,12 +8,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field, nearest
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import round_profile
-from .modelling.shapes import capsule, coverage, stripe
+from .modelling.drawing import Field, Layer, Pattern, capsule, coverage, nearest, round_profile, stripe
+from .modelling.model import Model, check_sizes
 
 _ROPE = (0.60, 0.52, 0.38)
 _KNOT = (0.56, 0.44, 0.30)
@@ -27,9 +23,9 @@ class Mat(Model):
     Parameters
     ----------
     width
-        From rope to rope in px.
+        Distance from rope to rope in px.
     height
-        From knot to knot along a rope in px; the lattice is (width, height), (width, -height).
+        Distance from knot to knot along a rope in px; the lattice is (width, height), (width, -height).
     rope
         Breadth of a rope in px.
     """
@@ -44,7 +40,7 @@ class Mat(Model):
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """From a knot to the next ones, which join the next rope."""
+        """From a knot to the next ones, on the next rope."""
         return (self.width, self.height), (self.width, -self.height)
 
     @property

@@ -1,4 +1,4 @@
-"""Mosaic."""
+"""A mosaic."""
 
 from __future__ import annotations
 
@@ -6,15 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
-from .modelling.checks import check, check_sizes
-from .modelling.coordinates import Field, Index
-from .modelling.fields import role_seed, uniform
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import rim
-from .modelling.shapes import coverage
+from .modelling.drawing import Field, Index, Layer, Pattern, coverage, rim
+from .modelling.model import SquareModel, check, check_sizes
+from .modelling.random_fields import role_seed, uniform
 
 _COLORS = np.array([(0.58, 0.39, 0.25), (0.60, 0.56, 0.47), (0.26, 0.39, 0.47), (0.52, 0.25, 0.23)])
 _NEAR = [(a, b) for b in (-1, 0, 1) for a in (-1, 0, 1)]
@@ -22,15 +16,15 @@ _GROUT = (0.31, 0.30, 0.30)
 
 
 @dataclass(frozen=True)
-class Mosaic(Model):
-    """A mosaic: rings of small stones, the same uneven ones in every cell. Element: stone.
+class Mosaic(SquareModel):
+    """A mosaic: rings of small uneven stones, the same in every cell. Element: stone.
 
     Parameters
     ----------
     period
-        From rosette to rosette in px.
+        Distance from rosette to rosette in px.
     stones
-        Along a side of the cell, from 3 to 12.
+        Number of stones along a side of the cell, from 3 to 12.
     joint
         Width of the grout in px, at least 1.
     """
@@ -45,17 +39,12 @@ class Mosaic(Model):
         check_sizes(self, joint=1, period=3 * self.joint * self.stones)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
-        """Along a row, and to the next one."""
-        return (self.period, 0.0), (0.0, self.period)
-
-    @property
     def element_size(self) -> float:
         """The breadth of a stone."""
         return self.period / self.stones
 
     def pattern(self, x: Field, y: Field) -> Pattern:
-        """Return stones on grout: each point belongs to the nearest stone's middle; the origin is a rosette's."""
+        """Return stones on grout, each the Voronoi cell of its middle; the origin is the middle of a rosette."""
         u, v = x / self.element_size, y / self.element_size
         i, j = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
         offsets = self._offsets(i, j, u - i, v - j)
@@ -75,15 +64,15 @@ class Mosaic(Model):
         return Pattern(_GROUT, (Layer("stone", index, coverage(distance), color, rim(distance, 0.15, 1.0)),))
 
     def _offsets(self, i: Index, j: Index, du: Field, dv: Field) -> list[tuple[Field, Field]]:
-        """Return how far, in stones, the middles of the nine stones nearby lie from each point."""
+        """Return the vectors, in stones, from each point to the middles of the nine stones nearby."""
         n = self.stones
         uneven = 0.16 * uniform(role_seed(n, "stones"), *np.indices((2, n, n)))
         place = (i % n) * n + j % n
-        found = []
+        offsets = []
         for a, b in _NEAR:
             dx, dy = np.roll(uneven, (-a, -b), (1, 2)).reshape(2, -1)
-            found.append(((dx + a).take(place) - du, (dy + b).take(place) - dv))
-        return found
+            offsets.append(((dx + a).take(place) - du, (dy + b).take(place) - dv))
+        return offsets
 
     def _ring(self, i: Index, j: Index) -> Index:
         n = self.stones

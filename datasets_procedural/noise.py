@@ -12,9 +12,9 @@ from scipy import fft
 
 from nrbench.plugins.forms import Shape, Texture
 
-from .modelling.checks import check, check_choice, check_shape, check_sizes
-from .modelling.fields import hashed, role_seed
-from .modelling.shades import hue_turn
+from .modelling.drawing import hue_rotation
+from .modelling.model import check, check_choice, check_degrees, check_shape, check_sizes
+from .modelling.random_fields import hash_bits, role_seed
 
 _MEAN = np.array([0.50, 0.46, 0.40])
 _TINTS = np.array([(1.0, 0.94, 0.86), (0.5, 0.0, -0.6)]) / 1.1
@@ -23,19 +23,19 @@ _SPECTRA = ("white", "pink", "brown", "blobs", "grass")
 
 @dataclass(frozen=True)
 class Noise:
-    """Normal noise of a given spectrum: a stochastic texture, which has no lattice.
+    """Noise of a given spectrum, nearly Gaussian: a stochastic texture, without a lattice.
 
-    Its kind is ``"stochastic"``, its regular share 0, its lattice None; its ideal image, the mean over draws, is one
-    color all over. ``again`` is an independent draw.
+    Its kind is ``"stochastic"``, its regular share 0 and its lattice None. Its ideal image, the mean over draws, has
+    one color. ``again`` is an independent draw.
 
     Parameters
     ----------
     spectrum
-        ``"white"``: all waves longer than 2 px alike; ``"pink"``, ``"brown"``: power falls with frequency, as 1 / f
-        or 1 / f^2, and is level for waves longer than 4 scales; ``"blobs"``: waves about ``scale`` long, in all
-        directions; ``"grass"``: the same, stretched four times along y.
+        ``"white"``: equal power at all wave lengths above 2 px; ``"pink"``, ``"brown"``: power falls with frequency, as
+        1 / f or 1 / f^2, and is constant for waves longer than 4 scales; ``"blobs"``: waves about ``scale`` long, in
+        all directions; ``"grass"``: the same, stretched by a factor of 4 along y.
     scale
-        Length in px, at least 3.
+        Length of the waves in px, at least 3.
     contrast
         Standard deviation of the brightness, from 0 to 0.3.
     rotation
@@ -57,15 +57,14 @@ class Noise:
         check_choice(self, "spectrum", _SPECTRA)
         check_sizes(self, scale=3)
         check(0 <= self.contrast <= 0.3, f"contrast is {self.contrast}; give a standard deviation from 0 to 0.3")
-        for name in ("rotation", "hue"):
-            check(math.isfinite(getattr(self, name)), f"{name} is {getattr(self, name)}; give degrees")
+        check_degrees(self, "rotation", "hue")
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
         """Return a texture of ``shape``."""
         check_shape(shape)
         seed = int(rng.integers(2**63))
-        color = np.clip(_MEAN @ hue_turn(self.hue).T, 0, 1)
-        tints = _TINTS @ hue_turn(self.hue).T
+        color = np.clip(_MEAN @ hue_rotation(self.hue).T, 0, 1)
+        tints = _TINTS @ hue_rotation(self.hue).T
         fields = np.stack([self._field(role_seed(seed, name), shape) for name in ("bright", "tint")], -1)
         image = np.asarray(color + self.contrast * (fields * (1.0, 0.35)) @ tints, np.float32)
         return Texture(
@@ -82,10 +81,10 @@ class Noise:
         return self.render(shape, rng)
 
     def _field(self, seed: int, shape: Shape) -> NDArray[np.float64]:
-        """Return noise of mean 0 and variance 1: white noise, filtered around a torus larger than the picture."""
+        """Return noise of mean 0 and variance 1: white noise, filtered on a torus larger than the picture."""
         margin = math.ceil(4 * self.scale)
         rows, columns = (fft.next_fast_len(side + margin) for side in shape)
-        words = hashed(seed, np.arange(rows)[:, np.newaxis], np.arange(columns)).view(np.uint16)
+        words = hash_bits(seed, np.arange(rows)[:, np.newaxis], np.arange(columns)).view(np.uint16)
         white = words.reshape(rows, columns, 4).sum(-1, dtype=np.float64) / 65535 - 2
         gain = np.sqrt(self._power(fft.rfftfreq(columns), fft.fftfreq(rows)[:, np.newaxis]))
         twice = np.where((np.arange(gain.shape[1]) == 0) | (2 * np.arange(gain.shape[1]) == columns), 1, 2)

@@ -9,11 +9,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field, cells, honeycomb
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shapes import box, coverage, hexagon
+from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, hexagon, honeycomb
+from .modelling.model import Model, check_sizes
 
 _SQUARE = (0.60, 0.49, 0.25)
 _HEXAGON = (0.30, 0.39, 0.49)
@@ -22,16 +19,16 @@ _GROUND = (0.58, 0.58, 0.56)
 
 @dataclass(frozen=True)
 class Overlap(Model):
-    """Square frames over hexagonal tiles: two lattices, both repeated only by a tile of many of each.
+    """Square frames over hexagonal tiles: two lattices, whose smallest common cell holds 25 squares and 56 hexagons.
 
-    Five squares are as wide as seven hexagons, and as high as four double rows of them (hexagons stretched by 1 %).
+    Five squares are as wide as seven hexagons and as high as four double rows of hexagons, stretched by 1 %.
     ``Texture.lattices`` holds the common lattice, that of the squares and that of the hexagons. Elements: square,
     hexagon.
 
     Parameters
     ----------
     period
-        From square to square in px; the common tile is 5 periods wide and high.
+        Distance from square to square in px; the common cell is 5 periods wide and high.
     """
 
     period: float = 37.3
@@ -42,7 +39,7 @@ class Overlap(Model):
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """Of the common lattice."""
+        """Those of the common lattice."""
         return (5 * self.period, 0.0), (0.0, 5 * self.period)
 
     def sublattices(self) -> tuple[tuple[Vector, Vector], ...]:

@@ -1,4 +1,4 @@
-"""Pavements."""
+"""A pavement."""
 
 from __future__ import annotations
 
@@ -10,12 +10,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_choice, check_sizes
-from .modelling.coordinates import Field, cells
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import rim
-from .modelling.shapes import box, coverage, lozenge
+from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, lozenge, rim
+from .modelling.model import Model, check_choice, check_sizes
 
 _STONE = (0.54, 0.50, 0.46)
 _SMALL = (0.41, 0.36, 0.36)
@@ -38,7 +34,7 @@ class Pavement(Model):
     joint
         Width of the sand joints in px, at least 1.
     style
-        ``"herringbone"``, ``"basket"`` (pairs of stones, lying and standing in turn) or ``"octagon"``.
+        ``"herringbone"``, ``"basket"`` (pairs of stones, horizontal and vertical in turn) or ``"octagon"``.
     """
 
     width: float = 13.3
@@ -52,7 +48,7 @@ class Pavement(Model):
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """To the next stones that lie alike."""
+        """To the next stones of the same orientation."""
         (a, b), (c, d) = _LATTICES[self.style]
         return (a * self.width, b * self.width), (c * self.width, d * self.width)
 

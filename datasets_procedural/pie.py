@@ -1,4 +1,4 @@
-"""A lattice pie."""
+"""A pie with a lattice top."""
 
 from __future__ import annotations
 
@@ -8,12 +8,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import mix
-from .modelling.threads import interlaced
+from .modelling.drawing import Field, Layer, Pattern, interlace, mix
+from .modelling.model import Model, check_sizes
 
 _CRUST = (0.62, 0.49, 0.31)
 _BROWN = (0.50, 0.34, 0.22)
@@ -23,12 +19,12 @@ _DRAFT = np.array([[True, False], [False, True]])
 
 @dataclass(frozen=True)
 class Pie(Model):
-    """The top of a pie: strips of crust, woven, over a dark filling. Element: strip, one kind for each direction.
+    """The top of a pie: strips of crust, woven, over a dark filling. Elements: upright strip, level strip.
 
     Parameters
     ----------
     period
-        From strip to strip in px; the lattice is (period, period), (period, -period).
+        Distance from strip to strip in px; the lattice is (period, period), (period, -period).
     strip
         Breadth of a strip in px.
     """
@@ -42,12 +38,12 @@ class Pie(Model):
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """To crossings that are alike."""
+        """To the next equal crossings."""
         return (self.period, self.period), (self.period, -self.period)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return strips over the filling; the origin is a crossing where the upright one lies above."""
-        strips = interlaced(x, y, (self.period, self.period), self.period - self.strip, _DRAFT, depth=0.3)
+        strips = interlace(x, y, (self.period, self.period), self.period - self.strip, _DRAFT, depth=0.3)
         layers = []
         for name, strip in zip(("upright", "level"), strips, strict=True):
             baked = mix(np.exp(np.minimum(strip.distance, 0) / (0.14 * self.strip)), _CRUST, _BROWN)

@@ -6,13 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field, boxes
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shapes import coverage, stripe
+from .modelling.drawing import Field, Layer, Pattern, boxes, coverage, stripe
+from .modelling.model import SquareModel, check_sizes
 
 _COLORS = np.array([(0.54, 0.20, 0.22), (0.18, 0.23, 0.31), (0.20, 0.34, 0.26), (0.62, 0.57, 0.31)])
 _SETT = (0.42, 0.08, 0.26, 0.08, 0.16)
@@ -21,13 +16,13 @@ _GROUND = (0.23, 0.22, 0.22)
 
 
 @dataclass(frozen=True)
-class Plaid(Model):
-    """Plaid: bands of color, upright and level, that show through each other. Elements: upright, level band.
+class Plaid(SquareModel):
+    """Plaid cloth: upright and level bands of color that show through each other. Elements: upright, level band.
 
     Parameters
     ----------
     period
-        From sett to sett in px, both ways.
+        Distance from sett to sett in px, both ways.
     """
 
     period: float = 36.1
@@ -37,17 +32,12 @@ class Plaid(Model):
         check_sizes(self, period=12)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
-        """Along both kinds of bands."""
-        return (self.period, 0.0), (0.0, self.period)
-
-    @property
     def element_size(self) -> float:
-        """The breadth of a middling band."""
+        """The breadth of a band of medium width."""
         return self.period / 4
 
     def pattern(self, x: Field, y: Field) -> Pattern:
-        """Return bands, each with half of every pixel; the origin is the middle of a broad upright and level one."""
+        """Return bands that each cover half of a pixel; the origin is the middle of a broad upright and level band."""
         layers = []
         for name, at in (("upright", x), ("level", y)):
             k, along, width = boxes(at, tuple(share * self.period for share in _SETT))

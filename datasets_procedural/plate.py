@@ -8,24 +8,20 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field, cells, hats
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import bevel
-from .modelling.shapes import coverage, lozenge, turned
+from .modelling.drawing import Field, Layer, Pattern, bevel, cells, coverage, hats, lozenge, rotate
+from .modelling.model import Model, check_sizes
 
 _STEEL = (0.49, 0.50, 0.52)
 
 
 @dataclass(frozen=True)
 class Plate(Model):
-    """Metal tread plate: raised lozenges, each across its neighbors. Elements: lozenge, and the sheet around it.
+    """Metal tread plate: raised lozenges at right angles to each other. Elements: lozenge, and the sheet around it.
 
     Parameters
     ----------
     period
-        From lozenge to lozenge along x and along y in px; the lattice is (period, period), (period, -period).
+        Distance from lozenge to lozenge along x and along y in px; the lattice is (period, period), (period, -period).
     """
 
     period: float = 19.7
@@ -36,14 +32,14 @@ class Plate(Model):
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """To the next lozenge that lies alike."""
+        """To the next lozenges of the same orientation."""
         return (self.period, self.period), (self.period, -self.period)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return lozenges on the sheet; the origin is the middle of one."""
         (i, j), (right, down) = cells(x, y, self.period, self.period)
         lean = np.where((i + j) % 2 == 0, 1.0, -1.0)
-        along, across = turned(right, lean * down, 45.0)
+        along, across = rotate(right, lean * down, 45.0)
         distance = lozenge(along, across, 1.12 * self.period, 0.46 * self.period)
         raised = coverage(distance)
         shade = bevel(distance, right, down, 0.32, 0.11 * self.period)

@@ -8,12 +8,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check, check_sizes
-from .modelling.coordinates import Field, cells
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import round_profile
-from .modelling.shapes import coverage, stripe
+from .modelling.drawing import Field, Layer, Pattern, cells, coverage, round_profile, stripe
+from .modelling.model import Model, check, check_sizes
 
 _COLORS = np.array([(0.57, 0.26, 0.22), (0.62, 0.54, 0.41), (0.23, 0.30, 0.39), (0.58, 0.42, 0.22)])
 _STEPS = np.array([3, 1, 0, 0, 2, 2, 0])
@@ -23,16 +19,16 @@ _JUTE = (0.41, 0.37, 0.31)
 
 @dataclass(frozen=True)
 class Rug(Model):
-    """A flat-woven rug: stepped lozenges of ribbed yarn, between bands. Element: patch of two steps, four ribs high.
+    """A flat-woven rug: stepped lozenges of ribbed yarn, between bands. Element: patch of two steps by four ribs.
 
     Parameters
     ----------
     yarn
-        From rib to rib in px.
+        Distance from rib to rib in px.
     step
         Length of a step in px.
     steps
-        From lozenge to lozenge along the band, from 4 to 20; a band is twice as many ribs high.
+        Number of steps from lozenge to lozenge along the band, from 4 to 20. A band has twice as many ribs.
     """
 
     yarn: float = 3.1

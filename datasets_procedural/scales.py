@@ -8,12 +8,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field, Index
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import rim
-from .modelling.shapes import coverage, disc
+from .modelling.drawing import Field, Index, Layer, Pattern, coverage, disc, rim
+from .modelling.model import Model, check_sizes
 
 _SCALE = (0.39, 0.52, 0.54)
 _GAP = (0.22, 0.25, 0.28)
@@ -21,12 +17,12 @@ _GAP = (0.22, 0.25, 0.28)
 
 @dataclass(frozen=True)
 class Scales(Model):
-    """Fish-scale tiles: each row hangs over the one below it, moved by half a scale. Element: scale.
+    """Fish-scale tiles: each row hangs over the one below it, shifted by half a scale. Element: scale.
 
     Parameters
     ----------
     width
-        From scale to scale along a row in px; a row is half as high.
+        Distance from scale to scale along a row in px; rows are half as far apart.
     gap
         Width of the dark gap between scales in px, at least 1.
     """

@@ -1,16 +1,11 @@
-"""Squares in squares."""
+"""Nested squares."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nrbench.lattice.geometry import Vector
-
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field, cells
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shapes import box, coverage
+from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage
+from .modelling.model import SquareModel, check_sizes
 
 _OUTER = (0.56, 0.30, 0.26)
 _MIDDLE = (0.60, 0.55, 0.44)
@@ -19,13 +14,13 @@ _GROUND = (0.36, 0.36, 0.34)
 
 
 @dataclass(frozen=True)
-class Squares(Model):
-    """Three squares in each other, in rows. Elements: outer, middle, inner square.
+class Squares(SquareModel):
+    """Nested squares: three in each other, in straight rows. Elements: outer, middle, inner square.
 
     Parameters
     ----------
     period
-        From square to square in px.
+        Distance from square to square in px.
     """
 
     period: float = 27.7
@@ -35,17 +30,12 @@ class Squares(Model):
         check_sizes(self, period=12)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
-        """Along a row, and to the next one."""
-        return (self.period, 0.0), (0.0, self.period)
-
-    @property
     def element_size(self) -> float:
         """The breadth of a middle square."""
         return self.period / 2
 
     def pattern(self, x: Field, y: Field) -> Pattern:
-        """Return squares on a ground; the origin is the middle of three."""
+        """Return squares on a ground; the origin is the middle of three nested ones."""
         index, (right, down) = cells(x, y, self.period, self.period)
         outer, middle, inner = (
             coverage(box(right, down, p * self.period, p * self.period)) for p in (0.84, 0.56, 0.28)

@@ -8,12 +8,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check, check_sizes
-from .modelling.coordinates import Field, rows
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import mix
-from .modelling.shapes import coverage, disc
+from .modelling.drawing import Field, Layer, Pattern, coverage, disc, mix, rows
+from .modelling.model import Model, check, check_sizes
 
 _LIGHT = (0.60, 0.55, 0.46)
 _DARK = (0.44, 0.25, 0.31)
@@ -22,14 +18,14 @@ _GROUND = (0.33, 0.39, 0.41)
 
 @dataclass(frozen=True)
 class Swirl(Model):
-    """Spirals of two colors in discs, each row moved by half a disc. Element: swirl.
+    """Spirals of two colors in discs, each row shifted by half a disc. Element: swirl.
 
     Parameters
     ----------
     period
-        From swirl to swirl in px.
+        Distance from swirl to swirl in px.
     arms
-        Of each spiral, from 1 to 6.
+        Number of arms of each spiral, from 1 to 6.
     """
 
     period: float = 30.7

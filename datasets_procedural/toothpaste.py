@@ -8,12 +8,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_sizes
-from .modelling.coordinates import Field, nearest
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shades import round_profile
-from .modelling.shapes import coverage, stripe
+from .modelling.drawing import Field, Layer, Pattern, coverage, nearest, round_profile, stripe
+from .modelling.model import Model, check_sizes
 
 _COLORS = np.array([(0.62, 0.62, 0.61), (0.58, 0.23, 0.25), (0.62, 0.62, 0.61), (0.23, 0.47, 0.50)])
 _GAP = (0.28, 0.30, 0.33)
@@ -21,14 +17,14 @@ _GAP = (0.28, 0.30, 0.33)
 
 @dataclass(frozen=True)
 class Toothpaste(Model):
-    """Toothpaste in strands side by side: white, red, white and green stripes wind round each. Element: stripe.
+    """Toothpaste in strands side by side: white, red, white and green stripes wind around each strand. Element: stripe.
 
     Parameters
     ----------
     width
-        From strand to strand in px.
+        Distance from strand to strand in px.
     turn
-        Length in px on which the four stripes wind round once.
+        Length in px of one turn of the four stripes.
     """
 
     width: float = 19.3

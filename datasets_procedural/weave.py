@@ -1,4 +1,4 @@
-"""Weaves."""
+"""Woven cloth."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check_choice, check_sizes
-from .modelling.coordinates import Field
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.threads import interlaced
+from .modelling.drawing import Field, Layer, Pattern, interlace
+from .modelling.model import Model, check_choice, check_sizes
 
 _WARP = (0.34, 0.37, 0.45)
 _WEFT = (0.65, 0.61, 0.53)
@@ -25,25 +22,25 @@ _DRAFTS = {
     "basket": ((_WARPS // 2 + _WEFTS // 2) % 2 == 0, ((2, 2), (2, -2))),
     "herringbone": ((np.minimum(_WARPS, 8 - _WARPS) + _WEFTS) % 4 < 2, ((8, 0), (0, 4))),
 }
-"""Where the warp lies above, and the generating vectors in threads."""
+"""Whether the warp lies above at each crossing, and the generating vectors in threads."""
 
 
 @dataclass(frozen=True)
 class Weave(Model):
-    """A weave: warp and weft threads pass over and under each other. Elements: warp, weft thread.
+    """Woven cloth: warp and weft threads pass over and under each other. Elements: warp, weft thread.
 
     A thread keeps its color along its length.
 
     Parameters
     ----------
     warp, weft
-        From a warp thread to the next along x, and from a weft thread to the next along y, in px.
+        Distance from a warp thread to the next along x, and from a weft thread to the next along y, in px.
     gap
         Width of the dark gap between threads in px, at least 1.
     draft
-        ``"plain"``: over and under in turn, like a chess-board, so the smallest lattice is (warp, weft),
-        (warp, -weft); ``"twill"``: over two and under two, moved by one each thread; ``"basket"``: a plain weave of
-        double threads; ``"herringbone"``: a twill that turns back every four warp threads.
+        ``"plain"``: over one and under one, like a chessboard, so that the smallest lattice is (warp, weft),
+        (warp, -weft); ``"twill"``: over two and under two, shifted by one for each thread; ``"basket"``: a plain weave
+        of double threads; ``"herringbone"``: a twill that changes its direction every four warp threads.
     """
 
     warp: float = 12.3
@@ -58,7 +55,7 @@ class Weave(Model):
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """To crossings that are alike."""
+        """To the next equal crossings."""
         (a, b), (c, d) = _DRAFTS[self.draft][1]
         return (a * self.warp, b * self.weft), (c * self.warp, d * self.weft)
 
@@ -69,7 +66,7 @@ class Weave(Model):
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return threads on a dark gap; the origin is a crossing where the warp lies above."""
-        warp, weft = interlaced(x, y, (self.warp, self.weft), self.gap, _DRAFTS[self.draft][0])
+        warp, weft = interlace(x, y, (self.warp, self.weft), self.gap, _DRAFTS[self.draft][0])
         threads = (
             Layer("warp", (warp.index,), warp.coverage, _WARP, warp.shade),
             Layer("weft", (weft.index,), weft.coverage, _WEFT, weft.shade),

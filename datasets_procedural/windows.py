@@ -1,4 +1,4 @@
-"""Windows in a house front."""
+"""Windows in the front of a house."""
 
 from __future__ import annotations
 
@@ -8,11 +8,8 @@ import numpy as np
 
 from nrbench.lattice.geometry import Vector
 
-from .modelling.checks import check, check_sizes
-from .modelling.coordinates import Field, cells, nearest
-from .modelling.model import Model
-from .modelling.pattern import Layer, Pattern
-from .modelling.shapes import box, coverage
+from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, nearest
+from .modelling.model import Model, check, check_sizes
 
 _WALL = (0.60, 0.54, 0.46)
 _FRAME = (0.62, 0.62, 0.60)
@@ -27,11 +24,11 @@ class Windows(Model):
     Parameters
     ----------
     width, height
-        From window to window along and across a storey in px.
+        Distance from window to window along and across a floor in px.
     columns, lines
-        Panes of a window along and across, from 1 to 4.
+        Numbers of panes of a window along and across, from 1 to 4.
     wall
-        Share of ``width`` and ``height`` that is wall, from 0.05 to 0.7.
+        Share of ``width`` and of ``height`` that the wall takes, from 0.05 to 0.7.
     """
 
     width: float = 27.1
@@ -49,7 +46,7 @@ class Windows(Model):
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """Along a storey, and to the next one."""
+        """Along a floor, and to the next one."""
         return (self.width, 0.0), (0.0, self.height)
 
     @property

@@ -1,1 +1,1 @@
-"""TODO nrbench.datasets_procedural.modelling."""
+"""What all texture models share: drawing, departures, random fields, and the base class of a model."""

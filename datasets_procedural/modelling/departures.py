@@ -1,8 +1,8 @@
 """Departures: how a draw differs from its ideal image, element by element and as a whole.
 
-Jitter moves elements by a quarter of s, however small they are. Neighbors that move farther apart than they are broad
-would fold the picture over, so small elements move by themselves only as far as their breadth allows, and make the rest
-of the standard deviation together, in waves whose length is in proportion to how far they move.
+Jitter moves elements by a quarter of s, however small they are. Where neighbors move farther apart than they are broad,
+the picture folds over. So small elements move independently only as far as their breadth allows. The rest of the
+standard deviation is a displacement that neighbors share: waves whose length is proportional to how far they move.
 """
 
 from __future__ import annotations
@@ -20,15 +20,13 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape
 
-from .coordinates import Displacement, Field
-from .fields import factor_variance, factors, grain, role_seed, uniform, unit
-from .pattern import Layer, Pattern
-from .waves import waves
+from .drawing import Displacement, Field, Layer, Pattern
+from .random_fields import factor_variance, factors, grain, role_seed, uniform, unit, waves
 
-_ALONE = 0.27
-"""Standard deviation, as a share of an element's breadth, up to which jitter moves small elements by themselves."""
+_INDEPENDENT = 0.27
+"""Standard deviation, as a share of an element's breadth, up to which jitter moves small elements independently."""
 _STRETCH = 22.0
-"""Length of the waves of the rest of the jitter, over its standard deviation: its gradients then have one of 0.2."""
+"""Length of the waves of the shared jitter, over its standard deviation. Its gradients then have one of 0.2."""
 
 Elements = dict[str, NDArray[np.float64]]
 """``NAME.index`` ``(n, k)``, ``NAME.factor`` ``(n, 3)``, ... of the n elements in the picture, for each kind."""
@@ -36,14 +34,15 @@ Elements = dict[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Departures:
-    """The strengths, all in [0, 1], of what :class:`~.model.Model` documents, and two lengths in px.
+    """The strengths, all in [0, 1], that :class:`~.model.Model` documents, and two lengths in px.
 
     Parameters
     ----------
     s
         Length of the shortest lattice vector: the unit of displacements.
     element_size
-        Typical breadth of an element: holes worn into it, and seams between displaced ones, are a fraction of it.
+        Typical breadth of an element. The holes of worn elements, and the seams between displaced elements, are a
+        fraction of it.
     """
 
     color: float
@@ -71,22 +70,22 @@ class Departures:
 
     @property
     def margin(self) -> int:
-        """How many px beyond the picture displacements depend on."""
+        """Number of px around the picture that :meth:`displacement` needs."""
         return math.ceil(4 * self._seam) if self.jitter else 0
 
     @property
-    def _alone(self) -> float:
-        """Standard deviation in px by which jitter moves each element by itself: more would fold the picture over.
+    def _independent(self) -> float:
+        """Standard deviation in px by which jitter moves each element independently: more would fold the picture over.
 
-        Elements half as broad as s, with few seams, move alone up to a strength of 0.8.
+        Elements half as broad as s, with few seams, move independently up to a strength of 0.8.
         """
-        share = max(_ALONE, 0.8 * self.element_size / self.s)
+        share = max(_INDEPENDENT, 0.8 * self.element_size / self.s)
         return min(0.25 * self.s * self.jitter, share * self.element_size)
 
     @property
-    def _together(self) -> float:
-        """Standard deviation in px by which jitter moves elements with their neighbors: the rest of it."""
-        rest = (0.25 * self.s * self.jitter) ** 2 - self._alone**2
+    def _shared(self) -> float:
+        """Standard deviation in px by which jitter moves elements with their neighbors: the rest."""
+        rest = (0.25 * self.s * self.jitter) ** 2 - self._independent**2
         return math.sqrt(rest) if rest > 1e-9 * self.s**2 else 0.0
 
     @property
@@ -101,8 +100,8 @@ class Departures:
         Parameters
         ----------
         around
-            The pattern on the picture and :attr:`margin` px around it: an element moves as one (but for the waves), and
-            what lies between two is stretched.
+            The pattern on the picture and :attr:`margin` px around it. Each element moves as a whole (but for the
+            shared waves), and what lies between two elements is stretched.
         shape, seed
             The picture's, and the draw's.
         """
@@ -111,74 +110,79 @@ class Departures:
             moved += self._waves("bend", 0.25 * self.s * self.bend, 5 * self.s, shape, seed)
         if self.jitter:
             moved += self._jitter(around, seed)
-        if self._together:
-            moved += self._drift(shape, seed)
+        if self._shared:
+            moved += self._shared_jitter(shape, seed)
         return moved
 
     def _waves(self, role: str, spread: float, period: float, shape: Shape, seed: int) -> Displacement:
         return np.stack([spread * waves(role_seed(seed, f"{role}.{axis}"), shape, period) for axis in range(2)], -1)
 
-    def _drift(self, shape: Shape, seed: int) -> Displacement:
-        """Return what jitter moves together, in waves so long that the map of the picture stays one to one."""
-        return self._waves("drift", self._together, _STRETCH * self._together, shape, seed)
+    def _shared_jitter(self, shape: Shape, seed: int) -> Displacement:
+        """Return the displacement that neighbors share: waves so long that the picture does not fold over."""
+        return self._waves("drift", self._shared, _STRETCH * self._shared, shape, seed)
 
     def _jitter(self, around: Pattern, seed: int) -> Displacement:
         """Return the displacement of the element at each pixel, smoothed across the seams by a Gaussian."""
-        weight = self._smoothed(around.covered() + 1e-3)
+        weight = self._smooth(around.coverage() + 1e-3)
         moves = [self._moves(layer, seed) for layer in around.layers]
         inside = slice(self.margin, -self.margin)
         fields = (reduce(np.add, axis) for axis in zip(*moves, strict=True))
-        return np.stack([(self._smoothed(field) / weight)[inside, inside] for field in fields], -1)
+        return np.stack([(self._smooth(field) / weight)[inside, inside] for field in fields], -1)
 
     def _moves(self, layer: Layer, seed: int) -> list[Field]:
-        """Return how far each element moves by itself along x and y, times its coverage, at each point."""
+        """Return how far each element moves independently along x and y, times its coverage, at each point."""
         census = layer.census()
         table = self._move_table(layer.name, census.index, seed)
-        return [layer.coverage * column.take(census.place) for column in np.ascontiguousarray(table.T)]
+        return [layer.coverage * column.take(census.row) for column in np.ascontiguousarray(table.T)]
 
     def _move_table(self, name: str, index: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
         parts = [column[:, np.newaxis] for column in index.T]
-        return self._alone * uniform(role_seed(seed, f"{name}.jitter"), *parts, np.arange(2))
+        return self._independent * uniform(role_seed(seed, f"{name}.jitter"), *parts, np.arange(2))
 
-    def _smoothed(self, field: Field) -> Field:
+    def _smooth(self, field: Field) -> Field:
         kernel = np.exp(-(np.arange(-self.margin, self.margin + 1) ** 2) / (2 * self._seam**2))
         return np.asarray(correlate1d(correlate1d(field, kernel / kernel.sum(), 0), kernel / kernel.sum(), 1))
 
-    def painted(self, pattern: Pattern, seed: int) -> tuple[Image, Elements]:
+    def paint(self, pattern: Pattern, seed: int) -> tuple[Image, Elements]:
         """Return the image, not yet clipped, and the elements in it with their departures."""
         elements: Elements = {}
         layers, tables = [], []
-        for layer, factor, truth in self._departed(pattern, seed):
+        for layer, factor, truth in self._depart(pattern, seed):
             layers.append(layer)
             tables.append(factor)
             for name, rows in truth.items():
                 elements[name] = np.concatenate([elements[name], rows]) if name in elements else rows
-        image = replace(pattern, layers=tuple(layers)).bare()
+        image = replace(pattern, layers=tuple(layers)).ground_image()
         for layer, factor in zip(layers, tables, strict=True):
             image += layer.paint() * factor
-        return self._lit(image, seed), elements
+        shape = image.shape[:2]
+        if self.light:
+            gradient = waves(role_seed(seed, "light"), shape, 16 * self.s, count=1)
+            image *= np.asarray(1 + 0.25 * self.light * gradient, np.float32)[..., np.newaxis]
+        image += np.float32(self.noise) * grain(role_seed(seed, "noise"), shape)[..., np.newaxis]
+        return image, elements
 
-    def _departed(self, pattern: Pattern, seed: int) -> Iterator[tuple[Layer, Image, Elements]]:
-        """Yield each layer as worn, with its factor at each pixel and the truth about its elements."""
+    def _depart(self, pattern: Pattern, seed: int) -> Iterator[tuple[Layer, Image, Elements]]:
+        """Yield each layer with its damage, its factor at each pixel and the truth about its elements."""
         shape = pattern.layers[0].coverage.shape
         holes = self._holes(shape, seed) if self.damage else 0.0
-        drift = self._drift(shape, seed) if self._together else None
+        shared = self._shared_jitter(shape, seed) if self._shared else None
         for layer in pattern.layers:
             census = layer.census()
-            seen = census.seen(layer.coverage)
+            visible = census.visible(layer.coverage)
             table = factors(seed, layer.name, census.index, self.color, self.intensity)
             truth = {"index": census.index.astype(np.float64), "factor": table}
             if self.damage or self.missing:
                 truth["damage"] = self._losses(layer.name, census.index, seed)
-                loss = truth["damage"].take(census.place)
+                loss = truth["damage"].take(census.row)
                 lost = np.where(loss < 1, (loss > 0) * holes, 1.0)
                 layer = replace(layer, coverage=layer.coverage * (1 - lost))
             if self.jitter:
                 truth["displacement"] = self._move_table(layer.name, census.index, seed)
-            if drift is not None:
-                truth["displacement"] += census.means(drift)
-            named = {f"{layer.name}.{part}": rows[seen] for part, rows in truth.items()}
-            yield layer, table.astype(np.float32).take(census.place, 0), named
+            if shared is not None:
+                truth["displacement"] += census.means(shared)
+            named = {f"{layer.name}.{part}": rows[visible] for part, rows in truth.items()}
+            yield layer, table.astype(np.float32).take(census.row, 0), named
 
     def _losses(self, name: str, index: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
         """Return the share that each element has lost: 0, 0.5 (holes in it) or 1 (missing)."""
@@ -187,17 +191,9 @@ class Departures:
         return np.where(number < self.missing, 1.0, 0.5 * worn)
 
     def _holes(self, shape: Shape, seed: int) -> Field:
-        """Return the share of each pixel that a hole would take: half of the plane, in blots about an element wide."""
+        """Return the share of each pixel that a hole takes: half of the plane, in blots about an element wide."""
         slope = 2 * math.pi / self.element_size
         return np.clip(0.5 + waves(role_seed(seed, "holes"), shape, self.element_size) / slope, 0, 1)
-
-    def _lit(self, image: Image, seed: int) -> Image:
-        shape = image.shape[:2]
-        if self.light:
-            gradient = waves(role_seed(seed, "light"), shape, 16 * self.s, count=1)
-            image *= np.asarray(1 + 0.25 * self.light * gradient, np.float32)[..., np.newaxis]
-        image += np.float32(self.noise) * grain(role_seed(seed, "noise"), shape)[..., np.newaxis]
-        return image
 
     def regular_share(self, cell: Pattern, lattice: Lattice) -> float:
         """Return the variance of the mean over draws, as a share of the mean total variance.
@@ -211,11 +207,11 @@ class Departures:
         """
         mean, variance = self._moments(cell)
         regular = mean.var((0, 1), dtype=np.float64).mean()
-        kept = self._unblurred(mean, lattice) if self.spread else 1.0
-        return float(kept * regular / (regular + variance.mean()))
+        remaining = self._unblurred_share(mean, lattice) if self.spread else 1.0
+        return float(remaining * regular / (regular + variance.mean()))
 
     def measured_share(self, draws: Iterable[Pattern]) -> float:
-        """Return the regular share over some draws of the displacements, colors and losses integrated out.
+        """Return the regular share over some draws of the displacements; colors and losses are integrated out.
 
         How far a pixel moves under jitter depends on how many elements the seams around it blend.
 
@@ -227,7 +223,7 @@ class Departures:
         moments = [self._moments(draw) for draw in draws]
         means = np.stack([mean for mean, _ in moments])
         height, width = means.shape[1:3]
-        # a window that fades out counts broken periods at the border for little
+        # The window fades out, so that broken periods at the border count for little.
         window = np.outer(np.hanning(height + 2)[1:-1], np.hanning(width + 2)[1:-1])[..., np.newaxis]
         window /= window.sum() * means.shape[-1]
         moved = float((window * means.var(0, ddof=1)).sum())
@@ -238,21 +234,21 @@ class Departures:
         return regular / (regular + moved + own)
 
     def _moments(self, cell: Pattern) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return mean and variance over draws at each point, displacements left out."""
-        kept = (1 - self.missing) * (1 - self.damage / 2)
+        """Return mean and variance over draws at each point, without displacements."""
+        intact = (1 - self.missing) * (1 - self.damage / 2)
         ground = np.asarray(cell.ground, np.float64)
-        mean = cell.bare().astype(np.float64)
+        mean = cell.ground_image().astype(np.float64)
         variance = np.zeros_like(mean)
         for layer in cell.layers:
             paint, bare = layer.paint().astype(np.float64), layer.coverage[..., np.newaxis] * ground
-            expected = kept * paint + (1 - kept) * bare
-            square = kept * paint**2 * (1 + factor_variance(self.color, self.intensity)) + (1 - kept) * bare**2
+            expected = intact * paint + (1 - intact) * bare
+            square = intact * paint**2 * (1 + factor_variance(self.color, self.intensity)) + (1 - intact) * bare**2
             mean += expected
             variance += square - expected**2
         lit = (0.25 * self.light) ** 2 * (mean**2 + variance)
         return mean, variance + lit + self.noise**2
 
-    def _unblurred(self, mean: NDArray[np.float64], lattice: Lattice) -> float:
+    def _unblurred_share(self, mean: NDArray[np.float64], lattice: Lattice) -> float:
         """Return the share of the periodic image's variance that remains when each point moves by :attr:`spread`.
 
         The mean over normal displacements is the image under a Gaussian: a product in the cell's Fourier series.
@@ -260,6 +256,6 @@ class Departures:
         power = (np.abs(np.fft.fft2(mean, axes=(0, 1))) ** 2).sum(-1)
         power[0, 0] = 0
         order = np.fft.fftfreq(len(mean), 1 / len(mean))
-        waves_xy = np.stack(np.meshgrid(order, order), -1) @ np.linalg.inv(lattice.matrix).T
-        gain = np.exp(-((2 * math.pi * self.spread) ** 2) * (waves_xy**2).sum(-1))
+        wave_vectors = np.stack(np.meshgrid(order, order), -1) @ np.linalg.inv(lattice.matrix).T
+        gain = np.exp(-((2 * math.pi * self.spread) ** 2) * (wave_vectors**2).sum(-1))
         return float((power * gain).sum() / power.sum())

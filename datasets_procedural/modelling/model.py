@@ -1,4 +1,4 @@
-"""The machinery that all texture models share: from a pattern of elements to a texture with its truth."""
+"""The base class of all texture models: from a pattern of elements to a texture with its truth."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,13 +16,12 @@ from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Kind, Shape, Texture
 
-from .checks import check, check_shape, check_strengths
-from .coordinates import Field, Frame
 from .departures import Departures
-from .fields import role_seed
-from .pattern import Pattern
-from .shades import hue_turn
+from .drawing import Field, Frame, Pattern, hue_rotation
+from .random_fields import role_seed
 
+LARGEST_AREA = 1 << 26
+"""Area in px^2 of the largest picture that a model draws: about 8000 x 8000, which takes a few GiB."""
 _STRENGTHS = ("color", "intensity", "noise", "light", "damage", "missing", "jitter", "bend")
 _CELL_STEPS = 96
 """Samples along each side of a cell when its variance is integrated."""
@@ -34,9 +33,9 @@ _DRAWS = 32
 class Model(ABC):
     """A texture model: a pattern on a lattice, with departures that act on the pattern's own elements.
 
-    A model gives its vectors and its pattern; what is here makes textures of them. The parameters below are every
-    model's, and stand at the end of its page. All departures but damaged and missing elements leave the mean color of
-    each point alone, before clipping; the ideal image is undamaged, and nothing in it is displaced.
+    A model gives its vectors and its pattern; this class makes textures of them. The parameters below belong to every
+    model and stand at the end of its page. Except for damaged and missing elements, no departure changes the mean color
+    of a point, before clipping. The ideal image has no damage and no displacement.
 
     ``Texture.elements`` holds, for each kind of element and the n of them in the picture, ``NAME.index`` ``(n, k)``,
     whole numbers, ``NAME.factor`` ``(n, 3)``, and where there are such departures ``NAME.damage`` ``(n,)``, the share
@@ -49,14 +48,14 @@ class Model(ABC):
     rotation
         Degrees by which the pattern is turned, from x towards y (clockwise on the screen).
     phase
-        Where the lattice starts: fractions (u, v), the origin is u t1 + v t2 from pixel (0, 0); None: drawn at random.
+        Fractions (u, v): the lattice's origin is at u t1 + v t2 from pixel (0, 0). None: drawn at random.
     hue
         Degrees by which all colors are turned around the gray axis.
     color
         Strength in [0, 1]: each element's channels are multiplied by independent uniform factors of mean 1 and
         standard deviation ``color / 2``.
     intensity
-        The same by one factor common to the channels.
+        Strength in [0, 1]: the same with one factor for all channels of an element.
     noise
         Strength in [0, 1]: standard deviation of the grain added to every pixel, all channels alike. Up to 0.05 it
         clips less than 0.1 % of the pixels; above, visibly more.
@@ -64,14 +63,15 @@ class Model(ABC):
         Strength in [0, 1] of a lighting gradient: everything is multiplied by a wave of random direction, about 16 s
         long (s: the shortest vector of any of its lattices), of mean 1 and standard deviation ``light / 4``.
     damage
-        Probability that an element is worn: about half of it, in blots, is lost to the ground.
+        Probability that an element is worn: about half of it, in blots, shows the ground.
     missing
-        Probability that an element is lost whole, before any is worn.
+        Probability that an element is missing; only the others can be worn.
     jitter
-        Strength in [0, 1]: each element is displaced as one, by numbers of mean 0 and standard deviation
-        ``jitter * s / 4`` along x and y; what lies between two elements is stretched. Elements move by themselves, by
-        uniform numbers, as far as their breadth allows; small ones make the rest of it with their neighbors, in waves
-        (:mod:`~.departures`), so that the picture folds over at about 3 % of the pixels at most up to 0.6.
+        Strength in [0, 1]: each element is displaced as a whole, by numbers of mean 0 and standard deviation
+        ``jitter * s / 4`` along x and y; what lies between two elements is stretched. Elements move independently, by
+        uniform numbers, as far as their breadth allows. The rest of the displacement of small elements is shared with
+        their neighbors, in waves (:mod:`~.departures`), so that up to 0.6 the picture folds over at no more than about
+        3 % of the pixels.
     bend
         Strength in [0, 1] of a smooth warp: nearly normal displacements of standard deviation ``bend * s / 4`` along x
         and y, in waves about 5 s long.
@@ -102,9 +102,9 @@ class Model(ABC):
             cls.__doc__ = f"{own}\n{heading}{shared}\n"
 
     def __post_init__(self) -> None:
-        check_strengths(self, *_STRENGTHS)
-        for name in ("rotation", "hue"):
-            check(math.isfinite(getattr(self, name)), f"{name} is {getattr(self, name)}; give degrees")
+        for name in _STRENGTHS:
+            check(0 <= getattr(self, name) <= 1, f"{name} is {getattr(self, name)}; give a strength from 0 to 1")
+        check_degrees(self, "rotation", "hue")
         fixed = () if self.phase is None else self.phase
         check(bool(np.isfinite(fixed).all()), f"phase is {self.phase}; give two fractions of the generating vectors")
 
@@ -133,16 +133,16 @@ class Model(ABC):
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
         """Return a texture of ``shape``: its phase, then its departures, drawn from ``rng``."""
-        drawn = rng.random(2)
-        u, v = drawn if self.phase is None else self.phase
+        fractions = rng.random(2)
+        u, v = fractions if self.phase is None else self.phase
         origin = np.array([u, v]) @ self._lattice((0.0, 0.0)).matrix
-        return self._drawn(shape, (float(origin[0]), float(origin[1])), rng)
+        return self._draw(shape, (float(origin[0]), float(origin[1])), rng)
 
     def again(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture:
         """Return an independent draw on the lattice of ``texture``, origin included."""
         if texture.lattice is None:
             raise BadInput(f"texture {texture.name!r} has no lattice; pass one that this model rendered")
-        return self._drawn(shape, texture.lattice.origin, rng)
+        return self._draw(shape, texture.lattice.origin, rng)
 
     @cached_property
     def departures(self) -> Departures:
@@ -154,60 +154,104 @@ class Model(ABC):
     def regular_share(self) -> float:
         """Variance of the mean over draws, over mean total variance: integrated over one cell, or measured (jitter)."""
         if self.jitter:
-            return self.departures.measured_share(self._displaced())
+            return self.departures.measured_share(self._displaced_patterns())
         steps = (np.arange(_CELL_STEPS) + 0.5) / _CELL_STEPS
         u, v = np.meshgrid(steps, steps)
         (ax, ay), (bx, by) = self.vectors
-        cell = self._tinted(u * ax + v * bx, u * ay + v * by)
+        cell = self.colored_pattern(u * ax + v * bx, u * ay + v * by)
         return self.departures.regular_share(cell, Lattice(*self.vectors))
 
-    def _displaced(self) -> Iterator[Pattern]:
+    def _displaced_patterns(self) -> Iterator[Pattern]:
         """Yield the pattern on about three periods, upright, under some draws of the displacements."""
         side = int(np.clip(3 * np.abs(self.vectors).max(), 96, 192))
         frame, shape = Frame(), (side, side)
-        around = self._tinted(*frame.grid(shape, self.departures.margin))
+        around = self.colored_pattern(*frame.grid(shape, self.departures.margin))
         for draw in range(_DRAWS):
             moved = self.departures.displacement(around, shape, role_seed(draw, "regular share"))
-            yield self._tinted(*frame.grid(shape, moved=moved))
+            yield self.colored_pattern(*frame.grid(shape, moved=moved))
 
     @property
     def kind(self) -> Kind:
         """The type of departures, see :class:`~nrbench.plugins.forms.Texture`."""
         return self.departures.kind
 
-    def _tinted(self, x: Field, y: Field) -> Pattern:
+    def colored_pattern(self, x: Field, y: Field) -> Pattern:
+        """Return the pattern at points (x, y) px in the model's own axes, its colors turned by ``hue``."""
         pattern = self.pattern(x, y)
-        return pattern.tinted(hue_turn(self.hue)) if self.hue else pattern
+        return pattern.recolor(hue_rotation(self.hue)) if self.hue else pattern
 
     def _lattice(self, origin: Vector, vectors: tuple[Vector, Vector] | None = None) -> Lattice:
         t1, t2 = vectors or self.vectors
         frame = Frame(rotation=self.rotation)
         return Lattice(frame.vector(t1), frame.vector(t2), origin)
 
-    def _drawn(self, shape: Shape, origin: Vector, rng: np.random.Generator) -> Texture:
-        """Return a draw on the lattice of that origin: all of it is a function of one number from ``rng``."""
+    def _draw(self, shape: Shape, origin: Vector, rng: np.random.Generator) -> Texture:
+        """Return a draw on the lattice of that origin. One number from ``rng`` decides everything."""
         check_shape(shape)
         seed = int(rng.integers(2**63))
-        around = self._tinted(*Frame(origin, self.rotation).grid(shape, self.departures.margin))
-        pattern = around.cropped(self.departures.margin)
+        frame, departures = Frame(origin, self.rotation), self.departures
+        around = self.colored_pattern(*frame.grid(shape, departures.margin))
+        pattern = around.crop(departures.margin)
         ideal, moved = pattern.ideal(), None
-        if self.departures.spread:
-            moved = self.departures.displacement(around, shape, seed)
-            pattern = self._tinted(*Frame(origin, self.rotation).grid(shape, moved=moved))
-        image, elements = self.departures.painted(pattern, seed)
-        drawn = Texture(np.clip(image, 0, 1), ideal=ideal, elements=elements)
-        return self._told(drawn if moved is None else replace(drawn, displacement=moved.astype(np.float32)), origin)
-
-    def _told(self, drawn: Texture, origin: Vector) -> Texture:
-        """Return a draw with what is true of every draw on the lattice of that origin."""
+        if departures.spread:
+            moved = departures.displacement(around, shape, seed)
+            pattern = self.colored_pattern(*frame.grid(shape, moved=moved))
+        image, elements = departures.paint(pattern, seed)
         name = type(self).__name__.lower()
         lattices = tuple(self._lattice(origin, vectors) for vectors in (self.vectors, *self.sublattices()))
-        return replace(
-            drawn,
+        return Texture(
+            np.clip(image, 0, 1),
             lattice=lattices[0],
             lattices=lattices,
             name=name,
             family=name,
-            kind=self.kind,
+            kind=departures.kind,
+            ideal=ideal,
+            displacement=None if moved is None else moved.astype(np.float32),
+            elements=elements,
             regular_share=self.regular_share,
         )
+
+
+class SquareModel(Model):
+    """A model on the upright square lattice of side ``period``."""
+
+    period: float
+
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Along a row, and to the next one."""
+        return (self.period, 0.0), (0.0, self.period)
+
+
+def check(holds: bool, message: str) -> None:
+    """Raise :class:`BadInput` with ``message`` unless ``holds``."""
+    if not holds:
+        raise BadInput(message)
+
+
+def check_sizes(model: Any, **least: float) -> None:
+    """Refuse lengths (fields of ``model``, by name, each with its least value) that are too small, huge or NaN."""
+    for name, low in least.items():
+        size = getattr(model, name)
+        check(low <= size < 1e4, f"{name} is {size} px; give at least {low:g}, less than 10000")
+
+
+def check_degrees(model: Any, *names: str) -> None:
+    """Refuse angles that are infinite or NaN."""
+    for name in names:
+        check(math.isfinite(getattr(model, name)), f"{name} is {getattr(model, name)}; give degrees")
+
+
+def check_choice(model: Any, name: str, known: Any) -> None:
+    """Refuse a word that is not one of the known words."""
+    word = getattr(model, name)
+    check(word in known, f"{name} is {word!r}; give one of: {', '.join(map(str, known))}")
+
+
+def check_shape(shape: Shape) -> None:
+    """Refuse a picture without pixels, or with more than can be drawn."""
+    height, width = shape
+    size = f"shape {width}x{height} px"
+    check(min(shape) >= 1, f"{size} has no pixels; give at least 1 a side")
+    check(height * width <= LARGEST_AREA, f"{size} is too large to draw; give at most {LARGEST_AREA} px in all")

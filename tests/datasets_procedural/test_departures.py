@@ -12,10 +12,9 @@ from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.carpet import Carpet
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.mat import Mat
-from nrbench.datasets_procedural.modelling.coordinates import Displacement, Field, Frame
 from nrbench.datasets_procedural.modelling.departures import Elements
+from nrbench.datasets_procedural.modelling.drawing import Displacement, Field, Frame, Pattern
 from nrbench.datasets_procedural.modelling.model import Model
-from nrbench.datasets_procedural.modelling.pattern import Pattern
 from nrbench.datasets_procedural.mosaic import Mosaic
 from nrbench.datasets_procedural.plaid import Plaid
 from nrbench.datasets_procedural.rug import Rug
@@ -42,7 +41,8 @@ def _render(model: Model, seed: int = 0, side: int = 96) -> Texture:
 def _pattern(model: Model, texture: Texture) -> Pattern:
     assert texture.lattice is not None
     moved = None if texture.displacement is None else texture.displacement.astype(np.float64)
-    return model._tinted(*Frame(texture.lattice.origin, model.rotation).grid(texture.image.shape[:2], moved=moved))
+    frame = Frame(texture.lattice.origin, model.rotation)
+    return model.colored_pattern(*frame.grid(texture.image.shape[:2], moved=moved))
 
 
 def _moves(texture: Texture) -> NDArray[np.float64]:
@@ -63,7 +63,7 @@ def _lost(pattern: Pattern, elements: Elements) -> Field:
         table = np.zeros(len(census.index))
         rows = {tuple(index): loss for index, loss in zip(*_named(elements, layer.name, "damage"), strict=True)}
         table[:] = [rows.get(tuple(index), 0.0) for index in census.index.tolist()]
-        found = np.maximum(found, np.where(layer.coverage > 0, table[census.place], 0))
+        found = np.maximum(found, np.where(layer.coverage > 0, table[census.row], 0))
     return found
 
 
@@ -125,7 +125,7 @@ def test_jitter_seldom_folds(model: type[Model]) -> None:
     """At a jitter of 0.6 the map of the picture turns over at less than 4 % of the pixels, at 1 at less than 10 %."""
     for jitter, most in ((0.6, 0.04), (1.0, 0.1)):
         made = model(jitter=jitter, **NONE)
-        around = made._tinted(*Frame().grid((128, 128), made.departures.margin))
+        around = made.colored_pattern(*Frame().grid((128, 128), made.departures.margin))
         shares = [_folded(made.departures.displacement(around, (128, 128), seed)) for seed in range(8)]
         assert np.mean(shares) < most
 

@@ -1,12 +1,11 @@
-"""Claims about plane groups and motifs that have their symmetry."""
+"""Claims about plane groups, and about wallpaper that has their symmetry."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from nrbench.datasets_procedural.modelling.symmetry import GROUPS, Group, operations, random_motif
-from nrbench.datasets_procedural.wallpaper import Wallpaper
+from nrbench.datasets_procedural.wallpaper import GROUPS, Group, Wallpaper, operations, random_motif
 from nrbench.lattice.geometry import Lattice
 
 ORDERS = dict(zip(GROUPS, (1, 2, 2, 2, 2, 4, 4, 4, 4, 4, 8, 8, 3, 6, 6, 6, 12), strict=True))

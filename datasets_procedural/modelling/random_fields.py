@@ -1,4 +1,4 @@
-"""Random fields: numbers that are functions of a seed and an index, so that any window of a draw is the same draw.
+"""Random numbers, grain and waves as functions of a seed and a place, so that every window of a draw is the same draw.
 
 The hash is the output function of SplitMix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators,
 OOPSLA 2014), applied once for each part of the index.
@@ -16,10 +16,12 @@ from scipy.ndimage import correlate1d
 
 from nrbench.plugins.forms import Shape
 
+from .drawing import Field
+
 Words = NDArray[np.uint64]
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _GRAIN = 0.7
-"""Standard deviation in px of the Gaussian that correlates the noise: less looks like a bad sensor, more like blur."""
+"""Standard deviation in px of the Gaussian under the grain: less looks like a bad sensor, more looks like blur."""
 
 
 def role_seed(seed: int, role: str) -> int:
@@ -27,27 +29,27 @@ def role_seed(seed: int, role: str) -> int:
     return int.from_bytes(hashlib.blake2b(f"{seed} {role}".encode(), digest_size=8).digest(), "little")
 
 
-def hashed(seed: int, *index: NDArray[Any]) -> Words:
+def hash_bits(seed: int, *index: NDArray[Any]) -> Words:
     """Return 64 random bits for each index: integer arrays, one for each part of it, broadcast together."""
     state = np.array([seed], np.uint64)
     for part in index:
-        state = _mixed(state + (part.astype(np.int64).view(np.uint64) + np.uint64(1)) * _GOLDEN)
+        state = _mix(state + (part.astype(np.int64).view(np.uint64) + np.uint64(1)) * _GOLDEN)
     return state
 
 
-def _mixed(z: Words) -> Words:
+def _mix(z: Words) -> Words:
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
 
 
 def unit(seed: int, *index: NDArray[Any]) -> NDArray[np.float64]:
-    """Return uniform numbers in [0, 1) for each index."""
-    return (hashed(seed, *index) >> np.uint64(11)).astype(np.float64) * 2.0**-53
+    """Return a uniform number in [0, 1) for each index."""
+    return (hash_bits(seed, *index) >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 def uniform(seed: int, *index: NDArray[Any]) -> NDArray[np.float64]:
-    """Return uniform numbers of mean 0 and variance 1, in [-sqrt(3), sqrt(3)], for each index."""
+    """Return a uniform number of mean 0 and variance 1, in [-sqrt(3), sqrt(3)], for each index."""
     return (2 * unit(seed, *index) - 1) * math.sqrt(3)
 
 
@@ -61,10 +63,10 @@ def factors(seed: int, name: str, index: NDArray[np.int64], color: float, intens
     name
         The kind of element.
     index
-        ``(n, k)``, one row an element.
+        ``(n, k)``, one row for each element.
     color, intensity
-        Strengths: a factor of mean 1 and standard deviation half of it, uniform, own to each channel (color) or
-        common to all (intensity).
+        Strengths. A factor is uniform, with mean 1 and a standard deviation of half the strength: an independent one
+        for each channel (color), times one for all channels (intensity).
     """
     parts = [column[:, np.newaxis] for column in index.T]
     own = uniform(role_seed(seed, f"{name}.color"), *parts, np.arange(3))
@@ -78,16 +80,43 @@ def factor_variance(color: float, intensity: float) -> float:
 
 
 def grain(seed: int, shape: Shape) -> NDArray[np.float32]:
-    """Return stationary noise of mean 0 and variance 1, correlated over about one px, as ``shape``.
+    """Return stationary noise of mean 0 and variance 1, correlated over about one px.
 
     White noise (each pixel the sum of four uniform numbers) under a Gaussian of 0.7 px: very nearly Gaussian.
     """
     reach = math.ceil(4 * _GRAIN)
     y = np.arange(-reach, shape[0] + reach)[:, np.newaxis]
     x = np.arange(-reach, shape[1] + reach)
-    words = hashed(seed, y, x).view(np.uint16).reshape(y.size, x.size, 4)
+    words = hash_bits(seed, y, x).view(np.uint16).reshape(y.size, x.size, 4)
     white = words.sum(-1, dtype=np.int64).astype(np.float32) / 65535 - 2
     kernel = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * _GRAIN**2))
     kernel /= np.sqrt((kernel**2).sum())
     smooth = correlate1d(correlate1d(white, kernel, 0), kernel, 1)
     return np.asarray(smooth[reach:-reach, reach:-reach] * np.float32(math.sqrt(3)))
+
+
+def waves(seed: int, shape: Shape, period: float, count: int = 12) -> Field:
+    """Return the sum of ``count`` plane waves of random direction, phase and length: a smooth random field.
+
+    Over seeds each pixel has mean 0 and variance 1. The values are nearly Gaussian for the default count, and at most
+    ``sqrt(2 * count)``.
+
+    Parameters
+    ----------
+    seed
+        The role's.
+    shape
+        (height, width) in px.
+    period
+        Typical wave length in px: waves are between 0.7 and 1.4 times as long, half of them shorter and half longer.
+    count
+        Number of waves.
+    """
+    total = np.zeros(shape)
+    y, x = np.arange(shape[0])[:, np.newaxis], np.arange(shape[1])
+    turn, start, stretch = unit(seed, np.arange(3)[:, np.newaxis], np.arange(count))
+    for angle, phase, step in zip(2 * math.pi * turn, 2 * math.pi * start, 2 ** (stretch - 0.5), strict=True):
+        number = 2 * math.pi / (period * step)
+        along, across = number * math.cos(angle) * x, number * math.sin(angle) * y + phase
+        total += np.cos(along) * np.cos(across) - np.sin(along) * np.sin(across)
+    return np.asarray(total * math.sqrt(2 / count))

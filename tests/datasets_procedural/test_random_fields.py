@@ -1,4 +1,4 @@
-"""Claims about the random fields."""
+"""Claims about random numbers, grain and waves."""
 
 from __future__ import annotations
 
@@ -7,21 +7,29 @@ import math
 import numpy as np
 import pytest
 
-from nrbench.datasets_procedural.modelling.fields import factor_variance, factors, grain, hashed, role_seed, uniform
+from nrbench.datasets_procedural.modelling.random_fields import (
+    factor_variance,
+    factors,
+    grain,
+    hash_bits,
+    role_seed,
+    uniform,
+    waves,
+)
 
 
 def test_hash_knows_its_index_alone() -> None:
     """A number depends on seed and index only: any part of a grid is the same part of the whole, negative or not."""
     y, x = np.arange(-20, 30)[:, np.newaxis], np.arange(-10, 50)
-    whole = hashed(7, y, x)
-    np.testing.assert_array_equal(hashed(7, y[5:9], x[20:33]), whole[5:9, 20:33])
+    whole = hash_bits(7, y, x)
+    np.testing.assert_array_equal(hash_bits(7, y[5:9], x[20:33]), whole[5:9, 20:33])
     assert np.unique(whole).size == whole.size
-    assert not (hashed(8, y, x) == whole).any() and not (hashed(7, x[:50], y)[:, :50] == whole[:, :50]).all()
+    assert not (hash_bits(8, y, x) == whole).any() and not (hash_bits(7, x[:50], y)[:, :50] == whole[:, :50]).all()
 
 
 def test_known_hash() -> None:
     """The numbers are pinned: a change here changes every texture ever rendered."""
-    assert [int(word) for word in hashed(1, np.arange(-1, 2))] == [
+    assert [int(word) for word in hash_bits(1, np.arange(-1, 2))] == [
         6238072747940578789,
         10451216379200822465,
         13757245211066428519,
@@ -30,7 +38,7 @@ def test_known_hash() -> None:
 
 def test_hash_bits_are_fair() -> None:
     """Each of the 64 bits is set half of the time, and neighbors share half of their bits."""
-    words = hashed(3, np.arange(200)[:, np.newaxis], np.arange(200))
+    words = hash_bits(3, np.arange(200)[:, np.newaxis], np.arange(200))
     bits = np.unpackbits(words.view(np.uint8).reshape(200, 200, 8), axis=-1)
     assert np.abs(bits.mean((0, 1)) - 0.5).max() < 0.0125
     assert abs((bits[1:] == bits[:-1]).mean() - 0.5) < 0.002 and abs((bits[:, 1:] == bits[:, :-1]).mean() - 0.5) < 0.002
@@ -71,3 +79,24 @@ def test_grain_is_stationary_and_correlated() -> None:
 def test_grain_of_any_shape_is_one_field() -> None:
     """The grain of a smaller shape is the larger one's corner, to the bit."""
     np.testing.assert_array_equal(grain(3, (20, 30)), grain(3, (64, 48))[:20, :30])
+
+
+def test_moments_over_draws() -> None:
+    """At every pixel, over seeds, the mean is 0 and the variance 1, for one wave as for many."""
+    for count in (1, 12):
+        fields = np.stack([waves(seed, (12, 9), 30.0, count) for seed in range(600)])
+        assert np.abs(fields.mean(0)).max() < 0.2 and np.abs(fields.var(0) - 1).max() < 0.25
+        assert np.abs(fields).max() <= np.sqrt(2 * count)
+
+
+def test_lengths() -> None:
+    """Waves are about as long as stated: a field of 30 px waves crosses zero some 2 times in 30 px along a line."""
+    rows = np.concatenate([waves(seed, (2, 600), 30.0)[0] for seed in range(40)])
+    crossings = (np.diff(np.sign(rows)) != 0).mean()
+    assert 30 * crossings == pytest.approx(2 / np.sqrt(2), rel=0.25)
+
+
+def test_any_window_is_the_same_field() -> None:
+    """A smaller shape is the larger one's corner, to the bit; another seed is another field."""
+    np.testing.assert_array_equal(waves(3, (20, 30), 17.0), waves(3, (64, 48), 17.0)[:20, :30])
+    assert np.abs(waves(3, (20, 30), 17.0) - waves(4, (20, 30), 17.0)).max() > 0.5

@@ -1,1 +1,0 @@
-"""TODO nrbench.datasets_procedural.photographs."""
