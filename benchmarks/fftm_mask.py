@@ -41,14 +41,14 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import write_image
 from nrbench.imaging.fold import fold
 from nrbench.lattice.geometry import Lattice
-from nrbench.spectra.frequency_lattice import folded, places_of, spaced
+from nrbench.spectra.frequency_lattice import fold_frequencies, lattice_orders, select_spaced
 from nrbench.spectra.harmonic_fit import FixedWaves
 from nrbench.spectra.harmonics import Harmonic, Harmonics, analyze
 from nrbench.spectra.line_floor import line_floor
 from nrbench.spectra.pursuit import wave_powers
 from nrbench.spectra.regular_waves import HARMONIC
 from nrbench.spectra.spectrum import Spectrum
-from nrbench.spectra.wave_sum import about_origin, wave_sum
+from nrbench.spectra.wave_sum import origin_amplitudes, wave_sum
 from nrbench.synthesizers.masks.fftm_mask import Analysis
 
 Planes = NDArray[np.float64]
@@ -78,27 +78,27 @@ def correlation(a: Planes, b: Planes) -> float:
 
 def explained(mask: Harmonics, values: Planes) -> float:
     """Return the share of a picture's variance that the mask's waves explain, fitted to it."""
-    waves = FixedWaves(Spectrum(values), folded(mask.frequencies))
-    fitted = wave_sum(waves.frequencies, *about_origin(waves, mask.amplitudes > 0), (SIDE, SIDE))
+    waves = FixedWaves(Spectrum(values), fold_frequencies(mask.frequencies))
+    fitted = wave_sum(waves.frequencies, *origin_amplitudes(waves, mask.amplitudes > 0), (SIDE, SIDE))
     return 1 - variance(values - fitted) / variance(values)
 
 
 def thresholds(sample: Planes, frequencies: Planes) -> Planes:
     """Return the power that a wave must have at places of a sample for the automatic mask to take it, ``(n, C)``."""
     waves = FixedWaves(Spectrum(sample), frequencies)
-    left = sample - wave_sum(frequencies, *about_origin(waves), (SIDE, SIDE))
+    left = sample - wave_sum(frequencies, *origin_amplitudes(waves), (SIDE, SIDE))
     return HARMONIC * line_floor(np.abs(Spectrum(left).bins()) ** 2, (SIDE, SIDE), frequencies, frequencies)
 
 
 def above_threshold(ideal: Planes, sample: Planes, lattice: Lattice) -> Planes:
     """Return the ideal image without its own waves, at the places of its lattice, that are under the threshold."""
     size, dual = np.array([SIDE, SIDE], float), lattice.reduced().dual().matrix
-    f = folded(places_of(dual, (2,), size) @ dual)
+    f = fold_frequencies(lattice_orders(dual, (2,), size) @ dual)
     spectrum = Spectrum(ideal)
-    f = f[spaced(f, (np.abs(spectrum.values(f)) ** 2).sum(1), size)]
+    f = f[select_spaced(f, (np.abs(spectrum.values(f)) ** 2).sum(1), size)]
     waves = FixedWaves(spectrum, f)
     under = wave_powers(waves) < thresholds(sample, f)
-    return ideal - wave_sum(f, *about_origin(waves, under), (SIDE, SIDE))
+    return ideal - wave_sum(f, *origin_amplitudes(waves, under), (SIDE, SIDE))
 
 
 def mean_tile(values: Planes, lattice: Lattice, shape: tuple[int, int]) -> Planes:

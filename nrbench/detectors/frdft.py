@@ -14,9 +14,9 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
 from nrbench.spectra.fundamentals import FINALISTS, Basis, find_fundamentals
-from nrbench.spectra.harmonic_fit import Fit, refine
-from nrbench.spectra.harmonic_grouping import waveset as to_waveset
-from nrbench.spectra.pursuit import QUICK, THOROUGH, Effort, Found, pursue
+from nrbench.spectra.harmonic_fit import FrequencyFit, fit_frequencies
+from nrbench.spectra.harmonic_grouping import peaks_of as to_waveset
+from nrbench.spectra.pursuit import QUICK, THOROUGH, Effort, FoundWaves, find_waves
 from nrbench.spectra.spectrum import Spectrum
 from nrbench.streams import pixels_hash, stream
 
@@ -46,7 +46,7 @@ class Answer(NamedTuple):
         Evidence of the waves beyond those that any two fundamentals explain; see :class:`Frdft`.
     """
 
-    found: Found
+    found: FoundWaves
     order: NDArray[np.intp]
     basis: Basis
     surplus: float
@@ -141,15 +141,15 @@ class Frdft:
     def _search(self, image: NDArray[np.float32], waves: int, effort: Effort, finalists: int) -> Answer | str:
         """Return what the waves of an image say, or why they say nothing."""
         spectrum = Spectrum(image.astype(np.float64))
-        found = pursue(spectrum, self.threshold or None, self.false_alarms, waves, effort)
+        found = find_waves(spectrum, self.threshold or None, self.false_alarms, waves, effort)
         order = np.argsort(-found.powers.sum(1), kind="stable")
         if len(order) < 2:
             return f"the image has {len(order)} waves above its noise; a lattice has at least two"
-        waveset = to_waveset(found, order, self.tolerance)
-        basis = find_fundamentals(waveset, finalists)
+        peaks_of = to_waveset(found, order, self.tolerance)
+        basis = find_fundamentals(peaks_of, finalists)
         if basis is None or np.linalg.matrix_rank(basis.orders[basis.explained]) < 2:
             return "the waves of the image have one direction only: a grating has no lattice"
-        return Answer(found, order, basis, surplus(basis, waveset.weights))
+        return Answer(found, order, basis, surplus(basis, peaks_of.weights))
 
     def _tested(self, image: Image, found: Detection) -> Detection:
         """Return what was found, with what it was compared with, unless it is a grating or chance."""
@@ -200,7 +200,7 @@ def _detection(answer: Answer, start: Vector) -> Detection:
     """Return the lattice dual to the fundamentals, fitted to the image."""
     found, basis, spectrum = answer.found, answer.basis, answer.found.waves.spectrum
     orders = basis.orders[basis.explained]
-    fit = refine(spectrum, basis.vectors / spectrum.size, orders)
+    fit = fit_frequencies(spectrum, basis.vectors / spectrum.size, orders)
     origin = np.add(_origin(fit, orders), start)
     lattice = Lattice.from_basis(np.linalg.inv(fit.fundamentals).T, origin).reduced()
     share = float(fit.waves.explained.sum() / spectrum.energy.sum())
@@ -213,7 +213,7 @@ def _detection(answer: Answer, start: Vector) -> Detection:
     return Detection(lattice, min(max(share, 0.0), 1.0), diagnostics)
 
 
-def _origin(fit: Fit, orders: Points) -> Vector:
+def _origin(fit: FrequencyFit, orders: Points) -> Vector:
     """Return where both fundamental waves have their crest, in the channel where each is strongest; else (0, 0)."""
     phases = []
     for unit in ((1.0, 0.0), (0.0, 1.0)):
@@ -229,7 +229,7 @@ def _origin(fit: Fit, orders: Points) -> Vector:
     return float(x), float(y)
 
 
-def _surface(found: Found, vectors: Points) -> Surface:
+def _surface(found: FoundWaves, vectors: Points) -> Surface:
     """Return the log magnitude of the spectrum with the waves and the fundamentals, frequency 0 in the middle."""
     spectrum = found.waves.spectrum
     height, width = spectrum.shape

@@ -6,15 +6,15 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from nrbench.spectra.dirichlet import Array, dirichlet_sum
-from nrbench.spectra.harmonic_fit import refine
+from nrbench.spectra.dirichlet import Array, dirichlet_kernel
+from nrbench.spectra.harmonic_fit import fit_frequencies
 from nrbench.spectra.noise_floor import noise_floor
-from nrbench.spectra.pursuit import Found, keep_significant, power_limit
+from nrbench.spectra.pursuit import FoundWaves, keep_significant, power_limit
 from nrbench.spectra.spectrum import Planes, Spectrum, bin_numbers
 
 Complex = NDArray[np.complex128]
 
-GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)), -1).reshape(-1, 2)
+FINE_GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)), -1).reshape(-1, 2)
 """Bins around a candidate: the paper searches [-1, 1]^2, "first sampling the coefficients with a fixed step size"."""
 LINE = np.linspace(-1, 1, 9)
 """Steps of one search along an axis, in units of its reach."""
@@ -47,7 +47,7 @@ def analytic_signal(planes: Planes) -> Complex:
     return np.asarray(scipy.fft.ifft2(values * weight[..., np.newaxis], axes=(0, 1)), np.complex128)
 
 
-def pursue_analytic(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> Found:
+def find_waves_analytic(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> FoundWaves:
     """Return the waves above a threshold as the paper finds them (section 3.1), fitted to the picture at the end.
 
     The bin of the analytic signal's DFT with the largest coefficient; the maximum of the fractional transform within a
@@ -61,11 +61,11 @@ def pursue_analytic(spectrum: Spectrum, threshold: float | None, false_alarms: f
     """
     floor = noise_floor(np.abs(spectrum.bins()) ** 2)
     limit = power_limit(spectrum, floor, threshold, false_alarms)
-    waves = refine(spectrum, complex_waves(spectrum, limit, most)).waves
-    return Found(keep_significant(waves, limit), floor, limit)
+    waves = fit_frequencies(spectrum, find_complex_waves(spectrum, limit, most)).waves
+    return FoundWaves(keep_significant(waves, limit), floor, limit)
 
 
-def complex_waves(spectrum: Spectrum, limit: Array, most: int) -> Array:
+def find_complex_waves(spectrum: Spectrum, limit: Array, most: int) -> Array:
     """Return the frequencies of the analytic signal's waves before the joint fit, ``(n, 2)`` cycles/px, as found.
 
     Parameters
@@ -78,7 +78,7 @@ def complex_waves(spectrum: Spectrum, limit: Array, most: int) -> Array:
         At most so many.
     """
     search = _Search(Spectrum(_parts(analytic_signal(spectrum.planes))))
-    bins, left, limits = _bins(search.spectrum, limit)
+    bins, left, limits = _bins_above(search.spectrum, limit)
     for _ in range(most):
         power = (np.abs(left) ** 2 / 4).sum(1) * (np.abs(left) ** 2 / 4 > limits).any(1)
         if not power.any():
@@ -99,7 +99,7 @@ class _Search:
 
     def left(self, f: Array) -> Complex:
         """Return the transform of what is left, ``(m, C)``, at frequencies ``(m, 2)``."""
-        value = _joined(self.spectrum.values(f))
+        value = _join_complex(self.spectrum.values(f))
         for g, amplitude in zip(self.frequencies, self.amplitudes, strict=True):
             value = value - self.kernel(f, g) * amplitude
         return value
@@ -107,12 +107,12 @@ class _Search:
     def kernel(self, f: Array, g: Array) -> Array:
         """Return the transform of a complex wave of frequency g and amplitude 1, ``(m, 1)``."""
         height, width = self.spectrum.shape
-        return (dirichlet_sum(f[:, 0] - g[0], width) * dirichlet_sum(f[:, 1] - g[1], height))[:, np.newaxis]
+        return (dirichlet_kernel(f[:, 0] - g[0], width) * dirichlet_kernel(f[:, 1] - g[1], height))[:, np.newaxis]
 
     def highest(self, start: Array) -> Array:
         """Return the frequency of the maximum within a bin of a bin, cycles/px."""
         size = self.spectrum.size
-        best = self._best((start + GRID) / size)
+        best = self._best((start + FINE_GRID) / size)
         for reach in REACHES:
             for axis in (0, 1):
                 steps = np.zeros((len(LINE), 2))
@@ -131,10 +131,10 @@ class _Search:
         self.amplitudes.append(amplitude)
 
 
-def _bins(spectrum: Spectrum, limit: Array) -> tuple[Array, Complex, Array]:
+def _bins_above(spectrum: Spectrum, limit: Array) -> tuple[Array, Complex, Array]:
     """Return the bins (x, y) above the limit, ``(m, 2)``, their coefficients and their limits, ``(m, C)`` each."""
     ky, kx = bin_numbers(spectrum.shape)
-    values = _joined(np.moveaxis(spectrum.bins().astype(np.complex128), 0, 2))
+    values = _join_complex(np.moveaxis(spectrum.bins().astype(np.complex128), 0, 2))
     rows, cols = np.nonzero((np.abs(values) ** 2 / 4 > np.moveaxis(limit, 0, 2)).any(2))
     return np.stack([kx[cols], ky[rows]], 1), values[rows, cols], np.ascontiguousarray(limit[:, rows, cols].T)
 
@@ -143,7 +143,7 @@ def _parts(signal: Complex) -> Array:
     return np.concatenate([signal.real, signal.imag], 2)
 
 
-def _joined(values: Complex) -> Complex:
+def _join_complex(values: Complex) -> Complex:
     """Return the transform of a complex signal from those of its real and its imaginary parts."""
     count = values.shape[-1] // 2
     return np.asarray(values[..., :count] + 1j * values[..., count:])

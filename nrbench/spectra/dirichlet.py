@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class Kernel(NamedTuple):
+class DirichletKernel(NamedTuple):
     """K(f) = sum over the picture of cos(2 pi f r), r from its centre, with its derivatives by f.
 
     Parameters
@@ -28,7 +28,7 @@ class Kernel(NamedTuple):
     curvature: Array
 
 
-def dirichlet_sum(frequency: Array, length: int) -> Array:
+def dirichlet_kernel(frequency: Array, length: int) -> Array:
     """Return sum cos(2 pi f u) over the ``length`` samples u centred on 0: sin(pi n f) / sin(pi f).
 
     The samples are half-integers where ``length`` is even: the sum then changes sign from one unit of frequency to the
@@ -48,7 +48,7 @@ def dirichlet_sum(frequency: Array, length: int) -> Array:
     return (1 - 2 * ((turns * (length - 1)) % 2)) * value
 
 
-def pair_kernels(frequencies: Array, shape: tuple[int, int]) -> tuple[Kernel, Kernel]:
+def pair_kernels(frequencies: Array, shape: tuple[int, int]) -> tuple[DirichletKernel, DirichletKernel]:
     """Return the kernels at the differences f_i - f_j and at the sums f_i + f_j, each ``(n, n)``.
 
     By the addition theorems all of them are inner products of the cosines and sines along x and along y: ten matrix
@@ -79,10 +79,10 @@ def _line_kernels(frequency: Array, length: int) -> tuple[Array, Array]:
     )
 
 
-def _plane(x: Array, y: Array) -> Kernel:
+def _plane(x: Array, y: Array) -> DirichletKernel:
     """Return the kernel of a picture from those along its lines."""
     mixed = x[1] * y[1]
-    return Kernel(
+    return DirichletKernel(
         x[0] * y[0],
         np.stack([x[1] * y[0], x[0] * y[1]]),
         np.stack([np.stack([x[2] * y[0], mixed]), np.stack([mixed, x[0] * y[2]])]),

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from nrbench.spectra.dirichlet import Array
 
-NEAREST = 0.75
+LEAST_DISTANCE = 0.75
 """Bins between two waves at least: nearer ones share their amplitudes at will."""
 FARTHEST = 0.95
 """Cycles/px along either axis up to which waves are looked for: pixels average over their area, which is blind to 1."""
@@ -16,13 +16,13 @@ FARTHEST_STRIPES = 3.0
 """The same of one fundamental, whose places are few: stripes drawn without such averaging have edges that fold more."""
 
 
-def folded(frequencies: Array) -> Array:
+def fold_frequencies(frequencies: Array) -> Array:
     """Return frequencies as pixels see them, each component within half a cycle/px."""
     return np.asarray(frequencies - np.rint(frequencies))
 
 
-def places_of(fundamentals: Array, groups: tuple[int, ...], size: Array) -> Array:
-    """Return the orders of every place of every group, ``(n, g)``: one of each pair f, -f, none near the mean.
+def lattice_orders(fundamentals: Array, groups: tuple[int, ...], size: Array) -> Array:
+    """Return the orders of every place of every group, ``(n, g)``: one of each pair f, -f, none are_near the mean.
 
     Parameters
     ----------
@@ -37,15 +37,15 @@ def places_of(fundamentals: Array, groups: tuple[int, ...], size: Array) -> Arra
     for count in groups:
         columns = np.arange(start, start + count)
         start += count
-        grid = _grid(fundamentals[columns])
+        grid = _orders_of_group(fundamentals[columns])
         row = np.zeros((len(grid), len(fundamentals)))
         row[:, columns] = grid
         rows.append(row)
     orders = np.concatenate(rows)
-    return np.asarray(orders[inside(folded(orders @ fundamentals), size)])
+    return np.asarray(orders[are_inside(fold_frequencies(orders @ fundamentals), size)])
 
 
-def _grid(fundamentals: Array) -> Array:
+def _orders_of_group(fundamentals: Array) -> Array:
     """Return the orders of one of each pair of places f, -f."""
     farthest = FARTHEST if len(fundamentals) == 2 else FARTHEST_STRIPES
     reach = np.ceil(np.abs(np.linalg.pinv(fundamentals)).sum(0) * farthest).astype(int)
@@ -56,30 +56,30 @@ def _grid(fundamentals: Array) -> Array:
     return np.asarray(orders[half & (np.abs(f) < farthest).all(1)])
 
 
-def inside(frequencies: Array, size: Array) -> NDArray[np.bool_]:
+def are_inside(frequencies: Array, size: Array) -> NDArray[np.bool_]:
     """Return which frequencies are within the spectrum, and a bin from its border and from the mean."""
-    within = (np.abs(frequencies) < 0.5 - NEAREST / size).all(1)
-    return np.asarray(within & (np.hypot(*(frequencies * size).T) > NEAREST))
+    within = (np.abs(frequencies) < 0.5 - LEAST_DISTANCE / size).all(1)
+    return np.asarray(within & (np.hypot(*(frequencies * size).T) > LEAST_DISTANCE))
 
 
-def spaced(frequencies: Array, priority: Array, size: Array) -> NDArray[np.intp]:
+def select_spaced(frequencies: Array, priority: Array, size: Array) -> NDArray[np.intp]:
     """Return which frequencies ``(n, 2)`` are nearer than a bin to none of higher priority ``(n,)``, highest first."""
     order = np.argsort(-priority, kind="stable")
     f, n = _on_torus(frequencies[order], size), len(order)
     both = np.concatenate([f, _on_torus(-frequencies[order], size)])
-    pairs = np.sort(cKDTree(both, boxsize=size).query_pairs(NEAREST, output_type="ndarray") % n, axis=1)
+    pairs = np.sort(cKDTree(both, boxsize=size).query_pairs(LEAST_DISTANCE, output_type="ndarray") % n, axis=1)
     kept = np.ones(n, np.bool_)
     for lower, later in pairs[np.lexsort(pairs.T)]:
         kept[later] &= lower == later or not kept[lower]
     return np.asarray(order[kept])
 
 
-def near(frequencies: Array, others: Array, size: Array) -> NDArray[np.bool_]:
+def are_near(frequencies: Array, others: Array, size: Array) -> NDArray[np.bool_]:
     """Return which frequencies pixels can hardly tell from some other or its mirror image, ``(n,)``."""
     if not len(others):
         return np.zeros(len(frequencies), np.bool_)
     both = np.concatenate([_on_torus(others, size), _on_torus(-others, size)])
-    return np.asarray(cKDTree(both, boxsize=size).query(_on_torus(frequencies, size))[0] < NEAREST)
+    return np.asarray(cKDTree(both, boxsize=size).query(_on_torus(frequencies, size))[0] < LEAST_DISTANCE)
 
 
 def _on_torus(frequencies: Array, size: Array) -> Array:

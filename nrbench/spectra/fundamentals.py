@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 STRAY = 0.1
 """Prior share of waves that belong to no lattice."""
-LEADERS = 12
+PROPOSERS = 12
 """Only so many of the strongest waves, with their sums and differences, propose fundamentals."""
 SHORTEST = 1.5
 """Bins: a fundamental below that has fewer than 1.5 periods in the picture, and nothing repeats."""
@@ -19,7 +19,7 @@ FINALISTS = 20
 """Pairs that are fitted to the waves, the best by their first evidence."""
 
 
-class Waveset(NamedTuple):
+class Peaks(NamedTuple):
     """The waves to be explained, strongest first.
 
     Parameters
@@ -58,7 +58,7 @@ class Basis(NamedTuple):
     evidence: Array
 
 
-def find_fundamentals(waves: Waveset, finalists: int = FINALISTS) -> Basis | None:
+def find_fundamentals(waves: Peaks, finalists: int = FINALISTS) -> Basis | None:
     """Return the two fundamentals with the highest evidence; None where no two independent waves are.
 
     A wave of the lattice lies at one of its points, but for its error; any other wave lies anywhere. The ratio of the
@@ -92,7 +92,7 @@ def find_fundamentals(waves: Waveset, finalists: int = FINALISTS) -> Basis | Non
     return _basis(_descended(*best, waves), waves)
 
 
-def find_fundamental(waves: Waveset) -> Basis:
+def find_fundamental(waves: Peaks) -> Basis:
     """Return the fundamental on whose multiples the strongest wave (at least one) and most on its line lie."""
     first = waves.places[0]
     best: tuple[float, Array] | None = None
@@ -108,8 +108,8 @@ def find_fundamental(waves: Waveset) -> Basis:
     return _basis(best[1], waves)
 
 
-def _proposals(waves: Waveset) -> Array:
-    leaders = waves.places[:LEADERS]
+def _proposals(waves: Peaks) -> Array:
+    leaders = waves.places[:PROPOSERS]
     i, j = np.triu_indices(len(leaders), 1)
     steps = np.concatenate([leaders, leaders[i] + leaders[j], leaders[i] - leaders[j]])
     steps = np.where((steps[:, :1] < 0) | ((steps[:, :1] == 0) & (steps[:, 1:] < 0)), -steps, steps)
@@ -153,7 +153,7 @@ def _split(bases: Array, places: Array) -> tuple[Array, Array]:
     return orders, ((places - orders @ bases) ** 2).sum(2)
 
 
-def _evidence(bases: Array, waves: Waveset, slack: float) -> Array:
+def _evidence(bases: Array, waves: Peaks, slack: float) -> Array:
     """Return the evidence of each wave for each basis, ``(m, n)``; ``slack`` widens the errors of unfitted bases."""
     orders, square = _split(bases, waves.places)
     variance = (slack * waves.spreads) ** 2
@@ -170,7 +170,7 @@ def _areas(bases: Array) -> Array:
     return np.asarray(np.hypot(*bases[:, 0].T) * SHORTEST)
 
 
-def _fitted(basis: Array, waves: Waveset) -> Array:
+def _fitted(basis: Array, waves: Peaks) -> Array:
     """Return a basis fitted by weighted least squares to the waves it explains, twice."""
     for slack in (3.0, 1.5):
         explained = _evidence(basis[np.newaxis], waves, slack)[0] > 0
@@ -192,7 +192,7 @@ def _is_sound(basis: Array) -> bool:
     return bool(_are_sound(*_reduced(basis[:1], basis[1:]))[0])
 
 
-def _descended(score: float, basis: Array, waves: Waveset) -> Array:
+def _descended(score: float, basis: Array, waves: Peaks) -> Array:
     """Return the best basis among a basis and, again and again, its relatives of small index."""
     while True:
         relatives = [_fitted(_reduced_pair(change @ basis), waves) for change in _CHANGES]
@@ -223,7 +223,7 @@ def _relatives() -> list[Array]:
 _CHANGES = _relatives()
 
 
-def _basis(vectors: Array, waves: Waveset) -> Basis:
+def _basis(vectors: Array, waves: Peaks) -> Basis:
     evidence = _evidence(vectors[np.newaxis], waves, 1.0)[0]
     orders = _split(vectors[np.newaxis], waves.places)[0][0]
     return Basis(vectors, orders, evidence > 0, evidence)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.spectra.dirichlet import Array, Kernel, dirichlet_sum, pair_kernels
+from nrbench.spectra.dirichlet import Array, DirichletKernel, dirichlet_kernel, pair_kernels
 from nrbench.spectra.spectrum import Spectrum, bin_numbers
 
 LONGEST_STEP = 0.25
@@ -42,7 +42,7 @@ class Waves:
         return np.concatenate([np.zeros((1, 2)), self.frequencies])
 
     @cached_property
-    def _kernels(self) -> tuple[Kernel, Kernel]:
+    def _kernels(self) -> tuple[DirichletKernel, DirichletKernel]:
         """The kernels at the differences and the sums, each ``(1 + n, 1 + n)``."""
         return pair_kernels(self._all, self.spectrum.shape)
 
@@ -81,7 +81,7 @@ class Waves:
         weights, factors = np.concatenate([p - 1j * q, p + 1j * q]) / 2, []
         for axis, length in enumerate(self.spectrum.shape[::-1]):
             distinct, which = np.unique(frequencies[:, axis], return_inverse=True)
-            factors.append(dirichlet_sum(distinct[:, np.newaxis] - both[:, axis], length)[which])
+            factors.append(dirichlet_kernel(distinct[:, np.newaxis] - both[:, axis], length)[which])
         real = (factors[0] * factors[1]) @ np.concatenate([weights.real, weights.imag], 1)
         return np.asarray(real[:, : weights.shape[1]] + 1j * real[:, weights.shape[1] :])
 
@@ -99,7 +99,7 @@ class Waves:
         weights, factors = np.concatenate([p - 1j * q, p + 1j * q]).T / 2, []
         for axis, length in enumerate(self.spectrum.shape[::-1]):
             distinct, which = np.unique(frequencies[:, axis, np.newaxis] + offsets / length, return_inverse=True)
-            table = dirichlet_sum(distinct[:, np.newaxis] - both[:, axis], length)
+            table = dirichlet_kernel(distinct[:, np.newaxis] - both[:, axis], length)
             factors.append((table, which.reshape(-1, len(offsets))))
         (x, columns), (y, rows) = factors
         parts = np.concatenate([weights.real, weights.imag])[:, np.newaxis]
@@ -114,7 +114,7 @@ class Waves:
         (p, q), (height, width) = self.amplitudes, self.spectrum.shape
         ky, kx = (k[:, np.newaxis] / n for k, n in zip(bin_numbers((height, width)), (height, width), strict=True))
         both = np.concatenate([self._all, -self._all])
-        rows, cols = dirichlet_sum(ky - both[:, 1], height), dirichlet_sum(kx - both[:, 0], width)
+        rows, cols = dirichlet_kernel(ky - both[:, 1], height), dirichlet_kernel(kx - both[:, 0], width)
         weights = np.concatenate([p - 1j * q, p + 1j * q]) / 2
         modelled = [((rows * w.real) @ cols.T) + 1j * ((rows * w.imag) @ cols.T) for w in weights.T]
         return np.asarray(self.spectrum.bins() - np.stack(modelled))
@@ -177,7 +177,7 @@ def _projected(bend: Array, crossing: Array, gram: Array, amplitudes: Array) -> 
     return np.asarray((bend - shared) * (amplitudes @ amplitudes.T))
 
 
-class Fit(NamedTuple):
+class FrequencyFit(NamedTuple):
     """Waves whose frequencies are whole combinations of fundamentals.
 
     Parameters
@@ -192,13 +192,13 @@ class Fit(NamedTuple):
     waves: Waves
 
 
-def refine(
+def fit_frequencies(
     spectrum: Spectrum,
     fundamentals: Array,
     orders: Array | None = None,
     steps: int = 20,
     weights: Array | None = None,
-) -> Fit:
+) -> FrequencyFit:
     """Return the joint least-squares fit nearest to a start: Levenberg's method on the variable projection.
 
     Parameters
@@ -215,13 +215,13 @@ def refine(
         ``(n, C)``: how much each wave counts where noise is not alike at all: the inverse of its power there. None: 1.
     """
     orders = np.eye(len(fundamentals)) if orders is None else orders
-    fit, damping = Fit(fundamentals, Waves(spectrum, orders @ fundamentals)), 1e-6
+    fit, damping = FrequencyFit(fundamentals, Waves(spectrum, orders @ fundamentals)), 1e-6
     for _ in range(steps if len(fundamentals) else 0):
         step = _step(fit, orders, damping, weights)
         longest = float(np.abs(orders @ step * spectrum.size).max())
         step *= min(1.0, LONGEST_STEP / max(longest, 1e-300))
         moved = fit.fundamentals + step
-        trial = Fit(moved, Waves(spectrum, orders @ moved))
+        trial = FrequencyFit(moved, Waves(spectrum, orders @ moved))
         better = weights is not None or trial.waves.explained.sum() >= fit.waves.explained.sum() * (1 - 1e-12)
         fit, damping = (trial, damping / 10) if better else (fit, max(damping, 1e-6) * 100)
         if longest < 1e-5 or damping > 1e6:
@@ -229,7 +229,7 @@ def refine(
     return fit
 
 
-def _step(fit: Fit, orders: Array, damping: float, weights: Array | None) -> Array:
+def _step(fit: FrequencyFit, orders: Array, damping: float, weights: Array | None) -> Array:
     matrix, right = fit.waves.normal if weights is None else fit.waves.weighted_normal(weights)
     g = orders.shape[1]
     half = np.tensordot(orders, matrix, (0, 0))

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.errors import checker
-from nrbench.spectra.analytic_signal import pursue_analytic
+from nrbench.spectra.analytic_signal import find_waves_analytic
 from nrbench.spectra.dirichlet import Array
 from nrbench.spectra.harmonic_fit import Waves
-from nrbench.spectra.pursuit import pursue
-from nrbench.spectra.regular_part import quickly, regular_part
+from nrbench.spectra.pursuit import find_waves
+from nrbench.spectra.regular_part import find_regular_part, find_waves_quickly
 from nrbench.spectra.spectrum import Planes, Spectrum
-from nrbench.spectra.wave_sum import about_origin, wave_sum
+from nrbench.spectra.wave_sum import origin_amplitudes, wave_sum
 
 Harmonic = Literal["free", "tied"]
 Signal = Literal["real", "analytic"]
@@ -150,12 +150,17 @@ def _analyze(
 ) -> Harmonics:
     spectrum = Spectrum(planes)
     if harmonics == "tied":
-        part = regular_part(
-            spectrum, threshold, false_alarms, most, quickly if signal == "real" else pursue_analytic, given
+        part = find_regular_part(
+            spectrum,
+            threshold,
+            false_alarms,
+            most,
+            find_waves_quickly if signal == "real" else find_waves_analytic,
+            given,
         )
         f = part.orders @ part.fundamentals
         return _sorted(part.waves, f, part.fundamentals, part.orders, part.groups, part.kept)
-    search = pursue if signal == "real" else pursue_analytic
+    search = find_waves if signal == "real" else find_waves_analytic
     waves = search(spectrum, threshold, false_alarms, most).waves
     n = len(waves.frequencies)
     return _sorted(waves, waves.frequencies, waves.frequencies, np.eye(n), (1,) * n, None)
@@ -170,7 +175,7 @@ def _sorted(
     kept: NDArray[np.bool_] | None,
 ) -> Harmonics:
     """Return fitted waves as seen from pixel (0, 0), the strongest first."""
-    cosine, sine, mean = about_origin(waves, kept)
+    cosine, sine, mean = origin_amplitudes(waves, kept)
     power = (cosine**2 + sine**2).sum(1)
     order = np.argsort(-power, kind="stable")
     whole = np.rint(orders[order]).astype(np.int64)

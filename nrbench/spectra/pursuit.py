@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.spectra.dirichlet import Array
-from nrbench.spectra.harmonic_fit import Waves, refine
+from nrbench.spectra.harmonic_fit import Waves, fit_frequencies
 from nrbench.spectra.noise_floor import noise_floor
 from nrbench.spectra.spectrum import Spectrum, bin_numbers
 
@@ -58,7 +58,7 @@ QUICK = Effort(1, 3)
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundWaves:
     """The waves of a picture.
 
     Parameters
@@ -97,9 +97,9 @@ def wave_powers(waves: Waves) -> Array:
     return np.asarray((p[1:] ** 2 + q[1:] ** 2) * (height * width / 2) ** 2)
 
 
-def pursue(
+def find_waves(
     spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int, effort: Effort = THOROUGH
-) -> Found:
+) -> FoundWaves:
     """Return the waves above a threshold, frequencies and amplitudes fitted jointly.
 
     Candidates are bins of the DFT above the threshold. The strongest start a wave each, at the highest of samples
@@ -126,8 +126,8 @@ def pursue(
         floor = noise_floor(left)
         limit = power_limit(spectrum, floor, threshold, false_alarms)
         waves = _subtract(waves, left, limit, most)
-    waves = refine(spectrum, waves.frequencies, steps=effort.steps).waves
-    return Found(keep_significant(waves, limit, effort.steps), floor, limit)
+    waves = fit_frequencies(spectrum, waves.frequencies, steps=effort.steps).waves
+    return FoundWaves(keep_significant(waves, limit, effort.steps), floor, limit)
 
 
 def power_limit(spectrum: Spectrum, floor: Array, threshold: float | None, false_alarms: float) -> Array:
@@ -161,7 +161,7 @@ def _subtract(waves: Waves, left: Array, limit: Array, most: int) -> Waves:
         tries[chosen] += np.where(enough, 1, TRIES)
         if enough.any():
             more = np.concatenate([waves.frequencies, starts[enough]])
-            waves = _separate(refine(spectrum, more, steps=1).waves)
+            waves = _separate(fit_frequencies(spectrum, more, steps=1).waves)
     return waves
 
 
@@ -227,7 +227,7 @@ def keep_significant(waves: Waves, limit: Array, steps: int = THOROUGH.steps) ->
         enough = (wave_powers(waves) >= _lookup(limit, waves.frequencies, waves.spectrum.shape)).any(1)
         if enough.all():
             break
-        waves = _separate(refine(waves.spectrum, waves.frequencies[enough], steps=min(steps, SETTLED)).waves)
+        waves = _separate(fit_frequencies(waves.spectrum, waves.frequencies[enough], steps=min(steps, SETTLED)).waves)
     return waves
 
 

@@ -8,33 +8,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.spectra.dirichlet import Array
-from nrbench.spectra.frequency_lattice import folded, inside, near, places_of
-from nrbench.spectra.fundamentals import SHORTEST, Basis, Waveset
-from nrbench.spectra.harmonic_fit import Waves, refine
+from nrbench.spectra.frequency_lattice import are_inside, are_near, fold_frequencies, lattice_orders
+from nrbench.spectra.fundamentals import SHORTEST, Basis, Peaks
+from nrbench.spectra.harmonic_fit import Waves, fit_frequencies
 from nrbench.spectra.harmonic_grouping import (
     MOST_GROUPS,
     REPEATED,
-    beyond,
-    finer_fundamentals,
-    nearest_fundamentals,
-    next_basis,
-    shortest,
-    waveset,
+    find_finer_fundamentals,
+    fit_given_fundamentals,
+    peaks_of,
+    propose_basis,
+    shortest_length,
+    surplus_evidence,
 )
 from nrbench.spectra.line_floor import line_floor
-from nrbench.spectra.pursuit import QUICK, Found, pursue, wave_powers
-from nrbench.spectra.regular_waves import Regular, harmonics_of, without
+from nrbench.spectra.pursuit import QUICK, FoundWaves, find_waves, wave_powers
+from nrbench.spectra.regular_waves import RegularPart, find_harmonics, subtract_waves
 from nrbench.spectra.spectrum import Spectrum
-from nrbench.spectra.wave_registration import registered
+from nrbench.spectra.wave_registration import register_fundamentals
 
-Search = Callable[[Spectrum, float | None, float, int], Found]
+Search = Callable[[Spectrum, float | None, float, int], FoundWaves]
 """Waves of a spectrum above a threshold, with a probability of false alarms, at most so many."""
 LEADERS = 24
 """Waves looked for to find a group's fundamentals."""
 VOTERS = 60
 """Waves, the strongest, by which the fundamentals are fitted: more change them no more."""
 FINEST = 0.25
-"""Cycles/px: finer waves have no say in where the fundamentals lie, as others, beyond Nyquist, are folded on them."""
+"""Cycles/px: finer waves have no say in where the fundamentals lie, as others, surplus_evidence Nyquist, are fold_frequencies on them."""
 SAME = 0.3
 """Bins between waves whose difference is taken to be a whole combination."""
 PROPOSING = 16.0
@@ -42,26 +42,26 @@ PROPOSING = 16.0
 CLEAR = 100.0
 """The same for a wave that no harmonic supports."""
 STRIPED = 8.0
-"""Log-likelihood, beyond the best wave, above which one fundamental with harmonics is regular."""
+"""Log-likelihood, surplus_evidence the best wave, above which one fundamental with harmonics is regular."""
 ALIGNED = 2.5
 """Of that, a wave's for being on the line at all: the colors of threads are waves on a line, too, and not regular."""
 FARTHEST_MOVE = 0.5
 """Bins."""
 
 
-def quickly(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> Found:
+def find_waves_quickly(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> FoundWaves:
     """Return the waves of a short search."""
-    return pursue(spectrum, threshold, false_alarms, most, QUICK)
+    return find_waves(spectrum, threshold, false_alarms, most, QUICK)
 
 
-def regular_part(
+def find_regular_part(
     spectrum: Spectrum,
     threshold: float | None,
     false_alarms: float,
     most: int,
-    search: Search = quickly,
+    search: Search = find_waves_quickly,
     given: Array | None = None,
-) -> Regular:
+) -> RegularPart:
     """Return the regular waves of a picture, group by group, as long as any is left.
 
     The strongest waves propose a lattice of frequencies, or one fundamental; it is fitted to them, all its harmonics
@@ -86,7 +86,7 @@ def regular_part(
     part = _nothing(spectrum)
     if given is not None:
         found = search(spectrum, threshold, false_alarms, min(LEADERS, most))
-        part = _grown(part, *nearest_fundamentals(found, given), threshold, most) or part
+        part = _grown(part, *fit_given_fundamentals(found, given), threshold, most) or part
     while len(part.groups) < MOST_GROUPS:
         more = _next_group(part, threshold, false_alarms, most, search)
         if more is None:
@@ -95,43 +95,45 @@ def regular_part(
     return part if part.groups != (2,) else _registered(part, threshold, most)
 
 
-def _nothing(spectrum: Spectrum) -> Regular:
+def _nothing(spectrum: Spectrum) -> RegularPart:
     """Return no waves."""
     none = np.zeros((0, 2))
-    return Regular(Waves(spectrum, none), np.zeros((0, spectrum.channels), np.bool_), none, np.zeros((0, 0)), (), none)
+    return RegularPart(
+        Waves(spectrum, none), np.zeros((0, spectrum.channels), np.bool_), none, np.zeros((0, 0)), (), none
+    )
 
 
-def _registered(part: Regular, threshold: float | None, most: int) -> Regular:
-    """Return the part with its lattice registered; as it was, where that would move a wave by half a bin."""
+def _registered(part: RegularPart, threshold: float | None, most: int) -> RegularPart:
+    """Return the part with its lattice register_fundamentals; as it was, where that would move a wave by half a bin."""
     spectrum = part.waves.spectrum
-    fundamentals = registered(part.waves, part.orders @ part.fundamentals, part.fundamentals)
-    return part if _moved(part, fundamentals) else harmonics_of(spectrum, fundamentals, part.groups, threshold, most)
+    fundamentals = register_fundamentals(part.waves, part.orders @ part.fundamentals, part.fundamentals)
+    return part if _moved(part, fundamentals) else find_harmonics(spectrum, fundamentals, part.groups, threshold, most)
 
 
-def _moved(part: Regular, fundamentals: Array) -> bool:
+def _moved(part: RegularPart, fundamentals: Array) -> bool:
     """Return whether some wave of a part lies half a bin or more from where other fundamentals would have it."""
     bins = part.orders @ (part.fundamentals - fundamentals) * part.waves.spectrum.size
     return bool(np.abs(bins).max(initial=0.0) > FARTHEST_MOVE)
 
 
 def _next_group(
-    part: Regular, threshold: float | None, false_alarms: float, most: int, search: Search
-) -> Regular | None:
+    part: RegularPart, threshold: float | None, false_alarms: float, most: int, search: Search
+) -> RegularPart | None:
     """Return the part with one more group, None where nothing regular is left."""
     spectrum = part.waves.spectrum
-    left = Spectrum(without(part.waves, part.kept)) if part.groups else spectrum
+    left = Spectrum(subtract_waves(part.waves, part.kept)) if part.groups else spectrum
     found = search(left, threshold, false_alarms, min(LEADERS, most))
     strong = np.argsort(-found.powers.sum(1), kind="stable")
     strong = strong[(_out_of_line(found) & _apart(found, part))[strong]]
-    if part.groups == (2,) and (finer := finer_fundamentals(found, strong, part.fundamentals)) is not None:
+    if part.groups == (2,) and (finer := find_finer_fundamentals(found, strong, part.fundamentals)) is not None:
         larger = _grown(_nothing(spectrum), *finer, threshold, most)
         if larger is not None and not _moved(larger, finer[0]):
             return larger
     order = _news(found, part, strong)
     while len(order):
-        waves = waveset(found, order)
-        basis = next_basis(waves)
-        short = shortest(basis.vectors) < (REPEATED if threshold is None else SHORTEST)
+        waves = peaks_of(found, order)
+        basis = propose_basis(waves)
+        short = shortest_length(basis.vectors) < (REPEATED if threshold is None else SHORTEST)
         if not short and _is_regular(basis, waves, found, order[0], threshold):
             seeds = basis.orders[basis.explained]
             grown = _grown(part, basis.vectors / spectrum.size, seeds, threshold, most)
@@ -141,20 +143,20 @@ def _next_group(
     return None
 
 
-def _is_regular(basis: Basis, waves: Waveset, found: Found, strongest: np.intp, threshold: float | None) -> bool:
+def _is_regular(basis: Basis, waves: Peaks, found: FoundWaves, strongest: np.intp, threshold: float | None) -> bool:
     """Return whether fundamentals are those of a group: two, one with harmonics, or that of one clear wave."""
-    harmonics = beyond(basis, waves) - ALIGNED * (int(basis.explained.sum()) - 1)
+    harmonics = surplus_evidence(basis, waves) - ALIGNED * (int(basis.explained.sum()) - 1)
     return len(basis.vectors) == 2 or harmonics > STRIPED or _is_clear(found, strongest, threshold)
 
 
-def _apart(found: Found, part: Regular) -> NDArray[np.bool_]:
+def _apart(found: FoundWaves, part: RegularPart) -> NDArray[np.bool_]:
     """Return which waves lie at no place of the groups, nor at the mean or the border of the spectrum, ``(n,)``."""
     f, size = found.waves.frequencies, found.waves.spectrum.size
-    places = folded(places_of(part.fundamentals, part.groups, size) @ part.fundamentals)
-    return np.asarray(inside(f, size) & ~near(f, places, size))
+    places = fold_frequencies(lattice_orders(part.fundamentals, part.groups, size) @ part.fundamentals)
+    return np.asarray(are_inside(f, size) & ~are_near(f, places, size))
 
 
-def _news(found: Found, part: Regular, order: NDArray[np.intp]) -> NDArray[np.intp]:
+def _news(found: FoundWaves, part: RegularPart, order: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the waves of ``order`` that differ from none before them by a vector of the groups."""
     f, size, start = found.waves.frequencies, found.waves.spectrum.size, 0
     for count in part.groups:
@@ -173,7 +175,7 @@ def _first_of_class(f: Array, basis: Array, size: Array) -> NDArray[np.bool_]:
     return np.asarray(~np.tril(alike, -1).any(1))
 
 
-def _out_of_line(found: Found) -> NDArray[np.bool_]:
+def _out_of_line(found: FoundWaves) -> NDArray[np.bool_]:
     """Return which waves stand out of the lines of the spectrum through them, too, ``(n,)``."""
     waves = found.waves
     power = np.abs(waves.residual_bins()) ** 2
@@ -181,7 +183,7 @@ def _out_of_line(found: Found) -> NDArray[np.bool_]:
     return np.asarray((found.powers > PROPOSING * floor).any(1))
 
 
-def _is_clear(found: Found, wave: np.intp, threshold: float | None) -> bool:
+def _is_clear(found: FoundWaves, wave: np.intp, threshold: float | None) -> bool:
     """Return whether a wave alone stands clearly out of all that is around it, other waves included."""
     if threshold is not None:
         return True
@@ -191,7 +193,7 @@ def _is_clear(found: Found, wave: np.intp, threshold: float | None) -> bool:
     return bool((wave_powers(alone)[0] > CLEAR * floor[0]).any())
 
 
-def _grown(part: Regular, vectors: Array, seeds: Array, threshold: float | None, most: int) -> Regular | None:
+def _grown(part: RegularPart, vectors: Array, seeds: Array, threshold: float | None, most: int) -> RegularPart | None:
     """Return the part with a group of given fundamentals and first waves, with all its harmonics."""
     spectrum = part.waves.spectrum
     fundamentals = np.concatenate([part.fundamentals, vectors])
@@ -199,18 +201,18 @@ def _grown(part: Regular, vectors: Array, seeds: Array, threshold: float | None,
     n, g = part.orders.shape
     orders = np.zeros((n + len(seeds), g + len(vectors)))
     orders[:n, :g], orders[n:, g:] = part.orders, seeds
-    strongest = _strongest(spectrum, fundamentals, orders)
+    strongest = _strongest_orders(spectrum, fundamentals, orders)
     if not len(strongest):
         return None
-    fundamentals = refine(spectrum, fundamentals, strongest, steps=8).fundamentals
-    chosen = harmonics_of(spectrum, fundamentals, groups, threshold, most)
+    fundamentals = fit_frequencies(spectrum, fundamentals, strongest, steps=8).fundamentals
+    chosen = find_harmonics(spectrum, fundamentals, groups, threshold, most)
     if not chosen.orders[:, g:].any():
         return None
-    chosen = harmonics_of(spectrum, _aligned(chosen), groups, threshold, most)
+    chosen = find_harmonics(spectrum, _aligned(chosen), groups, threshold, most)
     return chosen if chosen.orders[:, g:].any() else None
 
 
-def _aligned(part: Regular) -> Array:
+def _aligned(part: RegularPart) -> Array:
     """Return the fundamentals fitted to the waves, each weighted by the irregular structure there."""
     f = part.orders @ part.fundamentals
     baseband = (np.abs(f) < 0.5).all(1)
@@ -219,10 +221,12 @@ def _aligned(part: Regular) -> Array:
         voters = baseband
     if np.linalg.matrix_rank(part.orders[voters]) < len(part.fundamentals):
         return part.fundamentals
-    return refine(part.waves.spectrum, part.fundamentals, part.orders[voters], 4, part.weights[voters]).fundamentals
+    return fit_frequencies(
+        part.waves.spectrum, part.fundamentals, part.orders[voters], 4, part.weights[voters]
+    ).fundamentals
 
 
-def _strongest(spectrum: Spectrum, fundamentals: Array, orders: Array) -> Array:
+def _strongest_orders(spectrum: Spectrum, fundamentals: Array, orders: Array) -> Array:
     """Return the strongest of the waves below Nyquist."""
     orders = orders[(np.abs(orders @ fundamentals) < 0.5).all(1)]
     power = wave_powers(Waves(spectrum, orders @ fundamentals)).sum(1)

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.spectra.dirichlet import Array
-from nrbench.spectra.frequency_lattice import folded, places_of, spaced
+from nrbench.spectra.frequency_lattice import fold_frequencies, lattice_orders, select_spaced
 from nrbench.spectra.harmonic_fit import FixedWaves, Waves
 from nrbench.spectra.line_floor import line_floor
 from nrbench.spectra.pursuit import wave_powers
 from nrbench.spectra.spectrum import Spectrum
-from nrbench.spectra.wave_sum import about_origin, wave_sum
+from nrbench.spectra.wave_sum import origin_amplitudes, wave_sum
 
 HARMONIC = 4.0
 """Power over the irregular structure's, from which on a wave at a place of a lattice is taken to be there."""
@@ -25,7 +25,7 @@ HEARD = 0.1
 """Share of a given threshold's power that the picture's spectrum must have at a place for a wave to be fitted there."""
 
 
-class Regular(NamedTuple):
+class RegularPart(NamedTuple):
     """The regular waves of a picture.
 
     Parameters
@@ -52,21 +52,21 @@ class Regular(NamedTuple):
     weights: Array
 
 
-def without(waves: Waves, kept: NDArray[np.bool_] | None = None) -> Array:
-    """Return the planes without the waves."""
+def subtract_waves(waves: Waves, kept: NDArray[np.bool_] | None = None) -> Array:
+    """Return the planes subtract_waves the waves."""
     shape = waves.spectrum.shape
-    return np.asarray(waves.spectrum.planes - wave_sum(waves.frequencies, *about_origin(waves, kept), shape))
+    return np.asarray(waves.spectrum.planes - wave_sum(waves.frequencies, *origin_amplitudes(waves, kept), shape))
 
 
 def _spaced_places(spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...], least: float) -> Array:
     """Return the orders of places of at least some power, of such as pixels cannot tell apart the one with more."""
-    orders = places_of(fundamentals, groups, spectrum.size)
-    power = (np.abs(spectrum.values(folded(orders @ fundamentals))) ** 2).sum(1)
+    orders = lattice_orders(fundamentals, groups, spectrum.size)
+    power = (np.abs(spectrum.values(fold_frequencies(orders @ fundamentals))) ** 2).sum(1)
     orders, power = orders[power >= least], power[power >= least]
     f = orders @ fundamentals
     power *= np.where((np.abs(f) < 0.5).all(1), 1, FOLDED)
     best = np.argsort(-power, kind="stable")[:CROWD]
-    return np.asarray(orders[best[spaced(folded(f[best]), power[best], spectrum.size)]])
+    return np.asarray(orders[best[select_spaced(fold_frequencies(f[best]), power[best], spectrum.size)]])
 
 
 def _limit(spectrum: Spectrum, threshold: float | None) -> float:
@@ -75,15 +75,15 @@ def _limit(spectrum: Spectrum, threshold: float | None) -> float:
     return ((threshold or 0.0) / 255 * height * width / 2) ** 2
 
 
-def harmonics_of(
+def find_harmonics(
     spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...], threshold: float | None, most: int
-) -> Regular:
+) -> RegularPart:
     """Return all harmonics of the groups that stand out of the irregular structure."""
     limit = _limit(spectrum, threshold)
     orders = _spaced_places(spectrum, fundamentals, groups, HEARD * limit)
-    f = folded(orders @ fundamentals)
+    f = fold_frequencies(orders @ fundamentals)
     waves = FixedWaves(spectrum, f)
-    floor = line_floor(np.abs(Spectrum(without(waves)).bins()) ** 2, spectrum.shape, f, f)
+    floor = line_floor(np.abs(Spectrum(subtract_waves(waves)).bins()) ** 2, spectrum.shape, f, f)
     power, least = wave_powers(waves), 1e-12 * spectrum.energy.max() * spectrum.size.prod()
     if threshold is None:
         kept = power > HARMONIC * floor + least
@@ -93,4 +93,4 @@ def harmonics_of(
     weights = kept / np.maximum(floor, least)
     there = np.flatnonzero(kept.any(1))
     there = there[np.argsort(-power[there].sum(1), kind="stable")[:most]]
-    return Regular(FixedWaves(spectrum, f[there]), kept[there], fundamentals, orders[there], groups, weights[there])
+    return RegularPart(FixedWaves(spectrum, f[there]), kept[there], fundamentals, orders[there], groups, weights[there])

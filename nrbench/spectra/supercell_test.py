@@ -9,13 +9,13 @@ from nrbench.spectra.dirichlet import Array
 from nrbench.spectra.harmonic_fit import Waves
 from nrbench.spectra.spectrum import Spectrum
 
-CHANCE = 1e-3
+SUPERCELL_CHANCE = 1e-3
 """Probability with which colors drawn at random are taken for a larger tile, for each that is tried."""
-FEWEST = 3
+FEWEST_SUMS = 3
 """Sums beside that the test needs: of fewer it would tell only what no texture shows."""
 
 
-def beyond_chance(spectrum: Spectrum, frequencies: Array, fundamentals: Array) -> bool:
+def is_supercell(spectrum: Spectrum, frequencies: Array, fundamentals: Array) -> bool:
     """Return whether waves stand out of what lies beside them between the places of a lattice.
 
     Elements that depart from a lattice each by themselves, as threads do that have a color each, have a spectrum that
@@ -35,23 +35,23 @@ def beyond_chance(spectrum: Spectrum, frequencies: Array, fundamentals: Array) -
         ``(2, 2)`` cycles/px: the lattice's.
     """
     waves, size = Waves(spectrum, frequencies), spectrum.size
-    offsets = _reduced(frequencies, fundamentals, size)
+    offsets = _offsets_from_lattice(frequencies, fundamentals, size)
     powers = (np.abs(waves.modelled(frequencies)) ** 2).sum(1)
     alike = np.hypot(*np.moveaxis((offsets[:, np.newaxis] - offsets) * size, 2, 0)) < 0.5
     strongest = alike[np.argmax(alike @ powers)]
     offset = offsets[strongest][0] * size
     length = float(np.hypot(*offset))
     steps = np.arange(1, max(int(length), 2))
-    if 2 * len(steps) < FEWEST:
+    if 2 * len(steps) < FEWEST_SUMS:
         return True
     beside = np.concatenate([steps, -steps])[:, np.newaxis] * offset / length / size
     places = frequencies[strongest] + beside[:, np.newaxis]
     sums = (np.abs(waves.residual(places.reshape(-1, 2))) ** 2).sum(1).reshape(len(beside), -1).sum(1)
     ratio = float(powers[strongest].sum() / max(float(sums.mean()), 1e-300))
-    return ratio > float(stats.f.isf(CHANCE, 2, 2 * len(beside)))
+    return ratio > float(stats.f.isf(SUPERCELL_CHANCE, 2, 2 * len(beside)))
 
 
-def _reduced(frequencies: Array, fundamentals: Array, size: Array) -> Array:
+def _offsets_from_lattice(frequencies: Array, fundamentals: Array, size: Array) -> Array:
     """Return the shortest frequencies that differ from these, or their mirror images, by places of a lattice."""
     corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)]) @ fundamentals
     numbers = frequencies @ np.linalg.inv(fundamentals)

@@ -1,4 +1,4 @@
-"""Fundamentals registered: the lattice of frequencies strained until its waves fit the picture, gain set aside."""
+"""Fundamentals register_fundamentals: the lattice of frequencies strained until its waves fit the picture, gain set aside."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 
 from nrbench.spectra.dirichlet import Array
 from nrbench.spectra.harmonic_fit import Waves
-from nrbench.spectra.wave_sum import about_origin, wave_sum
+from nrbench.spectra.wave_sum import origin_amplitudes, wave_sum
 
 WINDOW = 0.2
 """Standard deviation, in units of the shortest period, of the window in which gain and level are free."""
@@ -17,7 +17,7 @@ CALM = 0.1
 """Share of the median misfit added to that around a pixel, by whose inverse it counts."""
 
 
-def registered(waves: Waves, frequencies: Array, fundamentals: Array) -> Array:
+def register_fundamentals(waves: Waves, frequencies: Array, fundamentals: Array) -> Array:
     """Return the fundamentals of the strained lattice of frequencies, ``(2, 2)``.
 
     Elements of another color than the rest pull at waves fitted to the picture as it is, and shift them; their edges
@@ -53,7 +53,7 @@ def registered(waves: Waves, frequencies: Array, fundamentals: Array) -> Array:
 
 def _model(waves: Waves, frequencies: Array) -> tuple[Array, tuple[Array, Array]]:
     """Return the waves' picture, and its slopes along x and y, ``(H, W, C)`` each."""
-    cosine, sine, mean = about_origin(waves)
+    cosine, sine, mean = origin_amplitudes(waves)
     shape, turns = waves.spectrum.shape, 2 * np.pi * frequencies[:, np.newaxis]
     model = wave_sum(frequencies, cosine, sine, mean, shape)
     along_x, along_y = (

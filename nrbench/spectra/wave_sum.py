@@ -46,7 +46,7 @@ def wave_sum(
     return np.stack(planes, -1)
 
 
-def about_origin(waves: Waves, kept: NDArray[np.bool_] | None = None) -> tuple[Array, Array, Array]:
+def origin_amplitudes(waves: Waves, kept: NDArray[np.bool_] | None = None) -> tuple[Array, Array, Array]:
     """Return fitted waves as seen from pixel (0, 0): cosine ``(n, C)``, sine ``(n, C)``, mean ``(C,)``.
 
     Parameters

@@ -13,7 +13,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
-from nrbench.spectra.fundamentals import Basis, Waveset, find_fundamental, find_fundamentals
+from nrbench.spectra.fundamentals import Basis, Peaks, find_fundamental, find_fundamentals
 
 FAMILIES = {"brick": Brick, "weave": Weave, "hexagon": Hexagon}
 FAST = Frdft(reject="none")
@@ -25,9 +25,9 @@ def texture(family: str, seed: int = 0, **strengths: float) -> Texture:
     return rendered
 
 
-def waveset(places: np.ndarray, spread: float = 0.05) -> Waveset:
+def waveset(places: np.ndarray, spread: float = 0.05) -> Peaks:
     """Return waves of equal weight."""
-    return Waveset(places, np.full(len(places), spread), np.ones(len(places)))
+    return Peaks(places, np.full(len(places), spread), np.ones(len(places)))
 
 
 @pytest.mark.parametrize("family", FAMILIES)

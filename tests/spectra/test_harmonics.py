@@ -5,12 +5,12 @@ from hypothesis import strategies as st
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.errors import BadInput
-from nrbench.spectra.analytic_signal import analytic_signal, complex_waves
-from nrbench.spectra.dirichlet import dirichlet_sum, pair_kernels
+from nrbench.spectra.analytic_signal import analytic_signal, find_complex_waves
+from nrbench.spectra.dirichlet import dirichlet_kernel, pair_kernels
 from nrbench.spectra.harmonic_fit import Waves
 from nrbench.spectra.harmonics import Harmonics, analyze
 from nrbench.spectra.noise_floor import noise_floor
-from nrbench.spectra.pursuit import pursue
+from nrbench.spectra.pursuit import find_waves
 from nrbench.spectra.spectrum import Spectrum
 
 SIDE = 128
@@ -105,7 +105,7 @@ def test_the_floor_is_the_noise_in_spite_of_waves() -> None:
     rng = np.random.default_rng(0)
     noise = 0.01 * rng.standard_normal((SIDE, SIDE, 1))
     alone = noise_floor(np.abs(Spectrum(noise).bins()) ** 2)
-    under = pursue(Spectrum(noise + picture(*draw_waves(12, rng))), None, 0.01, 50).floor
+    under = find_waves(Spectrum(noise + picture(*draw_waves(12, rng))), None, 0.01, 50).floor
     for floor in (alone, under):
         assert 0.95 < np.median(floor) / (0.01**2 * SIDE**2) < 1.3
 
@@ -184,7 +184,7 @@ def test_the_analytic_signal_is_inexact_near_its_border() -> None:
     for f_x in (0.3, 30.3):
         f = np.array([[f_x, 5.4]]) / SIDE
         planes = picture(f, np.ones(1), np.ones(1))
-        first = complex_waves(Spectrum(planes), limit, 50)
+        first = find_complex_waves(Spectrum(planes), limit, 50)
         misplaced[f_x] = np.abs(first[0] - f[0]).max() * SIDE
         assert (len(first) > 1) == (f_x < 1)
         for signal in ("real", "analytic"):
@@ -218,7 +218,7 @@ def test_dirichlet_sums_are_sums(frequency: float, length: int) -> None:
     """The closed form equals the sum, near the poles and away from them."""
     u = np.arange(length) - (length - 1) / 2
     known = np.cos(2 * np.pi * frequency * u).sum()
-    assert dirichlet_sum(np.array([frequency]), length)[0] == pytest.approx(known, abs=1e-6 * length)
+    assert dirichlet_kernel(np.array([frequency]), length)[0] == pytest.approx(known, abs=1e-6 * length)
 
 
 def test_kernels_of_pairs_are_sums_over_the_picture() -> None:

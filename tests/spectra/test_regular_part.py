@@ -2,9 +2,9 @@ import numpy as np
 
 import nrbench
 from nrbench.lattice.geometry import Lattice
-from nrbench.spectra.frequency_lattice import NEAREST, folded, near, spaced
-from nrbench.spectra.fundamentals import Waveset, find_fundamentals
-from nrbench.spectra.harmonic_grouping import next_basis, off_line
+from nrbench.spectra.frequency_lattice import LEAST_DISTANCE, are_near, fold_frequencies, select_spaced
+from nrbench.spectra.fundamentals import Peaks, find_fundamentals
+from nrbench.spectra.harmonic_grouping import off_line_evidence, propose_basis
 from nrbench.spectra.harmonics import analyze
 from nrbench.spectra.line_floor import line_floor
 from nrbench.spectra.spectrum import Spectrum
@@ -23,28 +23,28 @@ def test_weak_signs_of_a_larger_tile_count() -> None:
 def test_stripes_and_one_more_wave_are_no_lattice() -> None:
     """Harmonics of one fundamental with a wave off their line give one; with two more waves of a lattice, two."""
     places = [(0.0, 4.3 * k) for k in range(1, 7)] + [(9.1, 0.2), (2.0, 1.1)]
-    stripes = Waveset(np.array(places), np.full(8, 0.05), np.ones(8))
+    stripes = Peaks(np.array(places), np.full(8, 0.05), np.ones(8))
     pair = find_fundamentals(stripes)
-    assert pair is not None and off_line(pair, stripes) == 0 and len(next_basis(stripes).vectors) == 1
-    more = Waveset(np.array([*places, (18.2, 4.7), (9.1, 4.5)]), np.full(10, 0.05), np.ones(10))
-    assert len(next_basis(more).vectors) == 2
+    assert pair is not None and off_line_evidence(pair, stripes) == 0 and len(propose_basis(stripes).vectors) == 1
+    more = Peaks(np.array([*places, (18.2, 4.7), (9.1, 4.5)]), np.full(10, 0.05), np.ones(10))
+    assert len(propose_basis(more).vectors) == 2
 
 
 def test_no_two_waves_of_a_mask_are_near() -> None:
     """Not even those that pixels fold back from beyond Nyquist: each is 3/4 bin from all others and their mirrors."""
     texture = nrbench.texture("weave", seed=4, color=0.3, intensity=0.2, noise=0.03)
-    seen = folded(analyze(texture.image.astype(np.float64), harmonics="tied").frequencies)
+    seen = fold_frequencies(analyze(texture.image.astype(np.float64), harmonics="tied").frequencies)
     both = np.concatenate([seen, -seen])
-    apart = np.hypot(*np.moveaxis(folded(both[:, np.newaxis] - both) * 128, 2, 0)) + 9 * np.eye(len(both))
-    assert len(seen) > 100 and apart.min() >= NEAREST
+    apart = np.hypot(*np.moveaxis(fold_frequencies(both[:, np.newaxis] - both) * 128, 2, 0)) + 9 * np.eye(len(both))
+    assert len(seen) > 100 and apart.min() >= LEAST_DISTANCE
 
 
 def test_the_first_of_near_places_stays() -> None:
     """Of places that pixels cannot tell apart that of highest priority is kept, across the spectrum's border too."""
     f = np.array([(0.1, 0.2), (0.1, 0.203), (-0.1, -0.2), (0.4995, 0.1), (-0.4995, 0.1), (0.3, 0.3)])
-    kept = spaced(f, np.array([1.0, 3, 2, 5, 4, 6]), SIZE)
+    kept = select_spaced(f, np.array([1.0, 3, 2, 5, 4, 6]), SIZE)
     assert kept.tolist() == [5, 3, 1]
-    assert near(f[:2], np.array([(-0.1, -0.2)]), SIZE).all() and not near(f[5:], f[:5], SIZE).any()
+    assert are_near(f[:2], np.array([(-0.1, -0.2)]), SIZE).all() and not are_near(f[5:], f[:5], SIZE).any()
 
 
 def test_the_floor_of_a_line_is_its_own() -> None:
