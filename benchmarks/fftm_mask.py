@@ -41,14 +41,11 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import write_image
 from nrbench.imaging.fold import fold
 from nrbench.lattice.geometry import Lattice
-from nrbench.spectra.frequency_lattice import fold_frequencies, lattice_orders, select_spaced
-from nrbench.spectra.harmonic_fit import FixedWaves
+from nrbench.spectra.harmonic_groups import fold_frequencies, lattice_orders, select_spaced
 from nrbench.spectra.harmonics import Harmonic, Harmonics, analyze
-from nrbench.spectra.line_floor import line_floor
-from nrbench.spectra.pursuit import wave_powers
-from nrbench.spectra.regular_waves import HARMONIC
+from nrbench.spectra.regular_part import HARMONIC, line_floor
 from nrbench.spectra.spectrum import Spectrum
-from nrbench.spectra.wave_sum import origin_amplitudes, wave_sum
+from nrbench.spectra.wave_fit import FixedWaves, wave_sum
 from nrbench.synthesizers.masks.fftm_mask import Analysis
 
 Planes = NDArray[np.float64]
@@ -79,14 +76,14 @@ def correlation(a: Planes, b: Planes) -> float:
 def explained(mask: Harmonics, values: Planes) -> float:
     """Return the share of a picture's variance that the mask's waves explain, fitted to it."""
     waves = FixedWaves(Spectrum(values), fold_frequencies(mask.frequencies))
-    fitted = wave_sum(waves.frequencies, *origin_amplitudes(waves, mask.amplitudes > 0), (SIDE, SIDE))
+    fitted = wave_sum(waves.frequencies, *waves.origin_amplitudes(mask.amplitudes > 0), (SIDE, SIDE))
     return 1 - variance(values - fitted) / variance(values)
 
 
 def thresholds(sample: Planes, frequencies: Planes) -> Planes:
     """Return the power that a wave must have at places of a sample for the automatic mask to take it, ``(n, C)``."""
     waves = FixedWaves(Spectrum(sample), frequencies)
-    left = sample - wave_sum(frequencies, *origin_amplitudes(waves), (SIDE, SIDE))
+    left = waves.subtract()
     return HARMONIC * line_floor(np.abs(Spectrum(left).bins()) ** 2, (SIDE, SIDE), frequencies, frequencies)
 
 
@@ -97,8 +94,8 @@ def above_threshold(ideal: Planes, sample: Planes, lattice: Lattice) -> Planes:
     spectrum = Spectrum(ideal)
     f = f[select_spaced(f, (np.abs(spectrum.values(f)) ** 2).sum(1), size)]
     waves = FixedWaves(spectrum, f)
-    under = wave_powers(waves) < thresholds(sample, f)
-    return ideal - wave_sum(f, *origin_amplitudes(waves, under), (SIDE, SIDE))
+    under = waves.powers < thresholds(sample, f)
+    return waves.subtract(under)
 
 
 def mean_tile(values: Planes, lattice: Lattice, shape: tuple[int, int]) -> Planes:

@@ -1,4 +1,4 @@
-"""Lattices from fractional frequencies: the waves of a texture, their fundamentals, and the lattice dual to them."""
+"""The lattice from the waves of a texture: their fundamentals, and the lattice dual to these (detector ``frdft``)."""
 
 from __future__ import annotations
 
@@ -13,40 +13,39 @@ from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
-from nrbench.spectra.fundamentals import FINALISTS, Basis, find_fundamentals
-from nrbench.spectra.harmonic_fit import FrequencyFit, fit_frequencies
-from nrbench.spectra.harmonic_grouping import peaks_of as to_waveset
-from nrbench.spectra.pursuit import QUICK, THOROUGH, Effort, FoundWaves, find_waves
+from nrbench.spectra.harmonic_groups import FINALISTS, Basis, collect_peaks, find_fundamentals, off_line_evidence
 from nrbench.spectra.spectrum import Spectrum
+from nrbench.spectra.wave_fit import FrequencyFit, fit_frequencies
+from nrbench.spectra.wave_search import QUICK, THOROUGH, Effort, WaveDetection, find_waves
 from nrbench.streams import pixels_hash, stream
 
 WINDOW = 1024
 """px a side: of larger images the middle is analyzed, which bounds time and memory."""
 TESTED = 256
-"""px a side: the test against chance looks at the middle of this size, or of :data:`PERIODS` periods where longer."""
+"""px a side of the middle that the test against chance analyzes, or :data:`PERIODS` periods where these are longer."""
 PERIODS = 10.0
 SHORTLIST = 6
 """Pairs of fundamentals that the test fits."""
 STRONGEST = 24
-"""Waves that the test looks for: the evidence of weaker ones, which count by their energy, is small."""
+"""Waves that the test searches: the evidence of weaker ones, which are weighted by their energy, is small."""
 
 
-class Answer(NamedTuple):
-    """What the waves of an image say.
+class Candidate(NamedTuple):
+    """The fundamentals found in an image.
 
     Parameters
     ----------
-    found
+    detection
         The waves.
     order
         Their numbers, the strongest first: the order of ``basis``.
     basis
         The fundamentals, in bins.
     surplus
-        Evidence of the waves beyond those that any two fundamentals explain; see :class:`Frdft`.
+        Evidence of the waves beyond those that any two fundamentals explain; see :func:`surplus`.
     """
 
-    found: FoundWaves
+    detection: WaveDetection
     order: NDArray[np.intp]
     basis: Basis
     surplus: float
@@ -56,38 +55,38 @@ class Answer(NamedTuple):
 class Frdft:
     """Fractional frequencies: the coarsest lattice of frequencies that explains the waves of the texture.
 
-    The paper finds the waves (its section 3.1; here :func:`~nrbench.spectra.harmonics.analyze`) and reads the size of a
-    tile off the lowest of them (equation 7), which is right where the lowest wave is there and along an axis. Here the
-    waves vote: each whole combination of two fundamentals that a wave lies at is evidence in the measure in which
-    chance would not have put it there, weighted by the wave's energy, so that a finer lattice of frequencies (a larger
-    tile) wins only where it explains waves that a coarser one leaves, and low waves may be missing. The fundamentals
-    are then fitted to the image, all explained waves jointly; the lattice is the one dual to them. Its origin is where
-    both fundamental waves have their crest, (0, 0) where one of them is not among the waves.
+    The paper finds the waves (section 3.1; here :func:`~nrbench.spectra.wave_search.find_waves`) and reads the size of
+    a tile off the lowest of them (equation 7). That is right where the lowest wave is present and along an axis. Here
+    all waves vote. A wave at an integer combination of two fundamentals is evidence for them, the stronger the less
+    probable its place is by chance, weighted by the wave's energy. A finer lattice of frequencies (a larger tile) wins
+    only where it explains waves that a coarser one does not, and low waves may be missing. The fundamentals are then
+    fitted to the image, all explained waves jointly; the lattice is the one dual to them. Its origin is where both
+    fundamental waves have their crest, (0, 0) if one of them is not among the waves.
 
     The confidence is the share of the image's variance, all channels together, that the lattice's waves explain.
 
-    Images of more than 1024 px a side are judged by their middle; longer periods than about 600 px are not found.
+    Only the middle of images of more than 1024 px a side is analyzed; periods of more than about 600 px are not found.
 
     Parameters
     ----------
     threshold
         Least amplitude of a wave, units of 1/255; 0: automatic, what noise reaches with probability ``false_alarms``.
     waves
-        Only so many of the strongest waves count.
+        The number of waves that count, the strongest.
     tolerance
         How far, bins (cycles in the image's side), a wave may lie off its place beside its own standard error.
     reject
-        ``"none"``: answer wherever the waves have two directions. ``"surrogate"``: no lattice where the evidence does
-        not exceed what phase-randomized copies of the image reach. The evidence here is a plain log-likelihood, every
-        wave counted alike: energy tells which lattice is the texture's, places whether there is one. It is that of all
-        explained waves, less the two best, which any two fundamentals explain, less that of all waves on the line that
-        has most, so that a grating, or one and a stray wave, is no lattice. A lattice of two waves without harmonics is
-        refused, too. Image and copies are judged alike, by a shorter search: 24 waves, in one pass, of the image's
-        middle (256 px a side or ten periods).
+        ``"none"``: return a lattice wherever the waves have two directions. ``"surrogate"``: refuse a lattice whose
+        evidence does not exceed that of phase-randomized copies of the image. This evidence is a plain log-likelihood
+        that counts every wave alike: energy decides which lattice is the texture's, places decide whether there is one.
+        It is the evidence of all explained waves without the two best, which any two fundamentals explain, and without
+        all waves on the line that has most, so that a grating, even with one stray wave, is no lattice. A lattice of
+        two waves without harmonics is refused, too. Image and copies are analyzed alike, by a shorter search: 24 waves,
+        in one pass, of the image's middle (256 px a side or ten periods).
     surrogates
         Number of phase-randomized copies.
     false_alarms
-        Probability at which noise would be taken for a wave, and a phase-randomized copy for a lattice.
+        Probability at which noise is taken for a wave, and a phase-randomized copy for a lattice.
     """
 
     threshold: float = 0.0
@@ -126,49 +125,49 @@ class Frdft:
         Raises
         ------
         NoLatticeFound
-            Where the image is constant, its waves are fewer than two or all along one direction, or, unless ``reject``
-            is ``"none"``, the best lattice is no better than chance.
+            If the image is constant, its waves are fewer than two or all along one direction, or, unless ``reject`` is
+            ``"none"``, the best lattice is no better than chance.
         """
         if np.ptp(image, (0, 1)).max() == 0:
             raise NoLatticeFound("the image is constant: it has no texture")
         middle, start = _middle(image, WINDOW)
-        answer = self._search(middle, self.waves, THOROUGH, FINALISTS)
-        if isinstance(answer, str):
-            raise NoLatticeFound(answer)
-        found = _detection(answer, start)
-        return found if self.reject == "none" else self._tested(image, found)
+        candidate = self._search(middle, self.waves, THOROUGH, FINALISTS)
+        if isinstance(candidate, str):
+            raise NoLatticeFound(candidate)
+        detection = _fit_lattice(candidate, start)
+        return detection if self.reject == "none" else self._test(image, detection)
 
-    def _search(self, image: NDArray[np.float32], waves: int, effort: Effort, finalists: int) -> Answer | str:
-        """Return what the waves of an image say, or why they say nothing."""
+    def _search(self, image: NDArray[np.float32], waves: int, effort: Effort, finalists: int) -> Candidate | str:
+        """Return the fundamentals of an image, or why it has none."""
         spectrum = Spectrum(image.astype(np.float64))
-        found = find_waves(spectrum, self.threshold or None, self.false_alarms, waves, effort)
-        order = np.argsort(-found.powers.sum(1), kind="stable")
+        detection = find_waves(spectrum, self.threshold or None, self.false_alarms, waves, effort)
+        order = np.argsort(-detection.powers.sum(1), kind="stable")
         if len(order) < 2:
             return f"the image has {len(order)} waves above its noise; a lattice has at least two"
-        peaks_of = to_waveset(found, order, self.tolerance)
-        basis = find_fundamentals(peaks_of, finalists)
+        peaks = collect_peaks(detection, order, self.tolerance)
+        basis = find_fundamentals(peaks, finalists)
         if basis is None or np.linalg.matrix_rank(basis.orders[basis.explained]) < 2:
             return "the waves of the image have one direction only: a grating has no lattice"
-        return Answer(found, order, basis, surplus(basis, peaks_of.weights))
+        return Candidate(detection, order, basis, surplus(basis, peaks.weights))
 
-    def _tested(self, image: Image, found: Detection) -> Detection:
-        """Return what was found, with what it was compared with, unless it is a grating or chance."""
-        longest = float(abs(found.lattice.matrix).max())
+    def _test(self, image: Image, detection: Detection) -> Detection:
+        """Return a detection with the evidence of the copies; raise if it is a grating or no better than chance."""
+        longest = float(abs(detection.lattice.matrix).max())
         part, _ = _middle(image, max(TESTED, min(round(PERIODS * longest), WINDOW)))
-        copies = chance(part, self._reached, stream("detection", pixels_hash(part)), self.surrogates)
-        reached, limit = self._reached(part), upper_limit(copies, self.false_alarms)
-        more = {"tested_surplus": reached, "surrogate_surplus": copies, "limit": limit}
-        found = Detection(found.lattice, found.confidence, {**found.diagnostics, **more})
-        if reached <= limit:
+        copies = chance(part, self._quick_surplus, stream("detection", pixels_hash(part)), self.surrogates)
+        evidence, limit = self._quick_surplus(part), upper_limit(copies, self.false_alarms)
+        more = {"tested_surplus": evidence, "surrogate_surplus": copies, "limit": limit}
+        detection = Detection(detection.lattice, detection.confidence, {**detection.diagnostics, **more})
+        if evidence <= limit:
             raise NoLatticeFound(
-                f"the best lattice (evidence {reached:.2f}) is no better than chance ({limit:.2f})", found
+                f"the best lattice (evidence {evidence:.2f}) is no better than chance ({limit:.2f})", detection
             )
-        return found
+        return detection
 
-    def _reached(self, image: NDArray[np.float32]) -> float:
-        """Return the evidence of an image's best lattice by the shorter search; 0 where it has none."""
-        answer = self._search(image, min(self.waves, STRONGEST), QUICK, SHORTLIST)
-        return 0.0 if isinstance(answer, str) else answer.surplus
+    def _quick_surplus(self, image: NDArray[np.float32]) -> float:
+        """Return the evidence of an image's best lattice by the shorter search; 0 if it has none."""
+        candidate = self._search(image, min(self.waves, STRONGEST), QUICK, SHORTLIST)
+        return 0.0 if isinstance(candidate, str) else candidate.surplus
 
 
 def _middle(image: Image, side: int) -> tuple[Image, Vector]:
@@ -183,32 +182,29 @@ def surplus(basis: Basis, weights: NDArray[np.float64]) -> float:
     Parameters
     ----------
     basis
-        Fundamentals of n waves. Waves that they do not explain count nothing, wherever they are.
+        Fundamentals of n waves. Waves that they do not explain do not count, wherever they are.
     weights
         ``(n,)``: by which the evidence was multiplied; it is divided by them again.
     """
-    evidence, orders = (basis.evidence / weights)[basis.explained], basis.orders[basis.explained]
+    evidence = (basis.evidence / weights)[basis.explained]
     beyond = evidence.sum() - np.sort(evidence)[-2:].sum()
-    x, y = orders[:, 0], orders[:, 1]
-    collinear = np.outer(x, y) == np.outer(y, x)
-    best_line = int(np.argmax(collinear @ evidence))
-    off = evidence[~collinear[best_line]]
-    return float(max(min(beyond, off.sum() - off.max(initial=0)), 0.0))
+    return float(max(min(beyond, off_line_evidence(basis, weights)), 0.0))
 
 
-def _detection(answer: Answer, start: Vector) -> Detection:
+def _fit_lattice(candidate: Candidate, start: Vector) -> Detection:
     """Return the lattice dual to the fundamentals, fitted to the image."""
-    found, basis, spectrum = answer.found, answer.basis, answer.found.waves.spectrum
+    detection, basis = candidate.detection, candidate.basis
+    spectrum = detection.waves.spectrum
     orders = basis.orders[basis.explained]
     fit = fit_frequencies(spectrum, basis.vectors / spectrum.size, orders)
     origin = np.add(_origin(fit, orders), start)
     lattice = Lattice.from_basis(np.linalg.inv(fit.fundamentals).T, origin).reduced()
     share = float(fit.waves.explained.sum() / spectrum.energy.sum())
     diagnostics = {
-        "spectrum": _surface(found, fit.fundamentals * spectrum.size),
-        "frequencies": found.waves.frequencies[answer.order],
+        "spectrum": _surface(detection, fit.fundamentals * spectrum.size),
+        "frequencies": detection.waves.frequencies[candidate.order],
         "explained": basis.explained,
-        "surplus": answer.surplus,
+        "surplus": candidate.surplus,
     }
     return Detection(lattice, min(max(share, 0.0), 1.0), diagnostics)
 
@@ -224,20 +220,20 @@ def _origin(fit: FrequencyFit, orders: Points) -> Vector:
         p, q = (amplitude[1 + wave] for amplitude in fit.waves.amplitudes)
         strongest = int(np.argmax(p**2 + q**2))
         phases.append(np.arctan2(q[strongest], p[strongest]) * orders[wave].sum())
-    centre = (fit.waves.spectrum.size - 1) / 2
-    x, y = centre + np.linalg.solve(fit.fundamentals, np.array(phases) / (2 * np.pi))
+    center = (fit.waves.spectrum.size - 1) / 2
+    x, y = center + np.linalg.solve(fit.fundamentals, np.array(phases) / (2 * np.pi))
     return float(x), float(y)
 
 
-def _surface(found: FoundWaves, vectors: Points) -> Surface:
+def _surface(detection: WaveDetection, vectors: Points) -> Surface:
     """Return the log magnitude of the spectrum with the waves and the fundamentals, frequency 0 in the middle."""
-    spectrum = found.waves.spectrum
+    spectrum = detection.waves.spectrum
     height, width = spectrum.shape
     magnitude = np.sqrt((np.abs(spectrum.bins()) ** 2).sum(0))
     negative = magnitude[-np.arange(height) % height][:, 1 : (width + 1) // 2][:, ::-1]
-    whole = np.concatenate([negative, magnitude], 1)
-    values = np.log1p(np.roll(whole, height // 2, 0) / max(float(np.median(magnitude)), 1e-12))
-    return Surface(values, (negative.shape[1], height // 2), found.waves.frequencies * spectrum.size, vectors)
+    full = np.concatenate([negative, magnitude], 1)
+    values = np.log1p(np.roll(full, height // 2, 0) / max(float(np.median(magnitude)), 1e-12))
+    return Surface(values, (negative.shape[1], height // 2), detection.waves.frequencies * spectrum.size, vectors)
 
 
 _check = checker("frdft")

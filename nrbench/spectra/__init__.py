@@ -1,1 +1,1 @@
-"""TODO nrbench.spectra."""
+"""Wave analysis of pictures: waves of real frequencies and their groups, for FFTM masks and the detector frdft."""

@@ -1,4 +1,4 @@
-"""The regular part of a texture as waves of real frequencies: FFTM's analysis, and their evaluation at any size."""
+"""The regular part of a texture as waves of real frequencies: FFTM's analysis, and its evaluation at any size."""
 
 from __future__ import annotations
 
@@ -9,13 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.errors import checker
-from nrbench.spectra.analytic_signal import find_waves_analytic
-from nrbench.spectra.dirichlet import Array
-from nrbench.spectra.harmonic_fit import Waves
-from nrbench.spectra.pursuit import find_waves
-from nrbench.spectra.regular_part import find_regular_part, find_waves_quickly
-from nrbench.spectra.spectrum import Planes, Spectrum
-from nrbench.spectra.wave_sum import origin_amplitudes, wave_sum
+from nrbench.spectra.regular_part import find_regular_part
+from nrbench.spectra.spectrum import Array, Planes, Spectrum
+from nrbench.spectra.wave_fit import Waves, wave_sum
+from nrbench.spectra.wave_search import find_waves, find_waves_analytic, find_waves_quickly
 
 Harmonic = Literal["free", "tied"]
 Signal = Literal["real", "analytic"]
@@ -29,19 +26,19 @@ class Harmonics:
     Parameters
     ----------
     frequencies
-        ``(n, 2)``: (f_x, f_y) cycles/px, the strongest first; of each pair f, -f one. Beyond half a cycle/px where
-        pixels have folded a wave back: on whole px it looks like the folded one.
+        ``(n, 2)``: (f_x, f_y) cycles/px, the strongest first; one of each pair f, -f. They are beyond half a cycle/px
+        where pixels have folded a wave back: at integer pixels it looks like the folded one.
     cosine, sine
-        ``(n, C)``: amplitudes, units of the planes.
+        ``(n, C)``: amplitudes, in units of the planes.
     mean
         ``(C,)``.
     fundamentals
-        ``(g, 2)`` cycles/px; where free, the frequencies themselves.
+        ``(g, 2)`` cycles/px; of free waves the frequencies themselves.
     orders
-        ``(n, g)`` whole numbers: ``frequencies = orders @ fundamentals``.
+        ``(n, g)`` integers: ``frequencies = orders @ fundamentals``.
     groups
-        How many fundamentals, 1 or 2, each group has: two make a lattice of frequencies, one makes stripes. They follow
-        each other in ``fundamentals``.
+        The number of fundamentals, 1 or 2, of each group: two make a lattice of frequencies, one makes stripes. The
+        groups follow each other in ``fundamentals``.
     share
         Share of the planes' variance, all channels together, that the waves explain, in [0, 1].
     """
@@ -61,7 +58,7 @@ class Harmonics:
         return np.hypot(self.cosine, self.sine)
 
     def evaluate(self, shape: tuple[int, int], offset: tuple[float, float] = (0.0, 0.0)) -> Array:
-        """Return the picture on any window, ``(H, W, C)``, not clipped (equation 6 of the paper); see :func:`wave_sum`.
+        """Return the picture in any window, ``(H, W, C)``, not clipped (equation 6 of the paper).
 
         Parameters
         ----------
@@ -85,44 +82,54 @@ def analyze(
 ) -> Harmonics:
     """Return the waves of a picture: fractional Fourier texture masks, Nicoll et al. 2005, section 3.
 
-    Candidates are DFT coefficients above a threshold; each is refined within a bin to the maximum of the fractional
-    transform, subtracted, and all are fitted jointly by least squares. Differences from the paper: real waves are
-    fitted as cosine and sine, not by way of an analytic signal (``signal`` selects it), so that a wave and its mirror
-    image do not disturb each other; what is left after a subtraction is known in closed form, not transformed again;
-    all waves are fitted after each round, not only at the end, which also replaces the alternating one-dimensional
-    searches.
+    Candidates are DFT coefficients above a threshold. Each is refined within a bin to the maximum of the fractional
+    transform and subtracted, and all are fitted jointly by least squares
+    (:func:`~nrbench.spectra.wave_search.find_waves`). Tied waves are then sorted into groups of harmonics
+    (:func:`~nrbench.spectra.regular_part.find_regular_part`).
+
+    Differences from the paper: real waves are fitted as cosine and sine, not by way of an analytic signal (``signal``
+    selects it), so that a wave and its mirror image do not disturb each other. The residual after a subtraction is
+    known in closed form, not transformed again. All waves are fitted after each round, not only at the end, which also
+    replaces the alternating one-dimensional searches.
 
     Parameters
     ----------
     planes
         ``(H, W, C)``, any floating dtype; the paper takes YCbCr.
     threshold
-        Least amplitude of a wave, units of 1/255, in some channel. None: what noise, its floor measured in the
-        spectrum, exceeds anywhere with probability ``false_alarms``.
+        Least amplitude of a wave, units of 1/255, in some channel. None: the amplitude that noise, its floor measured
+        in the spectrum, exceeds anywhere with probability ``false_alarms``.
     harmonics
-        ``"free"``: every frequency for itself. ``"tied"``: frequencies are whole combinations of few fundamentals,
-        fitted jointly, and the lattices' further waves are looked for at their places; the inexact frequencies that
-        make masks interfere far from the sample (figure 10) are then exact multiples.
+        ``"free"``: every frequency is independent. ``"tied"``: frequencies are integer combinations of few
+        fundamentals, fitted jointly, and weaker waves are searched at the lattices' further harmonics. The inexact
+        frequencies that make masks interfere far from the sample (figure 10) are then exact multiples.
     channels
         ``"joint"``: a wave has one frequency in all channels. ``"each"``: every channel is analyzed by itself, as in
         the paper; waves then have amplitude 0 in the other channels.
     false_alarms
         Probability in (0, 1) that noise alone yields a wave.
     most
-        At most so many waves (a channel, where each is analyzed by itself).
+        The largest number of waves (per channel, where each is analyzed by itself).
     signal
         ``"real"``: waves are searched as cosine and sine. ``"analytic"``: the paper's search, one complex wave after
         the other in the analytic signal, fitted jointly at the end only. Waves near the border of the half plane that
         the analytic signal keeps (f_x within a few bins of 0) are then misplaced by some hundredths of a bin and found
-        as several, which only the joint fit and its dropping of needless waves mend. Where tied, such waves
-        propose the fundamentals; all amplitudes are then fitted to the picture.
+        as several; only the joint fit, which drops needless waves, corrects that. Where tied, such waves propose the
+        fundamentals; all amplitudes are then fitted to the picture.
     given
         ``(2, 2)`` cycles/px: where tied, fundamentals of the first group that are known within about 2 %.
 
     Raises
     ------
     BadInput
-        For planes of another form, and parameters out of range.
+        If the planes are not a finite ``(H, W, C)`` array, or a parameter is out of range.
+
+    Examples
+    --------
+    >>> y, x = np.indices((64, 64))
+    >>> waves = analyze(np.cos(2 * np.pi * (0.11 * x + 0.03 * y))[..., np.newaxis])
+    >>> waves.frequencies.round(4)
+    array([[0.11, 0.03]])
     """
     _check(np.ndim(planes) == 3 and min(np.shape(planes)) >= 1, f"planes of shape {np.shape(planes)}; pass (H, W, C)")
     _check(bool(np.isfinite(planes).all()), "planes have NaN or infinite values; replace them first")
@@ -133,13 +140,16 @@ def analyze(
     _check(0 < false_alarms < 1, f"false_alarms is {false_alarms}; give a probability, e.g. 0.01")
     _check(most >= 1, f"most is {most}; give at least 1")
     if channels == "joint":
-        return _analyze(planes, threshold, harmonics, false_alarms, most, signal, given)
+        return _analyze_planes(planes, threshold, harmonics, false_alarms, most, signal, given)
     count = planes.shape[2]
-    each = [planes[..., c : c + 1] for c in range(count)]
-    return _joined([_analyze(p, threshold, harmonics, false_alarms / count, most, signal, given) for p in each], planes)
+    parts = [
+        _analyze_planes(planes[..., c : c + 1], threshold, harmonics, false_alarms / count, most, signal, given)
+        for c in range(count)
+    ]
+    return _combine_channels(parts, planes)
 
 
-def _analyze(
+def _analyze_planes(
     planes: Planes,
     threshold: float | None,
     harmonics: Harmonic,
@@ -150,23 +160,17 @@ def _analyze(
 ) -> Harmonics:
     spectrum = Spectrum(planes)
     if harmonics == "tied":
-        part = find_regular_part(
-            spectrum,
-            threshold,
-            false_alarms,
-            most,
-            find_waves_quickly if signal == "real" else find_waves_analytic,
-            given,
-        )
+        search = find_waves_quickly if signal == "real" else find_waves_analytic
+        part = find_regular_part(spectrum, threshold, false_alarms, most, search, given)
         f = part.orders @ part.fundamentals
-        return _sorted(part.waves, f, part.fundamentals, part.orders, part.groups, part.kept)
-    search = find_waves if signal == "real" else find_waves_analytic
-    waves = search(spectrum, threshold, false_alarms, most).waves
+        return _sort_by_power(part.waves, f, part.fundamentals, part.orders, part.groups, part.kept)
+    full_search = find_waves if signal == "real" else find_waves_analytic
+    waves = full_search(spectrum, threshold, false_alarms, most).waves
     n = len(waves.frequencies)
-    return _sorted(waves, waves.frequencies, waves.frequencies, np.eye(n), (1,) * n, None)
+    return _sort_by_power(waves, waves.frequencies, waves.frequencies, np.eye(n), (1,) * n, None)
 
 
-def _sorted(
+def _sort_by_power(
     waves: Waves,
     frequencies: Array,
     fundamentals: Array,
@@ -174,25 +178,17 @@ def _sorted(
     groups: tuple[int, ...],
     kept: NDArray[np.bool_] | None,
 ) -> Harmonics:
-    """Return fitted waves as seen from pixel (0, 0), the strongest first."""
-    cosine, sine, mean = origin_amplitudes(waves, kept)
-    power = (cosine**2 + sine**2).sum(1)
-    order = np.argsort(-power, kind="stable")
-    whole = np.rint(orders[order]).astype(np.int64)
-    share = _share(
-        waves, None if kept is None else wave_sum(waves.frequencies, cosine, sine, mean, waves.spectrum.shape)
-    )
-    return Harmonics(frequencies[order], cosine[order], sine[order], mean, fundamentals, whole, groups, share)
+    """Return fitted waves with amplitudes about pixel (0, 0), the strongest first."""
+    cosine, sine, mean = waves.origin_amplitudes(kept)
+    order = np.argsort(-(cosine**2 + sine**2).sum(1), kind="stable")
+    total = float(waves.spectrum.energy.sum())
+    explained = waves.explained.sum() if kept is None else total - np.square(waves.subtract(kept)).sum()
+    share = min(max(float(explained) / total, 0.0), 1.0) if total > 0 else 0.0
+    integers = np.rint(orders[order]).astype(np.int64)
+    return Harmonics(frequencies[order], cosine[order], sine[order], mean, fundamentals, integers, groups, share)
 
 
-def _share(waves: Waves, picture: Array | None) -> float:
-    """Return the share of the variance that waves explain: with all amplitudes fitted, or as pictured."""
-    planes, total = waves.spectrum.planes, float(waves.spectrum.energy.sum())
-    explained = waves.explained.sum() if picture is None else total - np.square(planes - picture).sum()
-    return min(max(float(explained) / total, 0.0), 1.0) if total > 0 else 0.0
-
-
-def _joined(parts: list[Harmonics], planes: Planes) -> Harmonics:
+def _combine_channels(parts: list[Harmonics], planes: Planes) -> Harmonics:
     """Return the waves of single channels as those of one picture."""
     fundamentals = [part.fundamentals for part in parts]
     orders = np.zeros((sum(len(p.orders) for p in parts), sum(len(f) for f in fundamentals)), np.int64)

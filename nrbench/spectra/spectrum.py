@@ -1,20 +1,20 @@
-"""The fractional spectrum: the Fourier transform of a finite picture at any real frequency."""
+"""The fractional Fourier spectrum: the transform of a picture at any real frequency, and that of a single wave."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 from scipy.special import i0, i1
 
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Planes = NDArray[np.floating[Any]]
 """``(H, W, C)``, any floating dtype, any range."""
-
-Weights = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 TAPS = 10
 """Width of the interpolation kernel in samples of the doubled grid: errors near 1e-9 of the largest coefficient."""
@@ -24,11 +24,15 @@ BETA = 0.75 * np.pi * TAPS
 
 @dataclass(frozen=True)
 class Spectrum:
-    """FT(f) = sum of (a - mean) exp(-2 pi i f r), r from the picture's centre, f in cycles/px (the paper's equation 3).
+    """FT(f) = sum of (a - mean) exp(-2 pi i f r), r from the picture's center, f in cycles/px (the paper's equation 3).
 
-    One transform on a doubled grid, of the planes divided by the kernel's own transform, is all that is made of the
-    picture: any value is then a weighted sum of 10 x 10 samples of it (a non-uniform Fourier transform). Building costs
-    O(n log n), a frequency O(1). Precision and memory follow the planes' dtype.
+    This is a non-uniform fast Fourier transform. The planes are divided by the interpolation kernel's own transform and
+    transformed once, on a doubled grid, in O(n log n). The value at any frequency is then a weighted sum of 10 x 10
+    samples of that grid, in O(1). Precision and memory follow the planes' dtype.
+
+    The analysis reads a few frequencies of one picture many times. finufft 2.5 transforms the picture anew in each
+    call: 24 frequencies of 128 x 128 x 3 px take it 9 ms, this class 0.2 ms (900 frequencies: 10 ms each). Its lattices
+    differ from the 11th digit on, as its errors (6e-10 of the largest coefficient, here 2e-9) are others.
 
     Parameters
     ----------
@@ -45,66 +49,67 @@ class Spectrum:
 
     @property
     def channels(self) -> int:
-        """How many channels."""
+        """Number of channels."""
         return int(self.planes.shape[2])
 
     @property
-    def size(self) -> NDArray[np.float64]:
-        """(width, height) px: bins a cycle/px along x and y."""
+    def size(self) -> Array:
+        """(width, height) px: the number of bins in one cycle/px along x and y."""
         return np.array(self.shape[::-1], np.float64)
 
     @cached_property
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> Array:
         """The channels' means, ``(C,)``."""
         return np.asarray(self.planes.mean((0, 1), dtype=np.float64))
 
     @cached_property
-    def energy(self) -> NDArray[np.float64]:
+    def energy(self) -> Array:
         """The channels' sums of squares about the mean, ``(C,)``."""
         return np.asarray(self.planes.var((0, 1), dtype=np.float64) * self.planes[..., 0].size)
 
     def bins(self) -> NDArray[np.complexfloating[Any, Any]]:
-        """Return the values at whole bins, ``(C, H, W // 2 + 1)``, in the order of ``rfft2``."""
-        height, width = self.shape
-        values = scipy.fft.rfft2(self._centred_planes(), overwrite_x=True)
-        turn = [
-            np.exp(1j * np.pi * k * (n - 1) / n) for k, n in zip(bin_numbers(self.shape), (height, width), strict=True)
-        ]
-        values *= turn[0].astype(values.dtype)[:, np.newaxis]
-        values *= turn[1].astype(values.dtype)
+        """Return the values at integer bins, ``(C, H, W // 2 + 1)``, in the order of ``rfft2``."""
+        values = scipy.fft.rfft2(self._centered_planes(), overwrite_x=True)
+        rows, columns = (
+            np.exp(1j * np.pi * k * (n - 1) / n) for k, n in zip(bin_numbers(self.shape), self.shape, strict=True)
+        )
+        values *= rows.astype(values.dtype)[:, np.newaxis]
+        values *= columns.astype(values.dtype)
         return np.asarray(values)
 
-    def at(self, frequencies: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Return FT and its moments, the transforms of (a - mean) times x and times y from the centre.
+    def values(self, frequencies: Array) -> Complex:
+        """Return FT, ``(n, C)``, at frequencies ``(n, 2)``: any (f_x, f_y) in cycles/px."""
+        f, mirrored = _right_half(frequencies)
+        near, (wx, _), (wy, _) = self._samples_near(f)
+        value = (np.matmul(near, wx[..., np.newaxis])[..., 0] * wy).sum(2).T * self._turn(f)
+        return np.asarray(np.where(mirrored, np.conj(value), value))
+
+    def values_and_moments(self, frequencies: Array) -> tuple[Complex, Complex]:
+        """Return FT and its moments, the transforms of (a - mean) times x and times y from the center.
 
         Parameters
         ----------
         frequencies
-            ``(n, 2)``: (f_x, f_y) cycles/px, any.
+            ``(n, 2)``: any (f_x, f_y) in cycles/px.
 
         Returns
         -------
         tuple
             ``(n, C)`` and ``(2, n, C)``.
         """
-        flip = frequencies[:, 0] < 0
-        f = np.where(flip[:, np.newaxis], -frequencies, frequencies)
-        near, (wx, dx), (wy, dy) = self._near(f)
+        f, mirrored = _right_half(frequencies)
+        near, (wx, dx), (wy, dy) = self._samples_near(f)
         along = np.matmul(near, wx[..., np.newaxis])[..., 0]
         value = (along * wy).sum(2).T
         by_x = (np.matmul(near, dx[..., np.newaxis])[..., 0] * wy).sum(2).T
         by_y = (along * dy).sum(2).T
-        return _from_centre(f, self.shape, value, np.stack([by_x, by_y]), flip)
+        # The grid's origin is the whole pixel at the middle; values and moments are about the exact center.
+        turn, slopes = self._turn(f), np.stack([by_x, by_y]) * (1j / (2 * np.pi))
+        moments = turn * (slopes + self._middle_offset[:, np.newaxis, np.newaxis] * value)
+        value = turn * value
+        return np.where(mirrored, np.conj(value), value), np.where(mirrored, np.conj(moments), moments)
 
-    def values(self, frequencies: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Return FT alone, ``(n, C)``."""
-        flip = frequencies[:, :1] < 0
-        f = np.where(flip, -frequencies, frequencies)
-        near, (wx, _), (wy, _) = self._near(f)
-        value = (np.matmul(near, wx[..., np.newaxis])[..., 0] * wy).sum(2).T * _turn(f, self.shape)
-        return np.asarray(np.where(flip, np.conj(value), value))
-
-    def around(self, frequencies: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def around(self, frequencies: Array, offsets: Array) -> Complex:
         """Return FT on a small grid about each frequency, ``(n, k, k, C)``, y before x.
 
         Parameters
@@ -115,52 +120,70 @@ class Spectrum:
             ``(k,)`` bins along either axis, rising, within +-1. The samples that all of them need are read once.
         """
         (cols, wx), (rows, wy) = (
-            _fan(frequencies[:, k, np.newaxis] + offsets / self.size[k], self._grid_shape[1 - k], self.shape[1 - k])
+            _grid_weights(
+                frequencies[:, k, np.newaxis] + offsets / self.size[k], self._grid_shape[1 - k], self.shape[1 - k]
+            )
             for k in (0, 1)
         )
-        near = self._grid[:, rows[:, :, np.newaxis] % self._grid_shape[0], cols[:, np.newaxis, :] + TAPS]
-        values = wy @ (near @ wx.transpose(0, 2, 1))
+        values = wy @ (self._samples(rows, cols) @ wx.transpose(0, 2, 1))
         return np.ascontiguousarray(np.moveaxis(values, 0, 3))
 
-    def _near(self, f: NDArray[np.float64]) -> tuple[NDArray[Any], Weights, Weights]:
-        """Return the samples around frequencies, ``(C, n, TAPS, TAPS)``, and the weights along x and y."""
-        (cols, *wx), (rows, *wy) = (_taps(f[:, k], self._grid_shape[1 - k]) for k in (0, 1))
-        near = self._grid[:, rows[:, :, np.newaxis] % self._grid_shape[0], cols[:, np.newaxis, :] + TAPS]
-        return near, (wx[0], wx[1]), (wy[0], wy[1])
+    def _samples_near(self, f: Array) -> tuple[NDArray[Any], tuple[Array, Array], tuple[Array, Array]]:
+        """Return the samples around frequencies, ``(C, n, TAPS, TAPS)``, and their weights along x and y."""
+        (cols, *x), (rows, *y) = (_tap_weights(f[:, k], self._grid_shape[1 - k]) for k in (0, 1))
+        return self._samples(rows, cols), (x[0], x[1]), (y[0], y[1])
 
-    def _centred_planes(self) -> Planes:
+    def _samples(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[Any]:
+        return self._grid[:, rows[:, :, np.newaxis] % self._grid_shape[0], cols[:, np.newaxis, :] + TAPS]
+
+    def _centered_planes(self) -> Planes:
         return np.ascontiguousarray(np.moveaxis(self.planes - self.mean.astype(self.planes.dtype), 2, 0))
 
     @cached_property
     def _grid_shape(self) -> tuple[int, int]:
-        return _doubled(self.shape[0]), _doubled(self.shape[1])
+        return _doubled_length(self.shape[0]), _doubled_length(self.shape[1])
 
     @cached_property
     def _grid(self) -> NDArray[np.complexfloating[Any, Any]]:
         """The doubled transform, ``(C, My, Mx // 2 + 1 + 2 TAPS)``: columns from -TAPS, so that no tap falls off."""
-        weights = [1 / _kernel_transform(_whole(n) / m) for n, m in zip(self.shape, self._grid_shape, strict=True)]
-        rows, cols = (_whole(n) % m for n, m in zip(self.shape, self._grid_shape, strict=True))
+        places = [np.arange(n) - n // 2 for n in self.shape]
+        weights = [1 / _kernel_transform(place / m) for place, m in zip(places, self._grid_shape, strict=True)]
+        rows, cols = (place % m for place, m in zip(places, self._grid_shape, strict=True))
         padded = np.zeros((self.channels, *self._grid_shape), self.planes.dtype)
-        weighed = self._centred_planes() * np.multiply.outer(*weights).astype(self.planes.dtype)
-        padded[:, rows[:, np.newaxis], cols] = weighed
-        return _with_wings(scipy.fft.rfft2(padded, overwrite_x=True), self._grid_shape[1])
+        weighted = self._centered_planes() * np.multiply.outer(*weights).astype(self.planes.dtype)
+        padded[:, rows[:, np.newaxis], cols] = weighted
+        return _extend_columns(scipy.fft.rfft2(padded, overwrite_x=True), self._grid_shape[1])
+
+    @property
+    def _middle_offset(self) -> Array:
+        """(x, y) px of the whole pixel at the middle, from the exact center."""
+        return np.array([_middle_offset(n) for n in self.shape[::-1]])
+
+    def _turn(self, f: Array) -> Complex:
+        return np.asarray(np.exp(-2j * np.pi * (f @ self._middle_offset))[:, np.newaxis])
 
 
-def bin_numbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the whole bins along y and x in the order of ``rfft2``."""
+def bin_numbers(shape: tuple[int, int]) -> tuple[Array, Array]:
+    """Return the integer bins along y and x in the order of ``rfft2``."""
     return scipy.fft.fftfreq(shape[0], 1 / shape[0]), scipy.fft.rfftfreq(shape[1], 1 / shape[1])
 
 
-def _whole(length: int) -> NDArray[np.intp]:
-    return np.arange(length) - length // 2
+def _middle_offset(length: int) -> float:
+    return length // 2 - (length - 1) / 2
 
 
-def _doubled(length: int) -> int:
-    """Return an even size that transforms fast, of at least twice the length and room for the taps."""
+def _right_half(frequencies: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return frequencies with f_x >= 0, and which of them stand for their mirror images, ``(n, 1)``."""
+    mirrored = frequencies[:, :1] < 0
+    return np.where(mirrored, -frequencies, frequencies), mirrored
+
+
+def _doubled_length(length: int) -> int:
+    """Return an even size that transforms fast, of at least twice the length, which holds the taps."""
     return 2 * int(scipy.fft.next_fast_len(max(length, 2 * TAPS), real=True))
 
 
-def _with_wings(half: NDArray[Any], width: int) -> NDArray[Any]:
+def _extend_columns(half: NDArray[Any], width: int) -> NDArray[Any]:
     """Continue a half spectrum ``(C, My, Mx // 2 + 1)`` by TAPS columns on either side, by its symmetry."""
     mirrored = np.arange(0, -half.shape[1], -1) % half.shape[1]
     left = np.conj(half[:, mirrored][:, :, TAPS:0:-1])
@@ -168,9 +191,7 @@ def _with_wings(half: NDArray[Any], width: int) -> NDArray[Any]:
     return np.concatenate([left, half, right], 2)
 
 
-def _taps(
-    frequency: NDArray[np.float64], grid: int
-) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+def _tap_weights(frequency: Array, grid: int) -> tuple[NDArray[np.intp], Array, Array]:
     """Return the samples' numbers, their weights, and those of the moment (times i / 2 pi), each ``(n, TAPS)``."""
     place = frequency * grid
     first = np.ceil(place - TAPS / 2).astype(np.intp)
@@ -181,7 +202,7 @@ def _taps(
     return samples, i0(BETA * root), slope * grid
 
 
-def _fan(frequencies: NDArray[np.float64], grid: int, length: int) -> tuple[NDArray[np.intp], NDArray[np.complex128]]:
+def _grid_weights(frequencies: Array, grid: int, length: int) -> tuple[NDArray[np.intp], Complex]:
     """Return the numbers of the samples that rows of rising frequencies need, and their weights, ``(n, k, taps)``."""
     place = frequencies * grid
     first = np.ceil(place[:, 0] - TAPS / 2).astype(np.intp)
@@ -189,34 +210,90 @@ def _fan(frequencies: NDArray[np.float64], grid: int, length: int) -> tuple[NDAr
     samples = first[:, np.newaxis] + np.arange(taps)
     t = (place[:, :, np.newaxis] - samples[:, np.newaxis]) * (2 / TAPS)
     weights = np.where(np.abs(t) <= 1, i0(BETA * np.sqrt(np.maximum(1 - t * t, 0))), 0)
-    turn = np.exp(-2j * np.pi * frequencies * (length // 2 - (length - 1) / 2))
+    turn = np.exp(-2j * np.pi * frequencies * _middle_offset(length))
     return samples, weights * turn[:, :, np.newaxis]
 
 
-def _kernel_transform(cycles: NDArray[np.float64]) -> NDArray[np.float64]:
+def _kernel_transform(cycles: Array) -> Array:
     """Return the Kaiser-Bessel kernel's Fourier transform at frequencies of at most 1/4 cycle/sample."""
     root = np.sqrt(BETA**2 - (np.pi * TAPS * cycles) ** 2)
     return np.asarray(TAPS * np.sinh(root) / root)
 
 
-def _offset(shape: tuple[int, int]) -> NDArray[np.float64]:
-    return np.array([n // 2 - (n - 1) / 2 for n in shape[::-1]])
+class DirichletKernel(NamedTuple):
+    """K(f) = sum over the picture of cos(2 pi f r), r from its center: the spectrum of a wave on a finite picture.
+
+    Parameters
+    ----------
+    value
+        ``(...)``.
+    slope
+        ``(2, ...)``: derivatives by f_x, f_y.
+    curvature
+        ``(2, 2, ...)``: second derivatives.
+    """
+
+    value: Array
+    slope: Array
+    curvature: Array
 
 
-def _turn(f: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.complex128]:
-    return np.asarray(np.exp(-2j * np.pi * (f @ _offset(shape)))[:, np.newaxis])
+def dirichlet_sum(frequency: Array, length: int) -> Array:
+    """Return sum cos(2 pi f u) over ``length`` samples u centered on 0, in closed form: sin(pi n f) / sin(pi f).
+
+    The samples are half-integers where ``length`` is even: the sum then changes sign from one unit of frequency to the
+    next.
+
+    Parameters
+    ----------
+    frequency
+        Cycles/px, any shape.
+    length
+        n.
+    """
+    turns = np.rint(frequency)
+    x = np.pi * (frequency - turns)
+    near = np.abs(x) < 1e-12
+    value = np.where(near, float(length), np.sin(length * x) / np.where(near, 1.0, np.sin(x)))
+    return (1 - 2 * ((turns * (length - 1)) % 2)) * value
 
 
-def _from_centre(
-    f: NDArray[np.float64],
-    shape: tuple[int, int],
-    value: NDArray[np.complex128],
-    slopes: NDArray[np.complex128],
-    flip: NDArray[np.bool_],
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Move the coordinates' origin from the whole pixel at the middle to the very centre; undo the flip."""
-    turn, offset = _turn(f, shape), _offset(shape)
-    moments = turn * (slopes * (1j / (2 * np.pi)) + offset[:, np.newaxis, np.newaxis] * value)
-    flipped = flip[:, np.newaxis]
-    value = turn * value
-    return np.where(flipped, np.conj(value), value), np.where(flipped, np.conj(moments), moments)
+def pair_kernels(frequencies: Array, shape: tuple[int, int]) -> tuple[DirichletKernel, DirichletKernel]:
+    """Return the Dirichlet kernels at the differences f_i - f_j and at the sums f_i + f_j, each ``(n, n)``.
+
+    By the addition theorems all of them are inner products of the cosines and sines along x and along y: ten matrix
+    products of n^2 H or n^2 W steps, which take less time than as many sines as there are pairs.
+
+    Parameters
+    ----------
+    frequencies
+        ``(n, 2)``: (f_x, f_y) cycles/px.
+    shape
+        (height, width) px.
+    """
+    along = [_line_kernels(f, length) for f, length in zip(frequencies.T, shape[::-1], strict=True)]
+    differences, sums = (_plane_kernel(x, y) for x, y in zip(*along, strict=True))
+    return differences, sums
+
+
+def _line_kernels(frequency: Array, length: int) -> tuple[Array, Array]:
+    """Return sum cos(2 pi f u) and its two derivatives by f, ``(3, n, n)``, at f_i - f_j and at f_i + f_j."""
+    u = 2 * np.pi * (np.arange(length) - (length - 1) / 2)
+    cosine, sine = np.cos(np.outer(frequency, u)), np.sin(np.outer(frequency, u))
+    values = cosine @ cosine.T, sine @ sine.T
+    slope = (sine * u) @ cosine.T
+    bends = (cosine * u**2) @ cosine.T, (sine * u**2) @ sine.T
+    return (
+        np.stack([values[0] + values[1], slope.T - slope, -bends[0] - bends[1]]),
+        np.stack([values[0] - values[1], -slope.T - slope, bends[1] - bends[0]]),
+    )
+
+
+def _plane_kernel(x: Array, y: Array) -> DirichletKernel:
+    """Return the kernel of a picture, the product of those along its lines."""
+    mixed = x[1] * y[1]
+    return DirichletKernel(
+        x[0] * y[0],
+        np.stack([x[1] * y[0], x[0] * y[1]]),
+        np.stack([np.stack([x[2] * y[0], mixed]), np.stack([mixed, x[0] * y[2]])]),
+    )

@@ -13,7 +13,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
-from nrbench.spectra.fundamentals import Basis, Peaks, find_fundamental, find_fundamentals
+from nrbench.spectra.harmonic_groups import Basis, Peaks, find_fundamental, find_fundamentals
 
 FAMILIES = {"brick": Brick, "weave": Weave, "hexagon": Hexagon}
 FAST = Frdft(reject="none")

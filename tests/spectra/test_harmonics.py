@@ -5,13 +5,10 @@ from hypothesis import strategies as st
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.errors import BadInput
-from nrbench.spectra.analytic_signal import analytic_signal, find_complex_waves
-from nrbench.spectra.dirichlet import dirichlet_kernel, pair_kernels
-from nrbench.spectra.harmonic_fit import Waves
 from nrbench.spectra.harmonics import Harmonics, analyze
-from nrbench.spectra.noise_floor import noise_floor
-from nrbench.spectra.pursuit import find_waves
-from nrbench.spectra.spectrum import Spectrum
+from nrbench.spectra.spectrum import Spectrum, dirichlet_sum, pair_kernels
+from nrbench.spectra.wave_fit import Waves
+from nrbench.spectra.wave_search import analytic_signal, find_complex_waves, find_waves, noise_floor
 
 SIDE = 128
 
@@ -202,7 +199,7 @@ def test_the_spectrum_is_the_sum_over_pixels(shape: tuple[int, int]) -> None:
     v, u = (np.arange(n) - (n - 1) / 2 for n in shape)
     turns = np.exp(-2j * np.pi * (f[:, 0, None, None] * u + f[:, 1, None, None] * v[:, None]))
     sums = [np.einsum("nyx,yxc->nc", turns * w, planes - planes.mean((0, 1))) for w in (1, u, v[:, None])]
-    value, moments = spectrum.at(f)
+    value, moments = spectrum.values_and_moments(f)
     np.testing.assert_allclose(value, sums[0], atol=1e-6)
     np.testing.assert_allclose(moments, sums[1:], atol=1e-4)
     np.testing.assert_allclose(spectrum.values(f), value, atol=1e-9)
@@ -218,7 +215,7 @@ def test_dirichlet_sums_are_sums(frequency: float, length: int) -> None:
     """The closed form equals the sum, near the poles and away from them."""
     u = np.arange(length) - (length - 1) / 2
     known = np.cos(2 * np.pi * frequency * u).sum()
-    assert dirichlet_kernel(np.array([frequency]), length)[0] == pytest.approx(known, abs=1e-6 * length)
+    assert dirichlet_sum(np.array([frequency]), length)[0] == pytest.approx(known, abs=1e-6 * length)
 
 
 def test_kernels_of_pairs_are_sums_over_the_picture() -> None:
@@ -240,8 +237,8 @@ def test_what_waves_leave_is_alike_on_grids_and_one_by_one() -> None:
     waves = Waves(Spectrum(rng.standard_normal((24, 31, 3))), rng.uniform(-0.4, 0.4, (6, 2)))
     f, offsets = rng.uniform(-0.4, 0.4, (4, 2)), np.array([-0.5, 0.25, 0.75])
     fan = f[:, np.newaxis, np.newaxis] + np.stack(np.meshgrid(offsets, offsets), -1) / waves.spectrum.size
-    known = waves.modelled(fan.reshape(-1, 2)).reshape(4, 3, 3, 3)
-    np.testing.assert_allclose(waves.modelled_around(f, offsets), known, atol=1e-9)
+    known = waves.transform_at(fan.reshape(-1, 2)).reshape(4, 3, 3, 3)
+    np.testing.assert_allclose(waves.transform_around(f, offsets), known, atol=1e-9)
 
 
 def test_the_normal_equations_hold_the_gradient() -> None:

@@ -2,11 +2,18 @@ import numpy as np
 
 import nrbench
 from nrbench.lattice.geometry import Lattice
-from nrbench.spectra.frequency_lattice import LEAST_DISTANCE, are_near, fold_frequencies, select_spaced
-from nrbench.spectra.fundamentals import Peaks, find_fundamentals
-from nrbench.spectra.harmonic_grouping import off_line_evidence, propose_basis
+from nrbench.spectra.harmonic_groups import (
+    LEAST_DISTANCE,
+    Peaks,
+    are_near,
+    find_fundamentals,
+    fold_frequencies,
+    off_line_evidence,
+    propose_basis,
+    select_spaced,
+)
 from nrbench.spectra.harmonics import analyze
-from nrbench.spectra.line_floor import line_floor
+from nrbench.spectra.regular_part import line_floor
 from nrbench.spectra.spectrum import Spectrum
 
 SIZE = np.array([128.0, 128.0])
@@ -25,7 +32,9 @@ def test_stripes_and_one_more_wave_are_no_lattice() -> None:
     places = [(0.0, 4.3 * k) for k in range(1, 7)] + [(9.1, 0.2), (2.0, 1.1)]
     stripes = Peaks(np.array(places), np.full(8, 0.05), np.ones(8))
     pair = find_fundamentals(stripes)
-    assert pair is not None and off_line_evidence(pair, stripes) == 0 and len(propose_basis(stripes).vectors) == 1
+    assert (
+        pair is not None and off_line_evidence(pair, stripes.weights) == 0 and len(propose_basis(stripes).vectors) == 1
+    )
     more = Peaks(np.array([*places, (18.2, 4.7), (9.1, 4.5)]), np.full(10, 0.05), np.ones(10))
     assert len(propose_basis(more).vectors) == 2
 

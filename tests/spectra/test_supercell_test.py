@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from nrbench.spectra.harmonic_groups import is_supercell
 from nrbench.spectra.spectrum import Spectrum
-from nrbench.spectra.supercell_test import is_supercell
 
 SIDE, THREAD, INDEX = 144, 12, 3
 LATTICE = np.array([(1 / THREAD, 0.0), (0.0, 1 / THREAD)])

@@ -1,0 +1,462 @@
+"""Groups of harmonics: the fundamentals whose integer combinations are the frequencies of a picture's waves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.spatial import cKDTree
+
+from nrbench.lattice.geometry import reduce_pairs, shortest_pair
+from nrbench.lattice.sublattices import hermite_matrices
+from nrbench.spectra.spectrum import Array, Spectrum
+from nrbench.spectra.wave_fit import Waves
+from nrbench.spectra.wave_search import WaveDetection
+
+LEAST_DISTANCE = 0.75
+"""Bins between two waves at least: the amplitudes of nearer ones cannot be told apart."""
+FARTHEST = 0.95
+"""Cycles/px along either axis up to which harmonics are examined: pixels average over their area, blind to 1."""
+FARTHEST_STRIPES = 3.0
+"""The same for one fundamental, whose harmonics are few: stripes drawn without such averaging fold more."""
+
+STRAY = 0.1
+"""Prior share of waves that belong to no lattice."""
+PROPOSERS = 12
+"""Number of the strongest waves that, with their sums and differences, propose fundamentals."""
+SHORTEST = 1.5
+"""Bins: a fundamental below that has fewer than 1.5 periods in the picture, and nothing repeats."""
+FINALISTS = 20
+"""Pairs of fundamentals that are fitted to the waves, the best by their first evidence."""
+
+TOLERANCE = 0.05
+"""Bins that a wave may lie off its lattice beside its own error: departures from regularity shift waves."""
+SHIFT = math.sqrt(6) / (2 * math.pi)
+"""Standard error of a wave's frequency, bins a component, times the root of its power over the noise's: the Cramer-Rao
+bound sqrt(24) / (2 pi) noise / (amplitude sqrt(n)), with amplitude^2 n / (4 noise^2) for that ratio."""
+EMPHASIS = 0.75
+"""Exponent of a wave's energy in its weight: with 1 the strongest alone decides, with 0 a crowd of faint ones."""
+CONVINCED = 14.0
+"""Log-likelihood, beyond the two best waves, above which two fundamentals are a lattice: odds of a million to one, as
+ten thousands of pairs were tried. About four waves of a lattice reach it."""
+SUPPORTED = 3.0
+"""The same of the waves off one line, without the best of them: one more at least, or stripes of any profile would be a
+lattice with any other wave."""
+UNCERTAINTIES = (0.03, 0.01, 0.003)
+"""Relative uncertainties of given fundamentals, before and after they are fitted."""
+LARGEST_INDEX = 6
+"""Index of the finest lattice of frequencies that is tried where waves remain between the points of one."""
+BETWEEN = 4
+"""Waves between the points that prove it, at least."""
+MAJORITY = 0.6
+"""Share of the residual power that they have, at least: some irregular waves lie there by chance."""
+REPEATED = 2.0
+"""Bins: of a fundamental below that the picture holds fewer than two periods, so that parts of a tile are seen once."""
+SUPERCELL_CHANCE = 1e-3
+"""Probability at which colors drawn at random are taken for a larger tile, for each that is tried."""
+FEWEST_SUMS = 3
+"""Neighboring sums that the test of a larger tile needs to have any power."""
+
+
+def fold_frequencies(frequencies: Array) -> Array:
+    """Return frequencies as pixels show them (aliased), each component within half a cycle/px."""
+    return np.asarray(frequencies - np.rint(frequencies))
+
+
+def lattice_orders(fundamentals: Array, groups: tuple[int, ...], size: Array) -> Array:
+    """Return the orders of all harmonics of all groups, ``(n, g)``: one of each pair f, -f, none near the mean.
+
+    Parameters
+    ----------
+    fundamentals
+        ``(g, 2)`` cycles/px.
+    groups
+        The number of fundamentals, 1 or 2, of each group.
+    size
+        (width, height) px.
+    """
+    rows, start = [np.zeros((0, len(fundamentals)))], 0
+    for count in groups:
+        columns = np.arange(start, start + count)
+        start += count
+        grid = _orders_of_group(fundamentals[columns])
+        row = np.zeros((len(grid), len(fundamentals)))
+        row[:, columns] = grid
+        rows.append(row)
+    orders = np.concatenate(rows)
+    return np.asarray(orders[are_inside(fold_frequencies(orders @ fundamentals), size)])
+
+
+def _orders_of_group(fundamentals: Array) -> Array:
+    farthest = FARTHEST if len(fundamentals) == 2 else FARTHEST_STRIPES
+    reach = np.ceil(np.abs(np.linalg.pinv(fundamentals)).sum(0) * farthest).astype(int)
+    axes = [np.arange(-r, r + 1) for r in reach]
+    orders = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(reach)).astype(np.float64)
+    f = orders @ fundamentals
+    half = (orders[:, 0] > 0) | ((orders[:, 0] == 0) & (orders[:, -1] > 0))
+    return np.asarray(orders[half & (np.abs(f) < farthest).all(1)])
+
+
+def are_inside(frequencies: Array, size: Array) -> NDArray[np.bool_]:
+    """Return which frequencies are within the spectrum, and a bin from its border and from the mean."""
+    within = (np.abs(frequencies) < 0.5 - LEAST_DISTANCE / size).all(1)
+    return np.asarray(within & (np.hypot(*(frequencies * size).T) > LEAST_DISTANCE))
+
+
+def select_spaced(frequencies: Array, priority: Array, size: Array) -> NDArray[np.intp]:
+    """Return which frequencies ``(n, 2)`` are nearer than a bin to none of higher priority ``(n,)``, highest first."""
+    order = np.argsort(-priority, kind="stable")
+    f, n = _on_torus(frequencies[order], size), len(order)
+    both = np.concatenate([f, _on_torus(-frequencies[order], size)])
+    pairs = np.sort(cKDTree(both, boxsize=size).query_pairs(LEAST_DISTANCE, output_type="ndarray") % n, axis=1)
+    kept = np.ones(n, np.bool_)
+    for lower, later in pairs[np.lexsort(pairs.T)]:
+        kept[later] &= lower == later or not kept[lower]
+    return np.asarray(order[kept])
+
+
+def are_near(frequencies: Array, others: Array, size: Array) -> NDArray[np.bool_]:
+    """Return which frequencies pixels can hardly tell from some other or its mirror image, ``(n,)``."""
+    if not len(others):
+        return np.zeros(len(frequencies), np.bool_)
+    both = np.concatenate([_on_torus(others, size), _on_torus(-others, size)])
+    return np.asarray(cKDTree(both, boxsize=size).query(_on_torus(frequencies, size))[0] < LEAST_DISTANCE)
+
+
+def _on_torus(frequencies: Array, size: Array) -> Array:
+    """Return frequencies in bins, from 0 to below ``size``: those that differ by 1 cycle/px coincide."""
+    bins = np.mod(frequencies * size, size)
+    return np.where(bins >= size, 0.0, bins)
+
+
+class Peaks(NamedTuple):
+    """The peaks of a spectrum that fundamentals should explain, strongest first.
+
+    Parameters
+    ----------
+    places
+        ``(n, 2)``: frequencies in bins.
+    spreads
+        ``(n,)``: standard error of each component, bins.
+    weights
+        ``(n,)``: the weight of each peak's evidence.
+    """
+
+    places: Array
+    spreads: Array
+    weights: Array
+
+
+class Basis(NamedTuple):
+    """Fundamentals of a set of peaks.
+
+    Parameters
+    ----------
+    vectors
+        ``(1 or 2, 2)`` bins, rows.
+    orders
+        ``(n, 1 or 2)`` integers: the combination nearest to each peak.
+    explained
+        ``(n,)``: which peaks lie nearer to it than they would by chance.
+    evidence
+        ``(n,)``: weighted log-likelihood of each peak's place against a place anywhere.
+    """
+
+    vectors: Array
+    orders: Array
+    explained: NDArray[np.bool_]
+    evidence: Array
+
+
+def collect_peaks(
+    detection: WaveDetection, members: NDArray[np.intp] | None = None, tolerance: float = TOLERANCE
+) -> Peaks:
+    """Return the peaks of some detected waves (all if ``members`` is None), in the order given; strongest first."""
+    waves, energy = detection.waves, detection.powers.sum(1)
+    chosen = np.arange(len(energy)) if members is None else members
+    spreads = np.hypot(SHIFT / np.sqrt(np.maximum(detection.ratios.max(1)[chosen], 1)), tolerance)
+    weights = (energy[chosen] / max(float(energy[chosen].max(initial=0)), 1e-300)) ** EMPHASIS
+    return Peaks(waves.frequencies[chosen] * waves.spectrum.size, spreads, weights)
+
+
+def find_fundamentals(peaks: Peaks, finalists: int = FINALISTS) -> Basis | None:
+    """Return the two fundamentals with the highest evidence; None where no two peaks are independent.
+
+    A wave of the lattice lies at one of its points, but for its error; any other wave lies anywhere. The ratio of the
+    two densities, area / (2 pi s^2) exp(-d^2 / 2 s^2) with the area of the lattice's cell, is the evidence of one wave:
+    so a lattice k times finer pays log k for every wave it explains, and wins only where it explains waves that the
+    coarser one leaves. That is the coarsest lattice of frequencies, the smallest tile. No lattice is preferred for
+    holding the lowest waves: they may be missing.
+
+    The strongest peaks, their sums and differences are paired. The best pairs, fitted to all peaks that they explain,
+    then compete with their own sublattices and superlattices of index 2 and 3.
+
+    Parameters
+    ----------
+    peaks
+        Strongest first.
+    finalists
+        The number of pairs that are fitted, at least 1.
+    """
+    pairs = _propose_pairs(peaks)
+    if not len(pairs):
+        return None
+    rough = _evidence(pairs, peaks, 3.0).sum(1)
+    best = _best_fit((pairs[k] for k in np.argsort(-rough, kind="stable")[:finalists]), peaks)
+    return _basis(_improve_by_index(*best, peaks), peaks)
+
+
+def find_fundamental(peaks: Peaks) -> Basis:
+    """Return the fundamental whose multiples are the strongest peak (at least one) and most peaks on its line."""
+    first = peaks.places[0]
+    candidates = ((first / k)[np.newaxis] for k in range(1, 9) if k == 1 or np.hypot(*(first / k)) >= SHORTEST)
+    return _basis(_best_fit(candidates, peaks)[1], peaks)
+
+
+def propose_basis(peaks: Peaks) -> Basis:
+    """Return two fundamentals where they explain more peaks than any two would, some off one line; else one."""
+    pair = find_fundamentals(peaks)
+    if (
+        pair is None
+        or surplus_evidence(pair, peaks.weights) <= CONVINCED
+        or off_line_evidence(pair, peaks.weights) <= SUPPORTED
+    ):
+        return find_fundamental(peaks)
+    return pair
+
+
+def surplus_evidence(basis: Basis, weights: Array) -> float:
+    """Return the unweighted evidence beyond the best peaks, which any such fundamentals would explain."""
+    evidence = np.sort(np.where(basis.explained, basis.evidence / weights, 0))
+    return float(evidence[: -len(basis.vectors)].sum())
+
+
+def off_line_evidence(basis: Basis, weights: Array) -> float:
+    """Return the unweighted evidence of the peaks off the line that has most of it, without the best of them."""
+    evidence = (basis.evidence / weights)[basis.explained]
+    x, y = basis.orders[basis.explained].T
+    line = int(np.argmax((np.outer(x, y) == np.outer(y, x)) @ evidence))
+    off = evidence[x * y[line] != y * x[line]]
+    return float(off.sum() - off.max(initial=0))
+
+
+def _propose_pairs(peaks: Peaks) -> Array:
+    """Return reduced pairs of the strongest peaks, their sums and differences, ``(m, 2, 2)``."""
+    leaders = peaks.places[:PROPOSERS]
+    i, j = np.triu_indices(len(leaders), 1)
+    steps = np.concatenate([leaders, leaders[i] + leaders[j], leaders[i] - leaders[j]])
+    steps = np.where((steps[:, :1] < 0) | ((steps[:, :1] == 0) & (steps[:, 1:] < 0)), -steps, steps)
+    steps = steps[np.hypot(*steps.T) >= SHORTEST]
+    _, first = np.unique(np.rint(steps * 4), axis=0, return_index=True)
+    steps = steps[np.sort(first)]
+    i, j = np.triu_indices(len(steps), 1)
+    pairs = np.stack(reduce_pairs(steps[i], steps[j]), 1)
+    pairs = pairs[_are_sound(pairs)]
+    _, first = np.unique(np.rint(np.abs(pairs.reshape(-1, 4)) * 8), axis=0, return_index=True)
+    return np.asarray(pairs[np.sort(first)])
+
+
+def _are_sound(pairs: Array) -> NDArray[np.bool_]:
+    """Return which reduced pairs are independent and not shorter than is allowed."""
+    a, b = pairs[:, 0], pairs[:, 1]
+    area, short = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.hypot(*a.T)
+    return np.asarray((short >= SHORTEST) & (area > 0.2 * short * np.hypot(*b.T)))
+
+
+def _reduce(basis: Array) -> Array:
+    return np.concatenate(reduce_pairs(basis[:1], basis[1:]))
+
+
+def _is_sound(basis: Array) -> bool:
+    """Return whether no combination is shorter than is allowed, and two are independent."""
+    if len(basis) == 1:
+        return bool(np.hypot(*basis[0]) > 0)
+    return bool(_are_sound(_reduce(basis)[np.newaxis])[0])
+
+
+def _nearest_orders(bases: Array, places: Array) -> tuple[Array, Array]:
+    """Return each place's nearest orders ``(m, n, g)`` and its squared distance from there, bins^2, ``(m, n)``."""
+    orders = np.rint(places @ np.linalg.pinv(bases))
+    return orders, ((places - orders @ bases) ** 2).sum(2)
+
+
+def _evidence(bases: Array, peaks: Peaks, slack: float) -> Array:
+    """Return the evidence of each peak for each basis, ``(m, n)``; ``slack`` widens the errors of unfitted bases."""
+    orders, square = _nearest_orders(bases, peaks.places)
+    variance = (slack * peaks.spreads) ** 2
+    # Of one fundamental the area is its length times that of the shortest that could be.
+    two = bases.shape[1] == 2
+    area = np.abs(np.linalg.det(bases)) if two else np.hypot(*bases[:, 0].T) * SHORTEST
+    near = (1 - STRAY) * area[:, np.newaxis] / (2 * np.pi * variance) * np.exp(-square / (2 * variance))
+    near = np.where((orders == 0).all(2), 0.0, near)
+    return np.asarray(peaks.weights * np.log(near + STRAY))
+
+
+def _fit_basis(basis: Array, peaks: Peaks) -> Array:
+    """Return a basis fitted by weighted least squares to the peaks that it explains, twice."""
+    for slack in (3.0, 1.5):
+        explained = _evidence(basis[np.newaxis], peaks, slack)[0] > 0
+        orders = _nearest_orders(basis[np.newaxis], peaks.places)[0][0][explained]
+        if np.linalg.matrix_rank(orders) < len(basis):
+            break
+        weights = 1 / peaks.spreads[explained, np.newaxis]
+        moved = np.linalg.lstsq(orders * weights, peaks.places[explained] * weights, rcond=None)[0]
+        if not _is_sound(moved):
+            break
+        basis = moved
+    return basis
+
+
+def _best_fit(bases: Iterable[Array], peaks: Peaks) -> tuple[float, Array]:
+    """Return the evidence and the vectors of the best of some bases (at least one) fitted to the peaks."""
+    best: tuple[float, Array] | None = None
+    for basis in bases:
+        fitted = _fit_basis(basis, peaks)
+        score = float(_evidence(fitted[np.newaxis], peaks, 1.0).sum())
+        if best is None or score > best[0] + 1e-9:
+            best = score, fitted
+    assert best is not None
+    return best
+
+
+_INDEX_FORMS = [*hermite_matrices(2), *hermite_matrices(3)]
+_CHANGES = [*_INDEX_FORMS, *np.linalg.inv(_INDEX_FORMS)]
+"""Changes of basis to all sublattices of index 2 and 3, and to all superlattices."""
+
+
+def _improve_by_index(score: float, basis: Array, peaks: Peaks) -> Array:
+    """Return the best basis reached by replacing a basis with relatives of small index as long as they are better."""
+    while True:
+        relatives = [_fit_basis(_reduce(change @ basis), peaks) for change in _CHANGES]
+        relatives = [r for r in relatives if _is_sound(r)]
+        scores = [float(_evidence(r[np.newaxis], peaks, 1.0).sum()) for r in relatives]
+        if not scores or max(scores) <= score + 1e-6:
+            return _reduce(basis)
+        score, basis = max(scores), relatives[int(np.argmax(scores))]
+
+
+def _basis(vectors: Array, peaks: Peaks) -> Basis:
+    evidence = _evidence(vectors[np.newaxis], peaks, 1.0)[0]
+    orders = _nearest_orders(vectors[np.newaxis], peaks.places)[0][0]
+    return Basis(vectors, orders, evidence > 0, evidence)
+
+
+def fit_given_fundamentals(detection: WaveDetection, given: Array) -> tuple[Array, Array]:
+    """Return given fundamentals fitted to the waves near their integer combinations, and those waves' orders.
+
+    Parameters
+    ----------
+    detection
+        Waves of a picture.
+    given
+        ``(2, 2)`` cycles/px, right within about 2 %; they are returned where too few waves are near.
+
+    Returns
+    -------
+    tuple
+        ``(2, 2)`` cycles/px, and ``(n, 2)`` integers.
+    """
+    size = detection.waves.spectrum.size
+    places, vectors = detection.waves.frequencies * size, given * size
+    weights = np.sqrt(detection.powers.sum(1))[:, np.newaxis]
+    orders = np.eye(2)
+    for uncertainty in UNCERTAINTIES:
+        numbers = np.rint(places @ np.linalg.inv(vectors))
+        misses = np.hypot(*(places - numbers @ vectors).T)
+        near = (misses < uncertainty * np.hypot(*places.T) + 2 * TOLERANCE) & numbers.any(1)
+        if np.linalg.matrix_rank(numbers[near]) < 2:
+            break
+        orders = numbers[near]
+        vectors = np.linalg.lstsq(orders * weights[near], places[near] * weights[near], rcond=None)[0]
+    return vectors / size, orders
+
+
+def find_finer_fundamentals(
+    detection: WaveDetection, order: NDArray[np.intp], fundamentals: Array
+) -> tuple[Array, Array] | None:
+    """Return a finer lattice of frequencies, a larger tile, that holds most of a lattice's residual waves.
+
+    Parameters
+    ----------
+    detection
+        Waves of the picture less the lattice's waves.
+    order
+        Numbers of the waves that count.
+    fundamentals
+        ``(2, 2)`` cycles/px.
+
+    Returns
+    -------
+    tuple or None
+        The fundamentals, ``(2, 2)`` cycles/px, of the lowest index, and the waves' orders, ``(n, 2)``; None if no
+        lattice up to :data:`LARGEST_INDEX` holds most of the waves.
+    """
+    size = detection.waves.spectrum.size
+    f, power = detection.waves.frequencies[order], detection.powers[order].sum(1)
+    for index in range(2, LARGEST_INDEX + 1):
+        for form in hermite_matrices(index):
+            finer = form @ fundamentals / index
+            orders = np.rint(f @ np.linalg.inv(finer))
+            near = np.hypot(*((f - orders @ finer) * size).T) < 3 * TOLERANCE
+            most = near.sum() >= BETWEEN and power[near].sum() > MAJORITY * power.sum()
+            seen = most and shortest_length(finer * size) >= REPEATED
+            if seen and is_supercell(detection.waves.spectrum, orders[near] @ finer, fundamentals):
+                return finer, orders[near]
+    return None
+
+
+def shortest_length(vectors: Array) -> float:
+    """Return the length of the shortest vector of the lattice that one or two vectors ``(1 or 2, 2)`` span."""
+    first = shortest_pair(vectors)[0] if len(vectors) == 2 else vectors[0]
+    return float(np.hypot(*first))
+
+
+def is_supercell(spectrum: Spectrum, frequencies: Array, fundamentals: Array) -> bool:
+    """Return whether waves between the points of a lattice of frequencies prove a larger tile, beyond chance.
+
+    If each element departs from a lattice by itself, as threads do that have a color each, the departures have a
+    spectrum that repeats with the lattice of frequencies: however many waves lie at one offset from its points, they
+    are one number, drawn at random, that shows again and again. So the power of the waves of the strongest offset is
+    compared with the same sums a bin and more beside them, on the line that leads to the next point: for random colors
+    the ratio has the F distribution of 2 and twice as many degrees of freedom as there are sums beside. A tile that is
+    repeated only twice leaves too few sums for a test; then the answer is True.
+
+    Parameters
+    ----------
+    spectrum
+        Spectrum of the picture less the lattice's own waves.
+    frequencies
+        ``(n, 2)`` cycles/px: the waves, integer combinations of the larger tile's fundamentals.
+    fundamentals
+        ``(2, 2)`` cycles/px: the lattice's.
+    """
+    waves, size = Waves(spectrum, frequencies), spectrum.size
+    offsets = _offsets_from_lattice(frequencies, fundamentals, size)
+    powers = (np.abs(waves.transform_at(frequencies)) ** 2).sum(1)
+    alike = np.hypot(*np.moveaxis((offsets[:, np.newaxis] - offsets) * size, 2, 0)) < 0.5
+    strongest = alike[np.argmax(alike @ powers)]
+    offset = offsets[strongest][0] * size
+    length = float(np.hypot(*offset))
+    steps = np.arange(1, max(int(length), 2))
+    if 2 * len(steps) < FEWEST_SUMS:
+        return True
+    beside = np.concatenate([steps, -steps])[:, np.newaxis] * offset / length / size
+    places = frequencies[strongest] + beside[:, np.newaxis]
+    sums = (np.abs(waves.residual_at(places.reshape(-1, 2))) ** 2).sum(1).reshape(len(beside), -1).sum(1)
+    ratio = float(powers[strongest].sum() / max(float(sums.mean()), 1e-300))
+    return ratio > float(stats.f.isf(SUPERCELL_CHANCE, 2, 2 * len(beside)))
+
+
+def _offsets_from_lattice(frequencies: Array, fundamentals: Array, size: Array) -> Array:
+    """Return the shortest frequencies that differ from these, or their mirror images, by points of a lattice."""
+    corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)]) @ fundamentals
+    numbers = frequencies @ np.linalg.inv(fundamentals)
+    rests = ((numbers - np.floor(numbers)) @ fundamentals)[:, np.newaxis] - corners
+    nearest = np.hypot(*np.moveaxis(rests * size, 2, 0)).argmin(1)
+    rest = np.take_along_axis(rests, nearest[:, np.newaxis, np.newaxis], 1)[:, 0]
+    mirrored = (rest[:, 0] < -1e-9) | ((np.abs(rest[:, 0]) <= 1e-9) & (rest[:, 1] < 0))
+    return np.asarray(np.where(mirrored[:, np.newaxis], -rest, rest))
