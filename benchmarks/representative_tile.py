@@ -21,8 +21,7 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
-from nrbench.synthesizers.rectangular_tiles.tile_costs import continuity, resemblance
-from nrbench.synthesizers.representative_tile import RepresentativeTile
+from nrbench.synthesizers.representative_tile import RepresentativeTile, continuity, resemblance
 
 TILE = (148, 196)
 """Rows and columns of the tile of the paper's figure 7-(k), of a sample of 1200 x 600 px."""

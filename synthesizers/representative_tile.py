@@ -1,86 +1,95 @@
-"""Representative tile: the one tile that best retells the sample, and repeats without showing where."""
+"""Representative tile: the tile whose repetition best reconstructs the sample."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.detectors.ssdn import Ssdn
 from nrbench.errors import checker
+from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
-from nrbench.plugins.forms import Refused, SourceMap, Synthesis, Task, find_lattice
+from nrbench.plugins.forms import Refused, SourceMap, Synthesis, Task, require_lattice
 
-from .rectangular_tiles.tile_costs import Costs, continuity, resemblance
-from .rectangular_tiles.tile_layout import Laying, laid
-from .rectangular_tiles.tile_rectangle import TileFrame, rectangle_frame
-from .rectangular_tiles.wang import WangSet, colors_for, wang_set
-from .rectangular_tiles.wang_pieces import Cutter
+from .rectangular_tiles.tile_frame import TileFrame, find_tile_frame
+from .rectangular_tiles.wang_tiles import Cutter, WangTiles, edge_colors, make_wang_tiles
 from .sampling.patches import Patches
+from .sampling.splines import resampled
+
+Values = NDArray[np.float32]
+"""``float32 (H, W, C)``, any range."""
+Costs = NDArray[np.float64]
+"""``float64 (H - h + 1, W - w + 1)``: one for each place (row, column) of a tile's first pixel."""
+Mask = NDArray[np.bool_]
+"""``bool (H, W)``."""
+Size = tuple[int, int]
+"""(h, w): rows and columns of a tile."""
 
 _DEPTH = 0.8
-"""Share of the deepest minima that a period's must reach to be found: more than the detector asks by itself, for a tile
-of several cells keeps the lattice, and one of a part of a cell breaks it. Of 27 procedural samples with departures
-(seeds 1 to 3, 128 x 128 px) 2 tiles are wrong, 8 at 0.7; larger shares find needlessly large tiles."""
+"""Share of the deepest minima that the minima of a period must reach. The detector's own default is lower. A tile of
+several cells keeps the lattice, and a tile of a part of a cell breaks it, so a strict limit is safer. Of 27 procedural
+samples with departures (seeds 1 to 3, 128 x 128 px) 2 tiles are wrong, 8 at 0.7; larger shares find needlessly large
+tiles."""
 
-_SEARCHED = 0.4
-"""Share of the work that is done when the tile is chosen."""
+_SEARCH_SHARE = 0.4
+"""Progress when the tile is chosen."""
 
 MOST = 1e6
-"""Of either weight: larger ones leave nothing of the other."""
+"""Largest weight: beyond it the other term has no effect."""
 
 
 @dataclass(frozen=True)
 class RepresentativeTile:
-    """The tile of the sample that retells it best when repeated, and whose borders meet: periodic, tiny, fast.
+    """The tile whose repetition best reconstructs the sample and whose borders match: periodic output, small and fast.
 
-    The period gives the tile's size in whole pixels, to which the sample is scaled down (section 3). Of all places in
-    the scaled sample the tile is taken for which S = alpha h + beta SSDN is least (equation 6): h, the continuity,
+    The period gives the tile's size in whole pixels, to which the sample is scaled down (section 3). The tile is the
+    one with the least S = alpha h + beta SSDN over all places in the scaled sample (equation 6): h, the continuity,
     compares its first row and column with its last (equation 5); SSDN, the resemblance, compares the sample with the
-    tile repeated over it from where it lies (section 4.2). The paper rates only the share ``p`` of places with the
-    least h; here integral images rate every place exactly.
+    repetition of the tile (section 4.2). The paper rates only the share ``p`` of places with the least h; here integral
+    images rate every place exactly.
 
-    The tile is the paper's, of whole pixels (``extras["tile"]``, a PNG beside a picture). The output is not made by
-    repeating its pixels, as in the paper, where the period of 21.37 px becomes 21: every output pixel shows the point
-    of the tile that the real-valued period calls equal, read from the sample by one patches, so that nothing drifts or
-    blurs, and copies where periods are whole (``rescale=false``: the paper's).
+    The tile is the paper's, of whole pixels (``extras["tile"]``, a PNG beside a picture). The paper repeats these
+    pixels, so that a period of 21.37 px becomes 21. Here every output pixel shows the point of the tile that is
+    equivalent to it by the real-valued period, interpolated once from the sample: nothing drifts or blurs, and where
+    periods are whole pixels are copied (``rescale=false``: as in the paper).
 
-    A lattice that is not rectangular gets the smallest rectangle that is a period of it, turned where it must be, of
-    several cells where it must be; sides may miss lattice vectors by ``tolerance``. With no lattice given the period
-    comes from ``ssdn``, as in the paper, along the sample's axes.
+    If the lattice is not rectangular, the tile is the smallest rectangle that is a period of it, turned or of several
+    cells if necessary; its sides may miss lattice vectors by ``tolerance``. Without a given lattice the detector
+    ``ssdn`` finds the period along the sample's axes, as in the paper.
 
-    The output is periodic: it keeps regularity and loses randomness, as the paper says. With ``tiles`` some survives:
-    Wang tiles, the paper's future work (:func:`~nrbench.synthesizers.rectangular_tiles.wang.wang_set`).
+    The output is periodic: it keeps regularity and loses randomness, as the paper says. ``tiles`` keeps some of it by
+    Wang tiles, the paper's future work (:func:`~nrbench.synthesizers.rectangular_tiles.wang_tiles.make_wang_tiles`).
 
     Extras: ``tile``, or ``tile-01`` ... of a set with their ``edges`` (north, east, south, west colors); ``frame``,
     ``(3, 2)``: the tile's first pixel (x, y) in the sample, and the steps (x, y) in the sample of one pixel along its
     rows and columns, of lengths r (equation 4); ``best``, ``(m, 5)``: x, y in the scaled sample, h, SSDN and S of the m
-    best; ``best-01`` ... those tiles, where m > 1.
+    best tiles; ``best-01`` ... their images, if m > 1.
 
     Parameters
     ----------
     alpha, beta
         Weights of continuity and resemblance, 0 to 1e6, not both 0 (the paper: alpha 1, 30 or 0, beta 1).
     p
-        Share in (0, 1] of the places, those of least h, of which the best is taken (the paper: 0.0001 to 0.02). None:
-        all of them.
+        Share in (0, 1] of the places, those of least h, that are rated (the paper: 0.0001 to 0.02). None: all.
     m
-        The tile is drawn from the m best, 1 to 99, uniformly, where the paper lets the user choose; 1: the best.
+        The tile is drawn uniformly from the m best, 1 to 99 (the paper lets the user choose one); 1: the best.
     rescale
-        Output of the sample's period; false: of the tile's, the tile's own pixels repeated.
+        True: the output has the sample's period. False: it repeats the tile's pixels, with the tile's period.
     scale_down
-        Shrink periods to whole pixels (equation 4); false: the tile keeps the sample's scale and lacks the rest of
-        the period, as where the paper did without.
+        True: shrink periods to whole pixels (equation 4). False: keep the sample's scale, and cut the fraction of a
+        pixel off the tile.
     period
-        Where none is given: ``"fitted"``, sub-pixel, fitted to all minima, refused where no better than chance;
-        ``"last"``, x_n / n, the last minimum over its number (equation 3), whatever the sample.
+        How ``ssdn`` measures the period where no lattice is given. ``"fitted"``: fitted to all minima, sub-pixel, and
+        refused if it may be due to chance. ``"last"``: x_n / n, the last minimum over its number (equation 3), never
+        refused.
     tolerance
-        How far a side of the tile may be from a lattice vector, in shares of s, in [0, 0.5).
+        Largest distance of a side of the tile from a lattice vector, in shares of s, in [0, 0.5).
     tiles
-        1, or how many Wang tiles: 4, or 6 and more.
+        1, or the number of Wang tiles: 4, or 6 and more.
     """
 
     alpha: float = 1.0
@@ -104,7 +113,9 @@ class RepresentativeTile:
         _check(self.p is None or 0 < self.p <= 1, f"p {self.p}; choose a share above 0, at most 1, or leave it out")
         _check(1 <= self.m <= 99, f"m {self.m}; choose from 1 (the best tile) to 99")
         _check(0 <= self.tolerance < 0.5, f"tolerance {self.tolerance}; choose a share of s from 0 to below 0.5")
-        _check(self.tiles == 1 or colors_for(self.tiles) is not None, f"tiles {self.tiles}; choose 1, 4, or 6 and more")
+        _check(
+            self.tiles == 1 or edge_colors(self.tiles) is not None, f"tiles {self.tiles}; choose 1, 4, or 6 and more"
+        )
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`RepresentativeTile`.
@@ -116,45 +127,44 @@ class RepresentativeTile:
         Refused
             When no lattice is found, or the sample shows less than two periods or holds no rectangular tile.
         """
-        found = find_lattice(task, self._detector())
-        if found.lattice is None:
-            raise Refused(f"no lattice found ({found.reason}): there is no period to cut a tile by")
-        frame = rectangle_frame(found.lattice, task.sample.shape, self.tolerance, self.scale_down)
+        lattice, seconds = require_lattice(task, self._detector(), "there is no period to cut a tile by")
+        frame = find_tile_frame(lattice, task.sample.shape, self.tolerance, self.scale_down)
         patches = Patches(task.sample)
-        image, known = frame.scaled(task.sample, patches)
+        image, known = frame.scale_sample(task.sample, patches)
         best = self._best(image, known, frame)
         chosen = best[task.rng.integers(len(best))] if len(best) > 1 else best[0]
         place = (int(chosen[0]), int(chosen[1]))
-        task.progress(_SEARCHED)
-        several = self.tiles > 1
-        cutter = Cutter(patches, task.sample.shape, frame, found.lattice, task.rng)
-        tiles = wang_set(cutter, place, self.tiles) if several else WangSet.single(frame, place)
-        output, source = self._laid(task, frame, tiles, patches)
-        shown = tiles.pictures(patches, frame) if several else {"tile": _cut(image, frame, place)}
-        extras = {**shown, **_search_extras(image, frame, place, best)}
+        task.progress(_SEARCH_SHARE)
+        if self.tiles > 1:
+            cutter = Cutter(patches, task.sample.shape, frame, lattice, task.rng)
+            tiles = make_wang_tiles(cutter, place, self.tiles)
+            extras = tiles.pictures(patches, frame)
+        else:
+            tiles, extras = WangTiles.single(frame, place), {"tile": _cut(image, frame, place)}
+        rest = replace(task, progress=lambda done: task.progress(_SEARCH_SHARE + (1 - _SEARCH_SHARE) * done))
+        output, source = lay_tiles(rest, frame, tiles, self.rescale, patches)
+        corner = frame.to_sample(np.array(place, np.float64))
+        extras |= {"frame": np.vstack([corner, frame.steps]), "best": best}
+        if len(best) > 1:
+            places = best[:, :2].astype(int).tolist()
+            extras |= {f"best-{number:02d}": _cut(image, frame, (x, y)) for number, (x, y) in enumerate(places, 1)}
         note = f"a tile holds {frame.cells} cells" if frame.cells > 1 else ""
-        return Synthesis(output, found.lattice, source, extras, found.seconds, note)
+        return Synthesis(output, lattice, source, extras, seconds, note)
 
     def _detector(self) -> Ssdn:
-        """Return the detector of the period: fitted and tested, or as the paper reads it off the curve."""
         if self.period == "last":
             return Ssdn(depth=_DEPTH, subpixel=False, primitive=False, reject="none")
         return Ssdn(depth=_DEPTH, primitive=False)
 
-    def _laid(self, task: Task, frame: TileFrame, tiles: WangSet, patches: Patches) -> tuple[Image, SourceMap]:
-        """Return the output and its source map; progress goes on from where the search left it."""
-        told = replace(task, progress=lambda done: task.progress(_SEARCHED + (1 - _SEARCHED) * done))
-        return laid(told, Laying(frame, tiles, self.rescale), patches)
-
     def _best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
-        """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S; of equals the first in reading order (section 4)."""
+        """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S (section 4). Of equal places the first comes first."""
         smooth, alike = continuity(image, frame.size), resemblance(image, frame.size, known)
         allowed = np.isfinite(alike)
         if not allowed.any():
             size = f"{frame.size[1]}x{frame.size[0]} px"
             raise Refused(f"turned as the lattice is, a tile of {size} is larger than the sample")
         if self.p is not None:
-            allowed = preselected(np.where(allowed, smooth, np.inf), self.p * float(allowed.sum()))
+            allowed = preselect(np.where(allowed, smooth, np.inf), self.p * float(allowed.sum()))
         rating = np.full(alike.shape, np.inf)
         rating[allowed] = np.round(self.alpha * smooth[allowed] + self.beta * alike[allowed], 12)
         order = _least(rating, min(self.m, int(allowed.sum())))
@@ -162,15 +172,15 @@ class RepresentativeTile:
         return np.stack([x, y, smooth[y, x], alike[y, x], rating[y, x]], -1).astype(np.float64)
 
 
-def preselected(smooth: Costs, number: float) -> NDArray[np.bool_]:
-    """Return S1: the ``number`` places, at least one, that are smoothest; of equals the first (section 4.1)."""
+def preselect(smooth: Costs, number: float) -> NDArray[np.bool_]:
+    """Return S1: the ``number`` places, at least one, of least continuity cost (section 4.1)."""
     chosen = np.zeros(smooth.shape, np.bool_)
     chosen.flat[_least(np.round(smooth, 12), max(round(number), 1))] = True
     return chosen
 
 
 def _least(values: Costs, number: int) -> NDArray[np.intp]:
-    """Return the flat indices of the ``number`` least values in order, of equals the first; O(n) for few."""
+    """Return the flat indices of the ``number`` least values in order, equal values as they stand; O(n) for few."""
     flat = values.ravel()
     if number == 1:
         return np.array([flat.argmin()])
@@ -185,14 +195,126 @@ def _cut(image: Image, frame: TileFrame, place: tuple[int, int]) -> Image:
     return image[y : y + frame.size[0], x : x + frame.size[1]]
 
 
-def _search_extras(image: Image, frame: TileFrame, place: tuple[int, int], best: Points) -> dict[str, NDArray[Any]]:
-    """Return what is kept of the search: the frame, the m best and, of several, their tiles."""
-    corner = frame.to_sample(np.array(place, np.float64))
-    kept: dict[str, NDArray[Any]] = {"frame": np.vstack([corner, frame.steps]), "best": best}
-    if len(best) > 1:
-        places = best[:, :2].astype(int).tolist()
-        kept |= {f"best-{number:02d}": _cut(image, frame, (x, y)) for number, (x, y) in enumerate(places, 1)}
-    return kept
+def resemblance(image: Values, size: Size, known: Mask | None = None) -> Costs:
+    """Return the mean squared difference between the image and each of its tiles repeated over it.
+
+    Every tile stays where it lies, so that pixel q is compared with the tile's pixel of its residue class, modulo the
+    tile's sides. A tile holds one pixel p of each class r. It contributes D(p), the sum over the class of (I - I(p))^2,
+    which is Q_r - 2 I(p) S_r + n_r I(p)^2 with the class's sum of squares Q_r, sum S_r and number n_r. The cost of a
+    tile is the sum of D over its box: one integral image serves all tiles.
+
+    Parameters
+    ----------
+    image
+        The squares are summed over channels.
+    size
+        Size of the tile, at most that of the image.
+    known
+        The pixels that count; None: all. Tiles that hold other pixels cost infinity.
+
+    Returns
+    -------
+    Costs
+        SSDN(I, I_T) of representative tile, section 4.2. O(H W C), whatever the number of tiles; trying each of n tiles
+        is O(n H W C).
+    """
+    shape, mask = image.shape[:2], np.ones(image.shape[:2], np.bool_) if known is None else known
+    weight = mask.astype(np.float64)
+    number, cost = _spread(_classes(weight, size), shape), np.zeros(shape)
+    for channel in np.moveaxis(image, -1, 0):
+        plane = (channel - channel[mask].mean(dtype=np.float64)) * weight
+        cost += _spread(_classes(plane**2, size), shape)
+        cost += plane * (number * plane - 2 * _spread(_classes(plane, size), shape))
+    total = np.maximum(box_sums(cost, size), 0) / max(weight.sum(), 1)
+    if known is not None:
+        total[box_sums(weight, size) < size[0] * size[1] - 0.5] = np.inf
+    return np.asarray(total)
+
+
+def continuity(image: Values, size: Size) -> Costs:
+    """Return how much each tile's first row and column differ from its last, which meet when the tile is repeated.
+
+    The cost is the sum of the squared differences over channels and the h + w pairs of pixels, over 2 (w + h - 1).
+
+    Notes
+    -----
+    Representative tile, section 4.1, equation 5: h(T). The sums along each border come from cumulative sums, O(H W C).
+    The paper calls h a mean, but divides by about twice the number of pairs. This is kept, since its alpha weighs it.
+    """
+    rows, columns = size
+    height, width = image.shape[:2]
+    across = _squares(image[:, columns - 1 :], image[:, : width - columns + 1])
+    down = _squares(image[rows - 1 :], image[: height - rows + 1])
+    total = box_sums(across, (rows, 1)) + box_sums(down, (1, columns))
+    return np.asarray(np.maximum(total, 0) / (2 * (columns + rows - 1)))
+
+
+def _squares(one: Values, other: Values) -> NDArray[np.float64]:
+    difference = np.subtract(one, other, dtype=np.float64)
+    return np.asarray(np.einsum("ijk,ijk->ij", difference, difference))
+
+
+def _classes(plane: NDArray[np.float64], size: Size) -> NDArray[np.float64]:
+    """Return the sum over each residue class, ``(h, w)``."""
+    (height, width), (rows, columns) = plane.shape, size
+    padded = np.pad(plane, ((0, -height % rows), (0, -width % columns)))
+    return np.asarray(padded.reshape(-1, rows, padded.shape[1]).sum(0).reshape(rows, -1, columns).sum(1))
+
+
+def _spread(classes: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return the value of each pixel's class."""
+    wide = classes[:, np.arange(shape[1]) % classes.shape[1]]
+    return np.asarray(wide[np.arange(shape[0]) % classes.shape[0]])
+
+
+def lay_tiles(
+    task: Task, frame: TileFrame, tiles: WangTiles, rescale: bool, patches: Patches
+) -> tuple[Image, SourceMap]:
+    """Return the output, tiles side by side, and its source map.
+
+    The output continues the sample's phase: the place in the sample that a tile's first pixel is equivalent to shows a
+    tile's first pixel in the output.
+
+    Parameters
+    ----------
+    task
+        The sample, the output's shape, and the stream that draws the tiles.
+    frame
+        The tiles' size, and where their pixels lie in the sample.
+    tiles
+        One tile, or a set that is laid by the colors of its edges.
+    rescale
+        True: the output has the sample's periods. False: it has those of the tile in whole pixels.
+    patches
+        Of the sample.
+    """
+    rows, columns = frame.size
+    corner = np.array(tiles.corner, np.float64)
+    if rescale:
+        corner, steps = frame.to_sample(corner), frame.periods / np.array([[columns], [rows]])
+    else:
+        steps = np.eye(2)
+
+    def split(pixels: Points) -> tuple[NDArray[np.int64], NDArray[np.int64], Points]:
+        """Return the number (x, y) of each output pixel's tile, the nearest pixel in it, and the rest."""
+        at = (pixels - corner) @ np.linalg.inv(steps)
+        nearest = np.floor(at + 0.5).astype(np.int64)
+        numbers, inside = np.divmod(nearest, np.array([columns, rows]))
+        return numbers, inside, at - nearest
+
+    height, width = task.shape
+    ends = split(np.array([[x, y] for x in (0, width - 1) for y in (0, height - 1)], np.float64))[0]
+    low = ends.min(0)
+    across, down = ends.max(0) - low + 1
+    layout = tiles.lay_out((int(down), int(across)), task.rng)
+
+    def points(pixels: Points) -> Points:
+        numbers, inside, rest = split(pixels)
+        column, row = np.moveaxis(numbers - low, -1, 0)
+        x, y = np.moveaxis(inside, -1, 0)
+        return frame.to_sample(tiles.sources[layout[row, column], y, x] + rest)
+
+    return resampled(task, points, patches)
 
 
 _check = checker("representative-tile")

@@ -1,1 +1,1 @@
-"""TODO nrbench.synthesizers.rectangular_tiles."""
+"""Helpers of representative-tile: the frame of a rectangular tile, and Wang tiles."""

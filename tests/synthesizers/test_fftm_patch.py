@@ -11,8 +11,8 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.running.outputs import checked_synthesis, is_picture
 from nrbench.synthesizers.fftm_patch import FftmPatch, automatic_size
+from nrbench.synthesizers.masks.common_period import CommonPeriod
 from nrbench.synthesizers.masks.fftm_mask import Analysis, TextureMask
-from nrbench.synthesizers.rectangular_tiles.rectangular_supercell import Rectangle, upright_rectangle
 
 WHOLE = Lattice((24, 0), (0, 20))
 
@@ -37,9 +37,10 @@ class Tiled:
         one, other = (np.take(values, k % values.shape[axis], axis) for k in (first, first + 1))
         return one * (1 - share) + other * share
 
-    def tileable(self, tolerance: float, limit: float = 1024.0) -> Rectangle | None:
+    def tileable(self, tolerance: float, limit: float = 1024.0) -> CommonPeriod | None:
         """Return the smallest rectangle that is a period."""
-        return upright_rectangle(self.lattice, tolerance, limit, whole=True)
+        height, width = self.tile.shape[:2]
+        return CommonPeriod((width, height), 0.0) if max(width, height) <= limit else None
 
 
 def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:

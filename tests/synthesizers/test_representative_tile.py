@@ -11,8 +11,7 @@ from synthesis_cases import noise
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Task
-from nrbench.synthesizers.rectangular_tiles.tile_costs import continuity, resemblance
-from nrbench.synthesizers.representative_tile import RepresentativeTile, preselected
+from nrbench.synthesizers.representative_tile import RepresentativeTile, continuity, preselect, resemblance
 
 TURN = math.radians(7)
 TURNED = Lattice((21.37 * math.cos(TURN), 21.37 * math.sin(TURN)), (-18.81 * math.sin(TURN), 18.81 * math.cos(TURN)))
@@ -124,7 +123,7 @@ def test_p_takes_the_smoothest_places_first() -> None:
     """With p only the share of places of least h is rated; with a small one the tile is the smoothest of all."""
     sample, lattice = noise(40, 50), Lattice((11, 0), (0, 9))
     smooth = continuity(sample, (9, 11))
-    kept = preselected(smooth, 0.05 * smooth.size)
+    kept = preselect(smooth, 0.05 * smooth.size)
     assert kept.sum() == round(0.05 * smooth.size) and smooth[kept].max() <= smooth[~kept].min()
     first = synthesize(sample, (9, 9), lattice, p=1e-4).extras["best"][0]
     assert first[2] == pytest.approx(smooth.min())

@@ -8,7 +8,7 @@ from synthesis_cases import noise
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Synthesis, Task
-from nrbench.synthesizers.rectangular_tiles.wang import WangSet, colors_for
+from nrbench.synthesizers.rectangular_tiles.wang_tiles import WangTiles, edge_colors
 from nrbench.synthesizers.representative_tile import RepresentativeTile
 
 LATTICE = Lattice((12, 0), (0, 10))
@@ -21,13 +21,13 @@ def synthesize(
     return RepresentativeTile(tiles=tiles).synthesize(Task(sample, shape, lattice, np.random.default_rng(seed)))
 
 
-def test_there_are_colors_for_all_numbers_but_few() -> None:
+def test_there_are_edge_colors_all_numbers_but_few() -> None:
     """Each pair of a north and a west color has two tiles, no two of the set the same four; 1, 2, 3 and 5 cannot."""
-    assert [k for k in range(1, 200) if colors_for(k) is None] == [1, 2, 3, 5]
+    assert [k for k in range(1, 200) if edge_colors(k) is None] == [1, 2, 3, 5]
     for tiles in [*range(6, 200), 4]:
-        colors = colors_for(tiles)
+        colors = edge_colors(tiles)
         assert colors is not None and 2 * math.prod(colors) <= tiles <= math.prod(colors) ** 2
-    assert (colors_for(8), colors_for(18)) == ((2, 2), (3, 3))
+    assert (edge_colors(8), edge_colors(18)) == ((2, 2), (3, 3))
 
 
 @pytest.mark.parametrize("tiles", [4, 6, 7, 8, 12, 16, 18])
@@ -36,7 +36,7 @@ def test_a_set_has_as_many_tiles_as_asked_and_each_corner_has_two(tiles: int) ->
     edges = synthesize(tiles, noise(60, 72)).extras["edges"]
     assert len(np.unique(edges, axis=0)) == len(edges) == tiles
     pairs = np.unique(edges[:, [0, 3]], axis=0, return_counts=True)[1]
-    colors = colors_for(tiles)
+    colors = edge_colors(tiles)
     assert colors is not None and len(pairs) == math.prod(colors) and pairs.min() >= 2
 
 
@@ -56,7 +56,7 @@ def test_edges_of_equal_colors_show_the_same_piece() -> None:
 def test_neighbors_agree_in_their_colors_and_choice_is_uniform() -> None:
     """South meets north, east meets west, and each tile that fits is drawn equally often."""
     edges = np.array([(n, e, s, w) for n in (0, 1) for e in (0, 1) for s in (0, 1) for w in (0, 1)])
-    tiles = WangSet(np.zeros((16, 4, 4, 2)), edges, (0, 0))
+    tiles = WangTiles(np.zeros((16, 4, 4, 2)), edges, (0, 0))
     laid = tiles.lay_out((60, 70), np.random.default_rng(0))
     north, east, south, west = np.moveaxis(edges[laid], -1, 0)
     assert (south[:-1] == north[1:]).all() and (east[:, :-1] == west[:, 1:]).all()

@@ -5,10 +5,10 @@ from hypothesis import strategies as st
 
 from nrbench.detectors.rectangular_periods.ssd import ssdn
 from nrbench.imaging.box_sums import box_sums
-from nrbench.synthesizers.rectangular_tiles.tile_costs import Costs, Mask, Size, Values, continuity, resemblance
+from nrbench.synthesizers.representative_tile import Costs, Mask, Size, Values, continuity, resemblance
 
 
-def noise(height: int, width: int, channels: int, seed: int = 0) -> Values:
+def color_noise(height: int, width: int, channels: int, seed: int = 0) -> Values:
     """Return white noise."""
     return np.random.default_rng(seed).random((height, width, channels), np.float32)
 
@@ -38,7 +38,7 @@ def naive_continuity(tile: Values) -> float:
 )
 def test_every_place_costs_what_brute_force_says(shape: Size, size: Size, channels: int, seed: int) -> None:
     """Both criteria of every tile equal the paper's sums, to 1e-9, whatever the sizes."""
-    image, size = noise(*shape, channels, seed), (min(size[0], shape[0]), min(size[1], shape[1]))
+    image, size = color_noise(*shape, channels, seed), (min(size[0], shape[0]), min(size[1], shape[1]))
     alike, smooth = resemblance(image, size), continuity(image, size)
     assert alike.shape == smooth.shape == (shape[0] - size[0] + 1, shape[1] - size[1] + 1)
     for y, x in np.ndindex(alike.shape):
@@ -60,7 +60,7 @@ def test_unknown_pixels_neither_count_nor_serve() -> None:
     """With a disc of known pixels only, costs are brute force's over them, infinite for tiles that reach beyond."""
     y, x = np.indices((31, 27))
     known = np.hypot(y - 15, x - 13) < 13
-    image = noise(31, 27, 3)
+    image = color_noise(31, 27, 3)
     costs = resemblance(image, (6, 5), known)
     np.testing.assert_allclose(costs, naive_masked(image, (6, 5), known), atol=1e-9)
     assert 0 < np.isfinite(costs).sum() < costs.size
@@ -70,7 +70,7 @@ def test_unknown_pixels_neither_count_nor_serve() -> None:
 
 def test_a_periodic_image_costs_nothing_and_any_other_something() -> None:
     """Every tile of a perfectly periodic image retells it; with one pixel changed, none does."""
-    image = np.tile(noise(6, 7, 3), (4, 5, 1))
+    image = np.tile(color_noise(6, 7, 3), (4, 5, 1))
     np.testing.assert_allclose(resemblance(image, (6, 7)), 0, atol=1e-12)
     image[11, 17] += 0.5
     assert resemblance(image, (6, 7)).min() > 1e-4
