@@ -15,7 +15,7 @@ from pathlib import Path
 from unit import machine_unit
 
 from nrbench.api import run
-from nrbench.running import jobs
+from nrbench.running import supervisor as jobs
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
 from nrbench.runs.store import CellFolder

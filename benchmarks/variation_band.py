@@ -8,7 +8,7 @@ an output is appended; those that are there are kept.
 
 Beside each output stands what its sample allows. *Sample* is the variance between the windows of half a tile that the
 sample holds, about their mean, over the fresh draws' energy: one small draw, which scatters. *Copier* is what patches
-drawn uniformly from all equal places of that sample have on average: of M places the share (M - 1) / M of it, since
+draw_samples uniformly from all equal places of that sample have on average: of M places the share (M - 1) / M of it, since
 copies depart from the mean of what is copied, and not from the texture's.
 
 ``table rows.csv`` prints, for each method, how many outputs lie in the band, how many copiers that hit their
@@ -41,10 +41,9 @@ from nrbench.metrics.verdict.measurements import Look, look_at_references
 from nrbench.metrics.verdict.reference import FIRST_DRAW, Yardstick, model_yardstick
 from nrbench.metrics.verdict.verdict import compare, obstacle
 from nrbench.plugins.forms import Again, Observation, Refused, Synthesis, Task, Texture, Value
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.phases import checked_synthesis
 from nrbench.streams import stream
-from nrbench.suites.axes import Method
-from nrbench.suites.plan import Sample, drawn
+from nrbench.suites.plan import Method, Sample, draw_samples
 from nrbench.suites.suite import load_suite
 
 FIELDS = (
@@ -145,7 +144,7 @@ def places(arguments: argparse.Namespace) -> Iterator[Place]:
     """Yield every replicate of the suites' textures of type I."""
     for suite in map(load_suite, arguments.suites):
         replicated = suite.model_copy(update={"replicates": arguments.replicates})
-        for drawing in drawn(replicated):
+        for drawing in draw_samples(replicated):
             place = Place(suite.name, suite.seed, drawing)
             known = drawing.texture and drawing.texture.kind == "I"
             if known and any(fnmatch(place.name, pattern) for pattern in arguments.textures):

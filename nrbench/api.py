@@ -1,4 +1,4 @@
-"""The Python API, in the command line's words."""
+"""The Python API: one function for each verb of the command line."""
 
 from __future__ import annotations
 
@@ -17,20 +17,19 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, as_image, like_input, quantize
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Detection, Observation, Refused, Score, Shape, Synthesis, Task, Texture, Value
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.phases import checked_synthesis, failure_reason, score_observation
 from nrbench.running.runner import Options, Progress, execute, working_metrics
-from nrbench.running.scoring import failure, scored
 from nrbench.runs.records import Run
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
 
 Latticelike = Lattice | tuple[Vector, Vector] | str | None
-"""A lattice, its two vectors, or ``"x1,y1,x2,y2"``; None where none is given."""
+"""A lattice, its two vectors, or ``"x1,y1,x2,y2"``; None if no lattice is given."""
 
 
 def texture(model: str, shape: Shape = (128, 128), seed: int = 0, **parameters: Any) -> Texture:
-    """Draw a texture of a model, with its truth.
+    """Draw a texture of a model; the returned texture holds all that is known of it.
 
     Parameters
     ----------
@@ -46,7 +45,7 @@ def texture(model: str, shape: Shape = (128, 128), seed: int = 0, **parameters: 
     Raises
     ------
     BadInput
-        For a model, a parameter or a shape that is not known or not valid.
+        For an unknown model or parameter, or a value that is not valid.
 
     Examples
     --------
@@ -60,19 +59,30 @@ def texture(model: str, shape: Shape = (128, 128), seed: int = 0, **parameters: 
 
 
 def detect_lattice(image: Any, detector: str = "consensus", **parameters: Any) -> Detection:
-    """Return the lattice that a detector finds in an image.
+    """Detect the lattice of an image.
+
+    Parameters
+    ----------
+    image
+        uint8, uint16 or float in [0, 1], with or without a channel axis.
+    detector
+        Name of a detector plugin.
+    parameters
+        The detector's parameters.
 
     Raises
     ------
     NoLatticeFound
-        Where there is none.
+        When the detector finds no lattice.
+    BadInput
+        For a bad image, detector or parameter.
     """
-    found: Detection = plugins.build("detectors", detector, parameters).detect(as_image(image))
-    return found
+    detection: Detection = plugins.build("detectors", detector, parameters).detect(as_image(image))
+    return detection
 
 
 def as_lattice(lattice: Latticelike) -> Lattice | None:
-    """Return a lattice from any form that users write it in."""
+    """Return a lattice from any of the forms of :data:`Latticelike`."""
     if lattice is None or isinstance(lattice, Lattice):
         return lattice
     return Lattice.parse(lattice) if isinstance(lattice, str) else Lattice(*lattice)
@@ -98,23 +108,23 @@ def synthesize(
     shape
         (height, width) of the output in px.
     lattice
-        The sample's lattice; None: the method finds it.
+        The sample's lattice; if None, the method finds it.
     seed
         Equal seeds give equal pixels.
     progress
-        Called with the fraction done.
+        Called with the fraction that is done, in [0, 1].
     parameters
         The method's parameters.
 
     Returns
     -------
     Synthesis
-        Its image has the sample's channel layout.
+        The image has the channel layout of the sample.
 
     Raises
     ------
     Refused
-        Where the sample lies outside the method's domain.
+        When the method cannot be applied to the sample.
     BadInput
         For a bad image, lattice, method or parameter.
     """
@@ -124,8 +134,8 @@ def synthesize(
     task = Task(sample, _checked_shape(shape), as_lattice(lattice), rng, progress or (lambda fraction: None))
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
-    made = checked_synthesis(plugin.synthesize(task), sample, task.shape)
-    return dataclasses.replace(made, image=like_input(made.image, image))
+    synthesis = checked_synthesis(plugin.synthesize(task), sample, task.shape)
+    return dataclasses.replace(synthesis, image=like_input(synthesis.image, image))
 
 
 def _checked_shape(shape: Shape) -> Shape:
@@ -163,38 +173,35 @@ def score(sample: Any, output: Any, lattice: Latticelike = None) -> Sheet:
     Parameters
     ----------
     sample, output
-        The two images, same number of channels.
+        The two images; both have the same number of channels.
     lattice
-        The sample's lattice; without it the detector ``dominance`` is asked for it, and where that finds none the
-        scores that need one are None, with the reason.
+        The sample's lattice. If None, metrics that need a lattice use the one that the detector ``dominance`` finds in
+        the sample; if it finds none, their scores are None, with the reason.
     """
     pair = quantize(as_image(sample, "sample")), quantize(as_image(output, "output"))
     if pair[0].shape[2] != pair[1].shape[2]:
         raise BadInput(f"output: has {pair[1].shape[2]} channels, the sample {pair[0].shape[2]}; convert one of them")
     given = as_lattice(lattice)
     truth = Texture(pair[0], given, (given,) if given else ())
-    return judge(Observation(*pair, truth=truth, lattice_given=given))
+    return score_by_all_metrics(Observation(*pair, truth=truth, lattice_given=given))
 
 
-def judge(observation: Observation) -> Sheet:
-    """Score an observation by every metric; one that raises is None in all columns, with the error as the reason."""
-    values: dict[str, Value] = {}
-    reasons: dict[str, str] = {}
-    pictures: dict[str, Image] = {}
-    for name in working_metrics():
-        found = _guarded(observation, name)
-        values.update({f"{name}.{column}": value for column, value in found.values.items()})
-        reasons.update({f"{name}.{column}": why for column, why in found.reasons.items()})
-        pictures.update({f"{name}.{title}": picture for title, picture in found.pictures.items()})
-    return Sheet(values, reasons, pictures)
+def score_by_all_metrics(observation: Observation) -> Sheet:
+    """Score an observation by every metric; the scores of one that raises are None, with the error as the reason."""
+    scores = {metric: _score_or_failure(observation, metric) for metric in working_metrics()}
+    return Sheet(
+        {f"{metric}.{column}": value for metric, score in scores.items() for column, value in score.values.items()},
+        {f"{metric}.{column}": why for metric, score in scores.items() for column, why in score.reasons.items()},
+        {f"{metric}.{title}": image for metric, score in scores.items() for title, image in score.pictures.items()},
+    )
 
 
-def _guarded(observation: Observation, name: str) -> Score:
+def _score_or_failure(observation: Observation, metric: str) -> Score:
     try:
-        return scored(observation, name)
+        return score_observation(observation, metric)
     except Exception as error:
-        columns = plugins.build("metrics", name).columns
-        return Score(dict.fromkeys(columns), dict.fromkeys(columns, failure(error)))
+        columns = plugins.build("metrics", metric).columns
+        return Score(dict.fromkeys(columns), dict.fromkeys(columns, failure_reason(error)))
 
 
 def run(
@@ -208,20 +215,20 @@ def run(
     options: Options | None = None,
     **changes: Any,
 ) -> Run:
-    """Run a suite, resuming what is there, and return the run.
+    """Run a suite and return the run; cells that have results on disk are not run again.
 
     Parameters
     ----------
     suite
         A suite, its name, a TOML file, or a directory of pictures.
     methods, textures, lattice
-        Instead of the suite's: methods as ``name:param=value``, shell patterns of texture names, lattice sources.
+        These replace the suite's own. Methods are ``name:param=value``, textures shell patterns of names.
     out
-        The run directory; ``runs/SUITE`` where it is not given.
+        The run directory; ``runs/SUITE`` if None.
     progress
         Called after each cell.
     options
-        Jobs, limits, and the like.
+        How to run: jobs, limits, and so on.
     changes
         Other keys of the suite: ``seed``, ``replicates``, ``sample``, ``size``.
     """
@@ -232,7 +239,7 @@ def run(
 
 
 def changed(suite: Suite, methods: Sequence[str] = (), lattice: Sequence[str] = (), **changes: Any) -> Suite:
-    """Return a suite with the options of a command applied; a size given there replaces every texture's own."""
+    """Return a suite with the options of a command line applied; a size replaces that of every texture."""
     given = {key: value for key, value in changes.items() if value is not None}
     if methods:
         given["methods"] = list(methods)

@@ -1,4 +1,4 @@
-"""The one error that is the user's to mend."""
+"""The error for input that the user can correct."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class BadInput(ValueError):
 
 
 def checker(who: str) -> Callable[[bool, str], None]:
-    """Return a function that raises :class:`BadInput`, naming ``who``, where what it is told does not hold."""
+    """Return a check, which raises :class:`BadInput` with ``who`` in front if a condition does not hold."""
 
     def check(holds: bool, message: str) -> None:
         if not holds:

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import os
-import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
 from typing import Any, Generic, ParamSpec, TypeVar
+
+import platformdirs
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -73,7 +73,7 @@ def cache_folder(function: Callable[..., Any], version: str) -> Path:
     sources = [Path(inspect.getfile(each)) for each in (function, *_called(function))]
     texts = b"".join(source.read_bytes() for source in dict.fromkeys(sources))
     digest = hashlib.blake2b(texts, digest_size=8).hexdigest()
-    return _user_cache() / "nrbench" / f"{sources[0].stem}-{digest}-numba-{version}"
+    return platformdirs.user_cache_path("nrbench", appauthor=False) / f"{sources[0].stem}-{digest}-numba-{version}"
 
 
 def kernels_called(function: Callable[..., Any]) -> dict[str, Kernel[..., Any]]:
@@ -100,14 +100,6 @@ def _linked(function: Callable[P, R]) -> Callable[P, R]:
     )
     linked.__module__, linked.__qualname__ = function.__module__, function.__qualname__
     return linked
-
-
-def _user_cache() -> Path:
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def _compile(function: Callable[P, R], signature: str) -> Callable[P, R]:

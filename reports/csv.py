@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import pandas as pd
 
 from nrbench.runs.records import Run
-from nrbench.runs.store import write_aside
+from nrbench.storage import write_aside
 
 from .statistics.baselines import is_right
 from .statistics.comparison import Comparison, comparison

@@ -12,10 +12,10 @@ from typing import Any, ClassVar
 import jinja2
 from markupsafe import Markup
 
-from nrbench.labelling.labels import ANSWERS
-from nrbench.policy import allowed
+from nrbench.labelling.labels import ANSWERS, content_hash
 from nrbench.runs.records import CellRecord, Run
-from nrbench.runs.store import RUN_FILE, write_aside
+from nrbench.runs.store import RUN_FILE
+from nrbench.storage import write_aside
 
 from .page import format as wording
 from .page.disputed import disputed
@@ -114,7 +114,7 @@ def _page(content: Mapping[str, Any]) -> str:
     env = _environment()
     style = Markup(env.get_template("style.css").render(content))
     script = Markup(env.get_template("script.js").render())
-    hashes = {"style_hash": allowed(style), "script_hash": allowed(script)}
+    hashes = {"style_hash": content_hash(style), "script_hash": content_hash(script)}
     return env.get_template("report.html").render(content, style=style, script=script, **hashes)
 
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import Run
-from nrbench.runs.store import write_aside
+from nrbench.storage import write_aside
 
 from .page.format import number, plain
 from .statistics.baselines import LEGEND, SHARES, NoCheat

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from nrbench.runs.records import Run
-from nrbench.runs.store import write_aside
+from nrbench.storage import write_aside
 
 from .page.format import counted, interval, number, percent, plain, successes, tip
 from .statistics.baselines import LEGEND, SHARES, SIGN, NoCheat

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import Run
-from nrbench.runs.store import write_aside
+from nrbench.storage import write_aside
 
 from .plots.captions import leader, placed
 from .statistics.baselines import LEGEND, SHARES, SIGN

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import Run
-from nrbench.runs.store import write_aside
+from nrbench.storage import write_aside
 
 from .page.format import number, percent, plain, plural
 from .statistics.baselines import LEGEND, SHARES, SIGN, NoCheat

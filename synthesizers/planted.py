@@ -81,7 +81,7 @@ class Planted:
     """
 
     reference: ClassVar[bool] = True
-    always_told: ClassVar[tuple[str, ...]] = ("kind", "size")
+    always_shown: ClassVar[tuple[str, ...]] = ("kind", "size")
     uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "3"
 

@@ -1,9 +1,10 @@
-"""The command ``nrbench``: one verb a function, loaded when it is called."""
+"""The command ``nrbench``: a group of verbs, each imported when it is needed."""
 
 from __future__ import annotations
 
 import importlib
 import io
+import itertools
 import sys
 from collections.abc import Mapping
 from typing import Any
@@ -11,23 +12,17 @@ from typing import Any
 import click
 
 VERBS: Mapping[str, str] = {
-    "run": "nrbench.cli.running",
-    "plan": "nrbench.cli.running",
-    "report": "nrbench.cli.running",
-    "status": "nrbench.cli.running",
-    "label": "nrbench.cli.labelling",
-    "list": "nrbench.cli.listing",
-    "show": "nrbench.cli.listing",
-    "synth": "nrbench.cli.pictures",
-    "lattice": "nrbench.cli.lattices",
-    "score": "nrbench.cli.pictures",
-    "render": "nrbench.cli.rendering",
+    **dict.fromkeys(("run", "plan", "report", "status", "label"), "nrbench.cli.runs"),
+    **dict.fromkeys(("list", "show"), "nrbench.cli.listing"),
+    "synth": "nrbench.cli.images",
+    "lattice": "nrbench.cli.lattice",
+    **dict.fromkeys(("score", "render"), "nrbench.cli.images"),
 }
 """Each verb, and the module that holds its function ``VERB_command``."""
 
 
 class Verbs(click.Group):
-    """A group that knows its verbs by name, and imports one only when it is needed."""
+    """A group that imports the module of a verb only when the verb is needed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the verbs in the order of a user's work."""
@@ -54,9 +49,15 @@ class Verbs(click.Group):
 @click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="nrbench")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
-@click.option("--plugin", "plugin_files", multiple=True, metavar="FILE.py", help="Also use the plugins of this file.")
+@click.option(
+    "--plugin", "plugin_files", multiple=True, metavar="FILE.py", help="Load plugins from FILE.py; repeatable."
+)
 def nrbench(debug: bool, plugin_files: tuple[str, ...]) -> None:
-    """Benchmark of near-regular texture synthesis: known lattices, measured verdicts, cost beside quality."""
+    """Compare methods of near-regular texture synthesis.
+
+    nrbench draws textures whose lattices are known, runs methods on them, and scores the regularity, the randomness
+    and the cost of the outputs.
+    """
     if plugin_files:
         from nrbench import plugins
 
@@ -65,29 +66,31 @@ def nrbench(debug: bool, plugin_files: tuple[str, ...]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line: exit code 0 fine, 1 some cells failed, 2 usage or bad input, 130 interrupted."""
+    """Run the command line and exit.
+
+    The exit code is 0 on success, 1 if a cell, report or detector failed, 2 for wrong usage or bad input, and 130
+    after an interruption.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    given = hoisted(list(sys.argv[1:] if arguments is None else arguments))
+    words = move_global_options(list(sys.argv[1:] if arguments is None else arguments))
     try:
-        code = nrbench.main(args=given, prog_name="nrbench", standalone_mode=False)
-    except KeyboardInterrupt:
-        code = _complain("interrupted; the same command goes on where this one stopped", 130)
-    except click.Abort:
-        code = _complain("interrupted; the same command goes on where this one stopped", 130)
+        code = nrbench.main(args=words, prog_name="nrbench", standalone_mode=False)
+    except (KeyboardInterrupt, click.Abort):
+        code = _print_error("interrupted; run the same command again to resume", 130)
     except click.exceptions.NoArgsIsHelpError as help_text:
         print(help_text.format_message())
         code = 0
     except click.ClickException as error:
-        code = _complain(f"{error.format_message()}; see `{_path(error)} --help`", 2)
+        code = _print_error(f"{error.format_message()}; see `{_command_path(error)} --help`", 2)
     except Exception as error:
-        code = _failure(error, "--debug" in given)
+        code = _report_exception(error, "--debug" in words)
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def hoisted(arguments: list[str]) -> list[str]:
-    """Return the arguments with ``--debug`` and ``--plugin FILE`` moved before the verb: they may stand anywhere."""
+def move_global_options(arguments: list[str]) -> list[str]:
+    """Return the arguments with ``--debug`` and ``--plugin FILE``, which may stand anywhere, before the verb."""
     front: list[str] = []
     rest: list[str] = []
     words = iter(arguments)
@@ -97,35 +100,35 @@ def hoisted(arguments: list[str]) -> list[str]:
         elif word == "--debug" or word.startswith("--plugin="):
             front.append(word)
         elif word == "--plugin":
-            front += [word, *[following for following in [next(words, None)] if following is not None]]
+            front += [word, *itertools.islice(words, 1)]
         else:
             rest.append(word)
     return front + rest
 
 
-def _path(error: click.ClickException) -> str:
+def _command_path(error: click.ClickException) -> str:
     context: Any = getattr(error, "ctx", None)
     return context.command_path if context is not None else "nrbench"
 
 
-def _failure(error: Exception, debug: bool) -> int:
+def _report_exception(error: Exception, debug: bool) -> int:
     from nrbench.errors import BadInput
     from nrbench.plugins.forms import Refused
-    from nrbench.running.outputs import InvalidOutput
+    from nrbench.running.phases import InvalidOutput
 
     if debug:
         import traceback
 
         traceback.print_exc()
     if isinstance(error, BadInput | Refused):
-        return _complain(str(error), 2)
+        return _print_error(str(error), 2)
     if isinstance(error, InvalidOutput):
-        return _complain(f"the method {error}", 1)
+        return _print_error(f"the method {error}", 1)
     if isinstance(error, OSError):
-        return _complain(f"{error.filename or 'file'}: {error.strerror or error}", 2)
-    return _complain(f"internal error: {type(error).__name__}: {error}; run with --debug for the traceback", 1)
+        return _print_error(f"{error.filename or 'file'}: {error.strerror or error}", 2)
+    return _print_error(f"internal error: {type(error).__name__}: {error}; run with --debug for the traceback", 1)
 
 
-def _complain(message: str, code: int) -> int:
+def _print_error(message: str, code: int) -> int:
     print(f"nrbench: {' '.join(message.split())}", file=sys.stderr)
     return code

@@ -1,15 +1,20 @@
-"""What the running verbs say of a plan and of a run."""
+"""What the verbs of :mod:`nrbench.cli.runs` write and print of a plan and of a run."""
 
 from __future__ import annotations
 
 import itertools
+import json
+import shutil
+import sys
 from collections import Counter
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from nrbench import plugins
 from nrbench.running.runner import is_cached, metrics_of
-from nrbench.runs.records import FAILED, CellRecord, Run
-from nrbench.runs.store import RunDirectory
+from nrbench.runs.records import CellRecord, Run
+from nrbench.runs.store import FAILED, RunDirectory
 from nrbench.suites.plan import Plan
 
 
@@ -26,26 +31,73 @@ def failures(run: Run) -> list[str]:
 def _failures_of(record: CellRecord) -> list[str]:
     where = f"{record.texture} / {record.method} ({record.lattice_source}, {record.key})"
     lines = [f"{where}: {record.status}: {record.message}"] if record.status in FAILED else []
-    broken = {f"{name.partition('.')[0]}: {why}" for name, why in record.reasons.items() if why.startswith("failed:")}
-    return lines + [f"{where}: {line}" for line in sorted(broken)]
+    failed = {f"{name.partition('.')[0]}: {why}" for name, why in record.reasons.items() if why.startswith("failed:")}
+    return lines + [f"{where}: {line}" for line in sorted(failed)]
 
 
-def report_page(written: list[Path]) -> Path | None:
-    """Return the page that a reader opens first, if one was written."""
-    return next((path for path in written if path.suffix == ".html"), None)
+def write_reports(
+    run: Run, formats: str | None = None, tables_only: bool = False, labels: tuple[Path, ...] = ()
+) -> tuple[list[Path], bool]:
+    """Write some reports of a run, or all that load; return the paths, and whether any report failed."""
+    loading = [plugin.name for plugin in plugins.inventory("reports") if plugin.cls is not None]
+    written: list[Path] = []
+    broken = False
+    for name, report in [(name, _build_report(name, labels)) for name in (formats.split(",") if formats else loading)]:
+        folder = getattr(report, "folder", "report")
+        if tables_only and folder != "tables":
+            continue
+        try:
+            written += [Path(path) for path in report.write(run, run.root / folder)]
+        except (Exception, SystemExit) as error:
+            broken = True
+            print(f"nrbench: report {name} failed: {type(error).__name__}: {error}", file=sys.stderr)
+    return written, broken
 
 
-def summary(run: Run, written: list[Path]) -> dict[str, Any]:
-    """Return a run in short, JSON-ready: suite, counts, failures, the files written, and one entry a cell."""
+def _build_report(name: str, labels: tuple[Path, ...]) -> Any:
+    """Return a report, with people's answers if it has a parameter ``labels``."""
+    cls: Any = plugins.find("reports", name).cls
+    takes_labels = "labels" in {field.name for field in fields(cls)}
+    return plugins.build("reports", name, {"labels": labels} if labels and takes_labels else {})
+
+
+def print_summary(run: Run, written: list[Path], as_json: bool) -> bool:
+    """Print the reports made for a terminal, or JSON, and what failed; return whether anything failed."""
+    if as_json:
+        print(json.dumps(_summary(run, written), indent=1))
+    else:
+        _print_terminal_reports(run)
+        page = next((path for path in written if path.suffix == ".html"), None)
+        print(f"report: {page.resolve()}" if page else f"tables: {(run.root / 'tables').resolve()}")
+    failed = failures(run)
+    for line in failed:
+        print(f"nrbench: {line}", file=sys.stderr)
+    return bool(failed)
+
+
+def _print_terminal_reports(run: Run) -> None:
+    """Print each report with the class variable ``terminal``: it has a parameter ``width`` and a method ``render``."""
+    width = max(40, shutil.get_terminal_size((120, 40)).columns)
+    for plugin in plugins.inventory("reports"):
+        if getattr(plugin.cls, "terminal", False):
+            print(plugins.build("reports", plugin.name, {"width": width}).render(run), end="")
+
+
+def _summary(run: Run, written: list[Path]) -> dict[str, Any]:
+    """Return a run, JSON-ready: suite, counts, failures, the files written, and one entry a cell."""
     table = run.table()
-    cells = table.astype(object).where(table.notna(), None).to_dict("records")
-    suite = {key: run.info["suite"][key] for key in ("name", "version", "hash")}
-    shown = {"run": str(run.root), "suite": suite, "status": status_counts(run), "failures": failures(run)}
-    return {**shown, "written": [str(path) for path in written], "cells": cells}
+    return {
+        "run": str(run.root),
+        "suite": {key: run.info["suite"][key] for key in ("name", "version", "hash")},
+        "status": status_counts(run),
+        "failures": failures(run),
+        "written": [str(path) for path in written],
+        "cells": table.astype(object).where(table.notna(), None).to_dict("records"),
+    }
 
 
 def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
-    """Return what a run would find cached and what it would start."""
+    """Return the cells of a plan, JSON-ready, with what a run would reuse and what it would start."""
     directory, metrics = RunDirectory(root), metrics_of(plan.suite)
     cells = [
         {
@@ -60,15 +112,15 @@ def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
         for cell, _ in plan.cells
     ]
     cached = sum(bool(cell["cached"]) for cell in cells)
-    shown = {"suite": plan.suite.name, "hash": plan.suite.hash, "out": str(root)}
-    return {**shown, "cached": cached, "new": len(cells) - cached, "cells": cells}
+    head = {"suite": plan.suite.name, "hash": plan.suite.hash, "out": str(root)}
+    return {**head, "cached": cached, "new": len(cells) - cached, "cells": cells}
 
 
-def plan_lines(found: dict[str, Any]) -> list[str]:
-    """Return a plan's summary as text, one line a texture."""
-    counts = f"{found['cached']} cells cached, {found['new']} new"
-    head = f"suite {found['suite']} ({found['hash']}) -> {found['out']}: {counts}"
-    by_texture = itertools.groupby(found["cells"], key=lambda cell: cell["texture"])
+def plan_lines(summary: dict[str, Any]) -> list[str]:
+    """Return the summary of a plan as text, one line a texture."""
+    counts = f"{summary['cached']} cells cached, {summary['new']} new"
+    head = f"suite {summary['suite']} ({summary['hash']}) -> {summary['out']}: {counts}"
+    by_texture = itertools.groupby(summary["cells"], key=lambda cell: cell["texture"])
     return [head, *(f"  {texture}: {', '.join(map(_cell_text, cells))}" for texture, cells in by_texture)]
 
 

@@ -1,30 +1,37 @@
-"""What people see in the outputs of a run: blind pages to label, their key files, the answers that come back."""
+"""Pages on which people label the outputs of a run without the methods' names, and the answers that they save."""
 
 from __future__ import annotations
 
+import base64
 import csv
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import jinja2
 import numpy as np
+from markupsafe import Markup
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import CellRecord, Run
-from nrbench.runs.store import read_json, write_json
+from nrbench.runs.store import RunDirectory
+from nrbench.storage import read_json, write_json
 from nrbench.streams import stream
 
 ANSWERS = ("preserved", "lost", "cannot say")
-"""What a person can answer, in the order of the keys 1, 2, 3."""
+"""A person's possible answers, in the order of the keys 1, 2, 3."""
 COLUMNS = ("item", "answer", "seconds", "order")
-"""The columns of an answer file."""
+"""The columns of a file of answers."""
 PRESERVED = "regularity.preserved"
 _LETTERS = "bcdfghjkmnpqrstvwxz"
 _LEAST_GAP = 10
+_TEMPLATES = Path(__file__).parent / "templates"
+_PIXEL_CHUNKS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
 
 
 @dataclass(frozen=True)
@@ -34,11 +41,11 @@ class Item:
     Parameters
     ----------
     id
-        Ten letters that say nothing: neither a number that a spreadsheet would change, nor a word.
+        Ten random letters without vowels: no spreadsheet takes them for a number, no reader for a word.
     cell
-        Key of the cell; it stands in the key file alone, never on the page.
+        Key of the cell; it is in the key file only, never on the page.
     again
-        Whether the output was shown before, for self-agreement.
+        Whether the output was shown before; the two answers tell how far a person agrees with themself.
     """
 
     id: str
@@ -47,29 +54,29 @@ class Item:
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """A page to label: its name and its items in the order in which they are shown."""
+class LabelPage:
+    """The content of a page to label: its name, and its items in the order in which they are shown."""
 
     name: str
     items: Sequence[Item]
 
     def key_file(self, root: Path) -> Path:
-        """Return where the key of the page lies, beside the run's other files."""
+        """Return the path of the page's key, which tells the cell of each item."""
         return _folder(root) / f"{self.name}.json"
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What one person answered to one item.
+    """One person's answer to one item.
 
     Parameters
     ----------
     item
-        The item; it holds the cell's key.
+        The item, with the cell's key.
     answer
         One of :data:`ANSWERS`.
     seconds
-        From the picture to the answer.
+        Time from the picture to the answer.
     order
         Place in the order of showing, from 1.
     """
@@ -87,7 +94,7 @@ class Person:
     Parameters
     ----------
     name
-        The stem of the file they came in.
+        The stem of the file that holds them.
     answers
         In the file's order.
     """
@@ -96,49 +103,50 @@ class Person:
     answers: Sequence[Answer]
 
     def by_cell(self, again: bool = False) -> dict[str, str]:
-        """Return the answer by cell's key, of the first showing or of the second."""
-        return {one.item.cell: one.answer for one in self.answers if one.item.again == again}
+        """Return the answers of the first showings, or of the second ones, by the cell's key."""
+        return {each.item.cell: each.answer for each in self.answers if each.item.again == again}
 
 
-def judge_says(record: CellRecord) -> str:
-    """Return what the judge says of a cell, in the words of people: undecided is ``cannot say``."""
+def verdict_as_answer(record: CellRecord) -> str:
+    """Return the verdict on a cell as one of :data:`ANSWERS`; "undecided" is ``cannot say``."""
     preserved = record.values.get(PRESERVED)
     return ANSWERS[2] if preserved is None else ANSWERS[0] if preserved else ANSWERS[1]
 
 
-def shown(run: Run) -> list[CellRecord]:
-    """Return the cells that people are asked about: those with an output, of textures that have a lattice to keep."""
+def labelled_cells(run: Run) -> list[CellRecord]:
+    """Return the cells that people label: those with an output, of textures that have a lattice."""
     ended = [record for record in run.cells if record.status == "ok" and (record.folder / "output.png").is_file()]
-    return [one for one in ended if one.lattice_truth is not None or one.values.get(PRESERVED) is not None]
+    return [each for each in ended if each.lattice_truth is not None or each.values.get(PRESERVED) is not None]
 
 
-def make_sheet(run: Run, repeat: float = 0.1, seed: int = 0) -> Sheet:
-    """Return a page's items in random order; the same run, share and seed give the same page.
+def make_page(run: Run, repeat: float = 0.1, seed: int = 0) -> LabelPage:
+    """Return the items of a page in random order; equal run, share and seed give an equal page.
 
     Parameters
     ----------
     run
         Its cells that have ended are shown.
     repeat
-        Share of the outputs that are shown a second time, at least some ten items later, in [0, 1].
+        Share of the outputs that are shown a second time, at least about ten items later, in [0, 1].
     seed
-        Seed of order, names and repeats. The stream also depends on the cells, so that no two runs share a name.
+        Seed of order, names and repeats. The random stream also depends on the cells, so that names differ between
+        runs.
 
     Raises
     ------
     BadInput
         When the run has nothing to show.
     """
-    cells = sorted(record.key for record in shown(run))
+    cells = sorted(record.key for record in labelled_cells(run))
     if not cells:
         raise BadInput(f"{run.root}: has no output of a texture with a lattice; nothing can be labelled")
     entropy = json.dumps([cells, float(repeat), int(seed)])
     rng = stream("labels", entropy)
     order = [cells[i] for i in rng.permutation(len(cells))]
-    places = _showings(len(order), math.ceil(repeat * len(order) - 1e-9), rng)
-    names = _names(len(places), rng)
+    showings = _showings(len(order), math.ceil(repeat * len(order) - 1e-9), rng)
+    ids = _random_ids(len(showings), rng)
     name = hashlib.blake2b(entropy.encode(), digest_size=4).hexdigest()
-    return Sheet(name, [Item(id, order[i], again) for id, (i, again) in zip(names, places, strict=True)])
+    return LabelPage(name, [Item(id, order[i], again) for id, (i, again) in zip(ids, showings, strict=True)])
 
 
 def _showings(count: int, repeats: int, rng: np.random.Generator) -> list[tuple[int, bool]]:
@@ -146,27 +154,82 @@ def _showings(count: int, repeats: int, rng: np.random.Generator) -> list[tuple[
     gap = min(_LEAST_GAP, count // 2)
     early = max(count - gap, repeats)
     again = rng.choice(early, repeats, replace=False)
-    when = [(float(i), int(i), False) for i in range(count)]
-    when += [(float(rng.uniform(i + gap, max(count, i + gap) + 0.5)), int(i), True) for i in again]
-    return [(i, second) for _, i, second in sorted(when)]
+    times = [(float(i), int(i), False) for i in range(count)]
+    times += [(float(rng.uniform(i + gap, max(count, i + gap) + 0.5)), int(i), True) for i in again]
+    return [(i, second) for _, i, second in sorted(times)]
 
 
-def _names(count: int, rng: np.random.Generator) -> list[str]:
-    found: dict[str, None] = {}
-    while len(found) < count:
-        found["".join(rng.choice(list(_LETTERS), 10))] = None
-    return list(found)
+def _random_ids(count: int, rng: np.random.Generator) -> list[str]:
+    ids: dict[str, None] = {}
+    while len(ids) < count:
+        ids["".join(rng.choice(list(_LETTERS), 10))] = None
+    return list(ids)
 
 
-def write_key(root: Path, sheet: Sheet) -> Path:
-    """Write which cell each item of a page is, beside the run, and return the path."""
-    path = sheet.key_file(root)
-    write_json(path, {"sheet": sheet.name, "items": [asdict(item) for item in sheet.items]})
+def write_key(root: Path, page: LabelPage) -> Path:
+    """Write which cell each item of a page is, in the run's folder of labels, and return the path."""
+    path = page.key_file(root)
+    write_json(path, {"sheet": page.name, "items": [asdict(item) for item in page.items]})
     return path
 
 
 def _folder(root: Path) -> Path:
     return root / "labels"
+
+
+def page_html(root: Path, page: LabelPage) -> str:
+    """Return a page as one HTML file with all pictures in it, and no name of a cell, method or texture.
+
+    Parameters
+    ----------
+    root
+        The run directory.
+    page
+        The items.
+    """
+    env = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
+    )
+    style, script = (Markup(env.get_template(f"label.{kind}").render()) for kind in ("css", "js"))
+    return env.get_template("label.html").render(
+        style=style,
+        script=script,
+        style_hash=content_hash(style),
+        script_hash=content_hash(script),
+        content=Markup(json.dumps(_content(root, page), separators=(",", ":"))),
+        answers=ANSWERS,
+    )
+
+
+def content_hash(text: str) -> str:
+    """Return the hash by which a content security policy allows an inline style or script."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def _content(root: Path, page: LabelPage) -> dict[str, Any]:
+    """Return the data of the page's script; an item holds the numbers of its pictures, each of which is there once."""
+    numbers: dict[str, int] = {}
+    items = []
+    for item in page.items:
+        folder = RunDirectory(root).cell(item.cell)
+        files = (without_metadata(path.read_bytes()) for path in (folder.sample, folder.output))
+        pictures = [base64.b64encode(file).decode() for file in files]
+        items.append([item.id, *(numbers.setdefault(picture, len(numbers)) for picture in pictures)])
+    return {"sheet": page.name, "answers": ANSWERS, "items": items, "pictures": list(numbers)}
+
+
+def without_metadata(png: bytes) -> bytes:
+    """Return a PNG with its pixels only: texts, times and names of programs could reveal the method."""
+    return png[:8] + b"".join(chunk for kind, chunk in _chunks(png) if kind in _PIXEL_CHUNKS)
+
+
+def _chunks(png: bytes) -> Iterator[tuple[bytes, bytes]]:
+    start = 8
+    while start + 12 <= len(png):
+        (length,) = struct.unpack(">I", png[start : start + 4])
+        stop = start + 12 + length
+        yield png[start + 4 : start + 8], png[start:stop]
+        start = stop
 
 
 def read_people(run: Run, files: Sequence[Path]) -> list[Person]:
@@ -175,18 +238,18 @@ def read_people(run: Run, files: Sequence[Path]) -> list[Person]:
     Raises
     ------
     BadInput
-        For a file that cannot be read, wrong columns, an answer that is none, an item that is twice in a file or on no
-        page of this run; naming file and line.
+        Naming file and line, for a file that cannot be read, wrong columns, an unknown answer, an item that is
+        answered twice, or an item of no page of this run.
     """
     if not files:
         return []
-    known = _known_items(run)
+    items = _known_items(run)
     names = _person_names(files)
-    return [Person(name, _read_answers(Path(file), known)) for name, file in zip(names, files, strict=True)]
+    return [Person(name, _read_answers(Path(file), items)) for name, file in zip(names, files, strict=True)]
 
 
 def _person_names(files: Sequence[Path]) -> list[str]:
-    """Return the stems; where two are equal, the whole paths."""
+    """Return the stems of the files; where two are equal, the whole paths."""
     stems = [Path(file).stem for file in files]
     doubled = next((str(file) for i, file in enumerate(files) if file in files[:i]), None)
     if doubled:
@@ -203,45 +266,45 @@ def _known_items(run: Run) -> dict[str, Item]:
     return {item.id: item for item in items if item.cell in cells}
 
 
-def _read_answers(path: Path, known: Mapping[str, Item]) -> list[Answer]:
-    rows = _rows(path)
-    found = [_answer(row, known, f"{path}, line {number}") for number, row in enumerate(rows, 2)]
-    ids = [one.item.id for one in found]
+def _read_answers(path: Path, items: Mapping[str, Item]) -> list[Answer]:
+    answers = [_answer(row, items, f"{path}, line {number}") for number, row in enumerate(_rows(path), 2)]
+    ids = [each.item.id for each in answers]
     twice = next((id for id in ids if ids.count(id) > 1), None)
     if twice:
         raise BadInput(f"{path}: item {twice!r} is answered twice; leave the answer that counts")
-    if not found:
+    if not answers:
         raise BadInput(f"{path}: holds no answer; save the answers by the page's button first")
-    return found
+    return answers
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of an answer file; a byte order mark, as spreadsheets write it, is no harm."""
+    """Return the rows of a file of answers, which a spreadsheet may have saved with a byte order mark."""
     try:
         text = path.read_text("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: is no text in UTF-8; pass the CSV that the page saved") from error
-    except IsADirectoryError as error:
-        raise BadInput(f"{path}: is a directory; pass the CSV that the page saved") from error
-    except FileNotFoundError as error:
-        raise BadInput(f"{path}: there is no such file; pass the CSV that the page saved") from error
+    except (UnicodeDecodeError, IsADirectoryError, FileNotFoundError) as error:
+        problem = {
+            UnicodeDecodeError: "is no text in UTF-8",
+            IsADirectoryError: "is a directory",
+            FileNotFoundError: "there is no such file",
+        }[type(error)]
+        raise BadInput(f"{path}: {problem}; pass the CSV that the page saved") from error
     table = csv.DictReader(text.splitlines())
     columns = table.fieldnames or []
     if sorted(columns) != sorted(COLUMNS):
-        raise BadInput(f"{path}: has columns {', '.join(columns) or 'none'}; due are {', '.join(COLUMNS)}")
+        raise BadInput(f"{path}: expected columns {', '.join(COLUMNS)}, got {', '.join(columns) or 'none'}")
     return [row for row in table if any(row.values())]
 
 
-def _answer(row: Mapping[str, Any], known: Mapping[str, Item], where: str) -> Answer:
+def _answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> Answer:
     id, answer = row["item"], row["answer"]
-    if id not in known:
+    if id not in items:
         raise BadInput(f"{where}: item {id!r} is on no page of this run; pass answers to a page made for it")
     if answer not in ANSWERS:
-        raise BadInput(f"{where}: answer {answer!r} is none; use one of: {', '.join(ANSWERS)}")
+        raise BadInput(f"{where}: answer {answer!r} is not known; use one of: {', '.join(ANSWERS)}")
     try:
         seconds, order = float(row["seconds"]), int(row["order"])
     except (TypeError, ValueError) as error:
         raise BadInput(f"{where}: seconds and order must be numbers; leave them as the page saved them") from error
     if None in row or not (math.isfinite(seconds) and seconds >= 0 and order >= 1):
         raise BadInput(f"{where}: is no answer as the page saves it (item, answer, seconds >= 0, order >= 1)")
-    return Answer(known[id], answer, seconds, order)
+    return Answer(items[id], answer, seconds, order)

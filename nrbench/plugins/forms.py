@@ -326,7 +326,7 @@ class Synthesizer(Protocol):
     Optional class variables: ``reference`` (True: receives ``task.again`` and is never ranked), ``uses_lattice``
     (False: the lattice axis does not apply), ``needs_lattice`` (False: where a detector of the lattice axis finds none,
     the method runs without one; otherwise the cell is refused), ``right_on`` (a cheat's: the kinds of texture on which
-    it is no cheat but right), ``always_told`` (parameters that the method's label shows even at their defaults),
+    it is no cheat but right), ``always_shown`` (parameters that the method's label shows even at their defaults),
     ``paper`` (BibTeX), ``version``.
     """
 

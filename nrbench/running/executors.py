@@ -1,4 +1,4 @@
-"""Executors: where cells are placed - threads here, a Dask cluster, or this very process."""
+"""Executors: run jobs in threads of this process, on a Dask cluster, or one after another for the debugger."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from nrbench.errors import BadInput
-from nrbench.running.supervisor import close_all, run_job, run_job_here
+from nrbench.running.supervisor import Job, close_all, run_job, run_job_here
+from nrbench.runs.store import Result
 
 T = TypeVar("T")
-Run = Callable[[dict[str, Any]], dict[str, Any]]
+RunJob = Callable[[Job], Result]
 
 
 class InProcess(Executor):
-    """An executor that runs each call at once, in the caller's thread: the twin for the debugger."""
+    """An executor that runs each call at once, in the caller's thread, for the debugger."""
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         """Run ``fn`` now, and return its finished future."""
@@ -28,7 +29,7 @@ class InProcess(Executor):
 
 
 @contextmanager
-def executor(jobs: int, scheduler: str | None = None) -> Iterator[tuple[Executor, Run]]:
+def executor(jobs: int, scheduler: str | None = None) -> Iterator[tuple[Executor, RunJob]]:
     """Yield an executor, and the function that runs a job on it.
 
     Parameters
@@ -36,8 +37,8 @@ def executor(jobs: int, scheduler: str | None = None) -> Iterator[tuple[Executor
     jobs
         Cells at the same time; 0 runs them in this process, without limits, for the debugger.
     scheduler
-        Address of a Dask scheduler (``tcp://...``); cells then run where its workers are, which must see the run
-        directory under the same path.
+        Address of a Dask scheduler (``tcp://...``). Its workers run the cells; they must see the run directory under
+        the same path.
 
     Raises
     ------

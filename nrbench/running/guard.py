@@ -1,4 +1,4 @@
-"""Watching one child: wall time and memory enforced, its process group swept, its end explained."""
+"""Watch a child process: enforce its limits of wall time and memory, and kill all that it started."""
 
 from __future__ import annotations
 
@@ -10,18 +10,33 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import cast
 
 import psutil
 
+from nrbench.runs.store import Result
+
 TICK = 0.02
-"""Seconds between two looks at the clock."""
+"""Seconds between two checks of the clock."""
 MEMORY_TICK = 0.1
-"""Seconds between two looks at the memory of the child and its own children."""
+"""Seconds between two checks of the memory of the child and its own children."""
 MIB = 1 << 20
 
-Receive = Callable[[float], Iterable[dict[str, Any]] | None]
-"""Waits up to so many seconds; returns the messages that came (perhaps none), or None when the child has closed."""
+
+class Message(Result, total=False):
+    """What a child sends, one JSON object a line: the result of its phase, or a metric that is done.
+
+    Attributes
+    ----------
+    scored
+        The metric.
+    """
+
+    scored: str
+
+
+Receive = Callable[[float], Iterable[Message] | None]
+"""Waits up to a number of seconds. Returns the messages that arrived, or None if the child has closed its end."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +46,7 @@ class Limits:
     Parameters
     ----------
     seconds
-        Wall seconds; each message that it sends starts the clock again.
+        Wall seconds; each message of the child starts the clock again.
     mib
         MiB above the idle worker.
     """
@@ -47,16 +62,16 @@ class Ending:
     Parameters
     ----------
     messages
-        All that it sent.
+        All messages of the child.
     status
-        ``ended``, ``timeout``, ``memory``, ``crash`` or ``abandoned`` (whoever asked is gone).
+        ``ended``, ``timeout``, ``memory``, ``crash`` or ``abandoned`` (the parent process exited).
     message
         One sentence, empty for ``ended``.
     started
-        Largest resident bytes of all that it started, seen at any one look.
+        Largest resident bytes, at any check, of all processes that the child started.
     """
 
-    messages: list[dict[str, Any]]
+    messages: list[Message]
     status: str = "ended"
     message: str = ""
     started: int = 0
@@ -70,15 +85,16 @@ class Watch:
     pid
         Process id of the child, leader of its own process group where there are such groups.
     receive
-        Where its messages come from.
+        Receives its messages.
     ended
-        Says whether the process itself has ended: what it started may hold its pipe open, or it may close the pipe.
+        Returns whether the process has ended. The end of its messages does not tell: a process that it started may
+        hold the pipe open, or the child may close it.
     limits
         What it may use.
     base
         Resident bytes of the idle worker that it was forked from; 0 for a fresh interpreter.
-    asked
-        Says whether whoever asked is still there.
+    wanted
+        Returns whether the process that waits for the result still runs.
     """
 
     def __init__(
@@ -88,62 +104,64 @@ class Watch:
         ended: Callable[[], bool],
         limits: Limits,
         base: int = 0,
-        asked: Callable[[], bool] = lambda: True,
+        wanted: Callable[[], bool] = lambda: True,
     ) -> None:
-        self.pid, self.receive, self.ended, self.limits, self.base, self.asked = (
-            pid,
-            receive,
-            ended,
-            limits,
-            base,
-            asked,
-        )
-        self.messages: list[dict[str, Any]] = []
+        self.pid, self.receive, self.ended = pid, receive, ended
+        self.limits, self.base, self.wanted = limits, base, wanted
+        self.messages: list[Message] = []
         self.started = 0
         self._open = True
 
-    def broken(self) -> tuple[str, str] | None:
-        """Watch until the child ends (None) or breaks a limit (status and message)."""
+    def watch(self) -> tuple[str, str] | None:
+        """Wait until the child ends (None) or breaks a limit (status and message)."""
         deadline = time.monotonic() + self.limits.seconds
-        look = time.monotonic() + MEMORY_TICK
+        memory_check = time.monotonic() + MEMORY_TICK
         while True:
-            arrived = self._arrived()
-            self.messages += arrived
-            if not arrived and self.ended():
+            messages = self._receive()
+            self.messages += messages
+            if not messages and self.ended():
                 return None
             now = time.monotonic()
-            deadline = now + self.limits.seconds if arrived else deadline
+            deadline = now + self.limits.seconds if messages else deadline
             if now > deadline:
                 return "timeout", f"took longer than {self.limits.seconds:g} s; raise --timeout if it may"
-            if not self.asked():
-                return "abandoned", "whoever asked for it is gone"
-            if now > look:
-                look = now + MEMORY_TICK
+            if not self.wanted():
+                return "abandoned", "the parent process exited"
+            if now > memory_check:
+                memory_check = now + MEMORY_TICK
                 own, started = resident(self.pid)
                 self.started = max(self.started, started)
                 if own + started - self.base > self.limits.mib * MIB:
                     return "memory", f"used more than {self.limits.mib:g} MiB; raise --memory if it may"
 
-    def _arrived(self) -> list[dict[str, Any]]:
+    def _receive(self) -> list[Message]:
         if self._open:
-            arrived = self.receive(TICK)
-            self._open = arrived is not None
-            return list(arrived or ())
+            messages = self.receive(TICK)
+            self._open = messages is not None
+            return list(messages or ())
         time.sleep(TICK / 20)
         return []
 
+    def ending(self, broken: tuple[str, str] | None, code: int) -> Ending:
+        """Return how the child ended, from what :meth:`watch` returned and its exit code."""
+        if broken:
+            return Ending(self.messages, *broken)
+        if code != 0:
+            return Ending(self.messages, "crash", explain_exit(code))
+        return Ending(self.messages, started=self.started)
 
-def parsed(line: str | bytes) -> dict[str, Any] | None:
-    """Return the message on a line; None where the line is none (a child may write anything)."""
+
+def parse_message(line: str | bytes) -> Message | None:
+    """Return the message on a line; None for any other text, as a child may write."""
     try:
         message = json.loads(line)
     except ValueError:
         return None
-    return message if isinstance(message, dict) else None
+    return cast("Message", message) if isinstance(message, dict) else None
 
 
 def resident(pid: int) -> tuple[int, int]:
-    """Return the resident bytes of a process and of all its descendants; 0 where they are gone."""
+    """Return the resident bytes of a process and of all its descendants; 0 for one that has ended."""
     own, started = 0, 0
     with contextlib.suppress(psutil.Error):
         process = psutil.Process(pid)
@@ -168,12 +186,12 @@ def sweep(pid: int) -> None:
 
 
 def adopt_orphans() -> None:
-    """Become the parent of whatever a descendant leaves behind, so that :func:`sweep_orphans` finds it (Linux)."""
+    """Become the parent of processes that descendants leave behind, so that :func:`sweep_orphans` finds them (Linux)."""
     _prctl(36, 1)
 
 
 def sweep_orphans() -> None:
-    """Kill and reap every child of the calling process: what a finished job left running, in whatever session."""
+    """Kill and reap every child of the calling process: those that a finished job left running, in any session."""
     for _ in range(1000):
         children = _children()
         if not children:
@@ -200,14 +218,14 @@ def explain_exit(code: int) -> str:
         with contextlib.suppress(ValueError):
             return f"died by {signal.Signals(-code).name}"
         return f"died by signal {-code}"
-    return f"left with exit code {code} and said nothing"
+    return f"exited with code {code} without a result"
 
 
 def confine(limits: Limits) -> None:
     """Let the calling process, and what it starts, allocate no more than its limit above what it holds now.
 
-    A huge allocation then fails at once, inside the process; :class:`Watch` sees what grows more slowly. Where the
-    system offers no such limit, the watch alone stands.
+    A huge allocation then fails at once, inside the process; :class:`Watch` finds slow growth. On a system without
+    such a limit, :class:`Watch` is the only check.
     """
     if not sys.platform.startswith("linux"):
         return

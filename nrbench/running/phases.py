@@ -1,35 +1,79 @@
-"""What the first of a cell's two children does: synthesize, and write what came out."""
+"""The phases of a cell: detect a lattice, synthesize, score. Each reads the cell's folder and writes into it.
+
+A phase runs in a child process of its own and reports by messages. ``nrbench.synthesize`` and ``nrbench.score`` call
+:func:`checked_synthesis` and :func:`score_observation` in the caller's process.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import re
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 from nrbench import plugins
+from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image, write_image
-from nrbench.plugins.forms import Again, Refused, Shape, Synthesis, Task, Texture, timed_detection
-from nrbench.running.guard import cpu_seconds
-from nrbench.running.outputs import InvalidOutput, checked_synthesis, is_picture
-from nrbench.runs.store import CellFolder, read_json, write_arrays
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import (
+    Again,
+    Column,
+    Observation,
+    Refused,
+    Score,
+    Shape,
+    SourceMap,
+    Synthesis,
+    Task,
+    Texture,
+    Value,
+    timed_detection,
+)
+from nrbench.running.guard import Message, cpu_seconds
+from nrbench.runs.store import CellFolder, Result, metric_key
+from nrbench.storage import read_arrays, read_json, write_arrays, write_json
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.cell import Cell
 
-Send = Callable[[dict[str, Any]], None]
+Send = Callable[[Message], None]
 """Sends one message to the process that watches this one."""
+COPY_TOLERANCE = 1.5 / 255
+"""Largest difference between a copied pixel and its source: the rounding to 8 bits."""
+
+
+class InvalidOutput(Exception):
+    """A method returned something that is no valid :class:`~nrbench.plugins.forms.Synthesis` of its task."""
+
+
+def detect(folder: Path, send: Send) -> None:
+    """Detect the lattice of a sample by the detector that ``cell.json`` names, and send it."""
+    where = CellFolder(folder)
+    cell = read_json(where.cell_file) or {}
+    detector = plugins.build("detectors", cell["detector"], cell["parameters"])
+    try:
+        detection = timed_detection(detector, read_image(where.sample))
+    except (Exception, SystemExit) as error:
+        traceback.print_exc()
+        send({"status": "error", "message": _error_text(error)})
+        return
+    send(cast("Message", {"status": "ok", "message": detection.reason, **detection.as_dict()}))
 
 
 def synthesize(folder: Path, send: Send) -> None:
-    """Run a cell's method and write what it made.
+    """Run a cell's method and write its output.
 
-    Sends one message: status ``ok``, ``refused``, ``invalid``, ``memory`` or ``error``, with message and costs.
+    Sends one message: status ``ok``, ``refused``, ``invalid``, ``memory`` or ``error``, with a message and the costs.
     """
     where = CellFolder(folder)
-    cell = read_cell(where)
+    cell = _read_cell(where)
     try:
-        send(_synthesize(where, cell))
+        send({**_synthesize(where, cell)})
     except Refused as refusal:
         send({"status": "refused", "message": refusal.reason})
     except InvalidOutput as invalid:
@@ -38,16 +82,16 @@ def synthesize(folder: Path, send: Send) -> None:
         send({"status": "memory", "message": "ran out of the memory it may use"})
     except (Exception, SystemExit) as error:
         traceback.print_exc()
-        send({"status": "error", "message": f"{type(error).__name__}: {error}"})
+        send({"status": "error", "message": _error_text(error)})
 
 
-def _synthesize(where: CellFolder, cell: Cell) -> dict[str, Any]:
+def _synthesize(where: CellFolder, cell: Cell) -> Result:
     method = plugins.build("synthesizers", cell.method, cell.parameters)
     task = _task(where, cell)
     wall, cpu = time.perf_counter(), cpu_seconds()
-    made = method.synthesize(task)
+    synthesis = method.synthesize(task)
     wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
-    synthesis = checked_synthesis(made, task.sample, cell.shape)
+    synthesis = checked_synthesis(synthesis, task.sample, cell.shape)
     _write(where, synthesis)
     return {
         "status": "ok",
@@ -64,11 +108,12 @@ def _task(where: CellFolder, cell: Cell) -> Task:
     sample = read_image(where.sample)
     sample.setflags(write=False)
     rng = stream("synthesis", cell.seed, pixels_hash(sample), cell.replicate)
-    again = _again_of_method(where, cell) if cell.reference else None
+    again = _fresh_draws(where, cell) if cell.reference else None
     return Task(sample, cell.shape, cell.lattice_given, rng, again=again)
 
 
-def _again_of_method(where: CellFolder, cell: Cell) -> Again | None:
+def _fresh_draws(where: CellFolder, cell: Cell) -> Again | None:
+    """Return the fresh draws that a reference method may use; of a photograph, the region that was cut for it."""
     if cell.procedural:
         return lambda shape, k: cell.recipe.again(cell.recipe.render())(shape, k)
     if not where.again.is_file():
@@ -92,22 +137,193 @@ def _write(where: CellFolder, synthesis: Synthesis) -> None:
     write_image(where.output, synthesis.image)
 
 
-def detect(folder: Path, send: Send) -> None:
-    """Find the lattice of a sample by the detector that ``cell.json`` names, and send it."""
+def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
+    """Return what a method returned, checked, with its image rounded to 8 bits.
+
+    Raises
+    ------
+    InvalidOutput
+        When it is no :class:`~nrbench.plugins.forms.Synthesis`, its image is not finite or of another shape, its
+        source map is not true, or a field is not of its declared type.
+    """
+    if not isinstance(synthesis, Synthesis):
+        raise InvalidOutput(f"returned {type(synthesis).__name__} instead of a Synthesis")
+    image = _checked_image(synthesis.image, (*shape, sample.shape[2]))
+    source = None if synthesis.source is None else _numbers(synthesis.source, "source map").astype(np.float32)
+    if source is not None:
+        check_source(source, image, sample)
+    if not (synthesis.lattice is None or isinstance(synthesis.lattice, Lattice)):
+        raise InvalidOutput(
+            f"returned a lattice of the wrong type: expected Lattice or None, got {synthesis.lattice!r}"
+        )
+    extras = {_checked_name(name): _numbers(array, f"extra {name!r}") for name, array in synthesis.extras.items()}
+    seconds = synthesis.detection_seconds
+    if not (isinstance(seconds, int | float | np.number) and np.isfinite(seconds) and seconds >= 0):
+        raise InvalidOutput(f"returned wrong detection_seconds: expected a number of seconds, got {seconds!r}")
+    return dataclasses.replace(
+        synthesis,
+        image=image,
+        source=source,
+        extras=extras,
+        detection_seconds=float(seconds),
+        note=str(synthesis.note or ""),
+    )
+
+
+def is_picture(extra: NDArray[Any]) -> bool:
+    """Return whether a method's extra is a picture: ``(h, w, 1)`` or ``(h, w, 3)``, floats in [0, 1]."""
+    if extra.ndim != 3 or extra.shape[2] not in (1, 3) or extra.dtype.kind != "f" or not extra.size:
+        return False
+    return bool(extra.min() >= 0 and extra.max() <= 1)
+
+
+def _numbers(value: Any, what: str) -> NDArray[Any]:
+    array = np.asarray(value)
+    if array.dtype.kind not in "biufc":
+        raise InvalidOutput(f"returned a wrong {what}: expected an array of numbers, got dtype {array.dtype}")
+    return array
+
+
+def _checked_name(name: Any) -> str:
+    if not (isinstance(name, str) and re.fullmatch(r"\w[\w.-]{0,79}", name)):
+        raise InvalidOutput(f"returned an extra called {name!r}; use letters, digits, '.', '-' and '_'")
+    return name
+
+
+def _checked_image(image: Any, shape: tuple[int, int, int]) -> Image:
+    pixels = np.asarray(image)
+    if pixels.shape != shape:
+        raise InvalidOutput(f"returned an image of the wrong shape: expected {shape}, got {pixels.shape}")
+    if not np.issubdtype(pixels.dtype, np.floating):
+        raise InvalidOutput(f"returned wrong pixels: expected floats in [0, 1], got dtype {pixels.dtype}")
+    if not np.isfinite(pixels).all():
+        bad = int((~np.isfinite(pixels)).any(-1).sum())
+        raise InvalidOutput(f"returned NaN or infinity in {bad} of {shape[0] * shape[1]} pixels")
+    return quantize(np.asarray(pixels, np.float32))
+
+
+def check_source(source: SourceMap, image: Image, sample: Image) -> None:
+    """Check that a source map lies inside the sample, and is true wherever it claims a copy of one whole pixel.
+
+    Raises
+    ------
+    InvalidOutput
+        Naming how many pixels are wrong.
+    """
+    shape = (*image.shape[:2], 3)
+    if source.shape != shape:
+        raise InvalidOutput(f"returned a source map of the wrong shape: expected {shape}, got {source.shape}")
+    known = np.isfinite(source).all(-1)
+    x, y, weight = np.moveaxis(source[known], -1, 0)
+    inside = (x >= -0.5) & (x <= sample.shape[1] - 0.5) & (y >= -0.5) & (y <= sample.shape[0] - 0.5)
+    if not (inside & (weight > 0) & (weight <= 1 + 1e-6)).all():
+        raise InvalidOutput("returned a source map that points outside the sample, or has weights outside (0, 1]")
+    copy = (weight > 1 - 1e-6) & (x == np.rint(x)) & (y == np.rint(y))
+    pixels = sample[y[copy].astype(int), x[copy].astype(int)]
+    wrong = int((np.abs(image[known][copy] - pixels) > COPY_TOLERANCE).any(-1).sum())
+    if wrong:
+        raise InvalidOutput(f"returned a source map that is not true: {wrong} copied pixels differ from their source")
+
+
+def score(folder: Path, metrics: Iterable[str], send: Send) -> None:
+    """Score a cell by some metrics, and write one file for each; send ``{"scored": metric}`` after each.
+
+    The score of a metric that raises is None in every column, with the error as the reason.
+    """
     where = CellFolder(folder)
-    asked = read_json(where.cell_file) or {}
-    detector = plugins.build("detectors", asked["detector"], asked["parameters"])
-    try:
-        found = timed_detection(detector, read_image(where.sample))
-    except (Exception, SystemExit) as error:
-        traceback.print_exc()
-        send({"status": "error", "message": f"{type(error).__name__}: {error}"})
-        return
-    send({"status": "ok", "message": found.reason, **found.as_dict()})
+    observation = observe(where, _read_cell(where))
+    for metric in metrics:
+        try:
+            _write_score(where, metric, score_observation(observation, metric))
+        except (Exception, SystemExit) as error:
+            traceback.print_exc()
+            where.write_failed_score(metric, failure_reason(error))
+        send({"scored": metric})
 
 
-def read_cell(where: CellFolder) -> Cell:
-    """Return the cell that a folder was made for."""
+def _write_score(where: CellFolder, metric: str, score: Score) -> None:
+    where.scores.mkdir(exist_ok=True)
+    pictures = {}
+    for title, picture in score.pictures.items():
+        pictures[title] = f"{metric_key(metric)}-{Path(title).name}.png"
+        write_image(where.scores / pictures[title], quantize(picture))
+    content = {"values": dict(score.values), "reasons": dict(score.reasons), "records": dict(score.records)}
+    write_json(where.score_file(metric), {"metric": metric, **content, "pictures": pictures})
+
+
+def score_observation(observation: Observation, metric: str) -> Score:
+    """Return a metric's score of an observation, its values checked and converted to plain Python.
+
+    Raises
+    ------
+    ValueError
+        When a declared column is missing, None without a reason, or neither a finite number nor a truth value.
+    """
+    plugin = plugins.build("metrics", metric)
+    rng = stream("metric", pixels_hash(observation.output), metric)
+    score: Score = plugin.score(observation.with_stream(rng))
+    return dataclasses.replace(score, values=_checked_values(score, plugin.columns))
+
+
+def failure_reason(error: BaseException) -> str:
+    """Return the reason that stands in every column of a metric that raised."""
+    return f"failed: {_error_text(error)}"
+
+
+def _error_text(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+def _checked_values(score: Score, columns: Mapping[str, Column]) -> dict[str, Value]:
+    if set(score.values) != set(columns):
+        odd = sorted(set(score.values) ^ set(columns))
+        raise ValueError(f"values and declared columns differ in {odd}")
+    values = {key: value.item() if isinstance(value, np.generic) else value for key, value in score.values.items()}
+    for key, value in values.items():
+        if value is None and not isinstance(score.reasons.get(key), str):
+            raise ValueError(f"column {key!r} is None without a reason")
+        if not (value is None or (isinstance(value, bool | int | float) and np.isfinite(float(value)))):
+            raise ValueError(f"column {key!r} is {value!r}; a score is a finite number, a truth value, or None")
+    return values
+
+
+def observe(where: CellFolder, cell: Cell) -> Observation:
+    """Return the observation that metrics score, read from the cell's folder alone."""
+    sample, result = read_image(where.sample), where.result() or Result()
+    truth, again = _truth(cell, sample)
+    measured: Mapping[str, Any] = result
+    names = ("cpu_seconds", "detection_seconds", "peak_mib")
+    cost = {name: measured[name] for name in names if measured.get(name) is not None}
+    if cell.detected is not None:
+        cost["detection_seconds"] = cell.detected.seconds
+    output, used = read_image(where.output, smallest=1), result.get("lattice_used")
+    for image in (sample, output):
+        image.setflags(write=False)  # no metric can change them for the next one
+    return Observation(
+        sample=sample,
+        output=output,
+        truth=truth,
+        lattice_given=cell.lattice_given,
+        lattice_used=Lattice.from_dict(used) if used else None,
+        source=read_arrays(where.source)["source"] if where.source.is_file() else None,
+        extras={path.stem: read_arrays(path)["array"] for path in sorted(where.extras.glob("*.npz"))},
+        seconds=result.get("seconds"),
+        again=again,
+        cost={**cost, "side_by_side": float(result.get("side_by_side", 0))},
+        detected=cell.detected,
+    )
+
+
+def _truth(cell: Cell, sample: Image) -> tuple[Texture, Again | None]:
+    """Return what is known of the sample's texture, and its fresh draws where a model drew it."""
+    if not cell.procedural:
+        known = (cell.lattice_truth,) if cell.lattice_truth else ()
+        return Texture(sample, cell.lattice_truth, known, cell.texture, cell.family, region=cell.region), None
+    texture = cell.recipe.render()
+    return dataclasses.replace(texture, image=sample), cell.recipe.again(texture)
+
+
+def _read_cell(where: CellFolder) -> Cell:
     content = read_json(where.cell_file)
     assert content is not None, f"{where.cell_file} is written before any child starts"
     return Cell.from_dict(content)

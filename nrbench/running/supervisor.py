@@ -1,23 +1,23 @@
-"""The supervisor: runs one job at a time in a worker process, and turns whatever happens into a result."""
+"""The supervisor: run jobs in a worker process, one at a time, and record how each ends."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import queue
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import IO, Any, Literal, Protocol
 
 from nrbench import plugins
 from nrbench.running import guard
-from nrbench.running.jobs import run
-from nrbench.running.worker import Reply, Request, perform, summarize
+from nrbench.running.guard import Message
+from nrbench.running.worker import Reply, Request, perform
+from nrbench.runs.store import CellFolder, Result
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -35,73 +35,139 @@ START = 120.0
 """Seconds that a worker may take to start."""
 
 
+@dataclass(frozen=True)
+class Job:
+    """One cell to synthesize and score, or one lattice to detect.
+
+    Parameters
+    ----------
+    kind
+        ``cell`` or ``detect``.
+    folder
+        The cell's folder, which holds ``cell.json`` and ``sample.png``.
+    seconds, mib
+        Limits of each phase, see :class:`~nrbench.running.guard.Limits`.
+    metrics
+        The metrics that score the cell.
+    plugins
+        Files of plugins that the worker loads.
+    side_by_side
+        1 if other jobs run at the same time, else 0; it is recorded beside the costs.
+    """
+
+    kind: Literal["cell", "detect"]
+    folder: str
+    seconds: float
+    mib: float
+    metrics: tuple[str, ...] = ()
+    plugins: tuple[str, ...] = ()
+    side_by_side: float = 0.0
+
+    def request(self, phase: Literal["detect", "synthesize", "score"], metrics: tuple[str, ...] = ()) -> Request:
+        """Return the request of one phase of this job."""
+        return Request(phase, self.folder, self.seconds, self.mib, metrics)
+
+
+class RequestRunner(Protocol):
+    """Runs a request: a supervisor or its in-process twin."""
+
+    def run(self, request: Request) -> Reply:
+        """Run one request and return how it ended."""
+        ...
+
+
+def perform_job(job: Job, runner: RequestRunner) -> Result:
+    """Run the phases of a job; return the result, as written to ``result.json``."""
+    where = CellFolder(Path(job.folder))
+    try:
+        if job.kind == "detect":
+            return where.write_result(runner.run(job.request("detect")).result)
+        result = where.result() or _synthesize(job, where, runner)
+        if result["status"] == "ok":
+            _score(job, where, runner)
+        return result
+    except OSError:
+        raise
+    except Exception as error:
+        return {"status": "crash", "message": f"{type(error).__name__}: {error}"}
+
+
+def _synthesize(job: Job, where: CellFolder, runner: RequestRunner) -> Result:
+    result = runner.run(job.request("synthesize")).result
+    if result["status"] == "ok" and not where.output.is_file():
+        result = {"status": "crash", "message": "ended without an output"}
+    if result["status"] != "ok":
+        result = {**result, "phase": "synthesize"}
+    return where.write_result({**result, "side_by_side": job.side_by_side})
+
+
+def _score(job: Job, where: CellFolder, runner: RequestRunner) -> None:
+    """Score by every metric that has not scored the cell yet; record the failure of one that kills the child."""
+    missing = where.missing_scores(job.metrics)
+    while missing:
+        reply = runner.run(job.request("score", tuple(missing)))
+        missing = [metric for metric in missing if metric not in reply.scored]
+        if missing:
+            why = reply.result["message"] or "the metric sent nothing"
+            where.write_failed_score(missing.pop(0), f"failed: {reply.result['status']}: {why}")
+
+
 class Closed(BaseException):
-    """The run is being ended: the job that was under way has no result."""
+    """The run was interrupted: the job that was running has no result."""
 
 
 class Supervisor:
-    """Owns one warm worker, and restarts it when it dies.
+    """Owns one warm worker, and replaces it when it dies.
 
-    Where forking is unsafe or absent each request gets a fresh interpreter: same contract, slower.
+    Where forking is unsafe or absent, each request runs in a fresh interpreter, under the same limits but more slowly.
     """
 
     def __init__(self) -> None:
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
-        self._pump: threading.Thread | None = None
+        self._reader: threading.Thread | None = None
         self._forks = True
-        self._closed = False
+        self._ended = False
 
-    def ask(self, request: Request) -> Reply:
-        """Run one request under its limits; raises nothing for what the plugin does, :class:`Closed` once ended."""
+    def run(self, request: Request) -> Reply:
+        """Run one request under its limits.
+
+        Whatever the plugin does is in the reply. Raises :class:`Closed` after :meth:`end`.
+        """
         self._check_open()
         if self._forks and self._worker is None:
             self._forks = self._start()
         if not self._forks:
-            return _fresh(request)
+            return _run_in_fresh_interpreter(request)
         assert self._worker is not None and self._worker.stdin is not None
         try:
-            self._worker.stdin.write(json.dumps(request) + "\n")
+            self._worker.stdin.write(request.to_json() + "\n")
             self._worker.stdin.flush()
         except OSError:
-            return self._crash("the worker process was gone")
-        return self._answer(request)
-
-    def _answer(self, request: Request) -> Reply:
-        parts = max(1, len(request.get("metrics", ())))
-        line = self._line(request["seconds"] * parts + GRACE)
+            return self._crash("the worker process had ended")
+        parts = max(1, len(request.metrics))
+        line = self._line(request.seconds * parts + GRACE)
         self._check_open()
-        reply = guard.parsed(line) if line is not None else None
-        return reply if reply is not None and "status" in reply else self._crash("the worker process itself died")
+        return Reply.from_json(line or "") or self._crash("the worker process died")
 
     def _crash(self, message: str) -> Reply:
         self._check_open()
         self.close()
-        return {"status": "crash", "message": message, "scored": []}
+        return Reply({"status": "crash", "message": message})
 
     def _check_open(self) -> None:
-        if self._closed:
+        if self._ended:
             raise Closed
 
     def _start(self) -> bool:
         """Start the worker; return whether it can fork."""
-        self._worker = subprocess.Popen(
-            _command(),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            env=worker_environment(),
-            start_new_session=True,
-        )
-        self._lines = queue.Queue()
-        self._pump = threading.Thread(target=_pump, args=(self._worker.stdout, self._lines), daemon=True)
-        self._pump.start()
-        hello = guard.parsed(self._line(START) or "")
-        forks = bool(hello and hello.get("fork"))
-        if not forks:
+        self._worker = _start_process(subprocess.DEVNULL)
+        self._lines, self._reader = _read_lines(self._worker)
+        first: Any = guard.parse_message(self._line(START) or "") or {}
+        if not first.get("fork"):
             self.close()
-        return forks
+            return False
+        return True
 
     def _line(self, seconds: float) -> str | None:
         with contextlib.suppress(queue.Empty):
@@ -109,7 +175,7 @@ class Supervisor:
         return None
 
     def close(self) -> None:
-        """Kill the worker and what it runs."""
+        """Kill the worker and all that it started."""
         if self._worker is not None:
             guard.sweep(self._worker.pid)
             self._worker.wait()
@@ -119,15 +185,15 @@ class Supervisor:
             self._worker = None
 
     def end(self) -> None:
-        """Kill the worker for good: a job under way raises :class:`Closed`, and no further one starts."""
-        self._closed = True
+        """Kill the worker for good: a running job raises :class:`Closed`, and no further one starts."""
+        self._ended = True
         self.close()
 
     def _drained(self) -> bool:
-        """Wait a little for the reader to see the pipe's end: something that escaped may hold it open."""
-        if self._pump is not None:
-            self._pump.join(1.0)
-        return self._pump is None or not self._pump.is_alive()
+        """Wait a little for the end of the worker's output, which a process that it started may hold open."""
+        if self._reader is not None:
+            self._reader.join(1.0)
+        return self._reader is None or not self._reader.is_alive()
 
     def __enter__(self) -> Supervisor:
         return self
@@ -136,99 +202,95 @@ class Supervisor:
         self.close()
 
 
+class InProcessRunner:
+    """The twin of :class:`Supervisor` for the debugger: runs each request in this process, without limits."""
+
+    def run(self, request: Request) -> Reply:
+        """Run one request here; raise what the phase raises."""
+        messages: list[Message] = []
+        perform(request, messages.append)
+        return Reply.of(guard.Ending(messages))
+
+
 def worker_environment() -> dict[str, str]:
-    """Return the environment of a worker: one thread, no surprises from the current directory."""
+    """Return the environment of a worker: one thread, and no imports from the working directory."""
     return {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "1"), "PYTHONSAFEPATH": "1", "MPLBACKEND": "Agg"}
 
 
-def _command(*options: str) -> list[str]:
-    return [sys.executable, "-c", "from nrbench.running.worker import main; main()", *options, *plugins.files()]
-
-
-def _pump(stream: IO[str], lines: queue.Queue[str | None]) -> None:
-    with contextlib.suppress(ValueError, OSError):
-        for line in stream:
-            lines.put(line)
-        stream.close()
-    lines.put(None)
-
-
-def _fresh(request: Request) -> Reply:
-    """Run one request in an interpreter of its own, watched from here."""
-    with (Path(request["folder"]) / "log.txt").open("ab") as log:
-        child = subprocess.Popen(
-            _command("--once"),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=log,
-            text=True,
-            env=worker_environment(),
-            start_new_session=True,
-        )
-    assert child.stdin is not None and child.stdout is not None
-    lines: queue.Queue[str | None] = queue.Queue()
-    threading.Thread(target=_pump, args=(child.stdout, lines), daemon=True).start()
-    with contextlib.suppress(OSError):
-        child.stdin.write(json.dumps(request) + "\n")
-        child.stdin.close()
-    watch = guard.Watch(
-        child.pid, lambda seconds: _from_queue(lines, seconds), lambda: child.poll() is not None, _with_start(request)
+def _start_process(log: IO[bytes] | int, *options: str) -> subprocess.Popen[str]:
+    program = "from nrbench.running.worker import main; main()"
+    return subprocess.Popen(
+        [sys.executable, "-c", program, *options, *plugins.files()],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=log,
+        text=True,
+        env=worker_environment(),
+        start_new_session=True,
     )
-    broken = watch.broken()
+
+
+def _read_lines(process: subprocess.Popen[str]) -> tuple[queue.Queue[str | None], threading.Thread]:
+    """Read the output of a process in a thread; return the queue of its lines (None at the end) and the thread."""
+    lines: queue.Queue[str | None] = queue.Queue()
+
+    def read(output: IO[str]) -> None:
+        with contextlib.suppress(ValueError, OSError):
+            for line in output:
+                lines.put(line)
+            output.close()
+        lines.put(None)
+
+    thread = threading.Thread(target=read, args=(process.stdout,), daemon=True)
+    thread.start()
+    return lines, thread
+
+
+def _run_in_fresh_interpreter(request: Request) -> Reply:
+    """Run one request in an interpreter of its own, and watch it from this process."""
+    with (Path(request.folder) / "log.txt").open("ab") as log:
+        child = _start_process(log, "--once")
+    lines, _ = _read_lines(child)
+    assert child.stdin is not None
+    with contextlib.suppress(OSError):
+        child.stdin.write(request.to_json() + "\n")
+        child.stdin.close()
+    limits = guard.Limits(request.seconds + GRACE, request.mib + 512)  # its start and imports count too
+    watch = guard.Watch(
+        child.pid, lambda seconds: _next_message(lines, seconds), lambda: child.poll() is not None, limits
+    )
+    broken = watch.watch()
     guard.sweep(child.pid)
-    code = child.wait()
-    if broken:
-        return summarize(guard.Ending(watch.messages, *broken))
-    if code != 0:
-        return summarize(guard.Ending(watch.messages, "crash", guard.explain_exit(code)))
-    return summarize(guard.Ending(watch.messages, started=watch.started))
+    return Reply.of(watch.ending(broken, child.wait()))
 
 
-def _with_start(request: Request) -> guard.Limits:
-    """Return the limits of a fresh interpreter: its own start and imports come on top."""
-    return guard.Limits(request["seconds"] + GRACE, request["mib"] + 512)
-
-
-def _from_queue(lines: queue.Queue[str | None], seconds: float) -> list[dict[str, Any]] | None:
+def _next_message(lines: queue.Queue[str | None], seconds: float) -> list[Message] | None:
     try:
         line = lines.get(timeout=seconds)
     except queue.Empty:
         return []
-    message = guard.parsed(line) if line is not None else None
+    message = guard.parse_message(line) if line is not None else None
     return None if line is None else [message] if message is not None else []
-
-
-class Local:
-    """The debuggable twin of :class:`Supervisor`: runs each request in this very process, without limits."""
-
-    def ask(self, request: Request) -> Reply:
-        """Run one request here; an exception that a phase does not catch comes through."""
-        messages: list[dict[str, Any]] = []
-        perform(request, messages.append)
-        return summarize(guard.Ending(messages))
-
-    def close(self) -> None:
-        """Do nothing: there is no process to end."""
 
 
 _own = threading.local()
 _all: list[Supervisor] = []
 
 
-def run_job(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Run one job by this thread's own supervisor (here, or in a process on a cluster)."""
-    for file in job.get("plugins", ()):
+def run_job(job: Job) -> Result:
+    """Run one job by this thread's supervisor, in this process or in one of a cluster."""
+    for file in job.plugins:
         plugins.add_file(file)
     if not hasattr(_own, "supervisor"):
         _own.supervisor = Supervisor()
         _all.append(_own.supervisor)
     supervisor: Supervisor = _own.supervisor
-    return run(job, supervisor)
+    return perform_job(job, supervisor)
 
 
-def run_job_here(job: Mapping[str, Any]) -> dict[str, Any]:
+def run_job_here(job: Job) -> Result:
     """Run one job in this process, for the debugger."""
-    return run(job, Local())
+    return perform_job(job, InProcessRunner())
 
 
 def close_all() -> None:

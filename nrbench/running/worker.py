@@ -1,8 +1,12 @@
-"""The warm worker: imports done, kernels loaded, nothing computed, one thread; it forks one child a phase."""
+"""The warm worker process: it has imported every plugin and loaded every kernel, and forks one child a phase.
+
+The worker computes nothing itself and has a single thread, so that forking is safe.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import os
 import select
@@ -11,56 +15,113 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast
 
 import psutil
 
 from nrbench import plugins
 from nrbench.jit import load_kernels
-from nrbench.running import guard
-
-Request = dict[str, Any]
-"""``phase`` (synthesize, score or detect), ``folder``, ``metrics``, ``seconds``, ``mib``."""
-Reply = dict[str, Any]
-"""``status``, ``message``, and the child's last message's own entries; ``scored``: the metrics that are done."""
+from nrbench.running import guard, phases
+from nrbench.running.guard import Message
+from nrbench.runs.store import Result
 
 
-def perform(request: Request, send: Callable[[dict[str, Any]], None]) -> None:
-    """Do one phase in this very process, sending messages as it goes."""
-    from nrbench.running import phases, scoring
+@dataclass(frozen=True)
+class Request:
+    """One phase of one cell, to be run under limits.
 
-    folder = Path(request["folder"])
+    Parameters
+    ----------
+    phase
+        What to do; see :mod:`nrbench.running.phases`.
+    folder
+        The cell's folder.
+    seconds, mib
+        Limits, see :class:`~nrbench.running.guard.Limits`.
+    metrics
+        The metrics of the phase ``score``.
+    """
+
+    phase: Literal["detect", "synthesize", "score"]
+    folder: str
+    seconds: float
+    mib: float
+    metrics: tuple[str, ...] = ()
+
+    def to_json(self) -> str:
+        """Return the request as one line of JSON."""
+        return json.dumps(dataclasses.asdict(self))
+
+    @classmethod
+    def from_json(cls, line: str) -> Request:
+        """Read a request from :meth:`to_json`."""
+        content = json.loads(line)
+        return cls(**{**content, "metrics": tuple(content["metrics"])})
+
+
+@dataclass(frozen=True)
+class Reply:
+    """How a request ended.
+
+    Parameters
+    ----------
+    result
+        At least ``status`` and ``message``.
+    scored
+        The metrics that are done.
+    """
+
+    result: Result
+    scored: tuple[str, ...] = ()
+
+    def to_json(self) -> str:
+        """Return the reply as one line of JSON."""
+        return json.dumps({**self.result, "scored": self.scored})
+
+    @classmethod
+    def from_json(cls, line: str) -> Reply | None:
+        """Read a reply from :meth:`to_json`; None for any other text."""
+        content: Any = guard.parse_message(line)
+        if content is None or "status" not in content:
+            return None
+        scored = tuple(content.pop("scored", ()))
+        return cls(content, scored)
+
+    @classmethod
+    def of(cls, ending: guard.Ending) -> Reply:
+        """Return the reply that follows from how a child ended."""
+        scored = tuple(message["scored"] for message in ending.messages if "scored" in message)
+        results = [message for message in ending.messages if "status" in message]
+        if ending.status != "ended":
+            return cls({"status": ending.status, "message": ending.message}, scored)
+        if not results:
+            return cls({"status": "ok", "message": ""}, scored)
+        result = cast("Result", results[-1])
+        if "peak_mib" in result:
+            result = {**result, "peak_mib": max(result["peak_mib"], ending.started / guard.MIB)}
+        return cls(result, scored)
+
+
+def perform(request: Request, send: Callable[[Message], None]) -> None:
+    """Run one phase in this process, sending messages."""
+    folder = Path(request.folder)
     before = guard.peak_bytes()
 
-    def send_with_memory(message: dict[str, Any]) -> None:
+    def send_with_memory(message: Message) -> None:
         send({**message, "peak_mib": max(0, guard.peak_bytes() - before) / guard.MIB})
 
-    if request["phase"] == "score":
-        scoring.score(folder, request["metrics"], send)
-    elif request["phase"] == "detect":
+    if request.phase == "score":
+        phases.score(folder, request.metrics, send)
+    elif request.phase == "detect":
         phases.detect(folder, send)
     else:
         phases.synthesize(folder, send_with_memory)
 
 
-def summarize(ending: guard.Ending) -> Reply:
-    """Return what a child's ending means for the one who asked."""
-    scored = [message["scored"] for message in ending.messages if "scored" in message]
-    last: dict[str, Any] = next((m for m in reversed(ending.messages) if "status" in m), {})
-    if ending.status == "ended" and not last:
-        return {"status": "ok", "message": "", "scored": scored}
-    if ending.status != "ended":
-        return {"status": ending.status, "message": ending.message, "scored": scored}
-    peak = {"peak_mib": max(last["peak_mib"], ending.started / guard.MIB)} if "peak_mib" in last else {}
-    return {**last, **peak, "scored": scored}
-
-
 def warm() -> None:
-    """Import every plugin and compiled kernel, so that a forked child finds them ready."""
-    from nrbench.running import phases, scoring
-
-    assert phases and scoring
+    """Import every plugin and load every compiled kernel, so that a forked child finds them ready."""
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
         plugins.inventory(kind)
     load_kernels()
@@ -73,16 +134,16 @@ def may_fork() -> bool:
     return threading.active_count() == 1 and len(list(Path("/proc/self/task").iterdir())) == 1
 
 
-def serve(requests: Iterable[str], reply: Callable[[Reply], None]) -> None:
+def serve(requests: Iterable[str], reply: Callable[[str], None]) -> None:
     """Answer one request a line, each in a forked child, until the input ends."""
     for line in requests:
-        reply(fork_and_watch(json.loads(line)))
+        reply(fork_and_watch(Request.from_json(line)).to_json())
 
 
 def fork_and_watch(request: Request) -> Reply:
     """Run one phase in a forked child under its limits."""
     readable, writable = os.pipe()
-    base, limits = psutil.Process().memory_info().rss, guard.Limits(request["seconds"], request["mib"])
+    base, limits = psutil.Process().memory_info().rss, guard.Limits(request.seconds, request.mib)
     pid = os.fork()
     if pid == 0:
         os.close(readable)
@@ -92,25 +153,17 @@ def fork_and_watch(request: Request) -> Reply:
     watch = guard.Watch(
         pid, _pipe_receiver(readable), lambda: _has_ended(pid), limits, base, lambda: os.getppid() == parent
     )
-    broken = watch.broken()
+    broken = watch.watch()
     guard.sweep(pid) if broken else None
     code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     guard.sweep(pid)
     guard.sweep_orphans()
     os.close(readable)
-    return summarize(_ending(watch, broken, code))
+    return Reply.of(watch.ending(broken, code))
 
 
 def _has_ended(pid: int) -> bool:
     return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
-
-
-def _ending(watch: guard.Watch, broken: tuple[str, str] | None, code: int) -> guard.Ending:
-    if broken:
-        return guard.Ending(watch.messages, *broken)
-    if code != 0:
-        return guard.Ending(watch.messages, "crash", guard.explain_exit(code))
-    return guard.Ending(watch.messages, started=watch.started)
 
 
 def _child(request: Request, writable: int, limits: guard.Limits) -> None:
@@ -119,7 +172,7 @@ def _child(request: Request, writable: int, limits: guard.Limits) -> None:
     try:
         os.setsid()
         guard.die_with_parent()
-        _redirect(Path(request["folder"]) / "log.txt")
+        _redirect(Path(request.folder) / "log.txt")
         os.dup2(writable, 3)
         os.closerange(4, 1 << 16)
         writable = 3
@@ -143,17 +196,17 @@ def _redirect(log: Path) -> None:
         os.dup2(origin, target)
 
 
-def _send(writable: int, message: dict[str, Any]) -> None:
+def _send(writable: int, message: Message) -> None:
     data = (json.dumps(message, allow_nan=False) + "\n").encode()
     while data:
         data = data[os.write(writable, data) :]
 
 
 def _pipe_receiver(readable: int) -> guard.Receive:
-    """Return a receiver of JSON lines from a pipe; None once every writer has closed it."""
+    """Return a receiver of messages from a pipe, one a line."""
     pending = b""
 
-    def receive(seconds: float) -> list[dict[str, Any]] | None:
+    def receive(seconds: float) -> list[Message] | None:
         nonlocal pending
         if not select.select([readable], [], [], seconds)[0]:
             return []
@@ -161,33 +214,33 @@ def _pipe_receiver(readable: int) -> guard.Receive:
         if not data:
             return None
         *lines, pending = (pending + data).split(b"\n")
-        return [message for line in lines if (message := guard.parsed(line)) is not None]
+        return [message for line in lines if (message := guard.parse_message(line)) is not None]
 
     return receive
 
 
 def main() -> None:
-    """Serve standard input; with ``--once`` do a single request right here, without forking.
+    """Serve the requests on standard input; with ``--once``, run a single one in this process, without forking.
 
-    The first line out is ``{"fork": bool}``: whether this process can fork safely.
+    The first line of output is ``{"fork": bool}``: whether this process can fork safely.
     """
     arguments = sys.argv[1:]
     out = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
 
-    def reply(message: dict[str, Any]) -> None:
-        out.write(json.dumps(message) + "\n")
+    def write(line: str) -> None:
+        out.write(line + "\n")
 
     for file in [argument for argument in arguments if not argument.startswith("--")]:
         plugins.add_file(file)
     if "--once" in arguments:
         guard.die_with_parent()
-        request = json.loads(sys.stdin.readline())
-        guard.confine(guard.Limits(request["seconds"], request["mib"]))
-        perform(request, reply)
+        request = Request.from_json(sys.stdin.readline())
+        guard.confine(guard.Limits(request.seconds, request.mib))
+        perform(request, lambda message: write(json.dumps(message)))
         sys.stderr.flush()
         os._exit(0)
     guard.adopt_orphans()
     warm()
-    reply({"fork": may_fork()})
-    serve(sys.stdin, reply)
+    write(json.dumps({"fork": may_fork()}))
+    serve(sys.stdin, write)

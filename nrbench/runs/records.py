@@ -1,4 +1,4 @@
-"""A run, read back: one record a cell, and tidy tables."""
+"""Read a run back: one record a cell, and tidy tables."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ from typing import Any
 import pandas as pd
 
 from nrbench import plugins
-from nrbench.plugins.forms import Column
-from nrbench.running.scoring import score_file
-from nrbench.runs.store import CellFolder, RunDirectory, read_json
+from nrbench.plugins.forms import Column, Value
+from nrbench.runs.store import CellFolder, Result, RunDirectory
+from nrbench.storage import read_json
 from nrbench.suites.cell import Cell
 
-FAILED = ("error", "timeout", "memory", "crash", "invalid")
-"""Statuses of a cell that should have worked."""
 HEAD = (
     *("suite", "texture", "family", "kind", "regular_share", "method", "parameters", "lattice_source", "replicate"),
     *("reference", "status", "phase", "message", "note", "seconds", "peak_mib", "key"),
@@ -28,16 +26,16 @@ HEAD = (
 
 @dataclass(frozen=True)
 class CellRecord:
-    """One cell of a run: what was asked, how it ended, and its scores.
+    """One cell of a run: what it is, how it ended, and its scores.
 
     Parameters
     ----------
     cell
-        What was asked.
+        What the cell is.
     folder
         Where it lies.
     result
-        What ``result.json`` holds; empty while the cell has not ended.
+        The content of ``result.json``; empty while the cell has not ended.
     values, reasons
         Every score by ``metric.column``; for None, why.
     pictures
@@ -48,8 +46,8 @@ class CellRecord:
 
     cell: Cell
     folder: Path
-    result: Mapping[str, Any]
-    values: Mapping[str, float | bool | None] = field(default_factory=dict)
+    result: Result
+    values: Mapping[str, Value] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
     pictures: Mapping[str, Path] = field(default_factory=dict)
     records: Mapping[str, Any] = field(default_factory=dict)
@@ -86,7 +84,7 @@ class CellRecord:
 
     @property
     def method(self) -> str:
-        """The method, with the parameters that differ from its defaults."""
+        """The method with the parameters that differ from their defaults."""
         return self.cell.label
 
     @property
@@ -96,7 +94,7 @@ class CellRecord:
 
     @property
     def reference(self) -> bool:
-        """Whether the row calibrates the scores and is never ranked."""
+        """Whether the method is a reference: it calibrates the scores and is never ranked."""
         return self.cell.reference
 
     @property
@@ -116,12 +114,12 @@ class CellRecord:
 
     @property
     def phase(self) -> str:
-        """Where it failed; empty where it did not."""
+        """Where the cell failed; empty if it did not."""
         return str(self.result.get("phase", ""))
 
     @property
     def message(self) -> str:
-        """Why it failed or refused."""
+        """Why the cell failed or was refused."""
         return str(self.result.get("message", ""))
 
     @property
@@ -141,7 +139,7 @@ class CellRecord:
 
     @property
     def lattice_given(self) -> dict[str, Any] | None:
-        """The lattice handed over."""
+        """The lattice that the method was given."""
         return self.cell.lattice_given.as_dict() if self.cell.lattice_given else None
 
     @property
@@ -174,24 +172,24 @@ class Run:
 
     @cached_property
     def info(self) -> dict[str, Any]:
-        """What ``run.json`` holds: suite, argv, versions, machine, git state, the cells' keys."""
+        """The content of ``run.json``: suite, argv, versions, machine, git state, the cells."""
         return RunDirectory(self.root).info()
 
     @cached_property
     def columns(self) -> dict[str, Column]:
-        """Every score's column by ``metric.column``, of the metrics that score this run."""
+        """The declared columns of all scores of this run, by ``metric.column``."""
         return {f"{p.name}.{name}": column for p in self._metrics for name, column in p.cls.columns.items()}  # type: ignore[union-attr]
 
     @cached_property
     def _metrics(self) -> list[plugins.Plugin]:
-        """The metrics that score this run: those that its suite names, else all; only those that load."""
+        """The metrics that score this run: those that its suite names, else all; without those that do not load."""
         named = self.info.get("suite", {}).get("content", {}).get("metrics")
         working = [plugin for plugin in plugins.inventory("metrics") if plugin.cls is not None]
         return [plugin for plugin in working if not named or plugin.name in named]
 
     @cached_property
     def cells(self) -> list[CellRecord]:
-        """Every cell of the run, in the suite's order; those that have not ended included."""
+        """Every cell of the run, in the suite's order, cells that have not ended included."""
         directory = RunDirectory(self.root)
         metrics = [plugin.name for plugin in self._metrics]
         return [_record(directory.cell(entry["key"]), entry, metrics) for entry in self.info["cells"]]
@@ -202,21 +200,24 @@ class Run:
         return pd.DataFrame(rows, columns=list(rows[0]) if rows else [*HEAD, *self.columns])
 
 
-def _record(where: CellFolder, entry: dict[str, Any], metrics: list[str]) -> CellRecord:
-    begun = read_json(where.cell_file) or entry
-    cell = Cell.from_dict({**entry, **{name: begun.get(name) for name in ("lattice_given", "detected")}})
-    result = where.result() or {}
-    values: dict[str, float | bool | None] = {}
-    reasons: dict[str, str] = {}
-    pictures: dict[str, Path] = {}
-    records: dict[str, Any] = {}
-    for name in metrics if result.get("status") == "ok" else ():
-        score = read_json(score_file(where, name)) or {}
-        values.update({f"{name}.{column}": value for column, value in score.get("values", {}).items()})
-        reasons.update({f"{name}.{column}": why for column, why in score.get("reasons", {}).items()})
-        pictures.update({f"{name}.{title}": where.scores / file for title, file in score.get("pictures", {}).items()})
-        records[name] = score.get("records", {})
-    return CellRecord(cell, where.path, result, values, reasons, pictures, records)
+def _record(where: CellFolder, entry: Mapping[str, Any], metrics: list[str]) -> CellRecord:
+    started = read_json(where.cell_file) or entry
+    cell = Cell.from_dict({**entry, **{name: started.get(name) for name in ("lattice_given", "detected")}})
+    result = where.result() or Result()
+    scores = {metric: where.score(metric) for metric in metrics} if result.get("status") == "ok" else {}
+    return CellRecord(
+        cell,
+        where.path,
+        result,
+        {f"{m}.{column}": value for m, score in scores.items() for column, value in score.get("values", {}).items()},
+        {f"{m}.{column}": why for m, score in scores.items() for column, why in score.get("reasons", {}).items()},
+        {
+            f"{m}.{t}": where.scores / name
+            for m, score in scores.items()
+            for t, name in score.get("pictures", {}).items()
+        },
+        {metric: score.get("records", {}) for metric, score in scores.items()},
+    )
 
 
 def _row(record: CellRecord, columns: Mapping[str, Column]) -> dict[str, Any]:

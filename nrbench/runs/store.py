@@ -1,66 +1,84 @@
-"""The run directory: one file, one writer, written aside and renamed."""
+"""A run on disk: its directory, the folders of its cells, their scores, and the record of what made the run."""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import json
+import os
+import platform
 import shutil
-import uuid
-from collections.abc import Callable, Mapping
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import distributions
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, cast
 
-import numpy as np
-from numpy.typing import NDArray
+import psutil
 
+from nrbench import plugins
 from nrbench.errors import BadInput
+from nrbench.plugins.forms import Value
+from nrbench.storage import read_json, write_json
+from nrbench.suites.cell import RESULTS_VERSION
+from nrbench.suites.plan import Plan
 
 RUN_FILE = "run.json"
+FAILED = ("error", "timeout", "memory", "crash", "invalid")
+"""Statuses of a cell that should have worked; ``ok`` and ``refused`` are the others."""
 
 
-def write_aside(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a file beside ``path``, then rename it: readers see the old file or the whole new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.stem}-{uuid.uuid4().hex[:8]}{path.suffix}")
-    try:
-        write(aside)
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
+class Result(TypedDict, total=False):
+    """How a synthesis or a detection ended: the content of ``result.json``.
+
+    Attributes
+    ----------
+    status, message
+        ``ok``, ``refused`` or one of :data:`FAILED`, and the reason (of a detection: why there is no lattice).
+    phase
+        Where the cell failed or was refused: ``render``, ``given``, ``detect`` or ``synthesize``.
+    note
+        What the method says of its run.
+    seconds, cpu_seconds, detection_seconds
+        Wall and processor seconds of the synthesis, and wall seconds that the method spent on detecting the lattice.
+        Of a detection, ``seconds`` are its wall seconds.
+    peak_mib
+        Peak memory above the idle worker.
+    side_by_side
+        1 if other cells ran at the same time, else 0.
+    lattice_used
+        The lattice that the method used.
+    lattice, confidence, reason
+        The answer of a detection, see :class:`~nrbench.plugins.forms.FoundLattice`.
+    """
+
+    status: str
+    message: str
+    phase: str
+    note: str
+    seconds: float
+    cpu_seconds: float
+    detection_seconds: float
+    peak_mib: float
+    side_by_side: float
+    lattice_used: dict[str, Any] | None
+    lattice: dict[str, Any] | None
+    confidence: float | None
+    reason: str
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a mapping as JSON, atomically; NaN is refused (None says "not known")."""
-    text = json.dumps(content, indent=1, allow_nan=False, default=_plain) + "\n"
-    write_aside(path, lambda aside: aside.write_text(text, "utf-8"))
+class ScoreContent(TypedDict, total=False):
+    """The content of a score's file, see :class:`~nrbench.plugins.forms.Score`; pictures are file names."""
 
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
-
-
-def read_json(path: Path) -> dict[str, Any] | None:
-    """Return the mapping in a JSON file; None where there is no such file, or not a whole one."""
-    try:
-        content = json.loads(path.read_text("utf-8"))
-    except (FileNotFoundError, json.JSONDecodeError):
-        return None
-    return content if isinstance(content, dict) else None
-
-
-def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
-    """Write arrays as a compressed ``.npz``, atomically."""
-    write_aside(path, lambda aside: np.savez_compressed(aside, **arrays))  # type: ignore[arg-type]
-
-
-def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an ``.npz`` by name; nothing in it is ever unpickled."""
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+    metric: str
+    values: dict[str, Value]
+    reasons: dict[str, str]
+    records: dict[str, Any]
+    pictures: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -77,12 +95,12 @@ class CellFolder:
 
     @property
     def cell_file(self) -> Path:
-        """What was asked."""
+        """The cell's description."""
         return self.path / "cell.json"
 
     @property
     def result_file(self) -> Path:
-        """How the synthesis ended; once it is there, the synthesis is never repeated."""
+        """How the synthesis ended; once the file exists, the synthesis is never repeated."""
         return self.path / "result.json"
 
     @property
@@ -92,7 +110,7 @@ class CellFolder:
 
     @property
     def again(self) -> Path:
-        """For a picture and a reference method: the region that the sample does not touch."""
+        """For a photograph and a reference method: a region that does not touch the sample."""
         return self.path / "again.png"
 
     @property
@@ -120,9 +138,41 @@ class CellFolder:
         """What the method and the metrics printed, and tracebacks."""
         return self.path / "log.txt"
 
-    def result(self) -> dict[str, Any] | None:
+    def result(self) -> Result | None:
         """Return how the synthesis ended, or None while it has not."""
-        return read_json(self.result_file)
+        return cast("Result | None", read_json(self.result_file))
+
+    def write_result(self, result: Result) -> Result:
+        """Write how the synthesis ended, and return it."""
+        write_json(self.result_file, dict(result))
+        return result
+
+    def score_file(self, metric: str) -> Path:
+        """Return the file that holds a metric's score of this cell."""
+        return self.scores / f"{metric_key(metric)}.json"
+
+    def score(self, metric: str) -> ScoreContent:
+        """Return a metric's score of this cell; empty where there is none yet."""
+        return cast("ScoreContent", read_json(self.score_file(metric)) or {})
+
+    def missing_scores(self, metrics: Iterable[str]) -> list[str]:
+        """Return the metrics that have not scored this cell yet."""
+        return [metric for metric in metrics if not self.score_file(metric).is_file()]
+
+    def failed_scores(self, metrics: Iterable[str]) -> list[Path]:
+        """Return the files of the scores that failed."""
+        failed = [
+            metric
+            for metric in metrics
+            if any(str(reason).startswith("failed:") for reason in self.score(metric).get("reasons", {}).values())
+        ]
+        return [self.score_file(metric) for metric in failed]
+
+    def write_failed_score(self, metric: str, reason: str) -> None:
+        """Write the score of a metric that failed: None in every column, with the reason."""
+        columns = plugins.build("metrics", metric).columns
+        empty = {"values": dict.fromkeys(columns), "reasons": dict.fromkeys(columns, reason)}
+        write_json(self.score_file(metric), {"metric": metric, **empty, "records": {}, "pictures": {}})
 
     def clear(self) -> None:
         """Remove what an interrupted or failed attempt left."""
@@ -134,6 +184,18 @@ class CellFolder:
             return "\n".join(self.log.read_text("utf-8", "replace").splitlines()[-lines:])
         except FileNotFoundError:
             return ""
+
+
+@cache
+def metric_key(metric: str) -> str:
+    """Return a metric's name with a hash of its version and parameters, the key of its scores.
+
+    Scores have keys of their own, so that scoring again never repeats a synthesis.
+    """
+    plugin = plugins.find("metrics", metric)
+    parameters = plugins.parameters_of(plugins.build("metrics", metric))
+    content = json.dumps([RESULTS_VERSION, metric, plugin.version, parameters], sort_keys=True)
+    return f"{metric}-{hashlib.blake2b(content.encode(), digest_size=6).hexdigest()}"
 
 
 @dataclass(frozen=True)
@@ -155,18 +217,8 @@ class RunDirectory:
 
     @property
     def lattices(self) -> Path:
-        """Folder of the lattices that were detected once a texture."""
+        """Folder of the detections: one for each texture and detector."""
         return self.root / "lattices"
-
-    @property
-    def tables(self) -> Path:
-        """Folder of the tables."""
-        return self.root / "tables"
-
-    @property
-    def report(self) -> Path:
-        """Folder of the report."""
-        return self.root / "report"
 
     def cell(self, key: str) -> CellFolder:
         """Return the folder of the cell with this key."""
@@ -177,7 +229,7 @@ class RunDirectory:
         return CellFolder(self.lattices / key)
 
     def info(self) -> dict[str, Any]:
-        """Return what ``run.json`` holds.
+        """Return the content of ``run.json``.
 
         Raises
         ------
@@ -191,8 +243,23 @@ class RunDirectory:
             )
         return content
 
+    def write_info(self, plan: Plan, argv: Sequence[str]) -> None:
+        """Write ``run.json``: the suite, what the run is made with, and its cells; an equal file is left alone."""
+        suite = plan.suite
+        shown = {"name": suite.name, "version": suite.version, "hash": suite.hash, "description": suite.description}
+        known = read_json(self.root / RUN_FILE) or {}
+        content = {
+            "created": known.get("created", datetime.now(UTC).isoformat(timespec="seconds")),
+            "suite": {**shown, "seed": suite.seed, "content": suite.model_dump(mode="json")},
+            **_provenance(argv),
+            "plugin_files": plugins.files(),
+            "cells": [cell.as_dict() for cell, _ in plan.cells],
+        }
+        if known != json.loads(json.dumps(content)):
+            write_json(self.root / RUN_FILE, content)
+
     def claim(self) -> None:
-        """Make the directory, or make sure that what is there is a run.
+        """Make the directory; accept one that holds a run already.
 
         Raises
         ------
@@ -201,7 +268,79 @@ class RunDirectory:
         """
         if self.root.exists() and not self.root.is_dir():
             raise BadInput(f"{self.root}: is a file; pass another --out")
-        strangers = self.root.is_dir() and any(self.root.iterdir()) and not (self.root / RUN_FILE).is_file()
-        if strangers and not self.cells.is_dir():
+        occupied = self.root.is_dir() and any(self.root.iterdir()) and not (self.root / RUN_FILE).is_file()
+        if occupied and not self.cells.is_dir():
             raise BadInput(f"{self.root}: holds something that is no run; pass an empty or new directory as --out")
         self.cells.mkdir(parents=True, exist_ok=True)
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other processes from running in this directory; the lock ends with the process, however it ends."""
+        with (self.root / ".lock").open("w") as lock:
+            try:
+                import fcntl
+
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except ImportError:
+                pass
+            except OSError:
+                raise BadInput(f"{self.root}: another nrbench is running in it; wait, or pass another --out") from None
+            yield
+
+    def copy_cells(self, other: RunDirectory, keys: Iterable[str]) -> None:
+        """Copy the finished cells of another run that have these keys and no result here."""
+        for key in keys:
+            theirs, ours = other.cell(key), self.cell(key)
+            if theirs.result() is not None and ours.result() is None:
+                ours.clear()
+                aside = ours.path.with_name(f".{key}")
+                shutil.rmtree(aside, ignore_errors=True)
+                shutil.copytree(theirs.path, aside)
+                aside.rename(ours.path)
+
+
+def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:
+    """Return the versions of all that is installed, the plugins, the machine, and the state of the source tree."""
+    installed = {str(item.metadata["Name"]).lower(): item.version for item in distributions() if item.metadata["Name"]}
+    return {
+        "argv": list(argv),
+        "results_version": RESULTS_VERSION,
+        "versions": {"python": platform.python_version(), **dict(sorted(installed.items()))},
+        "plugins": [_plugin(plugin) for kind in plugins.FORMS for plugin in plugins.inventory(kind)],
+        "machine": {
+            "system": platform.platform(),
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+            "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
+        },
+        "git": _git(Path(__file__).parents[1]),
+    }
+
+
+def _plugin(plugin: plugins.Plugin) -> dict[str, str]:
+    shown = {"kind": plugin.kind, "name": plugin.name, "distribution": plugin.distribution, "version": plugin.version}
+    return {**shown, "error": plugin.error} if plugin.error else shown
+
+
+def _processor() -> str:
+    if sys.platform.startswith("linux"):
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as info:  # noqa: PTH123
+            models = [line.partition(":")[2].strip() for line in info if line.startswith("model name")]
+        if models:
+            return models[0]
+    return platform.processor() or platform.machine()
+
+
+def _git(package: Path) -> dict[str, Any] | None:
+    """Return commit and cleanness of the checkout that the package runs from; None where it is installed."""
+    if not (package.parent / ".git").exists():
+        return None
+
+    def answer(*words: str) -> str:
+        command = ["git", "-C", str(package), *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+
+    try:
+        return {"commit": answer("rev-parse", "HEAD"), "clean": not answer("status", "--porcelain")}
+    except (OSError, subprocess.SubprocessError):
+        return None

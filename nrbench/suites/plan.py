@@ -1,41 +1,200 @@
-"""The plan: every cell of a suite, with its sample drawn, before anything is started."""
+"""The plan of a suite: its samples, drawn, and every cell that a run has to fill."""
 
 from __future__ import annotations
 
 import dataclasses
 import fnmatch
+import re
 import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, as_image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Shape, Texture
+from nrbench.plugins.parameters import label, parse_spec
 from nrbench.streams import pixels_hash
-from nrbench.suites.axes import Method, Source
 from nrbench.suites.cell import Cell, Recipe
-from nrbench.suites.origin import Origin
 from nrbench.suites.suite import Suite, TextureRow
 
 
 @dataclass(frozen=True)
+class Method:
+    """A synthesizer as a suite names it, checked.
+
+    Parameters
+    ----------
+    name, version, parameters, label, reference
+        As in :class:`~nrbench.suites.cell.Cell`.
+    uses_lattice
+        Whether the lattice axis applies to it.
+    """
+
+    name: str
+    version: str
+    parameters: dict[str, Any]
+    label: str
+    reference: bool
+    uses_lattice: bool
+
+    @classmethod
+    def parse(cls, spec: str) -> Method:
+        """Read ``name:param=value,...``; raise BadInput for an unknown method or parameter, or a bad value."""
+        name, given = parse_spec(spec)
+        instance = plugins.build("synthesizers", name, given)
+        plugin = plugins.find("synthesizers", name)
+        parameters = plugins.parameters_of(instance)
+        return cls(
+            name,
+            f"{plugin.version}{_fingerprint(instance)}",
+            parameters,
+            label(name, parameters, _defaults(plugin.cls), getattr(plugin.cls, "always_shown", ())),
+            bool(getattr(plugin.cls, "reference", False)),
+            bool(getattr(plugin.cls, "uses_lattice", True)),
+        )
+
+
+def _fingerprint(method: Any) -> str:
+    """Return a hash of the files that a method reads, from its own ``fingerprint()``; empty if it has none."""
+    function = getattr(method, "fingerprint", None)
+    return f"+{function()}" if function is not None else ""
+
+
+def _defaults(cls: Any) -> dict[str, Any]:
+    return {
+        item.name: item.default_factory() if callable(item.default_factory) else item.default
+        for item in dataclasses.fields(cls)
+    }
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a method's lattice comes from: ``given``, ``own``, ``none``, a detector, or the user.
+
+    Parameters
+    ----------
+    name
+        Its name in the tables.
+    detector
+        Name, version and parameters of a detector.
+    lattice
+        A lattice that the user gives.
+    """
+
+    name: str
+    detector: tuple[str, str, dict[str, Any]] | None = None
+    lattice: Lattice | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Source:
+        """Read an entry of the lattice axis.
+
+        ``none`` is no entry: a method declares itself that it uses no lattice.
+
+        Raises
+        ------
+        BadInput
+            When the text is neither ``given`` nor ``own``, nor four numbers, nor a detector.
+        """
+        if text in ("given", "own"):
+            return cls(text)
+        if re.match(r"\s*[-+.\d]|[^:]*,", text):
+            return cls.of(Lattice.parse(text))
+        name, given = parse_spec(text)
+        if name not in plugins.names("detectors"):
+            known = ", ".join(["given", "own", "x1,y1,x2,y2 (px)", *plugins.names("detectors")])
+            raise BadInput(f"--lattice {text!r}: is not known; use one of: {known}")
+        parameters = plugins.parameters_of(plugins.build("detectors", name, given))
+        return cls(text, (name, plugins.find("detectors", name).version, parameters))
+
+    @classmethod
+    def of(cls, lattice: Lattice) -> Source:
+        """Return the source of a user's lattice; its name is its numbers in their shortest form."""
+        return cls(",".join(np.format_float_positional(x, trim="-") for x in lattice.matrix.flat), lattice=lattice)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """How the samples of a suite's row are drawn.
+
+    Parameters
+    ----------
+    first
+        The recipe of replicate 0.
+    drawn
+        A texture that is drawn already, with its recipe.
+    """
+
+    first: Recipe
+    drawn: tuple[Recipe, Texture] | None = None
+
+    @classmethod
+    def of(cls, suite: Suite, row: TextureRow) -> Origin:
+        """Return the origin of a row's samples.
+
+        A picture whose row has the recipe of a model is drawn by that recipe, if the recipe gives the picture's pixels
+        and the lattice that ``truth.csv`` has for it.
+
+        Raises
+        ------
+        BadInput
+            For an unknown dataset or parameter, or a value that is not valid.
+        """
+        plugin = plugins.build("datasets", row.dataset, row.parameters)
+        shape = row.sample or suite.sample
+        own = Recipe(row.dataset, plugins.parameters_of(plugin), suite.seed, row.name, 0, shape)
+        if row.recipe is None:
+            return cls(own)
+        model = Recipe(**{item.name: getattr(row.recipe, item.name) for item in dataclasses.fields(Recipe)})
+        try:
+            model = dataclasses.replace(model, parameters=plugins.parameters_of(model.plugin()))
+            uncropped = dataclasses.replace(own, shape=model.shape)
+            texture, picture = model.render(), uncropped.render()
+            equal = pixels_hash(texture.image) == pixels_hash(picture.image) and _has_lattice_of(texture, picture)
+        except Exception:  # the recipe is of another version, or of a plugin that is not installed
+            return cls(own)
+        if equal:
+            return cls(dataclasses.replace(model, shape=shape), (model, texture))
+        return cls(own, (uncropped, picture))
+
+    def recipe(self, replicate: int) -> Recipe:
+        """Return the recipe of a replicate."""
+        return dataclasses.replace(self.first, replicate=self.first.replicate + replicate)
+
+    def render(self, recipe: Recipe) -> Texture:
+        """Draw a texture, unless it is drawn already."""
+        return self.drawn[1] if self.drawn and self.drawn[0] == recipe else recipe.render()
+
+
+def _has_lattice_of(texture: Texture, picture: Texture) -> bool:
+    """Return whether the known lattice of a picture, if any, is that of a texture: vectors and origin to 1e-9 px."""
+    own, known = texture.lattice, picture.lattice
+    if own is None or known is None:
+        return known is None
+    pairs = ((own.t1, known.t1), (own.t2, known.t2), (own.origin, known.origin))
+    return all(np.allclose(*pair, rtol=0, atol=1e-9) for pair in pairs)
+
+
+@dataclass(frozen=True)
 class Sample:
-    """A texture drawn for a run: what its cells share.
+    """A texture drawn for a run, shared by its cells.
 
     Parameters
     ----------
     row, recipe
-        The suite's row, and how it was drawn.
+        The suite's row, and how the texture was drawn.
     texture
-        The texture, its image rounded to 8 bits; None where drawing failed.
+        The texture, its image rounded to 8 bits; None if drawing failed.
     shape
         Shape (height, width) of the outputs.
     again_hash
-        For a picture: hash of the region that the sample does not touch; empty where there is no room.
+        Of a photograph: hash of a region that does not touch the sample; empty if there is none.
     fault
         Why drawing failed, or empty.
     """
@@ -49,13 +208,13 @@ class Sample:
 
     @cached_property
     def hash(self) -> str:
-        """Hash of the sample's pixels; empty where the texture could not be drawn."""
+        """Hash of the sample's pixels; empty if drawing failed."""
         return pixels_hash(self.texture.image) if self.texture else ""
 
     @property
     def again(self) -> Image | None:
-        """The region that the sample does not touch, cut anew: a plan of many pictures does not keep them all."""
-        return _region(self.recipe, self.texture, self.shape) if self.again_hash and self.texture else None
+        """The region of :attr:`again_hash`. It is cut on each call: a plan does not keep those of all pictures."""
+        return _fresh_region(self.recipe, self.texture, self.shape) if self.again_hash and self.texture else None
 
 
 @dataclass(frozen=True)
@@ -65,7 +224,7 @@ class Plan:
     Parameters
     ----------
     suite
-        The suite, command line options applied.
+        The suite, with the options of the command line.
     samples
         One a texture and replicate.
     cells
@@ -85,7 +244,7 @@ def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
     suite
         What to run.
     textures
-        Shell patterns of texture names; none means all.
+        Shell patterns of texture names; all textures if empty.
 
     Raises
     ------
@@ -98,25 +257,26 @@ def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
         raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
     if not sources and any(method.uses_lattice for method in methods):
         raise BadInput(f'suite {suite.name}: names no lattice source; add lattice = ["own"] or pass --lattice own')
-    samples = drawn(suite, textures)
-    cells = [(cell, sample) for sample in samples for cell in _cells(suite, sample, methods, sources)]
+    samples = draw_samples(suite, textures)
+    cells = [
+        (_make_cell(suite, sample, method, source), sample)
+        for sample in samples
+        for method in methods
+        for source in (sources if method.uses_lattice else [Source("none")])
+    ]
     return Plan(suite, samples, cells)
 
 
-def drawn(suite: Suite, textures: Sequence[str] = ()) -> list[Sample]:
-    """Draw every sample of a suite (of the textures whose names match a pattern)."""
-    return [sample for row in _chosen(suite, textures) for sample in _of_row(suite, row)]
-
-
-def _chosen(suite: Suite, patterns: Sequence[str]) -> list[TextureRow]:
-    rows = [row for row in suite.texture if not patterns or any(fnmatch.fnmatch(row.name, p) for p in patterns)]
+def draw_samples(suite: Suite, textures: Sequence[str] = ()) -> list[Sample]:
+    """Draw every sample of the textures whose names match a pattern; of all textures if there is no pattern."""
+    rows = [row for row in suite.texture if not textures or any(fnmatch.fnmatch(row.name, each) for each in textures)]
     if not rows:
         names = ", ".join(row.name for row in suite.texture[:12])
-        raise BadInput(f"-t {' '.join(patterns)}: matches no texture of suite {suite.name} ({names}, ...)")
-    return rows
+        raise BadInput(f"-t {' '.join(textures)}: matches no texture of suite {suite.name} ({names}, ...)")
+    return [sample for row in rows for sample in _draw_row(suite, row)]
 
 
-def _of_row(suite: Suite, row: TextureRow) -> Iterator[Sample]:
+def _draw_row(suite: Suite, row: TextureRow) -> Iterator[Sample]:
     try:
         origin = Origin.of(suite, row)
     except BadInput as error:
@@ -129,48 +289,51 @@ def _draw(suite: Suite, row: TextureRow, origin: Origin, replicate: int) -> Samp
     try:
         texture = _checked(recipe, origin.render(recipe))
         texture = dataclasses.replace(texture, image=quantize(texture.image), name=row.name)
-        again = None if recipe.procedural else _region(recipe, texture, shape)
+        again = None if recipe.procedural else _fresh_region(recipe, texture, shape)
+    except BadInput as error:
+        return Sample(row, recipe, None, shape, fault=str(error))
     except (Exception, SystemExit) as error:
-        known = isinstance(error, BadInput)
-        fault = str(error) if known else f"{type(error).__name__}: {error} ({_last_line()})"
-        return Sample(row, recipe, None, shape, fault=fault)
+        line = traceback.format_exc().strip().splitlines()[-3].strip()
+        return Sample(row, recipe, None, shape, fault=f"{type(error).__name__}: {error} ({line})")
     return Sample(row, recipe, texture, shape, pixels_hash(again) if again is not None else "")
 
 
 def _checked(recipe: Recipe, texture: object) -> Texture:
-    """Refuse what a dataset plugin must not return."""
+    """Return what a dataset plugin rendered; raise BadInput if it is no valid texture."""
+    where = f"dataset {recipe.dataset}"
     if not isinstance(texture, Texture):
-        raise BadInput(f"dataset {recipe.dataset}: render returned {type(texture).__name__} instead of a Texture")
-    image = as_image(texture.image, f"dataset {recipe.dataset}")
+        raise BadInput(f"{where}: render returned {type(texture).__name__} instead of a Texture")
+    image = as_image(texture.image, where)
     if recipe.procedural and image.shape[:2] != recipe.shape:
-        raise BadInput(f"dataset {recipe.dataset}: render returned shape {image.shape}; asked for {recipe.shape}")
+        raise BadInput(f"{where}: render returned the wrong shape: expected {recipe.shape}, got {image.shape}")
     if not (texture.lattice is None or isinstance(texture.lattice, Lattice)):
-        raise BadInput(f"dataset {recipe.dataset}: lattice is {texture.lattice!r}; a Lattice or None is due")
+        raise BadInput(f"{where}: lattice: expected a Lattice or None, got {texture.lattice!r}")
     share = texture.regular_share
     if not (share is None or (isinstance(share, float) and 0 <= share <= 1)):
-        raise BadInput(f"dataset {recipe.dataset}: regular_share is {share!r}; a number from 0 to 1 is due")
+        raise BadInput(f"{where}: regular_share: expected a number from 0 to 1, got {share!r}")
     return dataclasses.replace(texture, image=image)
 
 
-def _region(recipe: Recipe, texture: Texture, shape: Shape) -> Image | None:
-    drawn = recipe.again(texture)(shape, 0)
-    return quantize(drawn.image) if drawn is not None else None
+def _fresh_region(recipe: Recipe, texture: Texture, shape: Shape) -> Image | None:
+    region = recipe.again(texture)(shape, 0)
+    return quantize(region.image) if region is not None else None
 
 
-def _last_line() -> str:
-    return traceback.format_exc().strip().splitlines()[-3].strip()
-
-
-def _cells(suite: Suite, sample: Sample, methods: list[Method], sources: list[Source]) -> Iterator[Cell]:
-    for method in methods:
-        for source in sources if method.uses_lattice else [Source("none")]:
-            yield _cell(suite, sample, method, source)
-
-
-def _cell(suite: Suite, sample: Sample, method: Method, source: Source) -> Cell:
-    asked = Cell(
+def _make_cell(suite: Suite, sample: Sample, method: Method, source: Source) -> Cell:
+    texture, row = sample.texture, sample.row
+    known: dict[str, Any] = {"family": row.family}
+    if texture is not None:
+        share = texture.regular_share
+        known = {
+            "family": row.family or texture.family,
+            "kind": texture.kind,
+            "regular_share": None if share is None else float(np.round(share, 6)),
+            "region": texture.region,
+            "lattice_truth": texture.lattice,
+        }
+    cell = Cell(
         suite=suite.name,
-        texture=sample.row.name,
+        texture=row.name,
         recipe=sample.recipe,
         method=method.name,
         version=method.version,
@@ -183,33 +346,15 @@ def _cell(suite: Suite, sample: Sample, method: Method, source: Source) -> Cell:
         seed=suite.seed,
         shape=sample.shape,
         sample_hash=sample.hash,
-    )
-    return _handed(_described(asked, sample), sample, source)
-
-
-def _described(cell: Cell, sample: Sample) -> Cell:
-    """Return a cell with what is known of its texture."""
-    texture, row = sample.texture, sample.row
-    share = texture.regular_share if texture else None
-    return dataclasses.replace(
-        cell,
-        family=row.family or (texture.family if texture else ""),
         description=row.description,
         procedural=sample.recipe.procedural,
-        again_hash=sample.again_hash if cell.reference else "",
-        kind=texture.kind if texture else None,
-        regular_share=None if share is None else float(np.round(share, 6)),
-        region=texture.region if texture else None,
-        lattice_truth=texture.lattice if texture else None,
+        again_hash=sample.again_hash if method.reference else "",
+        **known,
     )
-
-
-def _handed(cell: Cell, sample: Sample, source: Source) -> Cell:
-    """Return a cell with the lattice that is given, or why it cannot be run."""
-    if sample.texture is None:
+    if texture is None:
         return dataclasses.replace(cell, fault=sample.fault, fault_status="error")
     if source.name != "given":
         return dataclasses.replace(cell, lattice_given=source.lattice)
-    if sample.texture.lattice is None:
+    if texture.lattice is None:
         return dataclasses.replace(cell, fault="no lattice of this texture is known, so none can be given")
-    return dataclasses.replace(cell, lattice_given=sample.texture.lattice)
+    return dataclasses.replace(cell, lattice_given=texture.lattice)

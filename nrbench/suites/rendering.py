@@ -1,13 +1,15 @@
-"""Textures as files: PNG, with ``truth.csv``, ``truth.json`` and a contact sheet beside them.
+"""Write textures as PNG files, with ``truth.csv``, ``truth.json`` and a contact sheet beside them.
 
-``truth.csv`` is for people and other programs: names, vectors, kinds. ``truth.json`` also holds how each picture was
-drawn, so that a run on the directory knows as much as a run of the suite that it was rendered from.
+``truth.csv`` is for people and other programs: names, vectors, kinds. ``truth.json`` also holds the recipe of each
+picture, so that a run on the directory knows as much as a run of the suite that it was rendered from.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +18,24 @@ from nrbench.errors import BadInput
 from nrbench.imaging.contact_sheet import contact_sheet
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image, write_image
+from nrbench.imaging.truth import TRUTH_FIELDS, TRUTH_FILE, TruthTable, write_table
 from nrbench.plugins.forms import Texture
 from nrbench.plugins.parameters import parse_spec
+from nrbench.storage import write_aside, write_json
+from nrbench.streams import pixels_hash
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import Sample
-from nrbench.suites.rendered import KNOWN_FILE, SHEET, Rendered
 from nrbench.suites.suite import Suite, size_text, validated_suite
-from nrbench.suites.truth import TRUTH_FILE
 
-_Named = dict[str, tuple[Sample, Texture]]
-"""What is to be written, by file name."""
+SHEET = "contact-sheet.png"
+KNOWN_FILE = "truth.json"
+_ELSEWHERE = "pass another -o, or move it away"
+_ByName = dict[str, tuple[Sample, Texture]]
+"""Textures to be written, by file name."""
 
 
 def model_suite(spec: str) -> Suite:
-    """Return a suite of a single model: ``name:param=value,...``; raises BadInput where it is not valid."""
+    """Return a suite of a single model, ``name:param=value,...``; raise BadInput if it is not valid."""
     name, parameters = parse_spec(spec)
     plugins.build("datasets", name, parameters)
     return validated_suite({"name": name, "texture": [{"name": name, "dataset": name, "parameters": parameters}]}, spec)
@@ -38,40 +44,42 @@ def model_suite(spec: str) -> Suite:
 def write_textures(samples: Iterable[Sample], directory: Path) -> list[Path]:
     """Write each texture as ``NAME.png`` (``NAME-REPLICATE.png`` from the second on), its truth, and a contact sheet.
 
-    What is known of the other pictures that an earlier render left in ``directory`` is kept, and they stay on the
-    contact sheet; a picture of the same name is replaced if its model can draw it again. All is checked before
-    anything is written.
+    Other pictures of an earlier render in ``directory`` stay, with their truth, and are on the contact sheet too. A
+    picture of the same name is replaced if a model can draw it again. Everything is checked before a file is written.
 
     Returns
     -------
     list of Path
-        What was written.
+        The files written.
 
     Raises
     ------
     BadInput
-        When a texture cannot be drawn, two would have one name, ``directory`` is a file, or what is in it would be
-        lost: truth files of another origin, or other pictures of the same names.
+        When a texture cannot be drawn, two textures have one name, ``directory`` is a file, or a file would be lost:
+        truth files of another origin, or other pictures of the same names.
     """
-    there = Rendered.read(directory)
-    named = _named(samples)
-    for name, (_, texture) in named.items():
-        there.check_replaceable(directory / name, texture.image)
-    there.check_sheet(directory)
-    rows = {name: _row(name, *pair) for name, pair in named.items()}
-    after = there.merged(rows, {name: _known(*pair) for name, pair in named.items()})
-    sheet = _sheet(directory, named, after)
+    existing = _Rendered.read(directory)
+    by_name = _by_name(samples)
+    for name, (_, texture) in by_name.items():
+        existing.check_replaceable(directory / name, texture.image)
+    existing.check_sheet(directory)
+    rendered = dataclasses.replace(
+        existing,
+        rows={**existing.rows, **{name: _row(name, *pair) for name, pair in by_name.items()}},
+        textures={**existing.textures, **{name: _known(*pair) for name, pair in by_name.items()}},
+    )
+    sheet = _sheet(directory, by_name, rendered)
     directory.mkdir(parents=True, exist_ok=True)
-    for name, (_, texture) in named.items():
+    for name, (_, texture) in by_name.items():
         write_image(directory / name, texture.image)
-    after.write(directory)
+    rendered.write(directory)
     write_image(directory / SHEET, sheet)
-    return [directory / name for name in (*named, SHEET, TRUTH_FILE, KNOWN_FILE)]
+    return [directory / name for name in (*by_name, SHEET, TRUTH_FILE, KNOWN_FILE)]
 
 
-def _named(samples: Iterable[Sample]) -> _Named:
-    """Return drawn textures by file name; names that differ in case alone are one on some systems."""
-    named: _Named = {}
+def _by_name(samples: Iterable[Sample]) -> _ByName:
+    """Return textures by file name; names that differ only in case are equal on some systems."""
+    by_name: _ByName = {}
     taken = {SHEET}
     for sample in samples:
         if sample.texture is None:
@@ -80,14 +88,99 @@ def _named(samples: Iterable[Sample]) -> _Named:
         if name.casefold() in taken:
             raise BadInput(f"{name}: the name of two pictures; rename the texture {sample.row.name!r}")
         taken.add(name.casefold())
-        named[name] = sample, sample.texture
-    return named
+        by_name[name] = sample, sample.texture
+    return by_name
 
 
-def _sheet(directory: Path, named: _Named, after: Rendered) -> Image:
+@dataclass(frozen=True)
+class _Rendered:
+    """The truth files of a rendered directory.
+
+    Parameters
+    ----------
+    fields
+        Columns of ``truth.csv``.
+    rows
+        Its lines, by file name.
+    textures
+        The entries of ``truth.json``, by file name.
+    """
+
+    fields: Sequence[str]
+    rows: Mapping[str, Mapping[str, object]]
+    textures: Mapping[str, Mapping[str, Any]]
+
+    @classmethod
+    def read(cls, folder: Path) -> _Rendered:
+        """Read the truth of the pictures that still exist; of a new directory, nothing.
+
+        Raises
+        ------
+        BadInput
+            When ``folder`` is a file, or a truth file in it is malformed or was not written by a render.
+        """
+        if folder.exists() and not folder.is_dir():
+            raise BadInput(f"{folder}: is a file; pass a directory as -o")
+        try:
+            table = TruthTable.read(folder)
+        except BadInput as error:
+            raise BadInput(f"{error}. Fix {TRUTH_FILE} first, or pass another -o") from None
+        missing = [name for name in TRUTH_FIELDS if name not in table.fields]
+        if missing:
+            why = f"was not written by `nrbench render` (it lacks column {missing[0]!r})"
+            raise BadInput(f"{folder / TRUTH_FILE}: {why}; {_ELSEWHERE}")
+        rows = {name: row.values for name, row in table.rows.items() if (folder / name).is_file()}
+        textures = {name: known for name, known in _read_textures(folder).items() if (folder / name).is_file()}
+        return cls(table.fields, rows, textures)
+
+    def check_replaceable(self, path: Path, image: Image) -> None:
+        """Raise BadInput if ``image`` would replace another picture that no model can draw again."""
+        recipe = self.textures.get(path.name, {}).get("recipe")
+        if path.exists() and not recipe and not (path.is_file() and _holds(path, image)):
+            raise BadInput(f"{path}: exists, and no model drew it; {_ELSEWHERE}, or rename the texture")
+
+    def check_sheet(self, folder: Path) -> None:
+        """Raise BadInput if the contact sheet would replace a file of another origin."""
+        if (folder / SHEET).exists() and not (folder / KNOWN_FILE).is_file():
+            raise BadInput(f"{folder / SHEET}: exists, and was not written by `nrbench render`; {_ELSEWHERE}")
+
+    def write(self, folder: Path) -> None:
+        """Write both truth files, each atomically."""
+        write_aside(folder / TRUTH_FILE, lambda aside: write_table(aside, self.fields, list(self.rows.values())))
+        write_json(folder / KNOWN_FILE, {"sheet": SHEET, "textures": self.textures})
+
+
+def _read_textures(folder: Path) -> dict[str, dict[str, Any]]:
+    path = folder / KNOWN_FILE
+    if not path.is_file():
+        return {}
+    try:
+        content = json.loads(path.read_text("utf-8"))
+    except ValueError as error:
+        raise BadInput(f"{path}: is no JSON ({error}); {_ELSEWHERE}") from None
+    textures = content.get("textures") if isinstance(content, dict) else None
+    if not (isinstance(textures, dict) and content.get("sheet") == SHEET and all(map(_is_known, textures.values()))):
+        raise BadInput(f"{path}: was not written by `nrbench render`; {_ELSEWHERE}")
+    return textures
+
+
+def _is_known(known: Any) -> bool:
+    types = {"recipe": dict | None, "kind": str | None, "regular_share": float | int | None, "family": str | None}
+    return isinstance(known, dict) and all(isinstance(known.get(name), each) for name, each in types.items())
+
+
+def _holds(path: Path, image: Image) -> bool:
+    """Return whether a file holds this picture, as after an interrupted render."""
+    try:
+        return pixels_hash(read_image(path)) == pixels_hash(image)
+    except BadInput:
+        return False
+
+
+def _sheet(directory: Path, by_name: _ByName, rendered: _Rendered) -> Image:
     """Return all pictures of the directory as it will be, each under its caption."""
-    images = [named[name][1].image if name in named else read_image(directory / name) for name in after.textures]
-    captions = [f"{name.removesuffix('.png')}\n{_caption(known)}" for name, known in after.textures.items()]
+    images = [by_name[name][1].image if name in by_name else read_image(directory / name) for name in rendered.textures]
+    captions = [f"{name.removesuffix('.png')}\n{_caption(known)}" for name, known in rendered.textures.items()]
     return contact_sheet(images, captions)
 
 
@@ -102,7 +195,7 @@ def _caption(known: Mapping[str, Any]) -> str:
 
 
 def _known(sample: Sample, texture: Texture) -> dict[str, Any]:
-    """Return all that is known of a picture, JSON-ready; :class:`~nrbench.suites.suite.TextureRow` reads some of it back."""
+    """Return a picture's entry of ``truth.json``; :class:`~nrbench.suites.suite.TextureRow` reads some of it."""
     return {
         "family": sample.row.family or texture.family,
         "description": sample.row.description,
@@ -114,11 +207,11 @@ def _known(sample: Sample, texture: Texture) -> dict[str, Any]:
         "lattice": texture.lattice.as_dict() if texture.lattice else None,
         "lattices": [lattice.as_dict() for lattice in texture.lattices],
         "size": size_text(sample.shape),
-        "recipe": _drawing(sample.recipe) if sample.recipe.procedural else None,
+        "recipe": _recipe(sample.recipe) if sample.recipe.procedural else None,
     }
 
 
-def _drawing(recipe: Recipe) -> dict[str, Any]:
+def _recipe(recipe: Recipe) -> dict[str, Any]:
     """Return a recipe as :class:`~nrbench.suites.suite.Drawing` reads it."""
     return {**dataclasses.asdict(recipe), "shape": size_text(recipe.shape)}
 

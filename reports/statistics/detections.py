@@ -10,7 +10,8 @@ from typing import Any, cast
 import pandas as pd
 
 from nrbench.lattice.comparison import lattice_error
-from nrbench.runs.records import FAILED, CellRecord, Run
+from nrbench.runs.records import CellRecord, Run
+from nrbench.runs.store import FAILED
 
 from ..page.overlay import parsed
 from ..plots.calibration import Calibration, calibration

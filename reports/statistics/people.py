@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from nrbench.labelling.labels import ANSWERS, Person, judge_says, read_people
+from nrbench.labelling.labels import ANSWERS, Person, read_people, verdict_as_answer
 from nrbench.runs.records import CellRecord, Run
 
 from .kappa import Tables, mean_kappa, tables
@@ -110,7 +110,7 @@ def people(run: Run, files: Sequence[Path]) -> People | None:
     records = {record.key: record for record in run.cells}
     textures = {key: record.texture for key, record in records.items()}
     firsts = {person.name: person.by_cell() for person in persons}
-    judge = {key: judge_says(record) for key, record in records.items()}
+    judge = {key: verdict_as_answer(record) for key, record in records.items()}
     names = list(firsts)
     return People(
         people=persons,
@@ -191,7 +191,7 @@ def labels_table(run: Run, files: Sequence[Path]) -> pd.DataFrame:
         for one in person.answers:
             record = records[one.item.cell]
             head = [person.name, record.texture, record.method, record.lattice_source, record.replicate]
-            tail = [one.item.again, one.answer, judge_says(record), one.seconds, one.order, record.key]
+            tail = [one.item.again, one.answer, verdict_as_answer(record), one.seconds, one.order, record.key]
             rows.append([*head, *tail])
     return pd.DataFrame(rows, columns=[*names, "key"])
 

@@ -11,7 +11,8 @@ from typing import Any
 import pandas as pd
 
 from nrbench.plugins.forms import Column
-from nrbench.runs.records import FAILED, Run
+from nrbench.runs.records import Run
+from nrbench.runs.store import FAILED
 
 from .baselines import NOWHERE, NoCheat, no_cheat
 from .randomness_kept import KEPT, KEPT_COLUMN, is_asked

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from nrbench.runs.records import FAILED, CellRecord, Run
+from nrbench.runs.records import CellRecord, Run
+from nrbench.runs.store import FAILED
 
 from .baselines import is_right
 from .randomness_kept import KEPT, derived

@@ -5,7 +5,7 @@ from __future__ import annotations
 import matplotlib
 import numpy as np
 
-from nrbench.cli.detection_diagram import diagram
+from nrbench.cli.lattice_figures import diagram
 from nrbench.plugins.forms import Curve, Surface
 
 PEAKS = np.array([(3.0, -4.0), (6.0, 2.0)])

@@ -9,7 +9,7 @@ from matplotlib.backend_bases import KeyEvent, MouseEvent
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from nrbench.cli.picking import Picker, lattice_of, pick
+from nrbench.cli.lattice_figures import Picker, lattice_of, pick
 from nrbench.errors import BadInput
 
 IMAGE = np.random.default_rng(0).random((60, 80, 1), np.float32)

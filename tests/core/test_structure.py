@@ -34,7 +34,7 @@ FLOORS = (
     ("nrbench.tracking",),
     ("nrbench.imaging",),
     ("nrbench.lattice",),
-    ("nrbench.errors", "nrbench.streams", "nrbench.jit", "nrbench.policy", "nrbench.checkout"),
+    ("nrbench.errors", "nrbench.streams", "nrbench.storage", "nrbench.jit", "nrbench.checkout"),
 )
 """From the highest to the lowest. A module imports its own floor and those below; docs/structure.md shows the same."""
 

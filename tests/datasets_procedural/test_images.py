@@ -14,7 +14,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image, write_image
 from nrbench.plugins.forms import Region
-from nrbench.suites.plan import drawn
+from nrbench.suites.plan import draw_samples
 from nrbench.suites.suite import load_suite
 
 
@@ -88,15 +88,15 @@ def test_again_without_room(picture: Path) -> None:
 @settings(max_examples=200, deadline=None)
 @given(st.data())
 def test_free_corners_are_equally_likely(data: st.DataObject) -> None:
-    """The corner drawn is the k-th of all that are free, for every k: none is missed, none is taken twice."""
+    """The corner draw_samples is the k-th of all that are free, for every k: none is missed, none is taken twice."""
     whole = data.draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
     shape = data.draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
     x0, y0 = data.draw(st.integers(0, whole[1] - 1)), data.draw(st.integers(0, whole[0] - 1))
     region = (x0, y0, data.draw(st.integers(x0 + 1, whole[1])), data.draw(st.integers(y0 + 1, whole[0])))
     places = [(x, y) for y in range(whole[0] - shape[0] + 1) for x in range(whole[1] - shape[1] + 1)]
     free = [(x, y) for x, y in places if not _touch((x, y, x + shape[1], y + shape[0]), region)]
-    drawn = [_free_corner(whole, shape, region, _Fixed(k)) for k in range(max(1, len(free)))]  # type: ignore[arg-type]
-    assert [corner for corner in drawn if corner] == free
+    draw_samples = [_free_corner(whole, shape, region, _Fixed(k)) for k in range(max(1, len(free)))]  # type: ignore[arg-type]
+    assert [corner for corner in draw_samples if corner] == free
 
 
 class _Fixed:
@@ -179,7 +179,7 @@ def test_mixed_sizes(tmp_path: Path) -> None:
         write_image(tmp_path / f"{name}.png", rng.random(shape).astype(np.float32))
     (tmp_path / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     (tmp_path / "truth.csv").write_text("file,t1x,t1y,t2x,t2y\nbig.png,10,0,0,10\n")
-    drawings = {sample.row.name: sample for sample in drawn(load_suite(tmp_path))}
+    drawings = {sample.row.name: sample for sample in draw_samples(load_suite(tmp_path))}
     shapes = {name: each.texture.image.shape for name, each in drawings.items() if each.texture}
     assert shapes == {"big": (256, 200, 3), "small": (30, 40, 1), "long": (20, 256, 3)}
     assert "broken.png" in drawings["broken"].fault

@@ -16,7 +16,7 @@ from nrbench import plugins
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.imaging.convert import to_bytes
 from nrbench.streams import pixels_hash
-from nrbench.suites.plan import Sample, drawn
+from nrbench.suites.plan import Sample, draw_samples
 from nrbench.suites.suite import Suite, TextureRow, load_suite
 
 SHARES = {"mild": (0.9, 1.0), "middle": (0.6, 0.9), "strong": (0.3, 0.6)}
@@ -92,7 +92,7 @@ def test_integer_is_lucky(row: TextureRow) -> None:
 
 def test_spectrum_is_graded() -> None:
     """The knob goes from perfectly regular to no lattice in at least 8 steps, each less regular than the last."""
-    samples = drawn(load_suite("spectrum"))
+    samples = draw_samples(load_suite("spectrum"))
     textures = [sample.texture for sample in samples if sample.texture is not None]
     shares = [texture.regular_share for texture in textures]
     assert len(textures) == len(samples) >= 8 and shares[0] == 1.0 and shares == sorted(shares, reverse=True)
@@ -105,7 +105,7 @@ def test_spectrum_is_graded() -> None:
 @pytest.fixture(scope="module")
 def report() -> list[Sample]:
     """Draw the samples of the report's analogues."""
-    return drawn(load_suite("report2004"))
+    return draw_samples(load_suite("report2004"))
 
 
 def test_report_rows(report: list[Sample]) -> None:
@@ -145,7 +145,7 @@ def test_report_facts(report: list[Sample]) -> None:
 def _signature(suite: Suite) -> dict[str, dict[str, object]]:
     """Return of each sample the hash of its pixels, and the mean of each of 8 x 8 blocks of them, in [0, 255]."""
     found: dict[str, dict[str, object]] = {}
-    for sample in drawn(suite):
+    for sample in draw_samples(suite):
         assert sample.texture is not None, sample.fault
         pixels = to_bytes(sample.texture.image).mean(-1)
         rows, columns = (np.linspace(0, side, 9).astype(int) for side in pixels.shape)

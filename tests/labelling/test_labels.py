@@ -21,8 +21,17 @@ from PIL.PngImagePlugin import PngInfo
 import nrbench
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
-from nrbench.labelling.label_page import bare, label_page
-from nrbench.labelling.labels import ANSWERS, Sheet, judge_says, make_sheet, read_people, shown, write_key
+from nrbench.labelling.labels import (
+    ANSWERS,
+    LabelPage,
+    labelled_cells,
+    make_page,
+    page_html,
+    read_people,
+    verdict_as_answer,
+    without_metadata,
+    write_key,
+)
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
 from nrbench.suites.suite import load_suite
@@ -55,24 +64,24 @@ def run(made: Path, tmp_path: Path) -> Run:
     return Run(Path(shutil.copytree(made, tmp_path / "run")))
 
 
-def _answer(path: Path, sheet: Sheet, answers: Sequence[str]) -> Path:
+def _answer(path: Path, sheet: LabelPage, answers: Sequence[str]) -> Path:
     rows = [[item.id, answer, 1.5, i] for i, (item, answer) in enumerate(zip(sheet.items, answers, strict=True), 1)]
     with path.open("w", newline="") as file:
         csv.writer(file).writerows([["item", "answer", "seconds", "order"], *rows])
     return path
 
 
-def _judged(run: Run, sheet: Sheet) -> list[str]:
+def _verdicts(run: Run, sheet: LabelPage) -> list[str]:
     records = {record.key: record for record in run.cells}
-    return [judge_says(records[item.cell]) for item in sheet.items]
+    return [verdict_as_answer(records[item.cell]) for item in sheet.items]
 
 
 def test_every_output_is_shown_and_a_share_twice(run: Run) -> None:
     """Each output of a texture with a lattice comes once, the share again, never twice in a row."""
-    sheet = make_sheet(run, repeat=0.25, seed=1)
+    sheet = make_page(run, repeat=0.25, seed=1)
     first = [item.cell for item in sheet.items if not item.again]
     again = [item.cell for item in sheet.items if item.again]
-    assert sorted(first) == sorted(record.key for record in shown(run)) and len(first) == 12
+    assert sorted(first) == sorted(record.key for record in labelled_cells(run)) and len(first) == 12
     assert len(again) == len(set(again)) == 3
     places = [item.cell for item in sheet.items]
     assert all(a != b for a, b in itertools.pairwise(places))
@@ -83,13 +92,13 @@ def test_every_output_is_shown_and_a_share_twice(run: Run) -> None:
 @pytest.mark.parametrize("repeat", [0.0, 0.5, 1.0])
 def test_any_share_can_be_shown_again(run: Run, repeat: float) -> None:
     """From none to all, the share is kept, and no output comes three times."""
-    counts = Counter(item.cell for item in make_sheet(run, repeat=repeat).items)
+    counts = Counter(item.cell for item in make_page(run, repeat=repeat).items)
     assert sorted(counts.values()) == [1] * round(12 * (1 - repeat)) + [2] * round(12 * repeat)
 
 
 def test_the_seed_decides(run: Run) -> None:
     """Equal seeds give an equal page, others another order and other names."""
-    one, same, other = make_sheet(run, 0, seed=1), make_sheet(run, 0.0, seed=1), make_sheet(run, 0, seed=2)
+    one, same, other = make_page(run, 0, seed=1), make_page(run, 0.0, seed=1), make_page(run, 0, seed=2)
     assert one == same
     assert one.name != other.name
     assert not {item.id for item in one.items} & {item.id for item in other.items}
@@ -98,8 +107,8 @@ def test_the_seed_decides(run: Run) -> None:
 
 def test_the_page_hides_what_it_shows(run: Run) -> None:
     """No method, texture, key or path stands in the page; pictures hold pixels only; nothing is fetched."""
-    sheet = make_sheet(run)
-    page = label_page(run.root, sheet)
+    sheet = make_page(run)
+    page = page_html(run.root, sheet)
     content = json.loads(re.search(r'id="content">(.*?)</script>', page, re.S)[1])  # type: ignore[index]
     rest = page.replace(json.dumps(content["pictures"], separators=(",", ":")), "")
     for record in run.cells:
@@ -117,7 +126,7 @@ def test_a_bare_picture_keeps_its_pixels(tmp_path: Path) -> None:
     note.add_text("Software", "method rsgf")
     pixels = np.random.default_rng(0).integers(0, 255, (9, 7, 3)).astype(np.uint8)
     PIL.Image.fromarray(pixels).save(tmp_path / "a.png", pnginfo=note)
-    clean = bare((tmp_path / "a.png").read_bytes())
+    clean = without_metadata((tmp_path / "a.png").read_bytes())
     assert b"rsgf" not in clean
     (tmp_path / "b.png").write_bytes(clean)
     assert (np.asarray(PIL.Image.open(tmp_path / "b.png")) == pixels).all()
@@ -125,7 +134,7 @@ def test_a_bare_picture_keeps_its_pixels(tmp_path: Path) -> None:
 
 def test_answers_come_back(run: Run, tmp_path: Path) -> None:
     """What a page saved is read back cell by cell, with a byte order mark and without unanswered items too."""
-    sheet = make_sheet(run, repeat=0.25)
+    sheet = make_page(run, repeat=0.25)
     write_key(run.root, sheet)
     said = [ANSWERS[i % 3] for i in range(len(sheet.items))]
     path = _answer(tmp_path / "ada.csv", sheet, said)
@@ -140,18 +149,18 @@ def test_pages_of_several_seeds_meet(run: Run, tmp_path: Path) -> None:
     """Two people with pages of their own are compared output by output."""
     files = []
     for seed, name in ((1, "a"), (2, "b")):
-        sheet = make_sheet(run, seed=seed)
+        sheet = make_page(run, seed=seed)
         write_key(run.root, sheet)
-        files.append(_answer(tmp_path / f"{name}.csv", sheet, _judged(run, sheet)))
+        files.append(_answer(tmp_path / f"{name}.csv", sheet, _verdicts(run, sheet)))
     one, other = read_people(run, files)
     assert one.by_cell() == other.by_cell()
 
 
 BAD = {
     "item,answer,seconds,order\nqqqqqqqqqq,lost,1,1\n": "on no page of this run",
-    "item,answer,order\nx,lost,1\n": "due are item, answer, seconds, order",
-    "item;answer;seconds;order\nx;lost;1;1\n": "due are item, answer, seconds, order",
-    "": "has columns none",
+    "item,answer,order\nx,lost,1\n": "expected columns item, answer, seconds, order",
+    "item;answer;seconds;order\nx;lost;1;1\n": "expected columns item, answer, seconds, order",
+    "": "got none",
     "item,answer,seconds,order\n": "holds no answer",
     "item,answer,seconds,order\nITEM,broken,1,1\n": "use one of: preserved, lost, cannot say",
     "item,answer,seconds,order\nITEM,lost,soon,1\n": "must be numbers",
@@ -164,7 +173,7 @@ BAD = {
 @pytest.mark.parametrize("content", BAD)
 def test_a_bad_file_is_one_line_and_exit_2(content: str, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     """A file that no page saved is refused by name, before any report is written."""
-    sheet = make_sheet(run)
+    sheet = make_page(run)
     write_key(run.root, sheet)
     Path("p.csv").write_text(content.replace("ITEM", sheet.items[0].id))
     assert call("report run --labels p.csv") == 2
@@ -175,11 +184,11 @@ def test_a_bad_file_is_one_line_and_exit_2(content: str, run: Run, capsys: pytes
 
 def test_answers_to_another_run_are_refused(run: Run, tmp_path: Path) -> None:
     """Without a page of this run, or with the answers to another, the error says what to do."""
-    sheet = make_sheet(run)
-    path = _answer(tmp_path / "p.csv", sheet, _judged(run, sheet))
+    sheet = make_page(run)
+    path = _answer(tmp_path / "p.csv", sheet, _verdicts(run, sheet))
     with pytest.raises(BadInput, match="make one by `nrbench label"):
         read_people(run, [path])
-    write_key(run.root, make_sheet(run, seed=7))
+    write_key(run.root, make_page(run, seed=7))
     with pytest.raises(BadInput, match=r"p\.csv, line 2: item .* is on no page of this run"):
         read_people(run, [path])
     with pytest.raises(BadInput, match="there is no such file"):
@@ -203,10 +212,10 @@ def test_label_writes_page_and_key(run: Run, capsys: pytest.CaptureFixture[str])
 
 def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     """`report RUN --labels A B` adds the agreement to page and tables; one answer throughout has no kappa."""
-    sheet = make_sheet(run)
+    sheet = make_page(run)
     write_key(run.root, sheet)
     for name in ("a", "b"):
-        _answer(Path(f"{name}.csv"), sheet, _judged(run, sheet))
+        _answer(Path(f"{name}.csv"), sheet, _verdicts(run, sheet))
     assert call("report run --format html,csv --labels a.csv b.csv") == 0
     with Path("run/tables/agreement.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -221,10 +230,10 @@ def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFix
 @pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
 def test_keys_label_in_a_browser(run: Run, tmp_path: Path) -> None:
     """Keys answer, the arrow goes back to correct, the page resumes after it was closed, and the saved file is read."""
-    sheet = make_sheet(run, repeat=0.25)
+    sheet = make_page(run, repeat=0.25)
     write_key(run.root, sheet)
     page, saved = tmp_path / "page.html", tmp_path / "saved"
-    page.write_text(label_page(run.root, sheet), "utf-8")
+    page.write_text(page_html(run.root, sheet), "utf-8")
     saved.mkdir()
     count = "document.getElementById('count').textContent"
     with Browser(tmp_path / "profile") as browser:

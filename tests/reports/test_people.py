@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nrbench.labelling.labels import ANSWERS, Sheet, judge_says, make_sheet, write_key
+from nrbench.labelling.labels import ANSWERS, LabelPage, make_page, verdict_as_answer, write_key
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.statistics.people import agreement_table, labels_table, people
 from nrbench.runs.records import Run
@@ -28,7 +28,7 @@ def judged(make_cell: Make, make_run: Make) -> Run:
     return run
 
 
-def _file(path: Path, sheet: Sheet, said: Sequence[str]) -> Path:
+def _file(path: Path, sheet: LabelPage, said: Sequence[str]) -> Path:
     with path.open("w", newline="") as file:
         rows = [[item.id, answer, 1.0, i] for i, (item, answer) in enumerate(zip(sheet.items, said, strict=True), 1)]
         csv.writer(file).writerows([["item", "answer", "seconds", "order"], *rows])
@@ -37,9 +37,9 @@ def _file(path: Path, sheet: Sheet, said: Sequence[str]) -> Path:
 
 def _person(run: Run, path: Path, wrong: Callable[[int, bool], str | None], repeat: float = 0.0) -> Path:
     """Write a person who answers as the judge does, except where ``wrong(number, again)`` says something else."""
-    sheet = make_sheet(run, repeat=repeat)
+    sheet = make_page(run, repeat=repeat)
     write_key(run.root, sheet)
-    judge = {record.key: judge_says(record) for record in run.cells}
+    judge = {record.key: verdict_as_answer(record) for record in run.cells}
     said = [wrong(i, item.again) or judge[item.cell] for i, item in enumerate(sheet.items)]
     return _file(path, sheet, said)
 
@@ -55,8 +55,8 @@ def test_full_agreement_is_one(judged: Run, tmp_path: Path) -> None:
 
 def test_known_kappa(judged: Run, tmp_path: Path) -> None:
     """Turning ten of forty even answers round leaves 0.75 equal: kappa 0.5 within what the odds of the ten allow."""
-    judge = {record.key: judge_says(record) for record in judged.cells}
-    sheet = make_sheet(judged, repeat=0)
+    judge = {record.key: verdict_as_answer(record) for record in judged.cells}
+    sheet = make_page(judged, repeat=0)
     turned = {"preserved": "lost", "lost": "preserved"}
     kinds = {word: [i for i, item in enumerate(sheet.items) if judge[item.cell] == word] for word in turned}
     chosen = {*kinds["preserved"][:5], *kinds["lost"][:5]}
@@ -84,8 +84,8 @@ def test_who_cannot_say_counts_against_kappa_but_not_among_the_decided(judged: R
 def test_self_agreement_looks_at_second_showings_only(judged: Run, tmp_path: Path) -> None:
     """A person who changes every second answer agrees with the judge in full and with themself not at all."""
     other = {"preserved": "lost", "lost": "preserved"}
-    judge = {record.key: judge_says(record) for record in judged.cells}
-    sheet = make_sheet(judged, repeat=0.5)
+    judge = {record.key: verdict_as_answer(record) for record in judged.cells}
+    sheet = make_page(judged, repeat=0.5)
     said = lambda i, again: other[judge[sheet.items[i].cell]] if again else None  # noqa: E731
     found = people(judged, [_person(judged, tmp_path / "a.csv", said, repeat=0.5)])
     assert found is not None

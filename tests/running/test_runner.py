@@ -138,12 +138,11 @@ def test_a_detector_finds_each_lattice_once(tmp_path: Path) -> None:
 
 def test_two_runs_in_one_directory_are_refused(tmp_path: Path) -> None:
     """While one process runs in a directory a second one is told so."""
-    from nrbench.running.runner import _locked
     from nrbench.runs.store import RunDirectory
 
     directory = RunDirectory(tmp_path / "run")
     directory.claim()
-    with _locked(directory), pytest.raises(BadInput, match=r"another nrbench is running in it; wait, or pass another"):
+    with directory.locked(), pytest.raises(BadInput, match=r"another nrbench is running in it; wait, or pass another"):
         run(small(), out=tmp_path / "run", options=Options(jobs=0))
 
 

@@ -11,9 +11,8 @@ from nrbench.errors import BadInput
 from nrbench.reports.statistics.detections import answers
 from nrbench.running.runner import Options, metrics_of
 from nrbench.runs.records import Run
-from nrbench.suites.axes import Source
 from nrbench.suites.cell import Cell
-from nrbench.suites.plan import make_plan
+from nrbench.suites.plan import Source, make_plan
 from nrbench.suites.suite import Suite, load_suite, validated_suite
 
 BRICK = {"name": "brick", "dataset": "brick", "parameters": {"color": 0.1}}

@@ -16,9 +16,8 @@ from nrbench.imaging.files import read_image, write_image
 from nrbench.plugins.forms import Texture
 from nrbench.running.runner import Options
 from nrbench.suites.cell import Cell, Recipe
-from nrbench.suites.plan import drawn, make_plan
-from nrbench.suites.rendered import SHEET
-from nrbench.suites.rendering import model_suite, write_textures
+from nrbench.suites.plan import draw_samples, make_plan
+from nrbench.suites.rendering import SHEET, model_suite, write_textures
 from nrbench.suites.suite import Suite, load_suite, validated_suite
 
 ROWS = [
@@ -36,7 +35,7 @@ def _suite(**more: object) -> Suite:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Render the suite."""
-    write_textures(drawn(_suite()), tmp_path / "three")
+    write_textures(draw_samples(_suite()), tmp_path / "three")
     return tmp_path / "three"
 
 
@@ -101,21 +100,21 @@ def test_an_edited_truth_counts(folder: Path) -> None:
         writer = csv.DictWriter(lines, rows[0].keys())
         writer.writeheader()
         writer.writerows(rows)
-    samples = {sample.row.name: sample for sample in drawn(load_suite(folder))}
+    samples = {sample.row.name: sample for sample in draw_samples(load_suite(folder))}
     wall = samples["wall"].texture
     assert samples["wall"].recipe.dataset == "images" and samples["cloth"].recipe.dataset == "weave"
     assert wall and wall.lattice and wall.lattice.origin[0] == 2.5
     (folder / "truth.csv").unlink()
-    assert next(iter(drawn(load_suite(folder), ["wall"]))).recipe.dataset == "brick"
+    assert next(iter(draw_samples(load_suite(folder), ["wall"]))).recipe.dataset == "brick"
 
 
 def test_an_edited_picture_is_a_photograph(folder: Path) -> None:
     """Where the recipe no longer gives the picture's pixels, the picture counts, and its lattice stays known."""
-    before = {sample.row.name: sample for sample in drawn(load_suite(folder))}
+    before = {sample.row.name: sample for sample in draw_samples(load_suite(folder))}
     image = read_image(folder / "wall.png")
     image[3, 3] = 1 - image[3, 3]
     write_image(folder / "wall.png", image)
-    after = {sample.row.name: sample for sample in drawn(load_suite(folder))}
+    after = {sample.row.name: sample for sample in draw_samples(load_suite(folder))}
     old, new = before["wall"].texture, after["wall"].texture
     assert before["wall"].recipe.dataset == "brick" and after["wall"].recipe.dataset == "images"
     assert old and new and old.lattice and new.lattice
@@ -129,7 +128,7 @@ def test_a_recipe_of_a_stranger_is_passed_over(folder: Path) -> None:
     """A recipe of a dataset that is not installed here leaves a picture with its lattice."""
     text = (folder / "truth.json").read_text("utf-8").replace('"dataset": "brick"', '"dataset": "nobody"')
     (folder / "truth.json").write_text(text, "utf-8")
-    wall = next(sample for sample in drawn(load_suite(folder), ["wall"]))
+    wall = next(sample for sample in draw_samples(load_suite(folder), ["wall"]))
     assert wall.recipe.dataset == "images" and wall.texture and wall.texture.lattice
 
 
@@ -142,7 +141,7 @@ def test_another_seed_draws_other_outputs_of_the_same_samples(folder: Path) -> N
 
 def test_one_model() -> None:
     """A model's name with parameters is a suite of one texture."""
-    assert write_textures(drawn(model_suite("brick:color=0.4")), Path("out"))[0] == Path("out/brick.png")
+    assert write_textures(draw_samples(model_suite("brick:color=0.4")), Path("out"))[0] == Path("out/brick.png")
 
 
 def _rows(directory: Path) -> dict[str, dict[str, str]]:
@@ -162,14 +161,19 @@ def _contents(directory: Path) -> dict[str, bytes]:
 def test_a_further_render_loses_nothing(folder: Path) -> None:
     """What another model's render finds there is kept as it stands, and the contact sheet shows all of it."""
     rows, textures, sheet = _rows(folder), _textures(folder), read_image(folder / SHEET)
-    write_textures(drawn(model_suite("hexagon")), folder)
+    write_textures(draw_samples(model_suite("hexagon")), folder)
     after = {**_rows(folder)}
     assert after.pop("hexagon.png")["family"] == "hexagon"
     assert after == rows and list(_rows(folder)) == [*rows, "hexagon.png"]
     known = _textures(folder)
     assert known.pop("hexagon.png")["recipe"] and known == textures
     assert read_image(folder / SHEET).size > sheet.size
-    assert {sample.recipe.dataset for sample in drawn(load_suite(folder))} == {"brick", "weave", "noise", "hexagon"}
+    assert {sample.recipe.dataset for sample in draw_samples(load_suite(folder))} == {
+        "brick",
+        "weave",
+        "noise",
+        "hexagon",
+    }
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]
 
 
@@ -178,7 +182,7 @@ def test_rendered_again_a_picture_is_told_anew(folder: Path) -> None:
     before = _contents(folder)
     (folder / "sand.png").unlink()
     other = _suite(texture=[{"name": "wall", "dataset": "weave"}], replicates=1)
-    write_textures(drawn(other), folder)
+    write_textures(draw_samples(other), folder)
     rows, textures = _rows(folder), _textures(folder)
     assert set(rows) == set(textures) == {name for name in before if name.endswith(".png")} - {SHEET, "sand.png"}
     assert rows["wall.png"]["family"] == textures["wall.png"]["family"] == "weave"
@@ -190,11 +194,11 @@ def test_rendered_again_a_picture_is_told_anew(folder: Path) -> None:
 def test_rendered_twice_nothing_changes(folder: Path) -> None:
     """The same render gives the same files, to the byte; what a user added to truth.csv stays."""
     before = _contents(folder)
-    write_textures(drawn(_suite()), folder)
+    write_textures(draw_samples(_suite()), folder)
     assert _contents(folder) == before
     header, *lines = (folder / "truth.csv").read_text("utf-8").splitlines()
     (folder / "truth.csv").write_text("\n".join([f"{header},notes", *(f"{line},mine" for line in lines)]), "utf-8")
-    write_textures(drawn(model_suite("hexagon")), folder)
+    write_textures(draw_samples(model_suite("hexagon")), folder)
     assert [row["notes"] for row in _rows(folder).values()] == ["mine"] * 6 + [""]
 
 
@@ -203,7 +207,7 @@ def test_an_interrupted_render_goes_on(folder: Path) -> None:
     before = _contents(folder)
     for name in ("truth.csv", "truth.json", SHEET, "sand.png"):
         (folder / name).unlink()
-    write_textures(drawn(_suite()), folder)
+    write_textures(draw_samples(_suite()), folder)
     assert _contents(folder) == before
 
 
@@ -212,13 +216,13 @@ def test_an_interrupted_render_goes_on(folder: Path) -> None:
     [
         ("truth.csv", "file,t1x,t1y,t2x,t2y\n", r"truth\.csv: was not written by `nrbench render` \(it lacks column"),
         ("truth.csv", "name,city\nAda,London\n", r"truth\.csv line 1: lacks column 'file'"),
-        ("truth.csv", None, r"line 2: '12,zero,0,9' are not four numbers.*to render here, mend"),
+        ("truth.csv", None, r"line 2: '12,zero,0,9' are not four numbers.*Fix truth.csv first"),
         ("truth.json", "{", r"truth\.json: is no JSON .*pass another -o, or move it away"),
         ("truth.json", "[1]", r"truth\.json: was not written by `nrbench render`; pass another -o"),
         ("truth.json", '{"sheet": "contact-sheet.png", "textures": {"wall.png": 3}}', "was not written by"),
         ("truth.json", '{"sheet": "contact-sheet.png", "textures": {"wall.png": {"recipe": 3}}}', "was not written by"),
-        ("wall.png", "mine", r"wall\.png: is there, and no model drew it; pass another -o, or move it away, or rename"),
-        ("contact-sheet.png", "mine", r"contact-sheet\.png: is there, and was not written by `nrbench render`"),
+        ("wall.png", "mine", r"wall\.png: exists, and no model drew it; pass another -o, or move it away, or rename"),
+        ("contact-sheet.png", "mine", r"contact-sheet\.png: exists, and was not written by `nrbench render`"),
     ],
 )
 def test_what_is_not_of_a_render_is_left_alone(tmp_path: Path, name: str, text: str | None, message: str) -> None:
@@ -228,7 +232,7 @@ def test_what_is_not_of_a_render_is_left_alone(tmp_path: Path, name: str, text: 
     (tmp_path / name).write_text(f"{header}\na.png,12,zero,0,9,,,,,\n" if text is None else text, "utf-8")
     before = _contents(tmp_path)
     with pytest.raises(BadInput, match=message):
-        write_textures(drawn(_suite()), tmp_path)
+        write_textures(draw_samples(_suite()), tmp_path)
     assert _contents(tmp_path) == before
 
 
@@ -239,14 +243,14 @@ def test_pictures_of_two_folders(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         write_image(tmp_path / name / "p.png", rng.random((70, 70, 3)).astype(np.float32))
     rows = [{"name": f"p-{n}", "dataset": "images", "parameters": {"path": str(tmp_path / n / "p.png")}} for n in "ab"]
-    write_textures(drawn(_suite(texture=rows, replicates=1)), tmp_path / "both")
+    write_textures(draw_samples(_suite(texture=rows, replicates=1)), tmp_path / "both")
     first, second = (read_image(tmp_path / "both" / f"p-{name}.png") for name in "ab")
     assert (first != second).any() and set(_rows(tmp_path / "both")) == {"p-a.png", "p-b.png"}
-    write_textures(drawn(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
+    write_textures(draw_samples(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
     before = _contents(tmp_path / "one")
-    with pytest.raises(BadInput, match=r"images\.png: is there, and no model drew it"):
-        write_textures(drawn(model_suite(f"images:path={tmp_path / 'b' / 'p.png'}")), tmp_path / "one")
-    write_textures(drawn(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
+    with pytest.raises(BadInput, match=r"images\.png: exists, and no model drew it"):
+        write_textures(draw_samples(model_suite(f"images:path={tmp_path / 'b' / 'p.png'}")), tmp_path / "one")
+    write_textures(draw_samples(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
     assert _contents(tmp_path / "one") == before
 
 
@@ -269,7 +273,7 @@ def test_two_files_of_one_name(names: tuple[str, str]) -> None:
     """A texture whose file would be another's, or the contact sheet, is refused."""
     suite = _suite(texture=[{"name": name, "dataset": "brick"} for name in names])
     with pytest.raises(BadInput, match="name of two pictures; rename the texture"):
-        write_textures(drawn(suite), Path("out"))
+        write_textures(draw_samples(suite), Path("out"))
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, to_bytes
-from nrbench.suites.plan import Sample, drawn
+from nrbench.suites.plan import Sample, draw_samples
 from nrbench.suites.suite import builtin, load_suite, parse_size, validated_suite
 
-CORE = drawn(load_suite("core"))
+CORE = draw_samples(load_suite("core"))
 
 
 def windows(image: Image, side: int = 16) -> set[bytes]:

@@ -15,7 +15,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.source import SourceUse
 from nrbench.plugins.forms import Observation, Refused, Synthesis, Task
-from nrbench.running.outputs import checked_synthesis, is_picture
+from nrbench.running.phases import checked_synthesis, is_picture
 from nrbench.spectra.harmonics import Harmonics
 from nrbench.synthesizers.fftm_pixel import FftmPixel
 from nrbench.synthesizers.masks.fftm_mask import TextureMask

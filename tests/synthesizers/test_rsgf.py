@@ -13,7 +13,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Task
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.phases import checked_synthesis
 from nrbench.synthesizers.gap_filling.canvas import Seam
 from nrbench.synthesizers.rsgf import Rsgf
 

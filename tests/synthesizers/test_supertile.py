@@ -6,7 +6,7 @@ import pytest
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Synthesis, Task
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.phases import checked_synthesis
 from nrbench.synthesizers.supertile import Supertile, supercell
 from nrbench.synthesizers.tiling import reach
 

@@ -1,0 +1,221 @@
+"""Figures of the verb ``lattice``: how a detector found its lattice, and a window to pick a lattice in."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Mapping, Sequence
+from numbers import Real
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backend_bases import Event, KeyEvent, MouseButton, MouseEvent
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image
+from nrbench.imaging.overlay import COLOR, overlay
+from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.plugins.forms import Curve, Surface
+
+PANEL = (5.6, 4.8)
+"""Width and height of a panel, inches."""
+LETTERS = 72
+"""Number of letters on a line of text as wide as a panel."""
+
+
+def diagram(diagnostics: Mapping[str, Any], title: str = "") -> Figure | None:
+    """Draw the diagnostics of a detection: surfaces as pictures, curves as lines, numbers as text below.
+
+    A surface shows its candidates as circles and the chosen vectors as arrows from its zero. A vector outside the
+    surface is drawn as its negative. A curve shows the chosen values as vertical lines.
+
+    Parameters
+    ----------
+    diagnostics
+        Those of a :class:`~nrbench.plugins.forms.Detection`.
+    title
+        Text above the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        On an Agg canvas of its own; None if nothing can be drawn.
+    """
+    panels = {name: value for name, value in diagnostics.items() if isinstance(value, Surface | Curve)}
+    if not panels:
+        return None
+    columns = min(2, len(panels))
+    rows = math.ceil(len(panels) / columns)
+    figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    for i, (name, value) in enumerate(panels.items(), 1):
+        axes = figure.add_subplot(rows, columns, i)
+        axes.set_title(name, fontsize=10)
+        _draw_surface(axes, value) if isinstance(value, Surface) else _draw_curve(axes, value)
+    figure.suptitle(textwrap.fill(title, LETTERS * columns), fontsize=10)
+    figure.supxlabel(textwrap.fill(_numbers(diagnostics), LETTERS * columns), fontsize=8)
+    return figure
+
+
+def _numbers(diagnostics: Mapping[str, Any]) -> str:
+    known = {name: value for name, value in diagnostics.items() if isinstance(value, Real | str)}
+    return ", ".join(
+        f"{name} {value if isinstance(value, str) else format(value, '.4g')}" for name, value in known.items()
+    )
+
+
+def _draw_surface(axes: Axes, surface: Surface) -> None:
+    height, width = surface.values.shape
+    left, top = -surface.zero[0] - 0.5, -surface.zero[1] - 0.5
+    box = (left, left + width, top + height, top)
+    low, high = _limits(surface.values)
+    shown = axes.imshow(surface.values, extent=box, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+    axes.figure.colorbar(shown, ax=axes, shrink=0.8)
+    peaks = np.reshape(surface.peaks, (-1, 2))
+    axes.plot(*peaks.T, "o", mfc="none", mec="tab:cyan", ms=5, mew=0.9, label=f"{len(peaks)} candidates")
+    for vector in () if surface.vectors is None else surface.vectors:
+        tip = vector if _within(vector, box) else -vector
+        axes.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": COLOR, "lw": 1.8})
+        axes.plot(*tip, ".", color=COLOR, ms=3)
+    axes.set(xlim=box[:2], ylim=box[2:])
+    axes.legend(loc="upper right", fontsize=7, framealpha=0.7)
+
+
+def _limits(values: NDArray[np.floating[Any]]) -> tuple[float, float]:
+    """Return the values shown black and white; extreme ones, like the peak at zero, would hide the rest."""
+    low, high = np.quantile(values[np.isfinite(values)], (0.005, 0.995)) if np.isfinite(values).any() else (0, 1)
+    return float(low), float(high)
+
+
+def _within(point: NDArray[np.float64], box: tuple[float, float, float, float]) -> bool:
+    return bool(box[0] <= point[0] <= box[1] and box[3] <= point[1] <= box[2])
+
+
+def _draw_curve(axes: Axes, curve: Curve) -> None:
+    axes.plot(curve.x, curve.y, color="black", lw=1)
+    for mark in curve.marks:
+        axes.axvline(mark, color=COLOR, lw=1.2)
+        axes.annotate(f"{mark:.4g}", (mark, 1.0), xycoords=("data", "axes fraction"), fontsize=7, color=COLOR)
+    axes.set_xlabel(curve.label, fontsize=8)
+
+
+STEPS = (
+    "click a corner of a tile, or any point that you will recognize",
+    "click the same point of the next tile: the end of t1",
+    "click the same point of the next tile in another direction: the end of t2",
+)
+MARKS = "cyan"
+KEYS = "Enter accepts, Backspace removes the last point, Escape cancels"
+
+
+def lattice_of(points: Sequence[Vector]) -> Lattice:
+    """Return the lattice of three points (x, y) px: its origin, the end of t1, the end of t2.
+
+    Raises
+    ------
+    BadInput
+        When the points lie on one line.
+    """
+    (x, y), (x1, y1), (x2, y2) = points
+    return Lattice((x1 - x, y1 - y), (x2 - x, y2 - y), (x, y))
+
+
+class Picker:
+    """Let the user click three points in a figure, and draw the lattice that they span.
+
+    Parameters
+    ----------
+    figure
+        Shows the image; the picker handles the events of its canvas.
+    image
+        The texture.
+    """
+
+    def __init__(self, figure: Figure, image: Image) -> None:
+        self.lattice: Lattice | None = None
+        self.accepted = False
+        self._image, self._points, self._problem = image, list[Vector](), ""
+        self._figure, self._axes = figure, figure.add_axes((0.02, 0.02, 0.96, 0.88))
+        self._axes.axis("off")
+        shown = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image
+        self._picture = self._axes.imshow(shown, interpolation="nearest")
+        (self._marks,) = self._axes.plot([], [], "+-", color=MARKS, ms=14, mew=2, lw=1)
+        figure.canvas.mpl_connect("button_press_event", self._click)
+        figure.canvas.mpl_connect("key_press_event", self._press)
+        self._show()
+
+    def _click(self, event: Event) -> None:
+        assert isinstance(event, MouseEvent)
+        busy = getattr(getattr(self._figure.canvas, "toolbar", None), "mode", "")
+        if event.inaxes is not self._axes or event.button != MouseButton.LEFT or busy or len(self._points) == 3:
+            return
+        assert event.xdata is not None and event.ydata is not None
+        self._points.append((float(event.xdata), float(event.ydata)))
+        self._update()
+
+    def _press(self, event: Event) -> None:
+        assert isinstance(event, KeyEvent)
+        if event.key in ("enter", "escape"):
+            if event.key == "enter" and self.lattice is None:
+                return
+            self.accepted = event.key == "enter"
+            plt.close(self._figure)
+        elif event.key == "backspace" and self._points:
+            self._points.pop()
+            self._update()
+
+    def _update(self) -> None:
+        self.lattice, self._problem = None, ""
+        if len(self._points) == 3:
+            try:
+                self.lattice = lattice_of(self._points)
+            except BadInput:
+                self._points.pop()
+                self._problem = "the three points lie on one line; "
+        self._show()
+
+    def _show(self) -> None:
+        title = KEYS if self.lattice else f"{len(self._points) + 1} of 3: {self._problem}{STEPS[len(self._points)]}"
+        self._axes.set_title(title, fontsize=10)
+        drawn = overlay(self._image, self.lattice) if self.lattice else self._image
+        self._picture.set_data(np.repeat(drawn, 3, axis=2) if drawn.shape[2] == 1 else drawn)
+        order = [1, 0, 2] if len(self._points) == 3 else range(len(self._points))
+        self._marks.set_data(*np.reshape([self._points[i] for i in order], (-1, 2)).T)
+        self._figure.canvas.draw_idle()
+
+
+def pick(image: Image) -> Lattice:
+    """Open a window, and return the lattice that the user clicks and accepts.
+
+    Raises
+    ------
+    BadInput
+        Where no window can be opened, or the user cancels.
+    """
+    try:
+        figure = plt.figure("nrbench lattice --pick", figsize=(9, 9))
+    except Exception as error:  # of the toolkit: no display, no such module
+        raise _no_window(str(error)) from error
+    if getattr(figure.canvas, "required_interactive_framework", None) is None:
+        plt.close(figure)
+        raise _no_window(f"matplotlib's backend is {plt.get_backend()}")
+    handler = getattr(figure.canvas.manager, "key_press_handler_id", None)
+    if handler is not None:
+        figure.canvas.mpl_disconnect(handler)
+    picker = Picker(figure, image)
+    plt.show(block=True)
+    if picker.lattice is None or not picker.accepted:
+        raise BadInput("--pick: cancelled, no lattice was picked")
+    return picker.lattice
+
+
+def _no_window(why: str) -> BadInput:
+    return BadInput(
+        f"--pick: no window can be opened ({why}); it needs a display and a toolkit such as Tk or Qt. Without them, "
+        "read the points in any viewer and pass --lattice x1,y1,x2,y2"
+    )

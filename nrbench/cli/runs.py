@@ -1,0 +1,213 @@
+"""Verbs that run suites and read runs: run, plan, report, status, label."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from nrbench.suites.plan import Plan
+
+F = TypeVar("F", bound=Callable[..., Any])
+_PATH = click.Path(path_type=Path)
+
+
+def _plan_options(command: F) -> F:
+    for option in reversed(
+        [
+            click.argument("suite", default="default"),
+            click.option(
+                "-m", "methods", multiple=True, metavar="METHOD[:param=value,...]", help="A method; repeatable."
+            ),
+            click.option("-t", "textures", multiple=True, metavar="GLOB", help="Run only these textures; repeatable."),
+            click.option(
+                "--lattice",
+                multiple=True,
+                metavar="given|own|DETECTOR|x1,y1,x2,y2",
+                help="The lattice that methods use: the true one, one that they find themselves, one that a detector "
+                "finds, or yours; repeatable.",
+            ),
+            click.option("--sample", metavar="WxH", help="Size of the samples."),
+            click.option("--size", metavar="WxH", help="Size of the outputs."),
+            click.option("--seed", type=click.IntRange(0), help="Seed of the suite."),
+            click.option("--replicates", type=click.IntRange(1), help="Number of draws of each texture."),
+            click.option("--out", type=_PATH, help="Run directory.  [default: runs/SUITE]"),
+            click.option("--retry-failed", is_flag=True, help="Run failed cells again."),
+            click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output."),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
+    """Return the plan of a command line, and its run directory."""
+    from nrbench.api import changed
+    from nrbench.suites.plan import make_plan
+    from nrbench.suites.suite import load_suite
+
+    axes = {key: arguments[key] for key in ("sample", "size", "seed", "replicates")}
+    suite = changed(load_suite(arguments["suite"]), arguments["methods"], arguments["lattice"], **axes)
+    return make_plan(suite, arguments["textures"]), arguments["out"] or Path("runs") / suite.name
+
+
+@click.command("run")
+@_plan_options
+@click.option(
+    "--jobs",
+    type=click.IntRange(0),
+    help="Number of cells that run at the same time; 0 runs them in this process.  [default: number of cores]",
+)
+@click.option("--scheduler", metavar="tcp://HOST:PORT", help="Run the cells on a Dask cluster.")
+@click.option(
+    "--timeout",
+    type=click.FloatRange(0, 1e7, min_open=True),
+    default=120.0,
+    show_default=True,
+    metavar="S",
+    help="Limit of the wall time of one synthesis or metric, seconds.",
+)
+@click.option(
+    "--memory",
+    type=click.FloatRange(1, 1e7),
+    default=4096.0,
+    show_default=True,
+    metavar="MiB",
+    help="Limit of the memory of one synthesis or metric, above the idle worker.",
+)
+@click.option("--reuse", type=_PATH, metavar="RUN", help="Copy the results of equal cells from another run.")
+@click.option("--no-report", is_flag=True, help="Write the tables only.")
+def run_command(**arguments: Any) -> int:
+    """Run SUITE and print the comparison table.
+
+    SUITE is the name of a suite, a TOML file, or a directory of pictures.
+    """
+    import os
+
+    from nrbench.cli.summary import print_summary, write_reports
+    from nrbench.running.runner import Options, execute
+
+    plan, root = _make_plan(arguments)
+    options = Options(
+        jobs=arguments["jobs"] if arguments["jobs"] is not None else os.cpu_count() or 1,
+        argv=["nrbench", *sys.argv[1:]],
+        **{key: arguments[key] for key in ("scheduler", "timeout", "memory", "retry_failed", "reuse")},
+    )
+    with _live_progress() as progress:
+        run = execute(plan, root, options, progress)
+    written, broken = write_reports(run, tables_only=arguments["no_report"])
+    failed = print_summary(run, written, arguments["as_json"])
+    return int(failed or broken)
+
+
+@contextmanager
+def _live_progress() -> Iterator[Callable[[int, int, str], None]]:
+    """Show progress on standard error: a live bar on a terminal, plain lines elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda done, total, what: print(f"[{done}/{total}] {what}", file=sys.stderr, flush=True)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}", markup=False))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda done, total, what: bar.update(task, completed=done, total=total, description=what)
+
+
+@click.command("plan")
+@_plan_options
+def plan_command(**arguments: Any) -> None:
+    """List the cells that `run` would reuse and those that it would start; start nothing."""
+    from nrbench.cli.summary import plan_lines, plan_summary
+
+    plan, root = _make_plan(arguments)
+    summary = plan_summary(plan, root, arguments["retry_failed"])
+    print(json.dumps(summary, indent=1) if arguments["as_json"] else "\n".join(plan_lines(summary)))
+
+
+@click.command("report")
+@click.argument("run", type=_PATH)
+@click.argument("more", nargs=-1, type=_PATH, metavar="")
+@click.option("--format", "formats", metavar="html,csv,...", help="The reports to write.  [default: all]")
+@click.option(
+    "--labels",
+    multiple=True,
+    type=_PATH,
+    metavar="FILE...",
+    help="Files with people's answers, one file a person; the reports then compare the verdicts with them.",
+)
+def report_command(run: Path, more: tuple[Path, ...], formats: str | None, labels: tuple[Path, ...]) -> int:
+    """Write the reports of RUN again from its files; no cell is run."""
+    from nrbench.cli.summary import write_reports
+    from nrbench.labelling.labels import read_people
+    from nrbench.runs.records import Run
+    from nrbench.runs.store import RunDirectory
+
+    if more and not labels:
+        raise click.UsageError(f"{more[0]}: only one run is reported; files of answers come after --labels")
+    RunDirectory(run).info()
+    record, files = Run(run), (*labels, *more)
+    read_people(record, files)
+    written, broken = write_reports(record, formats, labels=files)
+    for path in written:
+        print(path)
+    return int(broken)
+
+
+@click.command("status")
+@click.argument("run", type=_PATH)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
+def status_command(run: Path, as_json: bool) -> None:
+    """Print how many cells of RUN have ended, with which status, and which failed."""
+    from nrbench.cli.summary import failures, status_counts
+    from nrbench.runs.records import Run
+
+    record = Run(run)
+    counts, failed = status_counts(record), failures(record)
+    if as_json:
+        print(json.dumps({"run": str(run), "cells": len(record.cells), "status": counts, "failures": failed}, indent=1))
+        return
+    print(f"{run}: {len(record.cells)} cells: " + ", ".join(f"{n} {status}" for status, n in counts.items()))
+    print("\n".join(failed) or "nothing failed")
+
+
+@click.command("label")
+@click.argument("run", type=_PATH)
+@click.option("-o", "output", type=_PATH, metavar="FILE.html", help="The page.  [default: RUN/labels/...]")
+@click.option(
+    "--repeat",
+    type=click.FloatRange(0, 1),
+    default=0.1,
+    show_default=True,
+    metavar="SHARE",
+    help="Share of the outputs that are shown twice.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of order and names.")
+def label_command(run: Path, output: Path | None, repeat: float, seed: int) -> None:
+    """Write a page on which people label the outputs of RUN, without the methods' names.
+
+    `nrbench report RUN --labels FILE...` reads the answers that the page saves.
+    """
+    from nrbench.errors import BadInput
+    from nrbench.labelling.labels import make_page, page_html, write_key
+    from nrbench.runs.records import Run
+    from nrbench.storage import write_aside
+
+    if output is not None and output.suffix.lower() not in (".html", ".htm"):
+        raise BadInput(f"{output}: the page is HTML; end the name in .html")
+    if output is not None and not output.absolute().parent.is_dir():
+        raise BadInput(f"{output}: its directory does not exist; make it first")
+    page = make_page(Run(run), repeat, seed)
+    path = output or page.key_file(run).with_suffix(".html")
+    html = page_html(run, page)
+    key = write_key(run, page)
+    write_aside(path, lambda aside: aside.write_text(html, "utf-8"))
+    repeats = sum(item.again for item in page.items)
+    print(f"{path}\n{len(page.items)} items, {repeats} of them second showings; the key {key} stays with the run")
