@@ -15,9 +15,8 @@ from pathlib import Path
 from unit import machine_unit
 
 from nrbench.api import run
-from nrbench.running import supervisor as jobs
 from nrbench.running.runner import Options
-from nrbench.running.supervisor import Supervisor
+from nrbench.running.supervisor import Job, Supervisor, perform_job
 from nrbench.runs.store import CellFolder
 from nrbench.suites.suite import Suite, TextureRow
 
@@ -31,18 +30,18 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place, Supervisor() as supervisor:
         first = run(suite, out=Path(place) / "run", options=Options(jobs=0)).cells[0]
         where = CellFolder(first.folder)
-        job = {"kind": "cell", "folder": str(where.path), "metrics": ["cost"], "seconds": 20, "mib": 1024}
-        taken = [_once(where, {**job, "side_by_side": 0.0}, supervisor) for _ in range(REPEATS)][3:]
+        job = Job("cell", str(where.path), seconds=20, mib=1024, metrics=("cost",))
+        taken = [_once(where, job, supervisor) for _ in range(REPEATS)][3:]
     unit = machine_unit()
     median = statistics.median(taken)
     print(f"overhead of a cell, warm: {1000 * median:.1f} ms = {median / unit:.2f} u (u = {1000 * unit:.2f} ms)")
 
 
-def _once(where: CellFolder, job: dict[str, object], supervisor: Supervisor) -> float:
+def _once(where: CellFolder, job: Job, supervisor: Supervisor) -> float:
     where.result_file.unlink()
     shutil.rmtree(where.scores)
     start = time.perf_counter()
-    result = jobs.run(job, supervisor)
+    result = perform_job(job, supervisor)
     return time.perf_counter() - start - float(result["seconds"])
 
 

@@ -41,7 +41,7 @@ from nrbench.jit import load_kernels
 from nrbench.plugins.forms import Observation, Refused, Shape, Task, Texture
 from nrbench.plugins.parameters import parse_spec
 from nrbench.streams import stream
-from nrbench.suites.plan import drawn
+from nrbench.suites.plan import draw_samples
 from nrbench.suites.suite import load_suite
 
 PAPER = "rsgf:seam=blend,subpixel=false,tolerance=3,candidate_fraction=0,prefer_unused=false"
@@ -127,7 +127,7 @@ def peak_memory() -> int:
 def time_suites(options: argparse.Namespace) -> None:
     """Print the cost of each texture of the suites."""
     for suite in ("core", "report2004"):
-        for sample in drawn(load_suite(suite), ["*"]):
+        for sample in draw_samples(load_suite(suite), ["*"]):
             texture = replace(sample.recipe, shape=(128, 128)).render()
             texture = replace(texture, image=quantize(texture.image))
             for spec in options.methods or ("tile-set",):
@@ -150,8 +150,8 @@ def time_scores(options: argparse.Namespace) -> None:
         texture = sampled(name, 128, color=0.2, noise=0.03)
 
         def again(shape: Shape, k: int, model: object = model, texture: Texture = texture) -> Texture:
-            drawn = model.again(texture, shape, stream("again", "speed", k))  # type: ignore[attr-defined]
-            return replace(drawn, image=quantize(drawn.image))
+            draw_samples = model.again(texture, shape, stream("again", "speed", k))  # type: ignore[attr-defined]
+            return replace(draw_samples, image=quantize(drawn.image))
 
         output = again((256, 256), 0).image
         bare = Texture(texture.image, texture.lattice)
