@@ -24,11 +24,12 @@ PLUGIN_FOLDERS = {
 FLOORS = (
     ("nrbench.cli",),
     ("nrbench.api",),
+    ("nrbench.reports",),
     ("nrbench.labelling",),
     ("nrbench.running",),
     ("nrbench.runs",),
     ("nrbench.suites",),
-    tuple(PLUGIN_FOLDERS.values()),
+    ("nrbench.synthesizers", "nrbench.metrics", "nrbench.datasets_procedural", "nrbench.detectors"),
     ("nrbench.plugins",),
     ("nrbench.spectra",),
     ("nrbench.tracking",),
