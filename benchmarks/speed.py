@@ -150,8 +150,8 @@ def time_scores(options: argparse.Namespace) -> None:
         texture = sampled(name, 128, color=0.2, noise=0.03)
 
         def again(shape: Shape, k: int, model: object = model, texture: Texture = texture) -> Texture:
-            draw_samples = model.again(texture, shape, stream("again", "speed", k))  # type: ignore[attr-defined]
-            return replace(draw_samples, image=quantize(drawn.image))
+            drawn = model.again(texture, shape, stream("again", "speed", k))  # type: ignore[attr-defined]
+            return replace(drawn, image=quantize(drawn.image))
 
         output = again((256, 256), 0).image
         bare = Texture(texture.image, texture.lattice)
