@@ -1,1 +1,1 @@
-"""TODO nrbench.synthesizers.defects."""
+"""Helper of planted: one function for each kind of defect."""

@@ -3,10 +3,10 @@ import pytest
 from planted_cases import LARGEST, MODELS, TEXTURE, TEXTURES, Draws, S, plant, planted
 
 from nrbench.plugins.forms import Refused, Shape
-from nrbench.synthesizers.planted import FAULTS
+from nrbench.synthesizers.planted import DEFECTS
 
 
-@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize("kind", DEFECTS)
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("shape", [(64, 48), (101, 77), (40, 33), (8, 8)])
 @pytest.mark.parametrize("seed", range(2))
@@ -50,7 +50,7 @@ def test_moved_content_is_the_draw_itself(kind: str, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize("kind", DEFECTS)
 def test_size_zero_is_the_fresh_draw(kind: str, name: str) -> None:
     """At size 0 the output is the draw, to the bit, and nothing has moved."""
     image, field, _, fresh, _ = planted(kind, 0.0, name)
@@ -59,7 +59,7 @@ def test_size_zero_is_the_fresh_draw(kind: str, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["brick", "weave", "hexagon"])
-@pytest.mark.parametrize("kind", [kind for kind in FAULTS if kind != "none"])
+@pytest.mark.parametrize("kind", [kind for kind in DEFECTS if kind != "none"])
 def test_the_difference_grows_with_the_size(kind: str, name: str) -> None:
     """Up to where it saturates, a larger defect differs more from the draw, on the average of some seeds."""
     sizes = LARGEST.get(kind, 1.0) * np.array([0, 0.25, 0.5, 1])
@@ -70,7 +70,7 @@ def test_the_difference_grows_with_the_size(kind: str, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["brick", "weave", "hexagon"])
-@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize("kind", DEFECTS)
 def test_the_mask_holds_all_that_differs(kind: str, name: str) -> None:
     """Outside of the mask the output is the draw; inside it differs somewhere."""
     image, _, covered, fresh, _ = planted(kind, 0.4, name)

@@ -6,11 +6,11 @@ from planted_cases import NEEDS_NO_LATTICE, TEXTURE, Draws, plant
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Refused, Shape, Texture
-from nrbench.synthesizers.defects.planting import read
-from nrbench.synthesizers.planted import FAULTS, Planted
+from nrbench.synthesizers.defects.plant import read_displaced
+from nrbench.synthesizers.planted import DEFECTS, Planted
 
 
-@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize("kind", DEFECTS)
 def test_equal_seeds_give_equal_bytes(kind: str) -> None:
     """The task's generator decides everything."""
     np.testing.assert_array_equal(plant(kind, 0.3, 4).image, plant(kind, 0.3, 4).image)
@@ -25,7 +25,7 @@ def test_wrong_parameters_say_what_to_do() -> None:
         Planted("phase-step", 1.5)
 
 
-@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize("kind", DEFECTS)
 def test_without_fresh_draws_or_lattice_it_refuses(kind: str) -> None:
     """A photograph is refused, and a texture without a lattice where the kind needs one."""
 
@@ -64,9 +64,9 @@ def test_content_never_comes_from_the_far_side(move: tuple[int, int]) -> None:
     """A margin as wide as the move is read to its end; one that is a pixel narrower is an error, on every side."""
     draw = np.random.default_rng(0).random((16, 20, 1)).astype(np.float32)
     field = np.broadcast_to(np.array(move, np.intp), (10, 14, 2))
-    np.testing.assert_array_equal(read(draw, 3, field), draw[3 - move[1] : 13 - move[1], 3 - move[0] : 17 - move[0]])
+    np.testing.assert_array_equal(read_displaced(draw, 3, field), draw[3 - move[1] : 13 - move[1], 3 - move[0] : 17 - move[0]])
     with pytest.raises(IndexError, match="a margin of 2 px is too small for displacements of 3 px"):
-        read(draw[1:-1, 1:-1], 2, field)
+        read_displaced(draw[1:-1, 1:-1], 2, field)
 
 
 def test_the_lattice_costs_no_draw_of_the_sample() -> None:
@@ -76,7 +76,7 @@ def test_the_lattice_costs_no_draw_of_the_sample() -> None:
     assert [image.shape[:2] for image in again.seen[:-1]] == [(8, 8)]
 
 
-@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize("kind", DEFECTS)
 def test_of_size_zero_nothing_is_covered(kind: str) -> None:
     """A defect of size 0 lies nowhere."""
     assert not plant(kind, 0).extras["covered"].any()
