@@ -76,7 +76,7 @@ class Site:
 
     @property
     def border(self) -> Points:
-        """Least distance in px, along x and y, of :meth:`random_point` from the border: a tile, or a third of a side."""
+        """Least distance in px, along x and y, of :meth:`random_point` to the border: a tile, or a third of a side."""
         return np.asarray(np.minimum(self.tile_size, self.extent / 3))
 
     def fresh(self, margin: int = 0) -> Image:

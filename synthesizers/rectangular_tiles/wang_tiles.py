@@ -54,9 +54,8 @@ class WangTiles:
     def single(cls, frame: TileFrame, place: tuple[int, int]) -> WangTiles:
         """Return the set of the one tile at a place, which fits itself."""
         rows, columns = frame.size
-        return cls(
-            pixel_grid(columns, rows)[np.newaxis] + np.array(place, np.float64), np.zeros((1, 4), np.int64), place
-        )
+        sources = pixel_grid(columns, rows).astype(np.float64) + place
+        return cls(sources[np.newaxis], np.zeros((1, 4), np.int64), place)
 
     def pictures(self, patches: Patches, frame: TileFrame) -> dict[str, NDArray[Any]]:
         """Return the images of the tiles, ``tile-01`` and on, and ``edges``."""

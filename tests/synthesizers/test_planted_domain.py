@@ -64,7 +64,9 @@ def test_content_never_comes_from_the_far_side(move: tuple[int, int]) -> None:
     """A margin as wide as the move is read to its end; one that is a pixel narrower is an error, on every side."""
     draw = np.random.default_rng(0).random((16, 20, 1)).astype(np.float32)
     field = np.broadcast_to(np.array(move, np.intp), (10, 14, 2))
-    np.testing.assert_array_equal(read_displaced(draw, 3, field), draw[3 - move[1] : 13 - move[1], 3 - move[0] : 17 - move[0]])
+    np.testing.assert_array_equal(
+        read_displaced(draw, 3, field), draw[3 - move[1] : 13 - move[1], 3 - move[0] : 17 - move[0]]
+    )
     with pytest.raises(IndexError, match="a margin of 2 px is too small for displacements of 3 px"):
         read_displaced(draw[1:-1, 1:-1], 2, field)
 
