@@ -1,4 +1,4 @@
-"""Any program as a method."""
+"""Any program as a synthesis method."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from nrbench.plugins.forms import Synthesis, Task
 
 FIELDS = ("sample", "output", "width", "height", "seed")
 TAIL = 2000
-"""Characters of the program's last words that an error quotes."""
+"""Number of characters at the end of the program's messages that an error quotes."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """A program in any language: it reads the sample from a PNG and writes its output to another.
+    """A program in any language that reads the sample from a PNG file and writes its output to another.
 
-    The program runs without a shell, in an empty folder of its own that is removed afterwards. Its first word is looked
-    up as a shell would; words that name files of the current folder are passed on as absolute paths.
+    The program runs without a shell, in an empty folder that is removed afterwards. The first word of the command is
+    searched in PATH as a shell does; words that name files of the current folder become absolute paths.
 
     Parameters
     ----------
     run
         The command line, e.g. ``"tool {sample} {output} --size {width}x{height} --seed {seed}"``. ``{sample}`` and
-        ``{output}`` become paths of PNG files, ``{seed}`` a number below 2^31 that is drawn from the task's stream.
+        ``{output}`` become paths of PNG files, ``{seed}`` a number below 2^31 that is drawn from the task's random
+        stream.
     """
 
     run: str
@@ -51,14 +52,14 @@ class Command:
             raise BadInput(f"run {self.run!r} lacks {{{max(missing)}}}; put it where the program takes the file")
 
     def synthesize(self, task: Task) -> Synthesis:
-        """Return what the program wrote.
+        """Return the picture that the program wrote.
 
         Raises
         ------
         BadInput
             When there is no such program.
         RuntimeError
-            When the program fails (with the tail of what it said) or writes no picture.
+            When the program fails (with the end of its messages) or writes no picture.
         """
         with tempfile.TemporaryDirectory(prefix="nrbench-") as folder:
             sample, output = Path(folder, "sample.png"), Path(folder, "output.png")
@@ -68,7 +69,7 @@ class Command:
             return Synthesis(_read(output, words[0], task.sample))
 
     def fingerprint(self) -> str:
-        """Return a hash of the files that the command names, the program included: a changed one is another method."""
+        """Return a hash of the program and of the files that the command names: a changed file makes another method."""
         digest = hashlib.blake2b(digest_size=8)
         for word in shlex.split(self.run):
             file = shutil.which(word) or word
@@ -98,17 +99,19 @@ def _absolute(word: str) -> str:
 def _execute(words: list[str], folder: Path) -> None:
     folder.mkdir()
     try:
-        done = subprocess.run(words, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+        process = subprocess.run(words, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, check=False)
     except (FileNotFoundError, PermissionError) as error:
         raise BadInput(f"command: cannot run {words[0]!r}: {error.strerror}; install it or give its path") from None
-    if done.returncode:
-        said = (done.stderr.strip() or done.stdout.strip()).decode(errors="replace")
-        raise RuntimeError(f"{words[0]} ended with exit code {done.returncode}: {said[-TAIL:] or 'it said nothing'}")
+    if process.returncode:
+        messages = (process.stderr.strip() or process.stdout.strip()).decode(errors="replace")
+        raise RuntimeError(
+            f"{words[0]} ended with exit code {process.returncode}: {messages[-TAIL:] or 'it said nothing'}"
+        )
 
 
 def _read(output: Path, program: str, sample: Image) -> Image:
     if not output.exists():
-        raise RuntimeError(f"{program} ended well but wrote no {{output}}")
+        raise RuntimeError(f"{program} ended with exit code 0 but wrote no {{output}}")
     try:
         image = read_image(output)
     except BadInput as error:

@@ -1,4 +1,4 @@
-"""The yardstick: a fresh draw of the same texture."""
+"""The reference that calibrates all scores: a fresh draw of the same texture."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from nrbench.plugins.forms import Refused, Synthesis, Task
 
 @dataclass(frozen=True)
 class Oracle:
-    """A fresh draw of the sample's own texture model at the output's size: what "like the texture" means.
+    """A fresh draw of the sample's own texture model at the output's size: the reference of all scores.
 
-    For a photograph, a region of it that the sample does not touch.
+    For a photograph it is another region, which does not touch the sample.
     """
 
     reference: ClassVar[bool] = True
@@ -25,7 +25,7 @@ class Oracle:
         Raises
         ------
         Refused
-            When the texture's model is not known, or the picture has no room for a region of that size.
+            When the texture's model is not known, or the photograph holds no such region.
         """
         if task.again is None:
             raise Refused("no fresh draws of this texture: neither its model nor the rest of its picture is known")

@@ -1,4 +1,4 @@
-"""Outputs that were made elsewhere."""
+"""Outputs that were made before, by any program."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from nrbench.streams import pixels_hash
 
 @dataclass(frozen=True)
 class Precomputed:
-    """Pictures that any method made before, looked up by the sample's pixels and the output's size.
+    """Pictures from a folder, made before by any method, found by the sample's pixels and the output's size.
 
     Parameters
     ----------
     directory
-        A folder that holds the outputs, in one of two ways: as files named ``HASH-WIDTHxHEIGHT.png``, where HASH is
-        :func:`nrbench.streams.pixels_hash` of the sample (the refusal tells the name it looked for); or under any
-        names, with a table ``index.csv`` beside them: columns ``sample,output``, one row a pair of picture files,
+        A folder that holds the outputs in one of two forms. Files named ``HASH-WIDTHxHEIGHT.png``, where HASH is
+        :func:`nrbench.streams.pixels_hash` of the sample (if the file is missing, the refusal gives its name). Or files
+        of any names and a table ``index.csv`` with the columns ``sample,output``: one row for each pair of pictures,
         paths relative to the folder.
     """
 
@@ -36,14 +36,14 @@ class Precomputed:
     version: ClassVar[str] = "1"
 
     def synthesize(self, task: Task) -> Synthesis:
-        """Return the picture made from this sample at this size.
+        """Return the picture that was made from this sample at this size.
 
         Raises
         ------
         Refused
             When there is none.
         BadInput
-            When there is no such folder, or its table is not one.
+            When there is no such folder, or its table is malformed.
         """
         folder = self._folder()
         named = folder / name_for(task.sample, task.shape)
@@ -55,7 +55,7 @@ class Precomputed:
         raise Refused(f"no {named}, and no row of index.csv with this sample and an output of that size")
 
     def fingerprint(self) -> str:
-        """Return a hash of the folder's files (names, sizes, times): other outputs are another result."""
+        """Return a hash of the folder's files (names, sizes, times): a changed folder makes another method."""
         folder = self._folder()
         files = [(str(path.relative_to(folder)), path.stat()) for path in sorted(folder.rglob("*")) if path.is_file()]
         listed = repr([(name, stat.st_size, stat.st_mtime_ns) for name, stat in files])
@@ -71,7 +71,7 @@ class Precomputed:
 
 
 def name_for(sample: Image, shape: Shape) -> str:
-    """Return the name under which an output of ``shape`` made from ``sample`` is looked up."""
+    """Return the file name of an output of ``shape`` made from ``sample``."""
     return f"{pixels_hash(sample)}-{shape[1]}x{shape[0]}.png"
 
 
@@ -87,6 +87,6 @@ def _listed(folder: Path, sample: Image) -> Iterator[Image]:
             raise BadInput(f"{index}: columns {rows.fieldnames}; its first line must be sample,output")
         for row in rows:
             if not (row["sample"] and row["output"]):
-                raise BadInput(f"{index} line {rows.line_num}: has an empty place; name a sample and an output")
+                raise BadInput(f"{index} line {rows.line_num}: has an empty field; name a sample and an output")
             if pixels_hash(read_image(folder / row["sample"])) == wanted:
                 yield read_image(folder / row["output"])

@@ -1,4 +1,4 @@
-"""A cheat: the sample's spectrum with random phases."""
+"""A baseline: the sample's spectrum with random phases."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ Planes = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RandomPhase:
-    """Random phase noise: spectrum, colors and their covariance are the sample's, what is made of them is lost.
+    """Random phase noise: keeps the sample's spectrum, colors and their covariance, loses all structure.
 
-    Galerne, Gousseau and Morel, "Random phase textures: theory and synthesis" (IEEE TIP 20, 2011): one random phase is
-    added to those of all channels at each frequency (section IV), after the sample's border discontinuity is taken out
-    (Moisan's periodic component, section V-A). An output larger than the sample is drawn from the sample in the middle
-    of a plain of its mean color, faded at the border and scaled so that the variance is kept (section V-B). Where the
-    output is smaller than the sample along an axis, it is cut from a larger one.
+    Galerne, Gousseau and Morel, "Random phase textures: theory and synthesis" (IEEE TIP 20, 2011): at each frequency
+    one random phase is added to the phases of all channels (section IV), after the sample's border discontinuity is
+    removed (Moisan's periodic component, section V-A). For an output larger than the sample, the sample is placed on a
+    plain of its mean color, faded at its border and scaled so that the variance is kept (section V-B). An output that
+    is smaller than the sample along an axis is cut from a larger one.
 
-    On textures without a lattice it is no cheat.
+    On textures without a lattice it is a valid method rather than a baseline.
 
     Parameters
     ----------
     fade
-        Share of the sample's sides over which its border fades, where the output is larger: in [0, 0.5].
+        Share of the sample's sides, in [0, 0.5], over which its border fades where the output is larger.
     """
 
     fade: float = 0.1
@@ -61,7 +61,7 @@ class RandomPhase:
 
 
 def _periodic(planes: Planes) -> Planes:
-    """Return Moisan's periodic component: the image less the smooth one that has its jumps across the borders."""
+    """Return Moisan's periodic component: the image without a smooth image that has its jumps across the borders."""
     jumps = np.zeros_like(planes)
     down, across = planes[:, -1] - planes[:, 0], planes[:, :, -1] - planes[:, :, 0]
     jumps[:, 0] += down
@@ -78,7 +78,7 @@ def _periodic(planes: Planes) -> Planes:
 
 
 def _in_plain(planes: Planes, shape: Shape, fade: float) -> Planes:
-    """Return the image in the corner of a plain of zeros, faded and scaled so that the total variance is kept."""
+    """Return the image in the corner of an image of zeros, faded and scaled so that the total variance is kept."""
     sides = planes.shape[1:]
     windows = [_window(side, fade if full > side else 0.0) for side, full in zip(sides, shape, strict=True)]
     window = windows[0][:, np.newaxis] * windows[1]

@@ -1,9 +1,9 @@
-"""A cheat: one tile, repeated."""
+"""A baseline: one tile, repeated."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Final, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from scipy.signal import fftconvolve
@@ -12,36 +12,35 @@ from nrbench.detectors.gncc import Gncc
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import fold
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
+from nrbench.plugins.forms import Kind, Synthesis, Task, require_lattice
 
+from .baselines.voronoi_cell import OFFSET, half_extent, whole_cell_centers
 from .sampling.equal_places import EqualPlaces, pixel_grid
 from .sampling.patches import Patches, snapped
 from .sampling.splines import resampled
 
-ASIDE: Final = (0.0011, 0.0007)
-"""The cell's centre is moved by this, px, so that no pixel lies on its border, where rounding would choose a side."""
-
 _MARGIN = 8
-"""px of the mean image around its tile, so that splines at the tile's edge do not feel the end."""
+"""px of the mean image around its tile, so that splines in the tile do not depend on the image's end."""
 
 
 @dataclass(frozen=True)
 class Tiling:
     """One tile of the sample, repeated on the lattice: keeps the lattice, loses all randomness.
 
-    The tile is a Voronoi cell of the lattice, the shape with short seams, whole within the sample. Every output pixel
-    shows the point of that cell that the lattice calls equal to it, so the output continues the sample's phase and
-    nothing drifts; between pixels a spline of order 5 interpolates, and where the lattice is of whole pixels every
-    pixel is a copy. Seams are left as they are.
+    The tile is a Voronoi cell of the lattice, the shape with short seams, and lies entirely within the sample. Every
+    output pixel shows the equivalent point of that cell, so the output continues the sample's phase and nothing drifts.
+    Between pixels a spline of order 5 interpolates; where the lattice vectors are whole pixels, every pixel is a copy.
+    Seams are not blended.
 
-    On perfectly regular textures it is no cheat. With no lattice given it finds one by ``gncc``.
+    On perfectly regular textures it is a valid method rather than a baseline. Without a given lattice it finds one by
+    ``gncc``.
 
     Parameters
     ----------
     tile
-        ``"typical"``: the tile nearest to the mean of all (least mean squared difference), the cheat at its best;
-        ``"random"``: drawn uniformly, however odd; ``"mean"``: the mean of all tiles, each shifted by the real-valued
-        lattice and interpolated by the same spline, so that only what varies is blurred; no pixel is a copy.
+        ``"typical"``: the tile nearest to the mean of all tiles (least mean squared difference), the best single tile;
+        ``"random"``: drawn uniformly; ``"mean"``: the mean of all tiles, each shifted by the real-valued lattice and
+        interpolated by the same spline, so that only variation is blurred; no pixel is a copy.
     """
 
     tile: Literal["typical", "random", "mean"] = "typical"
@@ -54,8 +53,8 @@ class Tiling:
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis.
 
-        The source map's weight is 1 where a pixel was copied, else the bilinear weight of the nearest one; the mean
-        tile has none.
+        The source map's weight is 1 where a pixel was copied, else the bilinear weight of the nearest pixel. The mean
+        tile has no source map.
 
         Raises
         ------
@@ -63,43 +62,40 @@ class Tiling:
             When no lattice is found, or the sample does not hold a whole tile.
         """
         lattice, seconds = require_lattice(task, Gncc(), "there is no tile to repeat")
-        centres = whole_centres(lattice, task.sample.shape)
+        centers = whole_cell_centers(lattice, task.sample.shape)
         if self.tile == "mean":
-            return Synthesis(_mean_repeated(task, lattice), lattice, detection_seconds=seconds)
+            return Synthesis(_repeat_mean(task, lattice), lattice, detection_seconds=seconds)
         typical = self.tile == "typical"
-        centre = _typical(task.sample, lattice, centres) if typical else task.rng.choice(centres)
-        aside = centre + ASIDE
-        image, source = resampled(task, lambda pixels: aside + lattice.wrap(pixels - aside))
+        center = _typical_center(task.sample, lattice, centers) if typical else task.rng.choice(centers)
+        middle = center + OFFSET
+        image, source = resampled(task, lambda pixels: middle + lattice.wrap(pixels - middle))
         return Synthesis(image, lattice, source, detection_seconds=seconds)
 
 
-def _mean_repeated(task: Task, lattice: Lattice) -> Image:
+def _repeat_mean(task: Task, lattice: Lattice) -> Image:
     """Return the mean tile, repeated in the sample's phase."""
-    middle = np.array(task.sample.shape[1::-1]) // 2
-    around = np.ceil(reach(lattice)).astype(int) + _MARGIN
-    corner = middle - around
-    mean = mean_window(task.sample, lattice, corner, (int(2 * around[1] + 1), int(2 * around[0] + 1)))
-    aside = middle + ASIDE
-    image, _ = resampled(replace(task, sample=mean), lambda pixels: aside - corner + lattice.wrap(pixels - aside))
+    center = np.array(task.sample.shape[1::-1]) // 2
+    around = np.ceil(half_extent(lattice)).astype(int) + _MARGIN
+    corner = center - around
+    mean = _mean_window(task.sample, lattice, corner, (int(2 * around[1] + 1), int(2 * around[0] + 1)))
+    middle = center + OFFSET
+    image, _ = resampled(replace(task, sample=mean), lambda pixels: middle - corner + lattice.wrap(pixels - middle))
     return image
 
 
-def mean_window(sample: Image, lattice: Lattice, corner: Points, shape: tuple[int, int]) -> Image:
+def _mean_window(sample: Image, lattice: Lattice, corner: Points, shape: tuple[int, int]) -> Image:
     """Return a part of the periodic image that is the mean of the sample over its lattice.
+
+    Each pixel is the mean over all equivalent places of the sample, interpolated by splines.
 
     Parameters
     ----------
     sample
         ``(H, W, C)``; holds a whole tile.
     lattice
-        Its vectors count.
+        Its origin does not matter.
     corner, shape
-        The part's first pixel (x, y) in the sample, its height and width; it may lie outside.
-
-    Returns
-    -------
-    Image
-        Each pixel is the mean over all places of the sample that the lattice calls equal, interpolated by splines.
+        The part's first pixel (x, y) in the sample, which may lie outside, and the part's height and width.
     """
     total, count = np.zeros((*shape, sample.shape[2])), np.zeros(shape)
     size, last = np.array(shape[::-1]), np.array(sample.shape[1::-1]) - 0.5
@@ -115,40 +111,13 @@ def mean_window(sample: Image, lattice: Lattice, corner: Points, shape: tuple[in
     return np.asarray(total / np.maximum(count, 1)[..., np.newaxis], np.float32)
 
 
-def reach(lattice: Lattice) -> tuple[float, float]:
-    """Return how far, along x and y in px, the lattice's Voronoi cell reaches from its centre."""
-    a, b = lattice.reduced().matrix
-    corners = np.array([_circumcentre(p, q) for p, q in ((a, b), (a, a - b), (b, b - a))])
-    x, y = np.abs(corners).max(0)
-    return float(x), float(y)
-
-
-def _circumcentre(p: Points, q: Points) -> Points:
-    """Return the point equally far from 0, p and q: a corner of the cell."""
-    return np.asarray(np.linalg.solve(2 * np.stack([p, q]), [p @ p, q @ q]))
-
-
-def whole_centres(lattice: Lattice, shape: tuple[int, ...]) -> Points:
-    """Return the (whole-pixel) centres (x, y) of all tiles that lie whole within the sample, ``(n, 2)``."""
-    height, width = shape[:2]
-    x, y = reach(lattice)
-    low = np.ceil([x, y]).astype(int)
-    high = np.floor([width - 1 - x, height - 1 - y]).astype(int)
-    if (high < low).any():
-        raise Refused(
-            f"a tile takes {2 * x:.0f}x{2 * y:.0f} px, the sample is {width}x{height} px: it holds no whole tile"
-        )
-    width, height = high - low + 1
-    return pixel_grid(width, height, *low).reshape(-1, 2).astype(np.float64)
-
-
-def _typical(sample: Image, lattice: Lattice, centres: Points) -> Points:
-    """Return the centre of the tile that differs least from the mean tile; of equal ones the first."""
+def _typical_center(sample: Image, lattice: Lattice, centers: Points) -> Points:
+    """Return the center of the tile that differs least from the mean tile; the first of equal ones."""
     mean = fold(sample, lattice.reduced()).unfold(sample.shape[:2])
     departure = ((sample - mean) ** 2).sum(-1, dtype=np.float64)
-    x, y = np.ceil(reach(lattice)).astype(int)
-    around = pixel_grid(2 * x + 1, 2 * y + 1, -x, -y) - np.array(ASIDE)
+    x, y = np.ceil(half_extent(lattice)).astype(int)
+    around = pixel_grid(2 * x + 1, 2 * y + 1, -x, -y) - np.array(OFFSET)
     inside = np.abs(lattice.wrap(around) - around).max(-1) < 1e-6
     total = fftconvolve(departure, inside[::-1, ::-1].astype(np.float64), mode="same")
-    column, row = centres.astype(int).T
-    return np.asarray(centres[np.argmin(np.round(total[row, column], 6))])
+    column, row = centers.astype(int).T
+    return np.asarray(centers[np.argmin(np.round(total[row, column], 6))])

@@ -7,8 +7,8 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.running.phases import checked_synthesis
-from nrbench.synthesizers.supertile import Supertile, supercell
-from nrbench.synthesizers.tiling import reach
+from nrbench.synthesizers.baselines.voronoi_cell import half_extent
+from nrbench.synthesizers.supertile import Supertile, largest_supercell
 
 OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
 WHOLE = Lattice((20, 4), (-3, 16))
@@ -34,7 +34,7 @@ def made(sample: Image, shape: tuple[int, int], lattice: Lattice) -> Synthesis:
 
 def test_it_repeats_many_tiles_and_no_fewer() -> None:
     """On noise with a lattice of whole pixels the output repeats along the supercell's vectors, not the lattice's."""
-    sample, cell = noise((90, 110)), supercell(WHOLE, (90, 110))
+    sample, cell = noise((90, 110)), largest_supercell(WHOLE, (90, 110))
     image = made(sample, (200, 220), WHOLE).image
     for vector, repeats in ((cell.t1, True), (cell.t2, True), (WHOLE.t1, False), (WHOLE.t2, False)):
         x, y = (int(value) for value in vector)
@@ -60,10 +60,10 @@ def test_a_fractional_lattice_neither_drifts_nor_blurs() -> None:
 @pytest.mark.parametrize("lattice", [OBLIQUE, WHOLE, Lattice((9.3, 0), (4.65, 8.05)), Lattice((40, 3), (1, 44))])
 def test_the_supercell_is_the_largest_that_fits(lattice: Lattice) -> None:
     """It is a sublattice whose cell lies in the sample, and none larger does."""
-    cell = supercell(lattice, (96, 128))
+    cell = largest_supercell(lattice, (96, 128))
     change = cell.matrix @ np.linalg.inv(lattice.matrix)
     np.testing.assert_allclose(change, np.rint(change), atol=1e-6)
-    assert (2 * np.array(reach(cell)) <= (128 + 1e-6, 96 + 1e-6)).all()
+    assert (2 * np.array(half_extent(cell)) <= (128 + 1e-6, 96 + 1e-6)).all()
     steps = [np.array([a, b]) @ lattice.matrix for a in range(-14, 15) for b in range(-14, 15)]
     fitting = [v for v in steps if abs(v[0]) <= 128 and abs(v[1]) <= 96 and np.hypot(*v) > 30]
     wide = [v for v in fitting if v[0] > 55 and abs(v[1]) < 30]
@@ -72,7 +72,7 @@ def test_the_supercell_is_the_largest_that_fits(lattice: Lattice) -> None:
         for b in tall:
             other = Lattice((a[0], a[1]), (b[0], b[1]))
             if other.area > cell.area + 1e-6:
-                assert (2 * np.array(reach(other)) > (128, 96)).any()
+                assert (2 * np.array(half_extent(other)) > (128, 96)).any()
 
 
 def test_a_sample_without_a_whole_tile_is_refused() -> None:

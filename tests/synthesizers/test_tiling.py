@@ -7,7 +7,8 @@ import pytest
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Synthesis, Task
-from nrbench.synthesizers.tiling import Tiling, reach
+from nrbench.synthesizers.baselines.voronoi_cell import half_extent
+from nrbench.synthesizers.tiling import Tiling
 
 OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
 
@@ -67,10 +68,10 @@ def test_the_map_points_at_what_was_copied() -> None:
     assert len(np.unique(made.source[..., :2].reshape(-1, 2), axis=0)) == lattice.area
 
 
-def test_the_reach_is_that_of_the_voronoi_cell() -> None:
+def test_the_half_extent_is_that_of_the_voronoi_cell() -> None:
     """Rectangles reach half their sides; a running bond of squares, half its longer vector."""
-    assert reach(Lattice((30, 0), (0, 24))) == pytest.approx((15, 12))
-    assert reach(Lattice((40, 0), (20, 20))) == pytest.approx((20, 20))
+    assert half_extent(Lattice((30, 0), (0, 24))) == pytest.approx((15, 12))
+    assert half_extent(Lattice((40, 0), (20, 20))) == pytest.approx((20, 20))
 
 
 def test_a_sample_without_a_whole_tile_is_refused() -> None:

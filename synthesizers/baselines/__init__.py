@@ -1,0 +1,1 @@
+"""Helper of the baselines tiling, supertile and shuffle: the Voronoi cell of a lattice."""
