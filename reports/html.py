@@ -1,4 +1,4 @@
-"""The report as one HTML file that needs nothing else."""
+"""Write the report of a run as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -17,41 +17,41 @@ from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RUN_FILE
 from nrbench.storage import write_aside
 
-from .page import format as wording
-from .page.disputed import disputed
-from .page.figures import layer_titles, shade
-from .page.gallery import gallery
-from .page.pictures import Pictures
-from .perils import drawn
-from .plots.forest_plot import panels
-from .statistics.baselines import LEGEND, SIGN
-from .statistics.comparison import comparison
-from .statistics.detections import KINDS, STOCHASTIC, Detectors, detectors
-from .statistics.people import people
-from .statistics.perils import places
-from .statistics.summary import headlines, known_columns
-from .statistics.summary_rows import others
-from .statistics.verdicts import MEANINGS, PRESERVED
+from .page.forest_plot import forest_axes
+from .page.gallery import PictureSource, build_disagreement, build_gallery, layer_titles, score_shade
+from .perils import plot_perils_plane
+from .statistics import format as text_format
+from .statistics.comparison import compare_methods
+from .statistics.detections import KINDS, STOCHASTIC, DetectorComparison, compare_detectors
+from .statistics.people import compare_people
+from .statistics.perils_points import perils_points
+from .statistics.summary import describe_scores, headline_columns, other_score_rows
+from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, PRESERVED
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"
 _KEY_VERSIONS = ("nrbench", "python", "numpy", "scipy", "scikit-image", "numba", "pandas", "pillow")
+_FILTERS = (
+    *("format_number", "format_percent", "format_signed", "format_interval", "format_count", "format_successes"),
+    *("format_limit", "describe_direction", "describe_column", "pluralize", "strip_control"),
+)
 
 
 @dataclass(frozen=True)
 class HtmlReport:
-    """The whole run on one page, ``report.html``: works from ``file://``, asks no network.
+    """The whole run on one page, ``report.html``, which works offline from ``file://``.
 
-    The comparison with success rates and their intervals, how far to trust each detector of the lattice axis, each
-    texture's sample, lattice and outputs side by side, what
-    failed and why, what the run was made with, and what every score means.
+    It shows the comparison with success rates and their intervals, the perils plane, the accuracy of each detector of
+    the lattice axis, each texture's sample, lattice and outputs side by side, the failures and their causes, the
+    provenance of the run, and the meaning of every score.
 
     Parameters
     ----------
     embed_mib
-        Pictures go into the page up to this many MiB; beyond, the page links the run's own files and must stay beside
-        them.
+        The page embeds pictures of up to this many MiB in total. Above, it links the run's own files and must stay in
+        the run directory.
     labels
-        Files of people's answers, as ``nrbench label`` has them saved: adds how judge and people agree.
+        Answer files of the labelling pages of ``nrbench label``. They add the agreement of people with the automatic
+        verdict.
     """
 
     embed_mib: float = 60.0
@@ -67,104 +67,98 @@ class HtmlReport:
         return [path]
 
     def render(self, run: Run, directory: Path) -> str:
-        """Return the page; ``directory`` is where it will lie."""
-        found = comparison(run)
-        pictures = Pictures.of(run.cells, directory, self.embed_mib * 2**20)
-        asked = detectors(run)
-        shown = places(found.summaries)
-        labelled = people(run, self.labels)
-        doubted = labelled.disagreements if labelled else ()
+        """Return the page as it will lie in ``directory``."""
+        comparison = compare_methods(run)
+        pictures = PictureSource.for_cells(run.cells, directory, self.embed_mib * 2**20)
+        detectors = compare_detectors(run)
+        points = perils_points(comparison.summaries)
+        people = compare_people(run, self.labels)
+        disagreements = people.disagreements if people else ()
+        references = (i for i, method in enumerate(comparison.methods) if i and method.reference)
         content: dict[str, Any] = {
             "info": run.info,
-            "created": _created(run),
-            "versions": _versions(run.info.get("versions", {})),
+            "created": _creation_time(run),
+            "versions": _split_versions(run.info.get("versions", {})),
             "run": run,
-            "found": found,
-            "first_reference": next((i for i, head in enumerate(found.heads) if i and head.reference), -1),
-            "others": others(run, found.summaries),
-            "panels": panels(found.summaries, headlines(run)),
-            "places": shown,
-            "plane": _svg_source(drawn(shown, "svg")) if shown else "",
-            "sections": gallery(run, found, pictures),
+            "comparison": comparison,
+            "first_reference": next(references, -1),
+            "other_scores": other_score_rows(run, comparison.summaries),
+            "axes": forest_axes(comparison.summaries, headline_columns(run)),
+            "points": points,
+            "plane": _svg_source(plot_perils_plane(points, "svg")) if points else "",
+            "sections": build_gallery(run, comparison, pictures),
             "titles": layer_titles(run),
-            "unfinished": _unfinished(run.cells),
-            "broken_scores": _broken_scores(run.cells),
-            "columns": known_columns(run),
+            "unfinished": _unfinished_cells(run.cells),
+            "failed_scores": _failed_scores(run.cells),
+            "columns": describe_scores(run),
             "meanings": MEANINGS,
-            "no_cheat_sign": SIGN,
-            "no_cheat_legend": LEGEND,
+            "baseline_sign": BASELINE_SIGN,
+            "baseline_legend": BASELINE_LEGEND,
             "embedded": pictures.embedded,
-            "judged": PRESERVED in run.columns,
-            "detectors": asked,
-            "families": _families(asked),
+            "scored": PRESERVED in run.columns,
+            "detectors": detectors,
+            "families": _families(detectors),
             "kinds": KINDS,
-            "people": labelled,
+            "people": people,
             "answers": ANSWERS,
-            "disagreements": [(one, disputed(run, one.record, pictures)) for one in doubted],
+            "disagreements": [(one, build_disagreement(run, one.record, pictures)) for one in disagreements],
         }
-        return _page(content)
+        return _fill_template(content)
 
 
 def _svg_source(svg: bytes) -> str:
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
 
 
-def _page(content: Mapping[str, Any]) -> str:
-    """Fill the template; style and script go in by hash, so that nothing else on the page can run."""
-    env = _environment()
-    style = Markup(env.get_template("style.css").render(content))
-    script = Markup(env.get_template("script.js").render())
-    hashes = {"style_hash": content_hash(style), "script_hash": content_hash(script)}
-    return env.get_template("report.html").render(content, style=style, script=script, **hashes)
-
-
-def _environment() -> jinja2.Environment:
-    env = jinja2.Environment(
+def _fill_template(content: Mapping[str, Any]) -> str:
+    """Return the page; its content policy names style and script by hash, so that nothing else on it can run."""
+    environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    words = ("number", "plain", "plural", "interval", "signed", "counted", "successes", "percent", "end", "way", "tip")
-    env.filters.update({name: getattr(wording, name) for name in words}, shade=shade)
-    return env
+    environment.filters.update({name: getattr(text_format, name) for name in _FILTERS}, score_shade=score_shade)
+    style = Markup(environment.get_template("style.css").render(content))
+    script = Markup(environment.get_template("script.js").render())
+    hashes = {"style_hash": content_hash(style), "script_hash": content_hash(script)}
+    return environment.get_template("report.html").render(content, style=style, script=script, **hashes)
 
 
-def _families(asked: Detectors | None) -> list[str]:
-    """Return the families of the textures that have a lattice to be found."""
-    groups = asked.groups if asked else []
+def _families(detectors: DetectorComparison | None) -> list[str]:
+    """Return the families of the textures that have a lattice."""
+    groups = detectors.groups if detectors else []
     return list(dict.fromkeys(group.family for group in groups if group.departure != STOCHASTIC))
 
 
-def _created(run: Run) -> str:
-    """Return when the run was made, from its record or its file's time."""
-    known = run.info.get("created")
-    file = run.root / RUN_FILE
+def _creation_time(run: Run) -> str:
+    """Return the creation time of the run, from its record or the time of its file."""
+    known, file = run.info.get("created"), run.root / RUN_FILE
     if known or not file.is_file():
         return str(known or "")
     return datetime.fromtimestamp(file.stat().st_mtime, UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
-def _versions(versions: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
+def _split_versions(versions: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
     """Return the versions that matter most, and the others."""
     main = {name: versions[name] for name in _KEY_VERSIONS if name in versions}
     return main, {name: version for name, version in versions.items() if name not in main}
 
 
-def _unfinished(cells: Sequence[CellRecord]) -> list[CellRecord]:
-    """Return the cells without an output: failures first, then refusals, then what has not run."""
+def _unfinished_cells(cells: Sequence[CellRecord]) -> list[CellRecord]:
+    """Return the cells without an output: failures first, then refusals, then cells that have not run."""
     last = ("refused", "missing")
     rest = [record for record in cells if record.status != "ok"]
     return sorted(rest, key=lambda record: last.index(record.status) + 1 if record.status in last else 0)
 
 
-def _broken_scores(cells: Sequence[CellRecord]) -> list[tuple[CellRecord, str, str]]:
-    """Return the metrics that failed on a cell: the cell, the metric, why."""
-    found = {
+def _failed_scores(cells: Sequence[CellRecord]) -> list[tuple[CellRecord, str, str]]:
+    """Return the cells on which a metric failed, each with the metric and the reason."""
+    failures = {
         (i, name.partition(".")[0], why): record
         for i, record in enumerate(cells)
         for name, why in record.reasons.items()
         if why.startswith("failed:")
     }
-    return [(record, metric, why) for (_, metric, why), record in found.items()]
+    return [(record, metric, why) for (_, metric, why), record in failures.items()]

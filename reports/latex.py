@@ -1,4 +1,4 @@
-"""The comparison as LaTeX tables, for a paper."""
+"""Write the comparison as LaTeX tables for a paper."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
-from .page.format import number, plain
-from .statistics.baselines import LEGEND, SHARES, NoCheat
-from .statistics.comparison import Comparison, Entry, comparison
-from .statistics.statistics import Estimate
-from .statistics.summary import Head, headlines
-from .statistics.verdicts import PRESERVED
+from .statistics.comparison import Comparison, Entry, compare_methods
+from .statistics.estimates import Estimate
+from .statistics.format import format_interval, format_number, strip_control
+from .statistics.summary import MethodSummary, headline_columns
+from .statistics.verdicts import BASELINE_LEGEND, PRESERVED, SHARES_LEGEND
 
 _SPECIAL: Mapping[str, str] = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
@@ -39,24 +38,25 @@ _MARKS: Mapping[str, tuple[str, str]] = {
 }
 _OTHER: Mapping[str, str] = {
     "Reference": r"\ensuremath{^\dagger}",
-    "NoCheat": r"\ensuremath{^\ddagger}",
+    "ValidBaseline": r"\ensuremath{^\ddagger}",
     "Given": r"\ensuremath{^{\mathrm g}}",
 }
 
 
 @dataclass(frozen=True)
 class LatexTables:
-    r"""``summary.tex`` (methods by scores) and ``comparison.tex`` (textures by methods), to be ``\input`` in a paper.
+    r"""``summary.tex`` (methods by scores) and ``comparison.tex`` (textures by methods), for ``\input`` in a paper.
 
     They need ``\usepackage{booktabs}`` and ``\usepackage[T1]{fontenc}``, nothing else. Names are escaped. A dagger
-    marks a reference, which is never ranked, a double dagger one that is no cheat there; a raised g a method that was
-    handed the true lattice, any other raised word the detector that the lattice came from. The marks are commands
-    (``\nrbPreserved``, ``\nrbLost``, ``\nrbGiven``, ...) that a paper may define otherwise before the input.
+    marks a reference, which is never ranked. A double dagger marks a baseline that is valid on that kind of texture. A
+    raised g marks a method that received the true lattice; any other raised word is the detector that found its
+    lattice. The marks are commands (``\nrbPreserved``, ``\nrbLost``, ``\nrbGiven``, ...). A paper can define its own
+    before the input.
 
     Parameters
     ----------
     columns
-        Methods side by side in ``comparison.tex``, at least 1; the others follow below.
+        Methods side by side in ``comparison.tex``, at least 1; further methods follow below.
     """
 
     columns: int = 6
@@ -69,11 +69,11 @@ class LatexTables:
             raise BadInput(f"report latex: columns is {self.columns}; give at least 1")
 
     def write(self, run: Run, directory: Path) -> list[Path]:
-        """Write both files and return their paths; none where the run judges no regularity."""
-        found = comparison(run)
-        if PRESERVED not in run.columns or not found.rows:
+        """Write both files and return their paths; none if the run has no regularity score."""
+        comparison = compare_methods(run)
+        if PRESERVED not in run.columns or not comparison.rows:
             return []
-        contents = {"summary": _summary(run, found), "comparison": _comparison(run, found, self.columns)}
+        contents = {"summary": _summary(run, comparison), "comparison": _comparison(run, comparison, self.columns)}
         return [_write(directory / f"{name}.tex", lines) for name, lines in contents.items()]
 
 
@@ -83,23 +83,25 @@ def _write(path: Path, lines: Iterator[str]) -> Path:
     return path
 
 
-def escaped(text: str) -> str:
-    """Return text on one line as LaTeX prints it: every special character is itself, and no ligature is made."""
-    return "".join(_SPECIAL.get(letter, letter) for letter in " ".join(plain(text).split()))
+def escape_latex(text: str) -> str:
+    """Return text on one line, escaped so that LaTeX prints every character and makes no ligature."""
+    return "".join(_SPECIAL.get(letter, letter) for letter in " ".join(strip_control(text).split()))
 
 
 def _definitions() -> Iterator[str]:
-    yield r"% needs \usepackage{booktabs} and \usepackage[T1]{fontenc}; the marks may be defined before this is read"
+    yield r"% needs \usepackage{booktabs} and \usepackage[T1]{fontenc}; a paper can define these marks before this file"
     for name, sign in (*_MARKS.values(), *_OTHER.items()):
         yield rf"\providecommand{{\nrb{name}}}{{{sign}}}"
 
 
-def _head(head: Head, no_cheat: NoCheat) -> str:
-    source = {"none": "", "own": "", "given": r"\nrbGiven{}"}.get(head.lattice_source)
-    raised = rf"\textsuperscript{{{escaped(head.lattice_source)}}}" if source is None else source
-    name = rf"\textit{{{escaped(head.method)}}}\nrbReference{{}}" if head.reference else escaped(head.method)
-    share = rf"\textsuperscript{{{no_cheat.share}}}" if no_cheat.share else ""
-    return name + raised + (rf"\nrbNoCheat{{}}{share}" if no_cheat.n else "")
+def _method(one: MethodSummary) -> str:
+    name, source, validity = escape_latex(one.method.name), one.method.lattice_source, one.validity
+    raised = {"none": "", "own": "", "given": r"\nrbGiven{}"}.get(source)
+    if raised is None:
+        raised = rf"\textsuperscript{{{escape_latex(source)}}}"
+    share = rf"\textsuperscript{{{validity.share}}}" if validity.share else ""
+    valid = rf"\nrbValidBaseline{{}}{share}" if validity.n else ""
+    return (rf"\textit{{{name}}}\nrbReference{{}}" if one.method.reference else name) + raised + valid
 
 
 def _float(name: str, caption: str, spec: str, rows: Sequence[str]) -> Iterator[str]:
@@ -113,91 +115,89 @@ def _line(parts: Sequence[str]) -> str:
     return " & ".join(parts) + r" \\"
 
 
-def _summary(run: Run, found: Comparison) -> Iterator[str]:
-    columns = headlines(run)
-    heads = ["preserved, \\%", *(_title(name, column.unit) for name, column in columns.items())]
+def _summary(run: Run, comparison: Comparison) -> Iterator[str]:
+    columns = headline_columns(run)
+    heads = ["preserved, \\%", *(_column_title(name, column.unit) for name, column in columns.items())]
     rows = [_line(["method", *(rf"\shortstack{{{head}}}" for head in heads)]), r"\midrule"]
     references = False
-    for one in found.summaries:
-        if one.head.reference and not references and len(rows) > 2:
+    for one in comparison.summaries:
+        if one.method.reference and not references and len(rows) > 2:
             rows.append(r"\midrule")
-        references = one.head.reference
+        references = one.method.reference
         means = (_mean(one.means[name]) for name in columns)
-        rows.append(_line([_head(one.head, one.no_cheat), _rate(one.success), *means]))
+        rows.append(_line([_method(one), _rate(one.success), *means]))
     caption = (
-        f"{_suite(run)}: means over textures, 95\\,\\% intervals over textures below; preserved: share of "
-        f"textures whose lattice is preserved, and of how many ({{\\itshape /n}} elsewhere: not of all). "
-        f"{_signs(found)}"
+        f"{_suite(run)}: means over textures, with 95\\,\\% intervals over textures below. Preserved: share of textures "
+        f"whose lattice is preserved. {{\\itshape /n}}: the value rests on n textures. {_signs(comparison)}"
     )
     yield from _float("summary", caption, "l" + "r" * len(heads), rows)
 
 
-def _title(name: str, unit: str) -> str:
-    """Return a column's head on two lines: its metric, then its name with its unit."""
+def _column_title(name: str, unit: str) -> str:
+    """Return the title of a column on two lines: the metric, then the name with its unit."""
     metric, _, column = name.rpartition(".")
-    words = escaped(column.replace("_", " ")) + (f", {escaped(unit)}" if unit else "")
-    return rf"{escaped(metric)}\\{words}" if metric else words
+    words = escape_latex(column.replace("_", " ")) + (f", {escape_latex(unit)}" if unit else "")
+    return rf"{escape_latex(metric)}\\{words}" if metric else words
 
 
 def _rate(one: Estimate) -> str:
     if one.value is None:
         return "--"
-    ends = "" if one.low is None or one.high is None else f"[{100 * one.low:.0f}, {100 * one.high:.0f}]"
-    return _stacked(rf"{100 * one.value:.0f} \textit{{/{one.n}}}", ends)
+    return _stacked(rf"{100 * one.value:.0f} \textit{{/{one.n}}}", format_interval(one, as_percent=True))
 
 
 def _mean(one: Estimate) -> str:
     if one.value is None:
         return "--"
-    ends = "" if one.low is None or one.high is None else f"[{number(one.low)}, {number(one.high)}]"
     part = rf" \textit{{/{one.n}}}" if one.n < one.of else ""
-    return _stacked(_mathematical(number(one.value)) + part, _mathematical(ends))
+    return _stacked(_mathematical(format_number(one.value)) + part, _mathematical(format_interval(one)))
 
 
 def _stacked(value: str, ends: str) -> str:
-    """Return a value with its interval below it."""
+    """Return a value above its interval."""
     return rf"\shortstack[r]{{{value}\\[-1pt]\scriptsize {ends}}}" if ends else value
 
 
 def _mathematical(text: str) -> str:
-    return re.sub("[\u2212\u2013\u221e]", lambda found: _SPECIAL[found[0]], text)
+    return re.sub("[\u2212\u2013\u221e]", lambda match: _SPECIAL[match[0]], text)
 
 
-def _comparison(run: Run, found: Comparison, columns: int) -> Iterator[str]:
-    signs = ", ".join(rf"\nrb{_MARKS[name][0]}{{}} {name}" for _, name in found.legend)
+def _comparison(run: Run, comparison: Comparison, columns: int) -> Iterator[str]:
+    signs = ", ".join(rf"\nrb{_MARKS[name][0]}{{}} {name}" for _, name in comparison.legend)
     caption = (
-        f"{_suite(run)}: is the lattice preserved? {signs}; beside the mark the share of tiles in place and intact. "
-        f"share: regular share of the texture. {_signs(found)}"
+        f"{_suite(run)}: is the lattice preserved? {signs}. Beside the mark: share of tiles in place and intact. "
+        f"Share: regular share of the texture. {_signs(comparison)}"
     )
     rows: list[str] = []
-    for start in range(0, len(found.heads), columns):
+    for start in range(0, len(comparison.methods), columns):
         rows += [r"\midrule"] if rows else []
-        rows += _block(found, start, min(start + columns, len(found.heads)), columns)
-    yield from _float("comparison", caption, "lr" + "l" * min(columns, len(found.heads)), rows)
+        rows += _block(comparison, start, min(start + columns, len(comparison.methods)), columns)
+    yield from _float("comparison", caption, "lr" + "l" * min(columns, len(comparison.methods)), rows)
 
 
-def _block(found: Comparison, start: int, stop: int, columns: int) -> Iterator[str]:
-    blank = [""] * (min(columns, len(found.heads)) - (stop - start))
-    heads = [_head(one.head, one.no_cheat) for one in found.summaries[start:stop]]
+def _block(comparison: Comparison, start: int, stop: int, columns: int) -> Iterator[str]:
+    blank = [""] * (min(columns, len(comparison.methods)) - (stop - start))
+    heads = [_method(one) for one in comparison.summaries[start:stop]]
     yield _line(["texture", "share", *heads, *blank])
     yield r"\midrule"
-    for row in found.rows:
+    for row in comparison.rows:
         share = "--" if row.regular_share is None else f"{row.regular_share:.2f}"
-        yield _line([escaped(row.texture), share, *map(_place, row.entries[start:stop]), *blank])
+        yield _line([escape_latex(row.texture), share, *map(_entry, row.entries[start:stop]), *blank])
 
 
-def _place(entry: Entry | None) -> str:
+def _entry(entry: Entry | None) -> str:
     if entry is None:
         return ""
-    sign = r"\nrbNoCheat{}" if entry.right else ""
-    return rf"\nrb{_MARKS[entry.verdict][0]}{{}} {escaped(entry.detail)}".rstrip() + sign
+    sign = r"\nrbValidBaseline{}" if entry.baseline_valid else ""
+    return rf"\nrb{_MARKS[entry.verdict][0]}{{}} {escape_latex(entry.detail)}".rstrip() + sign
 
 
 def _suite(run: Run) -> str:
     suite = run.info.get("suite", {})
-    return escaped(f"{suite.get('name', 'run')} {suite.get('version', '')} ({suite.get('hash', 'no hash')})")
+    return escape_latex(f"{suite.get('name', 'run')} {suite.get('version', '')} ({suite.get('hash', 'no hash')})")
 
 
-def _signs(found: Comparison) -> str:
-    signs = r"\nrbReference{} reference, never ranked; \nrbGiven{} the true lattice was handed over."
-    return rf"{signs} \nrbNoCheat{{}} {LEGEND} ({SHARES})." if found.no_cheat else signs
+def _signs(comparison: Comparison) -> str:
+    signs = r"\nrbReference{} reference, never ranked. \nrbGiven{} the method received the true lattice."
+    valid = rf" \nrbValidBaseline{{}} {BASELINE_LEGEND} ({SHARES_LEGEND})."
+    return signs + valid * comparison.has_valid_baseline

@@ -1,1 +1,1 @@
-"""TODO nrbench.reports.page."""
+"""The parts of the HTML page: pictures, lattice drawings, plots and templates."""

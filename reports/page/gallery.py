@@ -1,115 +1,339 @@
-"""The gallery: each texture's sample, its lattice, and every output side by side."""
+"""Collect the pictures of a run for the page: each texture's sample, its lattices, and every output with its scores."""
 
 from __future__ import annotations
 
+import base64
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+import PIL.Image
 
 from nrbench.lattice.geometry import Lattice
 from nrbench.runs.records import CellRecord, Run
 
-from ..statistics.comparison import Comparison, Row
-from .figures import Figure, figure, head_of
-from .overlay import Overlay, beside, overlay, parsed
-from .pictures import Picture, Pictures
+from ..statistics.comparison import Comparison, TextureRow
+from ..statistics.format import describe_column, format_number
+from ..statistics.summary import COSTS, Method, headline_columns, sort_headlines_first
+from ..statistics.verdicts import MARKS, SCORE, explain_valid_baseline, explain_verdict, verdict
+from .lattice_overlay import LatticeOverlay, align_basis, draw_lattice
 
-SAME = 0.05
-"""Lattices whose reduced vectors agree within this many px are drawn once."""
+SAME_LATTICE = 0.05
+"""Lattices whose reduced vectors agree within this many px share one drawing."""
+_SMALLEST, _LARGEST = 192, 384
+_MAX_LOST_SHADE = 3
+_DEFECTS = "regularity.defects"
 
 
 @dataclass(frozen=True)
-class FoundLattice:
-    """A lattice that methods used and that is not the true one."""
+class PagePicture:
+    """A picture as the page shows it.
+
+    Parameters
+    ----------
+    source
+        The value of ``src``: the embedded pixels, or a relative path.
+    width, height
+        Size of the picture in px.
+    """
+
+    source: str
+    width: int
+    height: int
+
+    @property
+    def scale(self) -> float:
+        """Page pixels for each pixel: a whole number for small pictures, which avoids moire; below 1 for large ones."""
+        if self.width < _SMALLEST:
+            return float(-(-_SMALLEST // self.width))
+        return min(1.0, _LARGEST / self.width)
+
+
+@dataclass(frozen=True)
+class PictureSource:
+    """The source of the page's pictures.
+
+    Parameters
+    ----------
+    directory
+        Folder of the page.
+    embedded
+        Whether the page embeds the pixels; otherwise it links the files by relative paths.
+    """
+
+    directory: Path
+    embedded: bool
+
+    @classmethod
+    def for_cells(cls, cells: Iterable[CellRecord], directory: Path, limit: float) -> PictureSource:
+        """Embed the pictures of all cells unless that takes more than ``limit`` bytes."""
+        names = ("sample.png", "output.png")
+        files = (file for one in cells for file in (*(one.folder / name for name in names), *one.pictures.values()))
+        size = sum(file.stat().st_size for file in files if file.is_file())
+        return cls(directory, size * 4 / 3 <= limit)
+
+    def load(self, path: Path | None) -> PagePicture | None:
+        """Return the picture in a PNG file; None if there is no readable picture."""
+        try:
+            if path is None:
+                return None
+            with PIL.Image.open(path) as image:
+                width, height = image.size
+            return PagePicture(self._source(path), width, height)
+        except (OSError, SyntaxError, PIL.Image.DecompressionBombError):
+            return None
+
+    def _source(self, path: Path) -> str:
+        if self.embedded:
+            return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+        return quote(Path(os.path.relpath(path, self.directory)).as_posix())
+
+
+@dataclass(frozen=True)
+class PictureLayer:
+    """A picture of a metric that the page can lay over an output."""
+
+    index: int
+    title: str
+    picture: PagePicture
+
+
+@dataclass(frozen=True)
+class ScoreLine:
+    """One score of a cell as text, with the description of its column and the reason if there is no value."""
+
+    name: str
+    text: str
+    meaning: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class OutputFigure:
+    """One output with its verdict and scores.
+
+    Parameters
+    ----------
+    record, method
+        The cell, and its method.
+    verdict, mark, shade, explanation
+        As in the comparison.
+    output
+        The output; None if there is none.
+    layers
+        The metrics' pictures.
+    headline, scores
+        The headline scores, and all scores.
+    valid_baseline
+        The sentence that a baseline is valid on the texture; empty if it is not.
+    """
+
+    record: CellRecord
+    method: Method
+    verdict: str
+    mark: str
+    shade: int | None
+    explanation: str
+    output: PagePicture | None
+    layers: Sequence[PictureLayer]
+    headline: Sequence[ScoreLine]
+    scores: Sequence[ScoreLine]
+    valid_baseline: str = ""
+
+
+@dataclass(frozen=True)
+class DisagreementFigure:
+    """An output on which people and the automatic verdict differ.
+
+    Parameters
+    ----------
+    method
+        The method of the cell.
+    sample, output, layer
+        The sample, the output and the map of its defects; None if there is none.
+    scale
+        Page pixels for each pixel, the same for all three.
+    explanation
+        Why the verdict is undecided; empty if it is not.
+    scores
+        The scores of regularity.
+    """
+
+    method: Method
+    sample: PagePicture | None
+    output: PagePicture | None
+    layer: PagePicture | None
+    scale: float
+    explanation: str
+    scores: Sequence[ScoreLine]
+
+
+@dataclass(frozen=True)
+class UsedLattice:
+    """A lattice that differs from the true one, with the methods that used it."""
 
     labels: Sequence[str]
-    overlay: Overlay
+    overlay: LatticeOverlay
 
 
 @dataclass(frozen=True)
-class Draw:
-    """One replicate of a texture: its sample, the lattices, the outputs.
+class TextureDraw:
+    """One replicate of a texture: its sample, the lattices and the outputs.
 
     Parameters
     ----------
     replicate
         Its number.
     sample
-        The sample's pixels; None where it could not be drawn.
+        The sample; None if it could not be rendered.
     scale
-        Page pixels a pixel of the outputs.
+        Page pixels for each pixel of the outputs.
     truth, agreeing
-        The true lattice, and the columns that found it by themselves.
-    found
-        Every other lattice that was used.
+        The true lattice, and the methods that found it by themselves.
+    used
+        Every other lattice that a method used.
     figures
         The outputs.
     """
 
     replicate: int
-    sample: Picture | None
+    sample: PagePicture | None
     scale: float
-    truth: Overlay | None
+    truth: LatticeOverlay | None
     agreeing: Sequence[str]
-    found: Sequence[FoundLattice]
-    figures: Sequence[Figure]
+    used: Sequence[UsedLattice]
+    figures: Sequence[OutputFigure]
 
 
 @dataclass(frozen=True)
-class Section:
-    """A texture of the gallery: its line of the comparison, and its draws."""
+class TextureSection:
+    """A texture of the gallery: its row of the comparison, and its replicates."""
 
-    row: Row
-    draws: Sequence[Draw]
+    row: TextureRow
+    draws: Sequence[TextureDraw]
 
 
-def gallery(run: Run, found: Comparison, pictures: Pictures) -> list[Section]:
+def score_shade(score: float | None) -> int | None:
+    """Return the shade of a score, from 0 (worst) to 10."""
+    return None if score is None else round(10 * min(1.0, max(0.0, score)))
+
+
+def layer_titles(run: Run) -> list[str]:
+    """Return the names of the metrics' pictures in a run, those of the headline metrics first."""
+    return sort_headlines_first(dict.fromkeys(title for record in run.cells for title in record.pictures))
+
+
+def build_gallery(run: Run, comparison: Comparison, pictures: PictureSource) -> list[TextureSection]:
     """Return a section for every texture of the comparison."""
-    return [Section(row, [_draw(run, pictures, draw) for draw in _replicates(row)]) for row in found.rows]
+    titles = layer_titles(run)
+    sections = []
+    for row in comparison.rows:
+        replicates: dict[int, list[CellRecord]] = {}
+        for entry in row.entries:
+            for record in entry.records if entry else ():
+                replicates.setdefault(record.replicate, []).append(record)
+        draws = [_texture_draw(run, titles, pictures, replicates[number]) for number in sorted(replicates)]
+        sections.append(TextureSection(row, draws))
+    return sections
 
 
-def _replicates(row: Row) -> Iterable[list[CellRecord]]:
-    by_replicate: dict[int, list[CellRecord]] = {}
-    for entry in row.entries:
-        for record in entry.records if entry else ():
-            by_replicate.setdefault(record.replicate, []).append(record)
-    return (by_replicate[key] for key in sorted(by_replicate))
+def build_disagreement(run: Run, record: CellRecord, pictures: PictureSource) -> DisagreementFigure:
+    """Return the figure of a cell on which people and the automatic verdict differ."""
+    output = pictures.load(record.folder / "output.png")
+    names = [name for name in run.columns if name.startswith("regularity.")]
+    return DisagreementFigure(
+        method=_method_of(record),
+        sample=pictures.load(record.folder / "sample.png"),
+        output=output,
+        layer=pictures.load(record.pictures.get(_DEFECTS)) if output else None,
+        scale=output.scale if output else 1.0,
+        explanation=explain_verdict(record),
+        scores=_score_lines(run, record, names),
+    )
 
 
-def _draw(run: Run, pictures: Pictures, records: Sequence[CellRecord]) -> Draw:
-    sample = next(filter(None, (pictures.picture(record.folder / "sample.png") for record in records)), None)
-    figures = [figure(run, record, pictures) for record in records]
+def _texture_draw(
+    run: Run, titles: Sequence[str], pictures: PictureSource, records: Sequence[CellRecord]
+) -> TextureDraw:
+    sample = next(filter(None, (pictures.load(record.folder / "sample.png") for record in records)), None)
+    figures = [_output_figure(run, record, titles, pictures) for record in records]
     outputs = [one.output for one in figures if one.output]
-    known = next(filter(None, (parsed(record.lattice_truth) for record in records)), None)
-    truth = known.reduced() if known else None
+    known = next((record.lattice_truth for record in records if record.lattice_truth), None)
+    truth = Lattice.from_dict(known).reduced() if known else None
     shape = (sample.height, sample.width) if sample else (1, 1)
-    return Draw(
+    return TextureDraw(
         replicate=records[0].replicate,
         sample=sample,
         scale=outputs[0].scale if outputs else 1.0,
-        truth=overlay(truth, shape) if truth and sample else None,
-        agreeing=[head_of(record).label for record in records if _agrees(record, truth)],
-        found=_found_lattices(records, truth, shape) if sample else [],
+        truth=draw_lattice(truth, shape) if truth and sample else None,
+        agreeing=[
+            _method_of(record).label
+            for record in records
+            if record.lattice_source not in ("given", "none") and _uses(record, truth)
+        ],
+        used=_used_lattices(records, truth, shape) if sample else [],
         figures=figures,
     )
 
 
-def _agrees(record: CellRecord, truth: Lattice | None, handed: bool = False) -> bool:
-    """Return whether a cell used the true lattice, and found it by itself unless ``handed`` ones count too."""
-    used = parsed(record.lattice_used)
-    if used is None or truth is None or (record.lattice_source in ("given", "none") and not handed):
+def _output_figure(run: Run, record: CellRecord, titles: Sequence[str], pictures: PictureSource) -> OutputFigure:
+    score, word = record.values.get(SCORE), verdict(record)
+    shade = score_shade(None if score is None else float(score))
+    if shade is not None and word == "lost":
+        shade = min(shade, _MAX_LOST_SHADE)  # a lost lattice never looks like a preserved one
+    layers = [(index, title, pictures.load(record.pictures.get(title))) for index, title in enumerate(titles, 1)]
+    return OutputFigure(
+        record=record,
+        method=_method_of(record),
+        verdict=word,
+        mark=MARKS[word],
+        shade=shade,
+        explanation=explain_verdict(record),
+        output=pictures.load(record.folder / "output.png") if record.status == "ok" else None,
+        layers=[PictureLayer(index, title, picture) for index, title, picture in layers if picture],
+        headline=_score_lines(run, record, [name for name in headline_columns(run) if name != SCORE]),
+        scores=_score_lines(run, record, sort_headlines_first(run.columns)),
+        valid_baseline=explain_valid_baseline(record),
+    )
+
+
+def _score_lines(run: Run, record: CellRecord, names: Iterable[str]) -> list[ScoreLine]:
+    """Return those of the scores that the cell has, and its seconds if they are among ``names``."""
+    lines = []
+    for name in names:
+        if name == "seconds" and record.seconds is not None:
+            lines.append(ScoreLine("time", f"{format_number(record.seconds)} s", describe_column(COSTS[name]), ""))
+        elif name in record.values:
+            column, value = run.columns[name], record.values[name]
+            unit = f" {column.unit}" if column.unit and value is not None else ""
+            reason = record.reasons.get(name, "")
+            lines.append(ScoreLine(name, format_number(value) + unit, describe_column(column), reason))
+    return lines
+
+
+def _method_of(record: CellRecord) -> Method:
+    return Method(record.method, record.lattice_source, record.reference, record.parameters)
+
+
+def _uses(record: CellRecord, truth: Lattice | None) -> bool:
+    """Return whether a cell used the true lattice."""
+    if record.lattice_used is None or truth is None:
         return False
-    return used.is_equivalent(truth, SAME)
+    return Lattice.from_dict(record.lattice_used).is_equivalent(truth, SAME_LATTICE)
 
 
-def _found_lattices(records: Sequence[CellRecord], truth: Lattice | None, shape: tuple[int, int]) -> list[FoundLattice]:
+def _used_lattices(records: Sequence[CellRecord], truth: Lattice | None, shape: tuple[int, int]) -> list[UsedLattice]:
+    """Return the lattices that differ from the true one, each with the methods that used it."""
     groups: list[tuple[Lattice, list[str]]] = []
     for record in records:
-        used = parsed(record.lattice_used)
-        if used is None or _agrees(record, truth, handed=True):
+        if record.lattice_used is None or _uses(record, truth):
             continue
-        names = next((names for known, names in groups if known.is_equivalent(used, SAME)), None)
-        if names is None:
-            names = []
-            groups.append((used, names))
-        names.append(head_of(record).label)
-    return [FoundLattice(names, overlay(beside(used, truth, shape), shape)) for used, names in groups]
+        used = Lattice.from_dict(record.lattice_used)
+        labels = next((labels for known, labels in groups if known.is_equivalent(used, SAME_LATTICE)), None)
+        if labels is None:
+            labels = []
+            groups.append((used, labels))
+        labels.append(_method_of(record).label)
+    return [UsedLattice(labels, draw_lattice(align_basis(used, truth, shape), shape)) for used, labels in groups]

@@ -1,1 +1,1 @@
-"""TODO nrbench.reports.statistics.statistics."""
+"""The numbers in every report: verdicts, estimates with intervals, and the comparison of methods."""

@@ -1,6 +1,6 @@
-"""The comparison: textures by methods, verdict and score in each place, success rates and means at the foot.
+"""Build the comparison of a run: textures by methods, with verdict and score in each entry, and summary rows below.
 
-Built once; the terminal, HTML and every other format print it.
+Every report format prints this one table.
 """
 
 from __future__ import annotations
@@ -11,30 +11,38 @@ from dataclasses import dataclass
 
 from nrbench.runs.records import CellRecord, Run
 
-from .baselines import is_right
-from .summary import Difference, Head, Summary, differences, heads, summarize
-from .summary_rows import FootRow, foot
-from .verdicts import MARKS, SCORE, explanation, frame, verdict
+from .format import pluralize
+from .summary import (
+    Method,
+    MethodSummary,
+    PairedDifference,
+    SummaryRow,
+    compare_pairs,
+    list_methods,
+    summarize_methods,
+    summary_rows,
+)
+from .verdicts import MARKS, SCORE, explain_verdict, is_valid_baseline, tabulate_cells, verdict
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One place of the comparison: a texture, a method and a lattice source.
+    """One entry of the comparison: a texture, a method and a lattice source.
 
     Parameters
     ----------
     verdict
         A key of :data:`~nrbench.reports.statistics.verdicts.MARKS`.
     preserved
-        How many replicates preserve the lattice.
+        Number of replicates that preserve the lattice.
     score
-        Mean of ``regularity.score`` over replicates, in [0, 1]; None where there is none.
+        Mean of ``regularity.score`` over replicates, in [0, 1]; None if there is none.
     records
         The cells, one a replicate.
     notes
         Numbers of the notes that apply.
-    right
-        Whether a reference is no cheat on the texture; None for what is no cheat anywhere, or a kind not known.
+    baseline_valid
+        Whether a baseline is valid on the texture; None for a method that is no baseline, or an unknown kind.
     """
 
     verdict: str
@@ -42,16 +50,16 @@ class Entry:
     score: float | None
     records: Sequence[CellRecord]
     notes: Sequence[int] = ()
-    right: bool | None = None
+    baseline_valid: bool | None = None
 
     @property
     def mark(self) -> str:
-        """The verdict's mark."""
+        """The mark of the verdict."""
         return MARKS[self.verdict]
 
     @property
     def detail(self) -> str:
-        """What stands beside the mark: the score, how many replicates agree, or the status that ended the cell."""
+        """The text beside the mark: the score, how many replicates agree, or the status that ended the cell."""
         if self.verdict in ("failed", "missing"):
             return self.records[0].status
         share = f"{self.preserved}/{len(self.records)} " if self.verdict == "mixed" else ""
@@ -64,13 +72,13 @@ class Entry:
 
     @property
     def explanation(self) -> str:
-        """The sentences behind the verdict, one a replicate; empty where it speaks for itself."""
-        return "\n".join(dict.fromkeys(filter(None, map(explanation, self.records))))
+        """Why replicates are neither preserved nor lost, one line a reason; empty if there is nothing to explain."""
+        return "\n".join(dict.fromkeys(filter(None, map(explain_verdict, self.records))))
 
 
 @dataclass(frozen=True)
-class Row:
-    """A texture of the comparison; an entry is None where the run has no such cell."""
+class TextureRow:
+    """A texture of the comparison; an entry is None if the run has no such cell."""
 
     texture: str
     family: str
@@ -86,74 +94,90 @@ class Comparison:
 
     Parameters
     ----------
-    heads
-        Its columns, reference rows last.
-    rows, foot
-        Its lines.
+    title
+        One line: the suite, its hash, and how many cells ended with each status.
+    methods
+        Its columns, reference methods last.
+    rows, summary_rows
+        The textures, and the rows below them.
     notes
-        What methods say of their cells; number 1 is the first.
+        The notes of methods on their cells; number 1 is the first.
     summaries
-        Each column in numbers.
+        Each method in numbers.
     differences
-        Paired differences between columns.
+        Paired differences between methods.
     counts
         Cells by status.
     """
 
-    heads: Sequence[Head]
-    rows: Sequence[Row]
-    foot: Sequence[FootRow]
+    title: str
+    methods: Sequence[Method]
+    rows: Sequence[TextureRow]
+    summary_rows: Sequence[SummaryRow]
     notes: Sequence[str]
-    summaries: Sequence[Summary]
-    differences: Sequence[Difference]
+    summaries: Sequence[MethodSummary]
+    differences: Sequence[PairedDifference]
     counts: Mapping[str, int]
 
     @property
     def legend(self) -> list[tuple[str, str]]:
         """The verdicts that occur, each with its mark."""
-        found = {entry.verdict for row in self.rows for entry in row.entries if entry}
-        return [(mark, name) for name, mark in MARKS.items() if name in found]
+        verdicts = {entry.verdict for row in self.rows for entry in row.entries if entry}
+        return [(mark, name) for name, mark in MARKS.items() if name in verdicts]
 
     @property
-    def no_cheat(self) -> bool:
-        """Whether any reference is no cheat on any texture."""
-        return any(one.no_cheat.n for one in self.summaries)
+    def has_valid_baseline(self) -> bool:
+        """Whether any baseline is valid on any texture."""
+        return any(one.validity.n for one in self.summaries)
 
 
-def comparison(run: Run) -> Comparison:
-    """Build the comparison of a run; a run without cells gives one without rows."""
-    cells, columns = frame(run), heads(run)
-    summaries = summarize(run, cells)
+def compare_methods(run: Run) -> Comparison:
+    """Build the comparison of a run; without rows if the run has no cells."""
+    cells, methods = tabulate_cells(run), list_methods(run)
+    summaries = summarize_methods(run, cells)
     notes = list(dict.fromkeys(record.note for record in run.cells if record.note))
+    rows = _texture_rows(run, methods, {note: number for number, note in enumerate(notes, 1)})
+    counts = dict(Counter(record.status for record in run.cells).most_common())
     return Comparison(
-        heads=columns,
-        rows=_rows(run, columns, {note: number for number, note in enumerate(notes, 1)}),
-        foot=foot(run, summaries),
+        title=_title(run, len(rows), counts),
+        methods=methods,
+        rows=rows,
+        summary_rows=summary_rows(run, summaries),
         notes=notes,
         summaries=summaries,
-        differences=differences(run, cells),
-        counts=dict(Counter(record.status for record in run.cells).most_common()),
+        differences=compare_pairs(run, cells),
+        counts=counts,
     )
 
 
-def _rows(run: Run, columns: Sequence[Head], notes: Mapping[str, int]) -> list[Row]:
-    places: dict[str, dict[tuple[str, str], list[CellRecord]]] = {}
+def _title(run: Run, textures: int, counts: Mapping[str, int]) -> str:
+    suite = run.info.get("suite", {})
+    name = f"{suite.get('name', 'run')} {suite.get('version', '')}".rstrip()
+    sizes = f"{pluralize(textures, 'texture')}, {pluralize(len(run.cells), 'cell')}"
+    ended = ", ".join(f"{count} {status}" for status, count in counts.items())
+    return f"{name} ({suite.get('hash', 'no hash')}): {sizes}" + (f": {ended}" if ended else "")
+
+
+def _texture_rows(run: Run, methods: Sequence[Method], notes: Mapping[str, int]) -> list[TextureRow]:
+    records: dict[str, dict[tuple[str, str], list[CellRecord]]] = {}
     for record in run.cells:
-        places.setdefault(record.texture, {}).setdefault((record.method, record.lattice_source), []).append(record)
-    return [_row(found, columns, notes) for found in places.values()]
+        records.setdefault(record.texture, {}).setdefault((record.method, record.lattice_source), []).append(record)
+    return [_texture_row(by_method, methods, notes) for by_method in records.values()]
 
 
-def _row(found: Mapping[tuple[str, str], list[CellRecord]], columns: Sequence[Head], notes: Mapping[str, int]) -> Row:
-    records = [record for place in found.values() for record in place]
+def _texture_row(
+    by_method: Mapping[tuple[str, str], list[CellRecord]], methods: Sequence[Method], notes: Mapping[str, int]
+) -> TextureRow:
+    records = [record for replicates in by_method.values() for record in replicates]
     shares = [record.regular_share for record in records if record.regular_share is not None]
     first = records[0]
-    return Row(
+    return TextureRow(
         texture=first.texture,
         family=first.family,
         kind=first.kind,
         regular_share=sum(shares) / len(shares) if shares else None,
         description=first.cell.description,
-        entries=[_entry(found.get((head.method, head.lattice_source), []), notes) for head in columns],
+        entries=[_entry(by_method.get((method.name, method.lattice_source), []), notes) for method in methods],
     )
 
 
@@ -168,5 +192,5 @@ def _entry(records: list[CellRecord], notes: Mapping[str, int]) -> Entry | None:
         score=sum(scores) / len(scores) if scores else None,
         records=records,
         notes=sorted({notes[record.note] for record in records if record.note}),
-        right=is_right(records[0]),
+        baseline_valid=is_valid_baseline(records[0]),
     )

@@ -1,4 +1,4 @@
-"""What the detectors of a run's lattice axis answered: one row an answer, and how far to trust each detector."""
+"""Summarize the answers of a run's lattice detectors: accuracy, errors, times, and calibration of the confidence."""
 
 from __future__ import annotations
 
@@ -7,34 +7,86 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from nrbench.lattice.comparison import lattice_error
+from nrbench.lattice.geometry import Lattice
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
-from ..page.overlay import parsed
-from ..plots.calibration import Calibration, calibration
-from .statistics import Estimate, wilson
+from .estimates import Estimate, estimate_share
 
-ANSWERS = (
+ANSWER_COLUMNS = (
     *("detector", "texture", "family", "departure", "level", "regular_share", "replicate", "answer", "right", "found"),
     *("confidence", "vector_error", "seconds", "reason"),
 )
-"""The columns of :func:`answers`."""
+"""The columns of :func:`tabulate_answers`."""
 KINDS = ("exact", "supercell", "subcell", "wrong", "none", "failed")
 """The kinds of answer on textures that have a lattice."""
 STOCHASTIC = "stochastic"
+BINS = 10
+"""Number of bins of :func:`calibrate`."""
 
 
 @dataclass(frozen=True)
-class Trust:
-    """How far to trust one detector.
+class CalibrationBin:
+    """The answers whose confidence lies in one range.
+
+    Parameters
+    ----------
+    low, high
+        The range.
+    confidence
+        Mean confidence of the answers.
+    right
+        Share of the answers that are right, with Wilson's interval.
+    share
+        Their share of all answers.
+    """
+
+    low: float
+    high: float
+    confidence: float
+    right: Estimate
+    share: float
+
+    @property
+    def radius(self) -> float:
+        """Radius of the point in the diagram, in hundredths of its side: the area grows with the count."""
+        return 1.2 + 5 * math.sqrt(self.share)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Confidence compared with truth.
+
+    Parameters
+    ----------
+    bins
+        The bins that are not empty, by ascending confidence.
+    error
+        Expected calibration error: the mean over answers of the distance between the share of right answers in the
+        answer's bin and the mean confidence there (M. P. Naeini, G. F. Cooper, M. Hauskrecht, "Obtaining well
+        calibrated probabilities using Bayesian binning", AAAI 2015); None if there are no answers.
+    n
+        Number of answers.
+    """
+
+    bins: Sequence[CalibrationBin]
+    error: float | None
+    n: int
+
+
+@dataclass(frozen=True)
+class DetectorSummary:
+    """The accuracy and the speed of one detector.
 
     Parameters
     ----------
     detector
-        As the lattice axis names it.
+        The detector, as the lattice axis names it.
     exact
         Share of exact answers on draws of textures that have a lattice.
     false
@@ -42,13 +94,13 @@ class Trust:
     families
         ``exact`` by family.
     vector_error
-        Median larger error of the two vectors, px, of the exact answers; None where there are none.
+        Median over exact answers of the larger error of the two vectors, px; None if there are no exact answers.
     seconds, slowest
-        Median and largest wall seconds of a detection; None where none ended.
+        Median and largest wall time of a detection, s; None if no detection ended.
     calibration
-        How often a lattice is right, by the confidence it was given with.
+        How often a lattice is right, by its confidence.
     kinds
-        How many answers were of each of :data:`KINDS`, on textures that have a lattice.
+        Number of answers of each of :data:`KINDS`, on textures that have a lattice.
     """
 
     detector: str
@@ -63,61 +115,67 @@ class Trust:
 
 
 @dataclass(frozen=True)
-class Group:
-    """The answers on textures of one family, departure and level, as each detector gave them.
+class AnswerGroup:
+    """The answers on textures of one family, departure and level, by detector.
 
     Parameters
     ----------
     family, departure, level
-        Level None: all levels.
-    places
-        By detector: the share of right answers.
+        The textures; ``level`` is None for all levels together.
+    rates
+        Share of right answers, by detector.
     errors
-        By detector: the median vector error of the exact answers, px; None where there are none.
+        Median vector error of the right answers, px, by detector; None if there are none.
     """
 
     family: str
     departure: str
     level: float | None
-    places: Mapping[str, Estimate]
+    rates: Mapping[str, Estimate]
     errors: Mapping[str, float | None]
 
 
 @dataclass(frozen=True)
-class Detectors:
-    """All of it: one :class:`Trust` a detector, and the answers by family and departure, without and with levels."""
+class DetectorComparison:
+    """The summary of each detector, and the answers by family and departure, without and with levels."""
 
-    trusts: Sequence[Trust]
-    groups: Sequence[Group]
-    levels: Sequence[Group]
+    summaries: Sequence[DetectorSummary]
+    groups: Sequence[AnswerGroup]
+    levels: Sequence[AnswerGroup]
 
 
-def answers(run: Run) -> pd.DataFrame:
-    """Return one row an answer of a detector of the lattice axis, on one draw of a texture; columns :data:`ANSWERS`.
+def tabulate_answers(run: Run) -> pd.DataFrame:
+    """Return one row an answer: one detector of the lattice axis on one draw of a texture.
 
-    ``answer`` is exact, supercell k, subcell 1/k or wrong where a lattice was found, none where not, ``false lattice``
-    where one was found on a stochastic texture, and failed where the detector did. ``right`` is whether that is what it
-    should have answered. Draws of which the truth is not known, or that no detector has seen, are left out; a draw
-    that several methods used counts once.
+    A draw that several methods used counts once. Draws without a known truth, and draws that no detector has processed,
+    are left out.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The columns :data:`ANSWER_COLUMNS`. On a texture with a lattice ``answer`` is ``exact``, ``supercell k``,
+        ``subcell 1/k``, ``wrong``, or ``none`` if no lattice was found. On a stochastic texture it is ``none`` or
+        ``false lattice``. It is ``failed`` if the detector failed. ``right`` is true for ``exact``, and for ``none`` on
+        a stochastic texture.
     """
-    rows = {row["name"]: row for row in run.info.get("suite", {}).get("content", {}).get("texture", [])}
-    asked = {(r.lattice_source, r.texture, r.replicate): r for r in reversed(run.cells) if r.cell.detector}
-    found = [_answer(record, rows.get(record.texture, {})) for record in reversed(asked.values())]
-    return pd.DataFrame([row for row in found if row], columns=list(ANSWERS))
+    textures = {row["name"]: row for row in run.info.get("suite", {}).get("content", {}).get("texture", [])}
+    draws = {(r.lattice_source, r.texture, r.replicate): r for r in reversed(run.cells) if r.cell.detector}
+    rows = [_answer_row(record, textures.get(record.texture, {})) for record in reversed(draws.values())]
+    return pd.DataFrame([row for row in rows if row], columns=list(ANSWER_COLUMNS))
 
 
-def _answer(record: CellRecord, row: Mapping[str, Any]) -> dict[str, Any] | None:
+def _answer_row(record: CellRecord, texture: Mapping[str, Any]) -> dict[str, Any] | None:
     detected, stochastic = record.cell.detected, record.kind == STOCHASTIC
     failed = detected is None and record.status in FAILED and record.phase == "detect"
     if not (detected or failed) or (record.lattice_truth is None and not stochastic):
         return None
-    answer, error = ("failed", None) if detected is None else _compared(record, stochastic)
+    answer, error = ("failed", None) if detected is None else _compare_with_truth(record, detected.lattice)
     return {
         "detector": record.lattice_source,
         "texture": record.texture,
         "family": record.family,
-        "departure": STOCHASTIC if stochastic else row.get("departure", ""),
-        "level": row.get("level"),
+        "departure": STOCHASTIC if stochastic else texture.get("departure", ""),
+        "level": texture.get("level"),
         "regular_share": record.regular_share,
         "replicate": record.replicate,
         "answer": answer,
@@ -130,69 +188,109 @@ def _answer(record: CellRecord, row: Mapping[str, Any]) -> dict[str, Any] | None
     }
 
 
-def _compared(record: CellRecord, stochastic: bool) -> tuple[str, float | None]:
-    """Return the kind of a detector's answer, and its vector error where there is a truth to compare with."""
-    detected, truth = record.cell.detected, parsed(record.lattice_truth)
-    if detected is None or detected.lattice is None:
+def _compare_with_truth(record: CellRecord, lattice: Lattice | None) -> tuple[str, float | None]:
+    """Return the kind of an answer, and its vector error if there is a truth to compare with."""
+    if lattice is None:
         return "none", None
-    if truth is None or stochastic:
+    if record.lattice_truth is None or record.kind == STOCHASTIC:
         return "false lattice", None
-    error = lattice_error(detected.lattice, truth, record.cell.recipe.shape)
+    error = lattice_error(lattice, Lattice.from_dict(record.lattice_truth), record.cell.recipe.shape)
     return error.label, error.vector
 
 
-def detectors(run: Run) -> Detectors | None:
-    """Return how far to trust each detector of a run's lattice axis; None where none has answered."""
-    table = answers(run)
-    if table.empty:
+def compare_detectors(run: Run) -> DetectorComparison | None:
+    """Compare the detectors of a run's lattice axis; None if there are no answers."""
+    answers = tabulate_answers(run)
+    if answers.empty:
         return None
-    names = list(dict.fromkeys(table["detector"]))
-    return Detectors(
-        trusts=[_trust(name, table[table["detector"] == name]) for name in names],
-        groups=_groups(table, ["family", "departure"]),
-        levels=_groups(table[table["level"].notna()], ["family", "departure", "level"]),
+    names = list(dict.fromkeys(answers["detector"]))
+    return DetectorComparison(
+        summaries=[_summarize_detector(name, answers[answers["detector"] == name]) for name in names],
+        groups=_group_answers(answers, ["family", "departure"]),
+        levels=_group_answers(answers[answers["level"].notna()], ["family", "departure", "level"]),
     )
 
 
-def rate(successes: pd.Series[bool]) -> Estimate:
-    """Return a share with Wilson's interval; its unit is the draw: each is a fresh one of its texture's model."""
-    n = len(successes)
-    if n == 0:
-        return Estimate(None)
-    low, high = wilson(float(successes.sum()), n) or (None, None)
-    return Estimate(float(successes.mean()), low, high, n, n)
-
-
-def _trust(name: str, table: pd.DataFrame) -> Trust:
-    stochastic = table["departure"] == STOCHASTIC
-    regular, given = table[~stochastic], table[table["found"] & table["confidence"].notna()]
+def _summarize_detector(name: str, answers: pd.DataFrame) -> DetectorSummary:
+    stochastic = answers["departure"] == STOCHASTIC
+    regular, confident = answers[~stochastic], answers[answers["found"] & answers["confidence"].notna()]
     kinds = regular["answer"].str.partition(" ")[0]
     families = regular.groupby("family", sort=False)["right"]
-    return Trust(
+    return DetectorSummary(
         detector=name,
-        exact=rate(regular["right"]),
-        false=rate(table[stochastic]["found"]),
-        families={str(family): rate(right) for family, right in families},
-        vector_error=median(regular[regular["right"]]["vector_error"]),
-        seconds=median(table["seconds"]),
-        slowest=None if table["seconds"].isna().all() else float(table["seconds"].max()),
-        calibration=calibration(given["confidence"].to_numpy(float), given["right"].to_numpy(bool)),
+        exact=estimate_share(regular["right"]),
+        false=estimate_share(answers[stochastic]["found"]),
+        families={str(family): estimate_share(right) for family, right in families},
+        vector_error=median_of_known(regular[regular["right"]]["vector_error"]),
+        seconds=median_of_known(answers["seconds"]),
+        slowest=None if answers["seconds"].isna().all() else float(answers["seconds"].max()),
+        calibration=calibrate(confident["confidence"].to_numpy(float), confident["right"].to_numpy(bool)),
         kinds={kind: int((kinds == kind).sum()) for kind in KINDS},
     )
 
 
-def median(values: Iterable[float | None]) -> float | None:
-    """Return the median of what is known; None where nothing is."""
+def _group_answers(answers: pd.DataFrame, keys: list[str]) -> list[AnswerGroup]:
+    groups = []
+    for key, part in answers.groupby(keys, sort=False):
+        family, departure, *level = cast(tuple[Any, ...], key)
+        own = {str(name): rows for name, rows in part.groupby("detector", sort=False)}
+        rates = {name: estimate_share(rows["right"]) for name, rows in own.items()}
+        errors = {name: median_of_known(rows[rows["right"]]["vector_error"]) for name, rows in own.items()}
+        groups.append(AnswerGroup(str(family), str(departure), float(level[0]) if level else None, rates, errors))
+    return groups
+
+
+def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
+    """Return one row a detector and group of textures: shares of right answers, errors, seconds.
+
+    Parameters
+    ----------
+    answers
+        The table of :func:`tabulate_answers`.
+    """
+    keys = ["family", "departure", "level"]
+    regular = answers[answers["departure"] != STOCHASTIC]
+    rows = [_detector_row(name, {}, part) for name, part in regular.groupby("detector", sort=False)]
+    for depth in (1, 2, 3):
+        table = answers if depth < 3 else answers[answers["level"].notna()]
+        for (name, *group), part in table.groupby(["detector", *keys[:depth]], sort=False):
+            rows.append(_detector_row(name, dict(zip(keys, group, strict=False)), part))
+    return pd.DataFrame(rows)
+
+
+def _detector_row(name: Any, group: Mapping[str, Any], part: pd.DataFrame) -> dict[str, Any]:
+    right = estimate_share(part["right"])
+    return {
+        "detector": name,
+        **{key: group.get(key) for key in ("family", "departure", "level")},
+        **{"n": len(part), "right": int(part["right"].sum()), "found": int(part["found"].sum())},
+        **{"share_right": right.value, "share_right_low": right.low, "share_right_high": right.high},
+        "median_vector_error": median_of_known(part[part["right"]]["vector_error"]),
+        "median_seconds": median_of_known(part["seconds"]),
+    }
+
+
+def median_of_known(values: Iterable[float | None]) -> float | None:
+    """Return the median of the known values; None if there are none."""
     known = pd.Series([value for value in values if value is not None and not math.isnan(value)], dtype=float)
     return None if known.empty else float(known.median())
 
 
-def _groups(table: pd.DataFrame, keys: list[str]) -> list[Group]:
-    found = []
-    for key, part in table.groupby(keys, sort=False):
-        family, departure, *level = cast(tuple[Any, ...], key)
-        own = {str(name): rows for name, rows in part.groupby("detector", sort=False)}
-        places = {name: rate(rows["right"]) for name, rows in own.items()}
-        errors = {name: median(rows[rows["right"]]["vector_error"]) for name, rows in own.items()}
-        found.append(Group(str(family), str(departure), float(level[0]) if level else None, places, errors))
-    return found
+def calibrate(confidence: NDArray[np.float64], right: NDArray[np.bool_]) -> Calibration:
+    """Compare confidence with truth in :data:`BINS` bins of equal width.
+
+    Parameters
+    ----------
+    confidence
+        ``(n,)`` in [0, 1].
+    right
+        ``(n,)``: whether each answer was right.
+    """
+    n = len(confidence)
+    index = np.clip((confidence * BINS).astype(int), 0, BINS - 1)
+    bins = []
+    for i in np.unique(index):
+        own, count = estimate_share(right[index == i]), int((index == i).sum())
+        bins.append(CalibrationBin(i / BINS, (i + 1) / BINS, float(confidence[index == i].mean()), own, count / n))
+    gaps = [one.share * abs((one.right.value or 0.0) - one.confidence) for one in bins]
+    return Calibration(bins, math.fsum(gaps) if bins else None, n)

@@ -1,4 +1,4 @@
-"""Whether judge and people agree on what is preserved."""
+"""Compare the automatic verdicts of a run with the answers of people, and people with each other."""
 
 from __future__ import annotations
 
@@ -13,31 +13,36 @@ import pandas as pd
 from nrbench.labelling.labels import ANSWERS, Person, read_people, verdict_as_answer
 from nrbench.runs.records import CellRecord, Run
 
-from .kappa import Tables, mean_kappa, tables
-from .statistics import Estimate
+from .estimates import Estimate, count_answers, mean_kappa
 
 JUDGE = "judge"
+"""The name of the automatic verdict among the raters."""
 DECIDED = ANSWERS[:2]
+LABEL_COLUMNS = (
+    *("person", "texture", "method", "lattice_source", "replicate", "again", "answer", "judge", "seconds", "order"),
+    "key",
+)
+"""The columns of :func:`labels_table`."""
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """How far two raters agree, or the mean over pairs of raters.
+class RaterAgreement:
+    """The agreement of two raters, or its mean over pairs of raters.
 
     Parameters
     ----------
     first, second
-        Who; for a mean what it is of, and over how many pairs.
+        The raters. For a mean: the common rater or group, and the number of pairs.
     kappa
-        Cohen's kappa over :data:`~nrbench.labelling.labels.ANSWERS`; of several pairs the mean.
+        Cohen's kappa over :data:`~nrbench.labelling.labels.ANSWERS`; for several pairs the mean.
     decided
-        The same over items on which both say preserved or lost.
+        The same over the items that both answered with preserved or lost.
     equal
         Share of equal answers; None without items.
     n
-        Items that both have answered, summed over pairs.
+        Number of items that both answered, summed over pairs.
     table
-        How often the first said i and the second j, summed over pairs, in the order of ``ANSWERS``.
+        How often the first answered i and the second j, summed over pairs, in the order of ``ANSWERS``.
     """
 
     first: str
@@ -51,162 +56,145 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """An output on which somebody and the judge say different things.
+    """An output on which at least one person and the automatic verdict differ.
 
     Parameters
     ----------
     record
         The cell.
     judge
-        What the judge says, in the words of people.
+        The automatic verdict, as one of the answers that people can give.
     people
-        What each person says.
-    plain
-        Whether one says preserved and the other lost.
+        The answer of each person.
+    opposite
+        Whether one of them is preserved and the other lost.
     """
 
     record: CellRecord
     judge: str
     people: Mapping[str, str]
-    plain: bool
+    opposite: bool
 
 
 @dataclass(frozen=True)
-class People:
-    """All of it.
+class PeopleComparison:
+    """The agreement of people with the automatic verdict, with each other and with themselves.
 
     Parameters
     ----------
     people
-        Whose answers there are.
+        The people who gave answers.
     outputs
-        How many outputs have an answer.
+        Number of outputs with an answer.
     judged
-        The judge with each person; the mean over them last where there are several.
+        The automatic verdict with each person; if there are several, their mean comes last.
     between
-        Every two people; the mean over them last where there are several pairs.
+        Every two people; if there are several pairs, their mean comes last.
     selves
-        Each person's first and second showing of one output.
+        Each person's answers to the first and to the second showing of the same output.
     disagreements
-        The plain ones first.
+        The opposite ones first.
     """
 
     people: Sequence[Person]
     outputs: int
-    judged: Sequence[Agreement]
-    between: Sequence[Agreement]
-    selves: Sequence[Agreement]
+    judged: Sequence[RaterAgreement]
+    between: Sequence[RaterAgreement]
+    selves: Sequence[RaterAgreement]
     disagreements: Sequence[Disagreement]
 
 
-def people(run: Run, files: Sequence[Path]) -> People | None:
-    """Return how judge and people agree, from the files that the pages saved; None without files.
+RaterPair = tuple[str, str, Mapping[str, str], Mapping[str, str]]
+"""The names of two raters, and the answers of each by cell."""
 
-    The first showing of an output counts; the second is for self-agreement only.
+
+def compare_people(run: Run, files: Sequence[Path]) -> PeopleComparison | None:
+    """Compare people with the automatic verdict, from the answer files of the labelling pages; None without files.
+
+    The first showing of an output counts. The second showing counts for self-agreement only.
     """
-    persons = read_people(run, files)
-    if not persons:
+    people = read_people(run, files)
+    if not people:
         return None
-    records = {record.key: record for record in run.cells}
-    textures = {key: record.texture for key, record in records.items()}
-    firsts = {person.name: person.by_cell() for person in persons}
-    judge = {key: verdict_as_answer(record) for key, record in records.items()}
-    names = list(firsts)
-    return People(
-        people=persons,
-        outputs=len(set().union(*firsts.values())),
-        judged=_with_mean([(JUDGE, name, judge, firsts[name]) for name in names], textures, JUDGE),
-        between=_with_mean(
-            [(a, b, firsts[a], firsts[b]) for a, b in itertools.combinations(names, 2)], textures, "people"
-        ),
-        selves=[
-            _agreement([(person.name, "shown again", person.by_cell(), person.by_cell(again=True))], textures)
-            for person in persons
-        ],
-        disagreements=_disagreements(run, judge, firsts),
+    textures = {record.key: record.texture for record in run.cells}
+    answers = {person.name: person.by_cell() for person in people}
+    judge = {record.key: verdict_as_answer(record) for record in run.cells}
+    names = list(answers)
+    pairs = [(a, b, answers[a], answers[b]) for a, b in itertools.combinations(names, 2)]
+    repeats = [(person.name, "shown again", person.by_cell(), person.by_cell(again=True)) for person in people]
+    return PeopleComparison(
+        people=people,
+        outputs=len(set().union(*answers.values())),
+        judged=_agreements([(JUDGE, name, judge, answers[name]) for name in names], textures, JUDGE),
+        between=_agreements(pairs, textures, "people"),
+        selves=[_agreement([pair], textures) for pair in repeats],
+        disagreements=_list_disagreements(run, judge, answers),
     )
 
 
-Pair = tuple[str, str, Mapping[str, str], Mapping[str, str]]
-"""Two raters' names, and what each says by cell."""
+def _agreements(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: str) -> list[RaterAgreement]:
+    """Return the agreement of each pair, and the mean of several pairs last."""
+    each = [_agreement([pair], textures) for pair in pairs]
+    return [*each, _agreement(pairs, textures, group)] if len(pairs) > 1 else each
 
 
-def _with_mean(pairs: Sequence[Pair], textures: Mapping[str, str], first: str) -> list[Agreement]:
-    found = [_agreement([pair], textures) for pair in pairs]
-    return [*found, _agreement(pairs, textures, first)] if len(pairs) > 1 else found
-
-
-def _agreement(pairs: Sequence[Pair], textures: Mapping[str, str], first: str = "") -> Agreement:
-    known = list(dict.fromkeys(textures.values()))
-    found = np.stack([_tables(pair, textures, known) for pair in pairs])
-    total = found.sum((0, 1))
+def _agreement(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: str = "") -> RaterAgreement:
+    units = list(dict.fromkeys(textures.values()))
+    tables = []
+    for _, _, first, second in pairs:
+        both = [cell for cell in second if cell in first]
+        answers = ([first[cell] for cell in both], [second[cell] for cell in both])
+        tables.append(count_answers(*answers, [textures[cell] for cell in both], ANSWERS, units))
+    counts = np.stack(tables)
+    total = counts.sum((0, 1))
     n = int(total.sum())
-    one, another = (first, f"mean of {len(pairs)}") if first else pairs[0][:2]
-    return Agreement(
+    one, another = (group, f"mean of {len(pairs)}") if group else pairs[0][:2]
+    return RaterAgreement(
         first=one,
         second=another,
-        kappa=mean_kappa(found),
-        decided=mean_kappa(found[..., :2, :2]),
+        kappa=mean_kappa(counts),
+        decided=mean_kappa(counts[..., :2, :2]),
         equal=float(np.trace(total)) / n if n else None,
         n=n,
         table=[[int(count) for count in row] for row in total],
     )
 
 
-def _tables(pair: Pair, textures: Mapping[str, str], known: Sequence[str]) -> Tables:
-    _, _, first, second = pair
-    both = [cell for cell in second if cell in first]
-    units = [textures[cell] for cell in both]
-    return tables([first[cell] for cell in both], [second[cell] for cell in both], units, ANSWERS, known)
-
-
-def _disagreements(run: Run, judge: Mapping[str, str], firsts: Mapping[str, Mapping[str, str]]) -> list[Disagreement]:
-    found = []
+def _list_disagreements(
+    run: Run, judge: Mapping[str, str], answers: Mapping[str, Mapping[str, str]]
+) -> list[Disagreement]:
+    disagreements = []
     for record in run.cells:
-        said = {name: answers[record.key] for name, answers in firsts.items() if record.key in answers}
+        own = {name: by_cell[record.key] for name, by_cell in answers.items() if record.key in by_cell}
         verdict = judge[record.key]
-        if any(answer != verdict for answer in said.values()):
-            plain = verdict in DECIDED and any(answer in DECIDED and answer != verdict for answer in said.values())
-            found.append(Disagreement(record, verdict, said, plain))
-    return sorted(found, key=lambda one: not one.plain)
+        if any(answer != verdict for answer in own.values()):
+            opposite = verdict in DECIDED and any(answer in DECIDED and answer != verdict for answer in own.values())
+            disagreements.append(Disagreement(record, verdict, own, opposite))
+    return sorted(disagreements, key=lambda one: not one.opposite)
 
 
 def labels_table(run: Run, files: Sequence[Path]) -> pd.DataFrame:
-    """Return one row an answer: who, of which output, what, when, and what the judge says."""
+    """Return one row an answer: the person, the output, the answer, its time, and the automatic verdict."""
     records = {record.key: record for record in run.cells}
-    names = [
-        "person",
-        "texture",
-        "method",
-        "lattice_source",
-        "replicate",
-        "again",
-        "answer",
-        "judge",
-        "seconds",
-        "order",
-    ]
     rows = []
     for person in read_people(run, files):
         for one in person.answers:
             record = records[one.item.cell]
-            head = [person.name, record.texture, record.method, record.lattice_source, record.replicate]
-            tail = [one.item.again, one.answer, verdict_as_answer(record), one.seconds, one.order, record.key]
-            rows.append([*head, *tail])
-    return pd.DataFrame(rows, columns=[*names, "key"])
+            output = [record.texture, record.method, record.lattice_source, record.replicate, one.item.again]
+            rows.append(
+                [person.name, *output, one.answer, verdict_as_answer(record), one.seconds, one.order, record.key]
+            )
+    return pd.DataFrame(rows, columns=list(LABEL_COLUMNS))
 
 
-def agreement_table(found: People) -> pd.DataFrame:
-    """Return one row a pair of raters: kappa with its interval, share of equal answers, how many items."""
-    kinds = {"judge and people": found.judged, "people": found.between, "self": found.selves}
+def agreement_table(comparison: PeopleComparison) -> pd.DataFrame:
+    """Return one row a pair of raters: number of items, share of equal answers, kappa with its interval."""
+    kinds = {"judge and people": comparison.judged, "people": comparison.between, "self": comparison.selves}
     rows = [
-        [kind, one.first, one.second, one.n, one.equal, *_parts(one.kappa), *_parts(one.decided)]
-        for kind, several in kinds.items()
-        for one in several
+        [kind, one.first, one.second, one.n, one.equal]
+        + [part for estimate in (one.kappa, one.decided) for part in (estimate.value, estimate.low, estimate.high)]
+        for kind, agreements in kinds.items()
+        for one in agreements
     ]
     names = [f"{name}{part}" for name in ("kappa", "kappa_decided") for part in ("", "_low", "_high")]
     return pd.DataFrame(rows, columns=["kind", "first", "second", "items", "share_equal", *names])
-
-
-def _parts(estimate: Estimate) -> tuple[float | None, float | None, float | None]:
-    return estimate.value, estimate.low, estimate.high

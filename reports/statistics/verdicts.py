@@ -1,19 +1,27 @@
-"""What a cell's regularity comes to in one word, and the table that all statistics start from."""
+"""Give each cell of a run a verdict, and tabulate verdicts and scores as the table that all statistics start from.
+
+Here are also the two facts about a cell that every report shows beside its verdict: how much of the texture's
+randomness it keeps, and whether a baseline is valid on its texture.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 
+from nrbench import plugins
+from nrbench.errors import BadInput
+from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
-from .baselines import is_right
-from .randomness_kept import KEPT, derived
-from .statistics import as_numbers
+from .estimates import as_numbers
 
 PRESERVED, SCORE = "regularity.preserved", "regularity.score"
 MARKS: Mapping[str, str] = {
@@ -27,83 +35,208 @@ MARKS: Mapping[str, str] = {
     "missing": "·",
     "mixed": "~",
 }
-"""Each verdict's mark: told apart without color."""
+"""Each verdict's mark. The marks differ without color."""
 MEANINGS: Mapping[str, str] = {
     "preserved": "the lattice is preserved",
     "lost": "the lattice is lost",
-    "undecided": "too little power to tell at this regular share",
-    "not applicable": "no lattice in the truth",
-    "refused": "outside the method's domain, says the method",
+    "undecided": "faults could not have been detected at this regular share",
+    "not applicable": "the texture has no lattice",
+    "refused": "the method refused this input as outside its domain",
     "failed": "the method failed",
-    "unscored": "the score failed or is absent",
+    "unscored": "the regularity score failed or is absent",
     "missing": "not run yet",
     "mixed": "replicates disagree",
 }
+VARIATION, REPETITION, DISTANCE = "randomness.variation", "randomness.repetition", "randomness.distance"
+RANDOMNESS_KEPT = "perils.randomness_kept"
+RANDOMNESS_KEPT_COLUMN = Column(
+    "Randomness kept: the worst of variation v, repetition r and distance d, "
+    "min(v, 1/v, 1/(1 + max(r, 0)), 1 - max(d, 0)/0.41); 1 is a fresh draw, 1/2 the best possible copier, 0 wallpaper.",
+    better="higher",
+)
+COPIER = 0.5
+"""Randomness kept by the best possible copier: its repetition is 1."""
+WALLPAPER = math.sqrt(2) - 1
+"""``randomness.distance`` of one repeated tile: ``2 E|Y| - E|Y - Y'|`` over ``E|Y - Y'|`` for normal departures Y."""
+BASELINE_SIGN = "‡"
+BASELINE_LEGEND = "valid baseline: what this baseline does is correct on this kind of texture"
+SHARES_LEGEND = "k/n: on k of n textures"
+"""The explanation of :attr:`BaselineValidity.share`."""
 
 
 def verdict(record: CellRecord) -> str:
-    """Return one of :data:`MARKS`' keys (never ``mixed``, which takes several cells)."""
-    if record.status == "missing" or record.status == "refused":
+    """Return the verdict on a cell, a key of :data:`MARKS`; never ``mixed``, which needs several cells."""
+    if record.status in ("missing", "refused"):
         return record.status
     if record.status in FAILED:
         return "failed"
-    preserved = record.values.get(PRESERVED)
+    preserved, reason = record.values.get(PRESERVED), record.reasons.get(PRESERVED, "")
     if preserved is not None:
         return "preserved" if preserved else "lost"
-    return _without_answer(record)
-
-
-def _without_answer(record: CellRecord) -> str:
-    reason = record.reasons.get(PRESERVED, "")
     if PRESERVED not in record.values or reason.startswith("failed:"):
         return "unscored"
-    unasked = record.lattice_truth is None and not reason.startswith("undecided")
-    return "not applicable" if unasked or reason.startswith("not applicable") else "undecided"
+    no_lattice = record.lattice_truth is None and not reason.startswith("undecided")
+    return "not applicable" if no_lattice or reason.startswith("not applicable") else "undecided"
 
 
-def explanation(record: CellRecord) -> str:
-    """Return the sentence behind a verdict that is neither preserved nor lost; empty for those."""
+def explain_verdict(record: CellRecord) -> str:
+    """Return why a cell is neither preserved nor lost; empty if it is one of them."""
     if record.status != "ok":
         where = f"{record.status} in {record.phase}" if record.phase else record.status
         return f"{where}: {record.message}" if record.message else where
     return record.reasons.get(PRESERVED, "")
 
 
-def column_label(method: str, lattice_source: str) -> str:
-    """Return what a column is called: the method, with its lattice source in parentheses where it has one."""
+def method_label(method: str, lattice_source: str) -> str:
+    """Return the method, with its lattice source in parentheses if it has one."""
     return method if lattice_source == "none" else f"{method} ({lattice_source})"
 
 
-def frame(run: Run) -> pd.DataFrame:
-    """Return what statistics start from: one row a cell, scores as numbers.
+def tabulate_cells(run: Run) -> pd.DataFrame:
+    """Return one row a cell, with scores as numbers.
 
     Returns
     -------
     pandas.DataFrame
-        ``texture, replicate, column`` (method and lattice source)``, reference, right`` (whether a reference is no
-        cheat on the texture)``, status, verdict, applicable`` (whether there is a lattice to preserve)``, seconds,
-        peak_mib``, every score as float (NaN: none), and what of the randomness is kept, where the scores that it is
-        made of are there (see :mod:`~nrbench.reports.statistics.randomness_kept`). Where the verdict is undecided ``regularity.score`` and
-        what is kept are left out: no faults were seen there because none would have been.
+        The columns ``texture``, ``replicate``, ``label`` (method and lattice source), ``reference``,
+        ``baseline_valid``, ``status``, ``verdict``, ``applicable`` (whether the texture has a lattice to preserve),
+        ``seconds``, ``peak_mib``, every score as float (NaN: no value), and :data:`RANDOMNESS_KEPT` if the run has the
+        scores for it. ``regularity.score`` and the randomness kept are NaN where the verdict is undecided: there no
+        fault was found because none could have been detected.
     """
     content: dict[str, Any] = {
         "texture": [record.texture for record in run.cells],
         "replicate": [record.replicate for record in run.cells],
-        "column": [column_label(record.method, record.lattice_source) for record in run.cells],
+        "label": [method_label(record.method, record.lattice_source) for record in run.cells],
         "reference": [record.reference for record in run.cells],
-        "right": [is_right(record) is True for record in run.cells],
+        "baseline_valid": [is_valid_baseline(record) is True for record in run.cells],
         "status": [record.status for record in run.cells],
         "verdict": [verdict(record) for record in run.cells],
-        "applicable": [_applicable(record) for record in run.cells],
+        "applicable": [_has_lattice(record) for record in run.cells],
         "seconds": as_numbers([record.seconds if record.status == "ok" else None for record in run.cells]),
         "peak_mib": as_numbers([record.peak_mib if record.status == "ok" else None for record in run.cells]),
+        **{name: as_numbers([record.values.get(name) for record in run.cells]) for name in run.columns},
     }
-    scores = {name: as_numbers([record.values.get(name) for record in run.cells]) for name in run.columns}
-    found = pd.DataFrame({**content, **scores, **derived(pd.DataFrame(scores))})
-    found.loc[found["verdict"] == "undecided", [name for name in (SCORE, KEPT) if name in found]] = np.nan
-    return found
+    if has_randomness(run.columns):
+        content[RANDOMNESS_KEPT] = randomness_kept(*(content[name] for name in (VARIATION, REPETITION, DISTANCE)))
+    table = pd.DataFrame(content)
+    table.loc[table["verdict"] == "undecided", [name for name in (SCORE, RANDOMNESS_KEPT) if name in table]] = np.nan
+    return table
 
 
-def _applicable(record: CellRecord) -> bool:
+def _has_lattice(record: CellRecord) -> bool:
     known = record.lattice_truth is not None or record.values.get(PRESERVED) is not None
     return known and verdict(record) != "not applicable"
+
+
+def randomness_kept(variation: ArrayLike, repetition: ArrayLike, distance: ArrayLike) -> NDArray[np.float64]:
+    """Compute how much of the texture's randomness an output keeps, in [0, 1]: the vertical axis of the perils plane.
+
+    The result is the worst of three departures from a fresh draw of the texture. It is taken output by output, before
+    any mean: a method that varies too little on one texture and repeats itself on another fails on both.
+
+    - Variation v is a ratio to fresh draws and a fault on both sides: half as much counts like twice as much. It
+      contributes ``min(v, 1/v)``.
+    - Repetition r is 0 for a fresh draw, 1 for the best possible copier, and a fault on one side only. It contributes
+      ``1 / (1 + max(r, 0))``, so that methods worse than the best copier still differ.
+    - Distance d is 0 for a fresh draw and :data:`WALLPAPER` for one repeated tile. It contributes
+      ``1 - max(d, 0) / WALLPAPER``, at least 0. It detects departures of the right strength but of another kind, such
+      as noise on wallpaper.
+
+    Parameters
+    ----------
+    variation, repetition, distance
+        ``randomness.variation``, ``randomness.repetition`` and ``randomness.distance``, of equal shape; NaN: no value.
+
+    Returns
+    -------
+    numpy.ndarray
+        NaN unless all three scores are known.
+
+    Examples
+    --------
+    >>> randomness_kept([1.0, 2.0, 1.0], [0.0, 0.0, 3.0], [0.0, 0.0, 0.0])
+    array([1.  , 0.5 , 0.25])
+    """
+    v, r, d = (np.asarray(score, np.float64) for score in (variation, repetition, distance))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        varied = np.where(v > 0, np.minimum(v, 1 / v), np.where(np.isnan(v), np.nan, 0.0))
+    alike = np.maximum(1 - np.maximum(d, 0) / WALLPAPER, 0)
+    return np.minimum(np.minimum(varied, 1 / (1 + np.maximum(r, 0))), alike)
+
+
+def has_randomness(columns: Iterable[str]) -> bool:
+    """Return whether all scores for :func:`randomness_kept` are among ``columns``."""
+    return {VARIATION, REPETITION, DISTANCE} <= set(columns)
+
+
+@dataclass(frozen=True)
+class BaselineValidity:
+    """The number of textures on which a baseline is valid.
+
+    Parameters
+    ----------
+    n, of
+        Textures of the kinds on which the baseline is valid, and all textures.
+    """
+
+    n: int
+    of: int
+
+    @property
+    def words(self) -> str:
+        """The count in words; empty if the baseline is valid nowhere, or the method is no baseline."""
+        if not self.n:
+            return ""
+        return "valid baseline" if self.n == self.of else f"valid baseline on {self.n} of {self.of}"
+
+    @property
+    def share(self) -> str:
+        """``"k/n"`` if the baseline is valid on some textures but not on all; else empty."""
+        return f"{self.n}/{self.of}" if 0 < self.n < self.of else ""
+
+    @property
+    def sign(self) -> str:
+        """A space, the sign of a valid baseline, and the share; empty if the words are."""
+        return f" {BASELINE_SIGN} {self.share}".rstrip() if self.n else ""
+
+
+def is_valid_baseline(record: CellRecord) -> bool | None:
+    """Return whether a baseline is valid on the cell's texture, as its class declares by ``right_on``.
+
+    A baseline is a reference method that fools some scores, such as the repetition of one tile. On some kinds of
+    texture it is correct: repeating a tile is valid if all tiles are equal.
+
+    Returns
+    -------
+    bool or None
+        None for methods that are no baselines, for textures of unknown kind, and for a plugin that is not registered
+        where the run is read.
+    """
+    if not record.reference or not record.kind:
+        return None
+    try:
+        kinds = frozenset(getattr(plugins.find("synthesizers", record.cell.method).cls, "right_on", ()))
+    except BadInput:
+        return None
+    return record.kind in kinds if kinds else None
+
+
+def count_valid_textures(cells: pd.DataFrame) -> BaselineValidity:
+    """Count the textures on which a baseline is valid.
+
+    Parameters
+    ----------
+    cells
+        The rows of one method in :func:`tabulate_cells`.
+    """
+    valid = cells.groupby("texture")["baseline_valid"].any()
+    return BaselineValidity(int(valid.sum()), len(valid))
+
+
+def explain_valid_baseline(record: CellRecord) -> str:
+    """Return the sentence that a cell's baseline is valid on its texture; empty if it is not."""
+    if not is_valid_baseline(record):
+        return ""
+    kind = "a stochastic texture" if record.kind == "stochastic" else f"a texture of type {record.kind}"
+    return f"valid baseline: what this baseline does is correct on {kind}"

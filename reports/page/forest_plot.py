@@ -1,0 +1,138 @@
+"""Lay out the forest plot: the estimates of all methods as points with intervals, on one axis for each score."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from nrbench.plugins.forms import Column
+
+from ..statistics.estimates import Estimate
+from ..statistics.format import (
+    describe_column,
+    format_count,
+    format_interval,
+    format_number,
+    format_percent,
+    format_successes,
+)
+from ..statistics.summary import COSTS, MethodSummary
+
+Scale = Callable[[float | None], float | None]
+"""Maps a value to its place on an axis, from 0 to 100."""
+
+
+@dataclass(frozen=True)
+class ForestPoint:
+    """One estimate on its axis.
+
+    Parameters
+    ----------
+    value, low, high
+        Places on the axis, 0 to 100; None if there is none.
+    text, interval, count
+        The estimate as text.
+    """
+
+    value: float | None
+    low: float | None
+    high: float | None
+    text: str
+    interval: str
+    count: str
+
+
+@dataclass(frozen=True)
+class ForestAxis:
+    """One axis, with a point for each method.
+
+    Parameters
+    ----------
+    name, meaning
+        The score and the description of its column.
+    ends
+        The ends of the axis as text.
+    one
+        Place of the value 1, 0 to 100, for a score that is best there; else None.
+    better
+        Which values are better, in words.
+    points
+        One for each method.
+    """
+
+    name: str
+    meaning: str
+    ends: tuple[str, str]
+    one: float | None
+    better: str
+    points: Sequence[ForestPoint]
+
+
+_BETTER = {"higher": "better →", "lower": "← better", "one": "best at 1", "none": ""}
+_RATE = Column("Share of textures whose lattice is preserved.", better="higher")
+
+
+def forest_axes(summaries: Sequence[MethodSummary], columns: dict[str, Column]) -> list[ForestAxis]:
+    """Return the axis of the success rate, and one for each of ``columns``."""
+    rates = _axis("preserved", _RATE, [one.success for one in summaries], format_percent, format_successes)
+    means = [
+        _axis(name, column, [one.means[name] for one in summaries], format_number, format_count)
+        for name, column in columns.items()
+    ]
+    return [rates, *means]
+
+
+def _axis(
+    name: str,
+    column: Column,
+    estimates: Sequence[Estimate],
+    text: Callable[[float | None], str],
+    count: Callable[[Estimate], str],
+) -> ForestAxis:
+    known = [x for one in estimates for x in (one.value, one.low, one.high) if x is not None]
+    logarithmic = name in COSTS and bool(known) and min(known) > 0
+    low, high = _whole_decades(known) if logarithmic else _linear_range(column, known)
+    scale = _scale(low, high, math.log if logarithmic else float)
+    return ForestAxis(
+        name=name,
+        meaning=describe_column(column),
+        ends=(text(low), text(high)),
+        one=scale(1.0) if column.better == "one" else None,
+        better=_BETTER[column.better],
+        points=[
+            ForestPoint(
+                *(scale(x) for x in (one.value, one.low, one.high)),
+                text(one.value),
+                format_interval(one, as_percent=text is format_percent),
+                count(one) if one.n else "",
+            )
+            for one in estimates
+        ],
+    )
+
+
+def _whole_decades(known: Sequence[float]) -> tuple[float, float]:
+    low, high = 10.0 ** math.floor(math.log10(min(known))), 10.0 ** math.ceil(math.log10(max(known)))
+    return low, high if high > low else 10 * low
+
+
+def _linear_range(column: Column, known: Sequence[float]) -> tuple[float, float]:
+    """Return the declared range if it is narrow, else a range that holds the known values."""
+    low, high = column.range
+    if column.better == "one":
+        known = [*known, 1.0]
+    low = low if math.isfinite(low) else min([0.0, *known])
+    if not (math.isfinite(high) and high <= low + 1):
+        high = max([low + 1e-9, *known]) * 1.05
+    return low, high if high > low else low + 1
+
+
+def _scale(low: float, high: float, transform: Callable[[float], float]) -> Scale:
+    def scale(value: float | None) -> float | None:
+        if value is None:
+            return None
+        share = (transform(max(value, low)) - transform(low)) / (transform(high) - transform(low))
+        return round(100 * min(1.0, share), 2)
+
+    return scale

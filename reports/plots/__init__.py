@@ -1,1 +1,0 @@
-"""TODO nrbench.reports.plots."""

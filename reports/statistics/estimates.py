@@ -1,0 +1,332 @@
+"""Estimate means, success rates, differences, ranks and agreement over textures, each with a 95 % interval.
+
+The texture is the unit: its replicates are averaged first, because draws of one texture are not independent evidence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr, ndtri, stdtrit
+
+from nrbench.streams import stream
+
+LEVEL = 0.95
+"""Confidence level of every interval."""
+RESAMPLES = 9999
+"""Number of bootstrap resamples."""
+
+ConfusionTables = NDArray[np.float64]
+"""``(..., k, k)``: how often the first rater gave answer i and the second gave answer j."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its confidence interval and the number of textures that it rests on.
+
+    Parameters
+    ----------
+    value
+        The number; None if no texture was counted.
+    low, high
+        The ends of the interval; None if too few textures were counted.
+    n, of
+        Number of textures counted, and of all textures.
+    """
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    n: int = 0
+    of: int = 0
+
+    @property
+    def ends(self) -> tuple[float, float] | None:
+        """The interval; None if there is none."""
+        return None if self.low is None or self.high is None else (self.low, self.high)
+
+    @property
+    def excludes_zero(self) -> bool | None:
+        """Whether zero lies outside the interval; None if there is no interval."""
+        return None if self.ends is None else self.ends[0] > 0 or self.ends[1] < 0
+
+
+def wilson_interval(successes: float, n: int, level: float = LEVEL) -> tuple[float, float] | None:
+    """Compute Wilson's score interval of a proportion.
+
+    This is our own code because ``scipy.stats.binomtest`` accepts only whole numbers of successes, and a texture whose
+    replicates disagree counts as a fraction.
+
+    Parameters
+    ----------
+    successes
+        From 0 to n. Fractions are allowed: a sum of shares in [0, 1] scatters less than a sum of zeros and ones with
+        the same mean, so the interval is then conservative.
+    n
+        Number of trials.
+    level
+        Confidence level.
+
+    Returns
+    -------
+    tuple of float or None
+        The ends of the interval; None if ``n`` is 0.
+
+    References
+    ----------
+    E. B. Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22, 1927.
+
+    Examples
+    --------
+    >>> low, high = wilson_interval(2.5, 9)
+    >>> round(low, 2), round(high, 2)
+    (0.09, 0.59)
+    """
+    if n == 0:
+        return None
+    z = float(ndtri(0.5 + level / 2))
+    share, shrink = successes / n, 1 + z * z / n
+    center = (share + z * z / (2 * n)) / shrink
+    half = z / shrink * math.sqrt(max(0.0, share * (1 - share)) / n + z * z / (4 * n * n))
+    return max(0.0, min(share, center - half)), min(1.0, max(share, center + half))
+
+
+def estimate_share(outcomes: ArrayLike) -> Estimate:
+    """Return the share of true ``outcomes`` with Wilson's interval; the unit is the outcome, not the texture."""
+    known = np.asarray(outcomes, bool)
+    interval = wilson_interval(float(known.sum()), known.size)
+    return Estimate(None) if interval is None else Estimate(float(known.mean()), *interval, known.size, known.size)
+
+
+def bootstrap_interval(
+    values: ArrayLike, level: float = LEVEL, rng: np.random.Generator | None = None
+) -> tuple[float, float] | None:
+    """Compute the bootstrap interval of a mean, with expanded percentiles.
+
+    Plain percentiles are too narrow for the ten or so textures of a suite, so they are widened by the ratio of
+    Student's to the normal quantile. This is our own code because ``scipy.stats.bootstrap`` does not offer expanded
+    percentiles.
+
+    Parameters
+    ----------
+    values
+        One-dimensional; their order does not matter.
+    level
+        Confidence level.
+    rng
+        By default every call starts the same random stream: equal values give an equal interval.
+
+    Returns
+    -------
+    tuple of float or None
+        The ends of the interval; None for fewer than two values.
+
+    References
+    ----------
+    T. C. Hesterberg, "What teachers should know about the bootstrap", The American Statistician 69, 2015.
+    """
+    sample = np.sort(np.asarray(values, np.float64))
+    n = sample.size
+    if n < 2:
+        return None
+    rng = rng or stream("bootstrap")
+    means = sample[rng.integers(0, n, (RESAMPLES, n))].mean(1)
+    return _expanded_percentiles(means, n, level)
+
+
+def _expanded_percentiles(draws: NDArray[np.float64], n: int, level: float = LEVEL) -> tuple[float, float]:
+    """Return the expanded percentile interval of bootstrap ``draws`` that each resample ``n`` > 1 units."""
+    tail = float(ndtr(-math.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + level / 2)))
+    low, high = np.quantile(draws, [tail, 1 - tail])
+    return float(low), float(high)
+
+
+def means_over_textures(cells: pd.DataFrame, names: Sequence[str]) -> dict[str, Estimate]:
+    """Compute the mean of each score over textures, with bootstrap intervals.
+
+    Parameters
+    ----------
+    cells
+        Rows of one method and lattice source, with the columns ``texture`` and ``names`` (NaN: no value).
+    names
+        The scores.
+    """
+    by_texture = cells.groupby("texture", sort=False)[list(names)].mean()
+    return {name: _mean_estimate(by_texture[name].dropna(), len(by_texture)) for name in names}
+
+
+def paired_differences(first: pd.DataFrame, second: pd.DataFrame, names: Sequence[str]) -> dict[str, Estimate]:
+    """Compute the mean of ``first - second`` of each score over the textures that both have, with bootstrap intervals.
+
+    Cells are paired by texture and replicate: both methods received the same sample.
+    """
+    on = ["texture", "replicate"]
+    both = first[[*on, *names]].merge(second[[*on, *names]], on=on, suffixes=("_first", "_second"))
+    gaps = {name: both[f"{name}_first"] - both[f"{name}_second"] for name in names}
+    return means_over_textures(pd.DataFrame({"texture": both["texture"], **gaps}), names)
+
+
+def _mean_estimate(values: pd.Series[float], of: int) -> Estimate:
+    if values.empty:
+        return Estimate(None, n=0, of=of)
+    low, high = bootstrap_interval(values.to_numpy(np.float64)) or (None, None)
+    return Estimate(float(values.mean()), low, high, len(values), of)
+
+
+def success_rate(cells: pd.DataFrame, leave_refusals_out: bool = False) -> Estimate:
+    """Compute the share of textures whose lattice is preserved, with Wilson's interval over textures.
+
+    A failed cell counts as not preserved. So does a refused cell, unless refusals are left out. Undecided, unscored and
+    missing cells are left out. Textures without a lattice to preserve do not count at all.
+
+    Parameters
+    ----------
+    cells
+        Rows of one method and lattice source, with the columns ``texture``, ``verdict`` and ``applicable``.
+    leave_refusals_out
+        Leave refused cells out.
+    """
+    applicable = cells[cells["applicable"].astype(bool)]
+    verdicts = ["preserved", "lost", "failed"] if leave_refusals_out else ["preserved", "lost", "failed", "refused"]
+    counted = applicable[applicable["verdict"].isin(verdicts)]
+    shares = counted["verdict"].eq("preserved").groupby(counted["texture"]).mean()
+    of, n = applicable["texture"].nunique(), len(shares)
+    low, high = wilson_interval(float(shares.sum()), n) or (None, None)
+    return Estimate(float(shares.mean()) if n else None, low, high, n, of)
+
+
+def texture_ranks(cells: pd.DataFrame, score: str, better: str, leave_refusals_out: bool = False) -> pd.DataFrame:
+    """Rank the methods on each texture, 1 the best, and average the ranks over replicates.
+
+    Ties share their mean rank. A failed cell takes the worst rank of its sample. So does a refused cell, unless
+    refusals are left out, and a cell without a value because the lattice is lost. Other cells without a value are left
+    out.
+
+    Parameters
+    ----------
+    cells
+        Rows of every ranked method, with the columns ``texture``, ``replicate``, ``label``, ``verdict`` and ``score``.
+    score, better
+        The score, and which values are better: ``"higher"``, ``"lower"`` or ``"one"``.
+    leave_refusals_out
+        Leave refused cells out.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a texture, one column a method; NaN where a method was left out.
+    """
+    losing = ["failed"] if leave_refusals_out else ["failed", "refused"]
+    worst = cells["verdict"].isin(losing) | (cells["verdict"].eq("lost") & cells[score].isna())
+    values = cells[score]
+    goodness = -(values - 1).abs() if better == "one" else -values if better == "lower" else values
+    scored = cells.assign(goodness=goodness.mask(worst, -np.inf))
+    table = scored.pivot(index=["texture", "replicate"], columns="label", values="goodness")
+    last = table.notna().sum(axis=1)
+    ranked = table.rank(axis=1, ascending=False)
+    ranked = ranked.apply(lambda one: one.mask(table[one.name].eq(-np.inf), last))
+    by_texture: pd.DataFrame = ranked.groupby(level="texture", sort=False).mean()
+    return by_texture
+
+
+def mean_ranks(cells: pd.DataFrame, score: str, better: str, leave_refusals_out: bool = False) -> dict[str, Estimate]:
+    """Compute the mean of :func:`texture_ranks` over textures by method, with bootstrap intervals."""
+    table = texture_ranks(cells, score, better, leave_refusals_out)
+    return {str(name): _mean_estimate(table[name].dropna(), len(table)) for name in table.columns}
+
+
+def as_numbers(values: Sequence[Any]) -> NDArray[np.float64]:
+    """Return scores as numbers: truth values as 0 and 1, None as NaN."""
+    return np.array([np.nan if value is None else float(value) for value in values], np.float64)
+
+
+def count_answers(
+    first: Sequence[str], second: Sequence[str], units: Sequence[str], words: Sequence[str], known: Sequence[str]
+) -> ConfusionTables:
+    """Count the answers of two raters in one confusion table a unit.
+
+    Parameters
+    ----------
+    first, second
+        The answer of each rater to each item.
+    units
+        The unit (texture) that each item belongs to.
+    words
+        The k possible answers, in the order of the table.
+    known
+        All units, in the order of the result.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``(len(known), k, k)``.
+    """
+    counts = np.zeros((len(known), len(words), len(words)))
+    for a, b, unit in zip(first, second, units, strict=True):
+        counts[known.index(unit), words.index(a), words.index(b)] += 1
+    return counts
+
+
+def kappa(tables: ConfusionTables) -> NDArray[np.float64]:
+    """Compute Cohen's kappa of confusion tables, in [-1, 1]; NaN if both raters always gave the same single answer.
+
+    Notes
+    -----
+    Kappa is (p_o - p_e) / (1 - p_e), where p_o is the share of equal answers and p_e the share expected by chance from
+    the raters' shares of each answer: J. Cohen, "A coefficient of agreement for nominal scales", Educational and
+    Psychological Measurement 20, 1960. This is our own code because SciPy has no kappa, and the bootstrap needs kappa
+    of many tables at once.
+    """
+    total = tables.sum((-2, -1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        observed = np.trace(tables, axis1=-2, axis2=-1) / total
+        chance = (tables.sum(-1) * tables.sum(-2)).sum(-1) / total**2
+        values: NDArray[np.float64] = np.where(chance < 1 - 1e-12, (observed - chance) / (1 - chance), np.nan)
+    return values
+
+
+def mean_kappa(pairs: ConfusionTables) -> Estimate:
+    """Compute the mean kappa over pairs of raters, with a bootstrap interval over textures.
+
+    Textures are drawn with replacement, and with each texture all answers of all pairs, because outputs of one texture
+    are not independent evidence; the intervals of statistical packages treat every item as independent. Percentiles are
+    expanded as in :func:`bootstrap_interval`. Resamples in which no pair has a kappa are left out. Time and memory grow
+    with pairs times textures times resamples.
+
+    Parameters
+    ----------
+    pairs
+        ``(pairs, textures, k, k)``: the tables of each pair, from :func:`count_answers`.
+
+    Returns
+    -------
+    Estimate
+        ``n`` is the number of textures that every pair answered. There is no interval for fewer than two textures, or
+        if more than half of the resamples have no kappa.
+    """
+    answered = pairs.sum((-2, -1)) > 0
+    n, of = int(answered.all(0).sum()) if len(pairs) else 0, pairs.shape[1]
+    value = _mean_of_known(kappa(pairs.sum(1))[:, None])
+    if not np.isfinite(value).all() or int(answered.any(0).sum()) < 2:
+        return Estimate(float(value[0]) if np.isfinite(value).all() else None, n=n, of=of)
+    tables = pairs[:, answered.any(0)]
+    units = tables.shape[1]
+    weights = stream("bootstrap").multinomial(units, np.full(units, 1 / units), RESAMPLES).astype(np.float64)
+    draws = _mean_of_known(kappa(np.einsum("bt,ptij->pbij", weights, tables, optimize=True)))
+    draws = draws[np.isfinite(draws)]
+    if len(draws) < RESAMPLES / 2:
+        return Estimate(float(value[0]), n=n, of=of)
+    return Estimate(float(value[0]), *_expanded_percentiles(draws, units), n, of)
+
+
+def _mean_of_known(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean over the first axis of the finite values; NaN if there are none (``nanmean`` would warn)."""
+    known = np.isfinite(values)
+    count = known.sum(0)
+    return np.where(count > 0, np.where(known, values, 0).sum(0) / np.maximum(count, 1), np.nan)

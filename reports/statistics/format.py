@@ -1,0 +1,88 @@
+"""Format numbers, intervals and column descriptions as text for every report."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from nrbench.plugins.forms import Column
+
+from .estimates import Estimate
+
+_CONTROL = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+
+
+def format_number(value: float | bool | None) -> str:
+    """Return a score with two decimals near 1, three if it is small, fewer if it is large; a dash if there is none."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    size = abs(value)
+    if size >= 9.995:
+        digits = ".1f" if size < 99.95 else ".0f" if size < 1e6 else ".2e"
+    elif size == 0 or size >= 0.0995:
+        digits = ".2f"
+    else:
+        digits = ".3f" if size >= 0.001 else ".1e"
+    return format(value, digits).replace("-", "−")
+
+
+def format_percent(value: float | None) -> str:
+    """Return a share in whole percent."""
+    return "–" if value is None else f"{100 * value:.0f} %"
+
+
+def format_signed(value: float | None) -> str:
+    """Return a difference with its sign."""
+    return format_number(value) if value is None or value <= 0 else f"+{format_number(value)}"
+
+
+def format_interval(estimate: Estimate, as_percent: bool = False) -> str:
+    """Return ``"[low, high]"``; empty if the estimate has no interval."""
+    if estimate.low is None or estimate.high is None:
+        return ""
+    if as_percent:
+        return f"[{100 * estimate.low:.0f}, {100 * estimate.high:.0f}]"
+    return f"[{format_number(estimate.low)}, {format_number(estimate.high)}]"
+
+
+def format_count(estimate: Estimate) -> str:
+    """Return ``"n of N"``: how many textures the estimate counts."""
+    return f"{estimate.n} of {estimate.of}"
+
+
+def format_successes(estimate: Estimate) -> str:
+    """Return ``"k of n"`` for a success rate, and how many textures it leaves out.
+
+    k has a fraction if replicates disagree.
+    """
+    left_out = estimate.of - estimate.n
+    return f"{(estimate.value or 0) * estimate.n:.3g} of {estimate.n}" + (f", {left_out} left out" if left_out else "")
+
+
+def format_limit(value: float) -> str:
+    """Return one end of a column's range, with a sign for infinity."""
+    return ("∞" if value > 0 else "−∞") if math.isinf(value) else f"{value:g}".replace("-", "−")
+
+
+def describe_direction(column: Column) -> str:
+    """Return which values of a column are better, in words."""
+    return {"one": "nearest to 1", "none": "no better way"}.get(column.better, column.better)
+
+
+def describe_column(column: Column) -> str:
+    """Return the meaning of a column, and on a second line its unit, its range and which values are better."""
+    span = f"{format_limit(column.range[0])} to {format_limit(column.range[1])}"
+    better = describe_direction(column) if column.better == "none" else f"better: {describe_direction(column)}"
+    return f"{column.meaning}\nunit: {column.unit or 'none'}; range: {span}; {better}"
+
+
+def pluralize(count: int, noun: str) -> str:
+    """Return ``"1 cell"``, ``"2 cells"``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def strip_control(text: str) -> str:
+    """Return text without terminal escapes and control characters; line breaks and tabs stay."""
+    return _CONTROL.sub("", text.replace("\r\n", "\n"))
