@@ -127,8 +127,8 @@ def _summary(run: Run, comparison: Comparison) -> Iterator[str]:
         means = (_mean(one.means[name]) for name in columns)
         rows.append(_line([_method(one), _rate(one.success), *means]))
     caption = (
-        f"{_suite(run)}: means over textures, with 95\\,\\% intervals over textures below. Preserved: share of textures "
-        f"whose lattice is preserved. {{\\itshape /n}}: the value rests on n textures. {_signs(comparison)}"
+        f"{_suite(run)}: means over textures, with 95\\,\\% intervals over textures below. Preserved: share of "
+        f"textures whose lattice is preserved. {{\\itshape /n}}: the value rests on n textures. {_signs(comparison)}"
     )
     yield from _float("summary", caption, "l" + "r" * len(heads), rows)
 

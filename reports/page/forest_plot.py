@@ -102,7 +102,9 @@ def _axis(
         better=_BETTER[column.better],
         points=[
             ForestPoint(
-                *(scale(x) for x in (one.value, one.low, one.high)),
+                scale(one.value),
+                scale(one.low),
+                scale(one.high),
                 text(one.value),
                 format_interval(one, as_percent=text is format_percent),
                 count(one) if one.n else "",

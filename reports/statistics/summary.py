@@ -29,9 +29,7 @@ from .verdicts import (
 
 HEADLINES = (SCORE, "randomness.variation", "randomness.repetition", "randomness.distance")
 COSTS: Mapping[str, Column] = {
-    "seconds": Column(
-        "Wall time of the synthesis, including the search for its own lattice.", "s", (0, math.inf), "lower"
-    ),
+    "seconds": Column("Wall time of the synthesis, including its own lattice detection.", "s", (0, math.inf), "lower"),
     "peak_mib": Column("Peak memory above the idle worker.", "MiB", (0, math.inf), "lower"),
 }
 RATE_MEANING = (
@@ -225,7 +223,7 @@ def compare_pairs(run: Run, cells: pd.DataFrame) -> list[PairedDifference]:
     The pairs are all pairs of methods of which the first is no reference.
     """
     pairs = [(a, b) for a, b in itertools.combinations(list_methods(run), 2) if not a.reference]
-    own = {label: part for label, part in cells.groupby("label", sort=False)}
+    own = dict(iter(cells.groupby("label", sort=False)))
     names = [*headline_columns(run), *({RANDOMNESS_KEPT} & set(describe_scores(run)))]
     estimates = [paired_differences(own[a.label], own[b.label], names) for a, b in pairs]
     return [
