@@ -44,7 +44,7 @@ def test_only_one_package_is_installed(wheel: Path) -> None:
     assert {name.split("/")[0].split("-")[0] for name in names} == {"nrbench"}
     for needed in ("nrbench/py.typed", "nrbench/__init__.pyi", "nrbench/datasets_procedural/suites/core.toml"):
         assert needed in names
-    assert any(name.startswith("nrbench/reports/templates/") and name.endswith(".html") for name in names)
+    assert any(name.startswith("nrbench/reports/page/templates/") and name.endswith(".html") for name in names)
 
 
 def test_it_runs_from_an_empty_directory(wheel: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A run that never ran: real records over tiny pictures, every ending a cell can have."""
+"""Runs for the tests of reports: real records over tiny pictures, with every status that a cell can have."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 from nrbench.imaging.files import write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Column
+from nrbench.reports.statistics.comparison import Comparison, compare_methods
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.cell import Cell, Recipe
 
@@ -37,8 +38,7 @@ def _picture(path: Path, side: int, seed: int) -> Path:
     return write_image(path, np.random.default_rng(seed).random((side, side, 3), np.float32))
 
 
-@pytest.fixture
-def make_cell(tmp_path: Path) -> MakeCell:
+def cell_maker(root: Path) -> MakeCell:
     """Return a maker of records: ``make_cell(texture, method, preserved=..., score=..., status=..., ...)``."""
 
     def make(
@@ -59,7 +59,7 @@ def make_cell(tmp_path: Path) -> MakeCell:
         **more: Any,
     ) -> CellRecord:
         key = hashlib.sha256(f"{texture}|{method}|{lattice_source}|{replicate}".encode()).hexdigest()[:24]
-        folder = tmp_path / "run" / "cells" / key
+        folder = root / "cells" / key
         cell = Cell(
             suite="tiny",
             texture=texture,
@@ -98,22 +98,42 @@ def make_cell(tmp_path: Path) -> MakeCell:
     return make
 
 
-@pytest.fixture
-def make_run(tmp_path: Path) -> MakeRun:
+def run_maker(root: Path) -> MakeRun:
     """Return a maker of runs: ``make_run(cells, **info)``."""
 
     def make(cells: list[CellRecord], columns: Mapping[str, Column] = COLUMNS, **info: Any) -> Run:
-        run = Run(tmp_path / "run")
-        known = {"suite": {"name": "tiny", "version": 1, "hash": "abc123", "description": "A tiny suite."}, **info}
-        vars(run).update(info=known, columns=dict(columns), cells=cells)
+        run = Run(root)
+        suite = {"name": "tiny", "version": 1, "hash": "abc123", "description": "A tiny suite."}
+        vars(run).update(info={"suite": suite, **info}, columns=dict(columns), cells=cells)
         return run
 
     return make
 
 
 @pytest.fixture
-def every_ending(make_cell: MakeCell, make_run: MakeRun) -> Run:
+def make_cell(tmp_path: Path) -> MakeCell:
+    """Return a maker of the records of one test."""
+    return cell_maker(tmp_path / "run")
+
+
+@pytest.fixture
+def make_run(tmp_path: Path) -> MakeRun:
+    """Return a maker of the runs of one test."""
+    return run_maker(tmp_path / "run")
+
+
+@pytest.fixture(scope="module")
+def makers(tmp_path_factory: pytest.TempPathFactory) -> tuple[MakeCell, MakeRun]:
+    """Return a maker of records and a maker of runs, for runs that the tests of a module share."""
+    root = tmp_path_factory.mktemp("module") / "run"
+    return cell_maker(root), run_maker(root)
+
+
+@pytest.fixture(scope="session")
+def every_ending(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Return a run with a cell of every status and verdict, a reference, a note, and hostile names."""
+    root = tmp_path_factory.mktemp("every_ending") / "run"
+    make_cell, make_run = cell_maker(root), run_maker(root)
     plain = [
         make_cell("brick", "oracle", "none", reference=True, values={"randomness.variation": 1.0}),
         make_cell("brick", "rsgf", "given", values={"randomness.variation": 0.9}, note="a note of its own"),
@@ -134,3 +154,9 @@ def every_ending(make_cell: MakeCell, make_run: MakeRun) -> Run:
     info = {"argv": ["nrbench", HOSTILE], "versions": {"numpy": "2.0", HOSTILE: HOSTILE}, "git": None}
     plugin = {"kind": "metrics", "name": HOSTILE, "distribution": "d", "version": "1", "error": HOSTILE}
     return make_run([*plain, undecided, broken, *ended, hostile], **info, plugins=[plugin], machine={"cpu": HOSTILE})
+
+
+@pytest.fixture(scope="session")
+def every_comparison(every_ending: Run) -> Comparison:
+    """Return the comparison of that run."""
+    return compare_methods(every_ending)

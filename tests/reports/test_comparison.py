@@ -5,9 +5,8 @@ from typing import Any
 
 import pytest
 
-from nrbench.reports.statistics.comparison import comparison
-from nrbench.reports.statistics.summary import COSTS, headlines_first
-from nrbench.reports.statistics.summary_rows import others
+from nrbench.reports.statistics.comparison import Comparison, compare_methods
+from nrbench.reports.statistics.summary import COSTS, other_score_rows, sort_headlines_first
 from nrbench.reports.statistics.verdicts import SCORE
 from nrbench.runs.records import Run
 
@@ -16,19 +15,19 @@ from .conftest import COLUMNS
 Make = Callable[..., Any]
 
 
-def test_every_cell_has_its_place(every_ending: Run) -> None:
+def test_every_cell_has_its_place(every_ending: Run, every_comparison: Comparison) -> None:
     """Each cell of the run stands in exactly one place: nothing is dropped."""
-    found = comparison(every_ending)
+    found = every_comparison
     placed = [record.key for row in found.rows for entry in row.entries if entry for record in entry.records]
     assert sorted(placed) == sorted(record.key for record in every_ending.cells)
 
 
-def test_references_come_last_and_are_not_ranked(every_ending: Run) -> None:
+def test_references_come_last_and_are_not_ranked(every_comparison: Comparison) -> None:
     """Reference columns stand behind the methods, and have no rank."""
-    found = comparison(every_ending)
-    marks = [head.reference for head in found.heads]
+    found = every_comparison
+    marks = [head.reference for head in found.methods]
     assert marks == sorted(marks)
-    ranks = [line for line in found.foot if line.name.startswith("rank")]
+    ranks = [line for line in found.summary_rows if line.name.startswith("rank")]
     assert ranks
     assert all(line.estimates[-1] is None and line.values[-1] == "–" for line in ranks)
 
@@ -46,11 +45,11 @@ def test_references_come_last_and_are_not_ranked(every_ending: Run) -> None:
         ("t-missing", "rsgf (own)", "· missing"),
     ],
 )
-def test_a_place_shows_mark_and_score(every_ending: Run, texture: str, label: str, text: str) -> None:
+def test_a_place_shows_mark_and_score(every_comparison: Comparison, texture: str, label: str, text: str) -> None:
     """A place shows the verdict's mark beside the score, or the status that ended the cell."""
-    found = comparison(every_ending)
+    found = every_comparison
     row = next(row for row in found.rows if row.texture == texture)
-    entry = row.entries[[head.label for head in found.heads].index(label)]
+    entry = row.entries[[head.label for head in found.methods].index(label)]
     assert entry is not None
     assert entry.text == text
 
@@ -58,7 +57,7 @@ def test_a_place_shows_mark_and_score(every_ending: Run, texture: str, label: st
 def test_replicates_that_disagree_are_mixed(make_cell: Make, make_run: Make) -> None:
     """Where replicates disagree, the place says how many preserve, and shows their mean score."""
     cells = [make_cell(replicate=i, preserved=i > 0, score=0.3 * i) for i in range(3)]
-    entry = comparison(make_run(cells)).rows[0].entries[0]
+    entry = compare_methods(make_run(cells)).rows[0].entries[0]
     assert entry is not None
     assert (entry.verdict, entry.text) == ("mixed", "~ 2/3 0.30")
 
@@ -66,7 +65,7 @@ def test_replicates_that_disagree_are_mixed(make_cell: Make, make_run: Make) -> 
 def test_notes_are_numbered_once(make_cell: Make, make_run: Make) -> None:
     """Equal notes share a number."""
     cells = [make_cell("a", note="fell back"), make_cell("b", note="fell back"), make_cell("c", note="other")]
-    found = comparison(make_run(cells))
+    found = compare_methods(make_run(cells))
     assert list(found.notes) == ["fell back", "other"]
     assert [list(row.entries[0].notes) for row in found.rows if row.entries[0]] == [[1], [1], [2]]
 
@@ -74,7 +73,7 @@ def test_notes_are_numbered_once(make_cell: Make, make_run: Make) -> None:
 def test_foot_counts_textures(make_cell: Make, make_run: Make) -> None:
     """The foot's success rate is preserved of N textures, with refusals once counted and once left out."""
     cells = [make_cell("a"), make_cell("b", preserved=False), make_cell("c", status="refused")]
-    rate, answered = comparison(make_run(cells)).foot[:2]
+    rate, answered = compare_methods(make_run(cells)).summary_rows[:2]
     assert (rate.values, rate.counts) == (["33 %"], ["1 of 3"])
     assert (answered.values, answered.counts) == (["50 %"], ["1 of 2, 1 left out"])
 
@@ -86,8 +85,8 @@ def test_columns_differ_by_lattice_source(make_cell: Make, make_run: Make) -> No
         for texture in "ab"
         for source, score in (("given", 0.9), ("own", 0.5))
     ]
-    found = comparison(make_run(cells))
-    assert [head.label for head in found.heads] == ["rsgf (given)", "rsgf (own)"]
+    found = compare_methods(make_run(cells))
+    assert [head.label for head in found.methods] == ["rsgf (given)", "rsgf (own)"]
     difference = next(one for one in found.differences if one.score == "regularity.score")
     assert difference.estimate.value == pytest.approx(0.4)
     assert difference.estimate.excludes_zero
@@ -95,32 +94,34 @@ def test_columns_differ_by_lattice_source(make_cell: Make, make_run: Make) -> No
 
 def test_a_run_without_cells_has_no_rows(make_run: Make) -> None:
     """No cells: no heads, no rows, no foot."""
-    found = comparison(make_run([]))
-    assert not [*found.heads, *found.rows, *found.foot, *found.notes, *found.legend]
+    found = compare_methods(make_run([]))
+    assert not [*found.methods, *found.rows, *found.summary_rows, *found.notes, *found.legend]
 
 
 def test_a_run_without_metrics_is_compared_by_time(make_cell: Make, make_run: Make) -> None:
     """Without any score there still are success counts and seconds."""
-    foot = comparison(make_run([make_cell()], columns={})).foot
+    foot = compare_methods(make_run([make_cell()], columns={})).summary_rows
     assert [line.name for line in foot] == ["preserved", "seconds"]
 
 
-def test_other_scores_stand_apart_from_the_headlines(every_ending: Run, make_cell: Make, make_run: Make) -> None:
+def test_other_scores_stand_apart_from_the_headlines(
+    every_ending: Run, every_comparison: Comparison, make_cell: Make, make_run: Make
+) -> None:
     """A score that is no headline is averaged in a table of its own, never at the foot; one that nobody has is not."""
     run = make_run([make_cell(values={"cost.note": 3.0, "randomness.variation": 0.5})])
-    found = comparison(run)
-    lines = {line.name: line for line in others(run, found.summaries)}
+    found = compare_methods(run)
+    lines = {line.name: line for line in other_score_rows(run, found.summaries)}
     assert lines["cost.note"].values == ["3.00"]
-    assert not lines.keys() & {line.name for line in found.foot}
-    assert "cost.note" not in {line.name for line in others(every_ending, comparison(every_ending).summaries)}
+    assert not lines.keys() & {line.name for line in found.summary_rows}
+    assert "cost.note" not in {line.name for line in other_score_rows(every_ending, every_comparison.summaries)}
 
 
 def test_costs_are_shown_once(make_cell: Make, make_run: Make) -> None:
     """Seconds stand at the foot, memory among the other scores, and neither again as the metric has it."""
     columns = {**COLUMNS, "cost.seconds": COSTS["seconds"], "cost.peak_mib": COSTS["peak_mib"]}
     run = make_run([make_cell(values={"cost.seconds": 1.0, "cost.peak_mib": 2.0}, peak_mib=2.0)], columns=columns)
-    found = comparison(run)
-    names = [line.name for line in (*found.foot, *others(run, found.summaries))]
+    found = compare_methods(run)
+    names = [line.name for line in (*found.summary_rows, *other_score_rows(run, found.summaries))]
     assert [name for name in names if name.endswith(("seconds", "peak_mib"))] == ["seconds", "peak_mib"]
 
 
@@ -131,16 +132,16 @@ def test_undecided_scores_enter_no_mean_and_no_rank(make_cell: Make, make_run: M
         make_cell("a", "m", score=0.5), make_cell("a", "n", score=0.9),
         make_cell("b", "m", score=1.0, preserved=None, reasons=why), make_cell("b", "n", score=0.8, preserved=False),
     ])  # fmt: skip
-    one, other = comparison(run).summaries
+    one, other = compare_methods(run).summaries
     assert (one.means[SCORE].value, one.means[SCORE].n, one.means[SCORE].of) == (0.5, 1, 2)
     assert (one.ranks[SCORE].value, one.ranks[SCORE].n) == (2, 1)
     assert (other.means[SCORE].n, other.ranks[SCORE].value) == (2, 1)
-    assert next(line for line in comparison(run).foot if line.name == SCORE).counts[0] == "1 of 2"
+    assert next(line for line in compare_methods(run).summary_rows if line.name == SCORE).counts[0] == "1 of 2"
 
 
 def test_metrics_of_the_headlines_come_first() -> None:
     """Regularity and randomness lead, the others keep their order."""
     names = ["appearance.seam", "randomness.x", "regularity.defects", "integrity.broken", "appearance.color"]
-    assert headlines_first(names) == [
+    assert sort_headlines_first(names) == [
         "regularity.defects", "randomness.x", "appearance.seam", "integrity.broken", "appearance.color",
     ]  # fmt: skip

@@ -1,19 +1,22 @@
-"""What the tables say of detectors: answers told apart, counted once, and with their intervals."""
+"""Answers of detectors: their kinds, their counts with intervals, and the calibration of the confidence."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Column, FoundLattice
-from nrbench.reports.csv import CsvTables, detectors_table
+from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
-from nrbench.reports.statistics.detections import answers, detectors
-from nrbench.reports.statistics.statistics import wilson
+from nrbench.reports.statistics.detections import calibrate, compare_detectors, detectors_table, tabulate_answers
+from nrbench.reports.statistics.estimates import wilson_interval
 from nrbench.reports.text import TextTable
 from nrbench.runs.records import CellRecord, Run
 
@@ -31,13 +34,14 @@ def _found(lattice: Lattice, confidence: float = 0.8) -> FoundLattice:
 NONE = FoundLattice(None, 0.25, "no better than chance")
 
 
-@pytest.fixture
-def asked(make_cell: MakeCell, make_run: MakeRun) -> Run:
-    """Return a run of two detectors with every kind of answer, seen through two methods."""
+@pytest.fixture(scope="module")
+def answered(makers: tuple[MakeCell, MakeRun]) -> Run:
+    """Return a run of two detectors with every kind of answer, used by two methods."""
+    make_cell, make_run = makers
 
     def cell(texture: str, source: str, detected: FoundLattice | None, **more: Any) -> CellRecord:
-        asked, method = (source.partition(":")[0], "1", {}), more.pop("method", "lattice-only")
-        return make_cell(texture, method, source, detector=asked, detected=detected, reference=True, **more)
+        detector, method = (source.partition(":")[0], "1", {}), more.pop("method", "lattice-only")
+        return make_cell(texture, method, source, detector=detector, detected=detected, reference=True, **more)
 
     nothing = {"lattice_truth": None, "kind": "stochastic", "family": "noise"}
     failed = {"status": "timeout", "phase": "detect", "message": "took too long"}
@@ -61,11 +65,11 @@ def asked(make_cell: MakeCell, make_run: MakeRun) -> Run:
     return make_run(cells, suite=suite)
 
 
-def test_every_kind_of_answer_is_told_apart(asked: Run) -> None:
-    """Exact, supercell, none, failed, wrong and false lattice; right where it is what the texture calls for."""
-    table = answers(asked).set_index(["detector", "texture"])
-    told = {key: (row["answer"], row["right"]) for key, row in table.iterrows()}
-    assert told == {
+def test_every_kind_of_answer_has_its_name(answered: Run) -> None:
+    """Answers are exact, supercell, none, failed, wrong or a false lattice; right if that is true of the texture."""
+    table = tabulate_answers(answered).set_index(["detector", "texture"])
+    kinds = {key: (row["answer"], row["right"]) for key, row in table.iterrows()}
+    assert kinds == {
         ("gncc", "brick-a"): ("exact", True),
         ("gncc", "brick-b"): ("supercell 2", False),
         ("gncc", "brick-c"): ("none", False),
@@ -77,28 +81,28 @@ def test_every_kind_of_answer_is_told_apart(asked: Run) -> None:
     }
 
 
-def test_a_detection_that_several_methods_used_counts_once(asked: Run) -> None:
+def test_a_detection_that_several_methods_used_counts_once(answered: Run) -> None:
     """One row a detector and draw, in the run's order."""
-    table = answers(asked)
+    table = tabulate_answers(answered)
     assert not table.duplicated(["detector", "texture", "replicate"]).any()
     assert list(table["texture"][:3]) == ["brick-a", "brick-b", "brick-c"]
 
 
-def test_what_is_not_known_is_left_out(asked: Run) -> None:
+def test_unknown_answers_are_left_out(answered: Run) -> None:
     """Methods' own lattices, draws not run yet, and photographs without a given lattice are in no row."""
-    assert not {"brick-d", "photograph"} & set(answers(asked)["texture"])
-    assert set(answers(asked)["detector"]) == {"gncc", HOSTILE}
+    assert not {"brick-d", "photograph"} & set(tabulate_answers(answered)["texture"])
+    assert set(tabulate_answers(answered)["detector"]) == {"gncc", HOSTILE}
 
 
-def test_rates_are_those_of_the_answers(asked: Run) -> None:
+def test_rates_are_those_of_the_answers(answered: Run) -> None:
     """Exact over draws that have a lattice, false lattices over those that have none, each with Wilson's interval."""
-    found = detectors(asked)
+    found = compare_detectors(answered)
     assert found is not None
-    gncc, hostile = found.trusts
+    gncc, hostile = found.summaries
     assert (gncc.exact.value, gncc.exact.n, (gncc.exact.low, gncc.exact.high)) == (
         pytest.approx(1 / 3),
         3,
-        wilson(1, 3),
+        wilson_interval(1, 3),
     )
     assert (gncc.false.value, hostile.false.value) == (0, 1)
     assert gncc.kinds == {"exact": 1, "supercell": 1, "subcell": 0, "wrong": 0, "none": 1, "failed": 0}
@@ -108,49 +112,94 @@ def test_rates_are_those_of_the_answers(asked: Run) -> None:
     assert set(gncc.families) == {"bricks"}
 
 
-def test_groups_are_by_family_departure_and_level(asked: Run) -> None:
+def test_groups_are_by_family_departure_and_level(answered: Run) -> None:
     """Departures and levels come from the suite's rows; a stochastic texture is a departure of its own."""
-    found = detectors(asked)
+    found = compare_detectors(answered)
     assert found is not None
     assert [(one.family, one.departure) for one in found.groups] == [
         ("bricks", "color"),
         ("bricks", "noise"),
         ("noise", "stochastic"),
     ]
-    assert found.groups[0].places["gncc"].value == 0.5 and found.groups[2].places["gncc"].value == 1
+    assert found.groups[0].rates["gncc"].value == 0.5 and found.groups[2].rates["gncc"].value == 1
     assert [one.level for one in found.levels] == [0.3, 0.6, 0.1]
 
 
 def test_a_run_without_detectors_has_none(every_ending: Run) -> None:
-    """Nothing is said of detectors, in any format."""
-    assert detectors(every_ending) is None and answers(every_ending).empty
+    """No format has a section on detectors."""
+    assert compare_detectors(every_ending) is None and tabulate_answers(every_ending).empty
     assert 'id="detectors"' not in HtmlReport().render(every_ending, every_ending.root)
     assert "calibration" not in TextTable().render(every_ending)
 
 
-def test_csv_tables(asked: Run, tmp_path: Path) -> None:
-    """One row an answer, and one a detector and group; an empty cell stands for all that have a lattice."""
-    paths = {path.name: path for path in CsvTables().write(asked, tmp_path / "tables")}
+def test_csv_tables(answered: Run, tmp_path: Path) -> None:
+    """One row an answer, and one a detector and group; an empty cell stands for all textures with a lattice."""
+    paths = {path.name: path for path in CsvTables().write(answered, tmp_path / "tables")}
     assert len(pd.read_csv(paths["detections.csv"])) == 8
     table = pd.read_csv(paths["detectors.csv"])
     whole = table[table["family"].isna()].set_index("detector")
     assert whole.loc["gncc", "n"] == 3 and whole.loc["gncc", "share_right"] == pytest.approx(1 / 3)
-    one = detectors_table(answers(asked)).set_index(["detector", "family", "departure", "level"]).loc["gncc"]
+    one = (
+        detectors_table(tabulate_answers(answered)).set_index(["detector", "family", "departure", "level"]).loc["gncc"]
+    )
     assert one.loc[("bricks", "color", 0.6)]["right"] == 0 and one.loc[("bricks", "color", 0.3)]["right"] == 1
 
 
-def test_the_page_has_a_section(asked: Run) -> None:
+def test_the_page_has_a_section(answered: Run) -> None:
     """A table, the groups, a diagram for each detector, escaped names."""
-    page = HtmlReport().render(asked, asked.root)
+    page = HtmlReport().render(answered, answered.root)
     assert 'id="detectors"' in page and 'href="#detectors"' in page
     assert page.count('class="reliability"') == 2 and "1 of 3" in page
     assert 'onerror="alert(1)"' not in page and 'id="comparison"' in page
 
 
-def test_without_a_verdict_there_is_no_comparison(asked: Run) -> None:
-    """Where the suite's metrics judge no regularity, page and terminal show the detectors alone."""
-    vars(asked)["columns"] = ONLY_COST
-    page, text = HtmlReport().render(asked, asked.root), TextTable().render(asked)
+def test_without_a_verdict_there_is_no_comparison(answered: Run) -> None:
+    """If the suite has no regularity score, page and terminal show the detectors alone."""
+    run = Run(answered.root)
+    vars(run).update(info=answered.info, columns=ONLY_COST, cells=answered.cells)
+    page, text = HtmlReport().render(run, run.root), TextTable().render(run)
     assert 'id="comparison"' not in page and 'href="#summary"' not in page and 'class="outputs"' not in page
     assert 'id="detectors"' in page and 'id="gallery"' in page
     assert "regularity.score" not in text and "33 % (1/3)" in text
+
+
+def test_calibration_of_known_answers() -> None:
+    """One of two answers right at 0.25 and both at 0.95: distances 0.25 and 0.05, mean 0.15."""
+    found = calibrate(np.array([0.25, 0.25, 0.95, 0.95]), np.array([True, False, True, True]))
+    assert found.error == pytest.approx(0.15) and found.n == 4
+    assert [(one.low, one.high, one.right.n, one.right.value) for one in found.bins] == [
+        (0.2, 0.3, 2, 0.5),
+        (0.9, 1.0, 2, 1.0),
+    ]
+
+
+def test_the_ends_of_the_confidence_are_in_the_outer_bins() -> None:
+    """Confidence 0 lies in the first tenth, 1 in the last."""
+    found = calibrate(np.array([0.0, 1.0]), np.array([False, True]))
+    assert [one.low for one in found.bins] == [0.0, 0.9] and found.error == 0
+
+
+def test_no_answers_have_no_calibration() -> None:
+    """Without answers there are no bins and no error."""
+    found = calibrate(np.array([]), np.array([], bool))
+    assert (list(found.bins), found.error, found.n) == ([], None, 0)
+
+
+def test_a_calibrated_confidence_has_little_error() -> None:
+    """20000 answers that are right as often as their confidence says have an error below 0.02."""
+    rng = np.random.default_rng(0)
+    confidence = rng.random(20000)
+    assert calibrate(confidence, rng.random(20000) < confidence).error < 0.02  # type: ignore[operator]
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=40))
+def test_calibration_bins_hold_every_answer_once(pairs: list[tuple[float, bool]]) -> None:
+    """The bins hold every answer once, in order; the error lies in [0, 1]; intervals hold their share."""
+    found = calibrate(np.array([c for c, _ in pairs]), np.array([right for _, right in pairs]))
+    assert sum(one.right.n for one in found.bins) == found.n == len(pairs)
+    assert sum(one.share for one in found.bins) == pytest.approx(1)
+    assert found.error is not None and 0 <= found.error <= 1
+    assert [one.low for one in found.bins] == sorted(one.low for one in found.bins)
+    for one in found.bins:
+        low, value, high = one.right.low, one.right.value, one.right.high
+        assert low is not None and value is not None and high is not None and low <= value <= high

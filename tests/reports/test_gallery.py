@@ -7,17 +7,15 @@ from typing import Any
 import pytest
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.reports.page.figures import shade
-from nrbench.reports.page.gallery import Section, gallery
-from nrbench.reports.page.pictures import Picture, Pictures
-from nrbench.reports.statistics.comparison import comparison
+from nrbench.reports.page.gallery import PagePicture, PictureSource, TextureSection, build_gallery, score_shade
+from nrbench.reports.statistics.comparison import Comparison, compare_methods
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
 
 
-def _gallery(run: Run, tmp_path: Path) -> list[Section]:
-    return gallery(run, comparison(run), Pictures(tmp_path, embedded=True))
+def _gallery(run: Run, tmp_path: Path) -> list[TextureSection]:
+    return build_gallery(run, compare_methods(run), PictureSource(tmp_path, embedded=True))
 
 
 def test_every_cell_has_a_figure(every_ending: Run, tmp_path: Path) -> None:
@@ -29,11 +27,11 @@ def test_every_cell_has_a_figure(every_ending: Run, tmp_path: Path) -> None:
     assert all((one.output is not None) == (one.record.status == "ok") for one in figures)
 
 
-def test_figures_follow_the_comparison(every_ending: Run, tmp_path: Path) -> None:
+def test_figures_follow_the_comparison(every_ending: Run, every_comparison: Comparison, tmp_path: Path) -> None:
     """Outputs stand in the order of the comparison's columns."""
     figures = _gallery(every_ending, tmp_path)[0].draws[0].figures
-    assert [one.head.label for one in figures] == ["rsgf (given)", "rsgf (own)", "oracle"]
-    assert [head.label for head in comparison(every_ending).heads][:2] == ["rsgf (given)", "rsgf (own)"]
+    assert [one.method.label for one in figures] == ["rsgf (given)", "rsgf (own)", "oracle"]
+    assert [head.label for head in every_comparison.methods][:2] == ["rsgf (given)", "rsgf (own)"]
 
 
 def test_equal_lattices_are_drawn_once(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
@@ -42,7 +40,7 @@ def test_equal_lattices_are_drawn_once(make_cell: Make, make_run: Make, tmp_path
     cells = [make_cell(method=name, lattice_used=used) for name, used in (("a", wrong), ("b", same), ("c", None))]
     run = make_run([*cells, make_cell(method="d")])
     draw = _gallery(run, tmp_path)[0].draws[0]
-    assert [list(one.labels) for one in draw.found] == [["a (own)", "b (own)"]]
+    assert [list(one.labels) for one in draw.used] == [["a (own)", "b (own)"]]
     assert draw.truth is not None
     assert list(draw.agreeing) == ["d (own)"]
 
@@ -57,19 +55,19 @@ def test_reasons_stand_beside_scores_that_are_missing(every_ending: Run, tmp_pat
 @pytest.mark.parametrize(("score", "expected"), [(None, None), (0.0, 0), (1.0, 10), (0.94, 9), (-1.0, 0), (7.0, 10)])
 def test_shades_follow_the_score(score: float | None, expected: int | None) -> None:
     """Eleven shades from 0 to 1; what lies outside takes the last one."""
-    assert shade(score) == expected
+    assert score_shade(score) == expected
 
 
 @pytest.mark.parametrize(("width", "scale"), [(8, 24), (100, 2), (191, 2), (192, 1), (384, 1), (768, 0.5)])
 def test_small_pictures_are_magnified_by_whole_factors(width: int, scale: float) -> None:
     """A pixel is shown as a whole number of pixels, so that no moire looks like a defect."""
-    assert Picture("", width, width).scale == scale
+    assert PagePicture("", width, width).scale == scale
 
 
 def test_links_are_escaped(make_cell: Make, tmp_path: Path) -> None:
     """A file name with odd characters makes a valid relative link."""
     output = make_cell().folder / "output.png"
     odd = output.rename(output.with_name('a b"<#?.png'))
-    found = Pictures(tmp_path / "run" / "report", embedded=False).picture(odd)
+    found = PictureSource(tmp_path / "run" / "report", embedded=False).load(odd)
     assert found is not None
     assert found.source.endswith("/a%20b%22%3C%23%3F.png")

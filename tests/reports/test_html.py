@@ -56,12 +56,18 @@ class Page(HTMLParser):
         return [attributes for name, attributes in self.elements if name == tag]
 
 
-@pytest.fixture
-def page(every_ending: Run, tmp_path: Path) -> Page:
-    """Return the page of a run with every ending."""
-    (path,) = HtmlReport().write(every_ending, tmp_path / "run" / "report")
+@pytest.fixture(scope="module")
+def text(every_ending: Run) -> str:
+    """Return the written page of a run with every status."""
+    (path,) = HtmlReport().write(every_ending, every_ending.root / "report")
     assert path.name == "report.html"
-    return Page(path.read_text("utf-8"))
+    return path.read_text("utf-8")
+
+
+@pytest.fixture(scope="module")
+def page(text: str) -> Page:
+    """Return the parsed page."""
+    return Page(text)
 
 
 def test_it_is_well_formed(page: Page) -> None:
@@ -79,9 +85,8 @@ def test_it_asks_no_network(page: Page) -> None:
     assert not {"link", "iframe", "object", "embed", "base", "form"} & {tag for tag, _ in page.elements}
 
 
-def test_style_and_script_fetch_nothing(every_ending: Run, tmp_path: Path) -> None:
+def test_style_and_script_fetch_nothing(text: str) -> None:
     """Without the pictures' bytes, the page holds no address and no import."""
-    text = HtmlReport().render(every_ending, tmp_path)
     bare = re.sub(r"data:image/(png|svg\+xml);base64,[A-Za-z0-9+/=]+", "", text)
     assert not re.search(r"https?:|@import|url\((?!#)|src=\"//|href=\"//", bare)
 
@@ -146,9 +151,9 @@ def test_pictures_are_the_runs_own_bytes(every_ending: Run, page: Page) -> None:
     assert all("magnified" in one["class"] and one["loading"] == "lazy" for one in shown)
 
 
-def test_heavy_pages_link_the_runs_files(every_ending: Run, tmp_path: Path) -> None:
+def test_heavy_pages_link_the_runs_files(every_ending: Run) -> None:
     """Beyond the limit, pictures are relative links to files that exist."""
-    directory = tmp_path / "run" / "report"
+    directory = every_ending.root / "linked"
     (path,) = HtmlReport(embed_mib=0.001).write(every_ending, directory)
     sources = {one["src"] for one in Page(path.read_text("utf-8")).all("img")}
     sources = {source for source in sources if not source.startswith("data:image/svg+xml;")}
@@ -230,6 +235,6 @@ def test_replicates_have_their_own_pictures(make_cell: Make, make_run: Make, tmp
     assert len(page.all("button")) == 4
 
 
-def test_the_page_is_the_same_again(every_ending: Run, tmp_path: Path) -> None:
+def test_the_page_is_the_same_again(every_ending: Run, text: str) -> None:
     """Rendering twice gives the same page."""
-    assert HtmlReport().render(every_ending, tmp_path) == HtmlReport().render(every_ending, tmp_path)
+    assert HtmlReport().render(every_ending, every_ending.root / "report") == text

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from nrbench.errors import BadInput
-from nrbench.reports.latex import LatexTables, escaped
+from nrbench.reports.latex import LatexTables, escape_latex
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
@@ -20,13 +20,13 @@ def _written(run: Run, directory: Path, columns: int = 6) -> dict[str, str]:
     return {path.stem: path.read_text("utf-8") for path in LatexTables(columns).write(run, directory)}
 
 
-def test_special_characters_are_escaped() -> None:
+def test_special_characters_are_escape_latex() -> None:
     """Every character that LaTeX obeys is printed instead, and line breaks and escapes are gone."""
-    assert escaped("a_b & 50% of $x #1 {y} ~^\\") == (
+    assert escape_latex("a_b & 50% of $x #1 {y} ~^\\") == (
         r"a\_b \& 50\% of \$x \#1 \{y\} \textasciitilde{}\textasciicircum{}\textbackslash{}"
     )
-    assert escaped("a\n\x1b[31mb\tc") == "a b c"
-    assert escaped("--") == "{-}{-}"
+    assert escape_latex("a\n\x1b[31mb\tc") == "a b c"
+    assert escape_latex("--") == "{-}{-}"
 
 
 def test_tables_are_booktabs_and_closed(every_ending: Run, tmp_path: Path) -> None:

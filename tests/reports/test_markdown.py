@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from nrbench.reports.markdown import MarkdownTables, escaped
+from nrbench.reports.markdown import MarkdownTables, escape_markdown
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
@@ -18,9 +18,11 @@ def _rows(text: str) -> list[list[str]]:
 
 def test_nothing_in_a_name_is_markup() -> None:
     """Links, pictures, emphasis, code, HTML, mentions and addresses read as they are."""
-    assert escaped("[a](b) ![c](d) *e* _f_ `g` <h> i|j @k") == (r"\[a\](b) !\[c\](d) \*e\* \_f\_ \`g\` \<h\> i\|j \@k")
-    assert escaped("http://x www.y") == r"http\://x www\.y"
-    assert escaped("a\nb\x1b[1m") == "a b"
+    assert escape_markdown("[a](b) ![c](d) *e* _f_ `g` <h> i|j @k") == (
+        r"\[a\](b) !\[c\](d) \*e\* \_f\_ \`g\` \<h\> i\|j \@k"
+    )
+    assert escape_markdown("http://x www.y") == r"http\://x www\.y"
+    assert escape_markdown("a\nb\x1b[1m") == "a b"
 
 
 def test_tables_are_even(every_ending: Run) -> None:

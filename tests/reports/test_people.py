@@ -10,15 +10,16 @@ import pytest
 
 from nrbench.labelling.labels import ANSWERS, LabelPage, make_page, verdict_as_answer, write_key
 from nrbench.reports.html import HtmlReport
-from nrbench.reports.statistics.people import agreement_table, labels_table, people
+from nrbench.reports.statistics.people import agreement_table, compare_people, labels_table
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
 
 
-@pytest.fixture
-def judged(make_cell: Make, make_run: Make) -> Run:
+@pytest.fixture(scope="module")
+def judged(makers: tuple[Make, Make]) -> Run:
     """Return a run of ten textures by four methods, half of the outputs preserved."""
+    make_cell, make_run = makers
     cells = [
         make_cell(f"t{i}", f"m{j}", preserved=(i + j) % 2 == 0, score=0.9 if (i + j) % 2 == 0 else 0.3)
         for i in range(10)
@@ -46,7 +47,7 @@ def _person(run: Run, path: Path, wrong: Callable[[int, bool], str | None], repe
 
 def test_full_agreement_is_one(judged: Run, tmp_path: Path) -> None:
     """A person who says what the judge says has kappa 1 with a point for an interval, and nothing is disputed."""
-    found = people(judged, [_person(judged, tmp_path / "a.csv", lambda i, again: None)])
+    found = compare_people(judged, [_person(judged, tmp_path / "a.csv", lambda i, again: None)])
     assert found is not None
     (one,) = found.judged
     assert (one.kappa.value, one.kappa.low, one.kappa.high, one.equal, one.n) == (1.0, 1.0, 1.0, 1.0, 40)
@@ -63,22 +64,22 @@ def test_known_kappa(judged: Run, tmp_path: Path) -> None:
     path = _person(
         judged, tmp_path / "a.csv", lambda i, again: turned[judge[sheet.items[i].cell]] if i in chosen else None
     )
-    found = people(judged, [path])
+    found = compare_people(judged, [path])
     assert found is not None
     assert found.judged[0].kappa.value == pytest.approx(0.5)
     assert found.judged[0].table == [[15, 5, 0], [5, 15, 0], [0, 0, 0]]
-    assert len(found.disagreements) == 10 and all(one.plain for one in found.disagreements)
+    assert len(found.disagreements) == 10 and all(one.opposite for one in found.disagreements)
 
 
 def test_who_cannot_say_counts_against_kappa_but_not_among_the_decided(judged: Run, tmp_path: Path) -> None:
     """Five times "cannot say" lowers kappa; over items that both decide it stays 1; the disputes come as not plain."""
     path = _person(judged, tmp_path / "a.csv", lambda i, again: "cannot say" if i < 5 else None)
-    found = people(judged, [path])
+    found = compare_people(judged, [path])
     assert found is not None
     one = found.judged[0]
     assert one.kappa.value is not None and one.kappa.value < 1
     assert one.decided.value == 1.0
-    assert [dispute.plain for dispute in found.disagreements] == [False] * 5
+    assert [dispute.opposite for dispute in found.disagreements] == [False] * 5
 
 
 def test_self_agreement_looks_at_second_showings_only(judged: Run, tmp_path: Path) -> None:
@@ -87,7 +88,7 @@ def test_self_agreement_looks_at_second_showings_only(judged: Run, tmp_path: Pat
     judge = {record.key: verdict_as_answer(record) for record in judged.cells}
     sheet = make_page(judged, repeat=0.5)
     said = lambda i, again: other[judge[sheet.items[i].cell]] if again else None  # noqa: E731
-    found = people(judged, [_person(judged, tmp_path / "a.csv", said, repeat=0.5)])
+    found = compare_people(judged, [_person(judged, tmp_path / "a.csv", said, repeat=0.5)])
     assert found is not None
     assert found.judged[0].equal == 1.0
     assert (found.selves[0].n, found.selves[0].equal) == (20, 0.0)
@@ -102,7 +103,7 @@ def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
         )
         for name in "abc"
     ]
-    found = people(judged, files)
+    found = compare_people(judged, files)
     assert found is not None
     table = agreement_table(found)
     assert list(table["kind"]) == ["judge and people"] * 4 + ["people"] * 4 + ["self"] * 3
@@ -123,5 +124,5 @@ def test_the_page_shows_every_dispute(judged: Run, tmp_path: Path) -> None:
 
 def test_without_files_there_is_no_section(judged: Run, tmp_path: Path) -> None:
     """No labels, no section."""
-    assert people(judged, []) is None
+    assert compare_people(judged, []) is None
     assert 'id="people"' not in HtmlReport().render(judged, tmp_path)

@@ -13,13 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
-from nrbench.reports.perils import PerilsPlane, drawn
-from nrbench.reports.plots.captions import overlap, placed
-from nrbench.reports.statistics.comparison import comparison
-from nrbench.reports.statistics.perils import Place, caption, perils_table, places, wrapped
-from nrbench.reports.statistics.randomness_kept import KEPT, WALLPAPER, kept
-from nrbench.reports.statistics.statistics import Estimate
-from nrbench.reports.statistics.summary import Head
+from nrbench.reports.perils import PerilsPlane, caption_text, overlap, place_captions, plot_perils_plane, wrap_caption
+from nrbench.reports.statistics.comparison import Comparison, compare_methods
+from nrbench.reports.statistics.estimates import Estimate
+from nrbench.reports.statistics.perils_points import PerilsPoint, perils_points, perils_table
+from nrbench.reports.statistics.summary import Method
+from nrbench.reports.statistics.verdicts import RANDOMNESS_KEPT, WALLPAPER, BaselineValidity, randomness_kept
 from nrbench.runs.records import CellRecord, Run
 
 Make = Callable[..., Any]
@@ -33,26 +32,29 @@ Make = Callable[..., Any]
     ],
 )
 def test_kept_is_the_worst_departure(variation: float, repetition: float, distance: float, expected: float) -> None:
-    """Half and twice the variation count alike, the others on one side only, and the worst of the three stands."""
-    assert kept(variation, repetition, distance) == pytest.approx(expected)
+    """Variation counts on both sides, repetition and distance on one side only; the worst of the three is kept."""
+    assert randomness_kept(variation, repetition, distance) == pytest.approx(expected)
 
 
 @given(st.floats(0, 1e9), st.floats(-1e9, 1e9), st.floats(-1e9, 1e9))
 def test_kept_lies_between_zero_and_one(variation: float, repetition: float, distance: float) -> None:
-    """Whatever the scores, what is kept is in [0, 1], and no more repetition or distance ever helps."""
-    value = float(kept(variation, repetition, distance))
-    worse = float(kept(variation, abs(repetition) + 1, distance)), float(kept(variation, repetition, abs(distance) + 1))
+    """The randomness kept is in [0, 1] for all scores, and more repetition or distance never helps."""
+    value = float(randomness_kept(variation, repetition, distance))
+    worse = (
+        float(randomness_kept(variation, abs(repetition) + 1, distance)),
+        float(randomness_kept(variation, repetition, abs(distance) + 1)),
+    )
     assert all(0 <= one <= value <= 1 for one in worse)
 
 
 def test_kept_of_an_unknown_score_is_unknown() -> None:
     """One unknown score makes the worst of all unknown."""
     nan = np.nan
-    assert np.isnan(kept([nan, 0.1, 1.0, nan], [0.0, nan, 0.0, nan], [0.0, 0.0, nan, nan])).all()
+    assert np.isnan(randomness_kept([nan, 0.1, 1.0, nan], [0.0, nan, 0.0, nan], [0.0, 0.0, nan, nan])).all()
 
 
 def test_wallpaper_lies_as_far_as_normal_departures_say() -> None:
-    """The distance that counts as wallpaper is that of no departures to normal ones, in any number of dimensions."""
+    """The distance of wallpaper is that of no departures to normal departures, in any number of dimensions."""
     rng = np.random.default_rng(0)
     for size in (1, 3, 40):
         one, other = rng.standard_normal((2, 40_000, size))
@@ -67,9 +69,10 @@ def _cell(
     return make_cell(texture, method, "own", score=score, preserved=score > 0.5, values=values, **more)
 
 
-@pytest.fixture
-def cornered(make_cell: Make, make_run: Make) -> Run:
-    """Return a run with a method in the middle, one that loses some lattices, one that loses all, and two corners."""
+@pytest.fixture(scope="module")
+def cornered(makers: tuple[Make, Make]) -> Run:
+    """Return a run with a copier, a method that loses some lattices, one that loses all, and two references."""
+    make_cell, make_run = makers
     cells: list[CellRecord] = []
     for i, texture in enumerate("abc"):
         cells += [
@@ -83,47 +86,53 @@ def cornered(make_cell: Make, make_run: Make) -> Run:
     return run
 
 
-def _place(run: Run, method: str) -> Place:
-    return next(place for place in places(comparison(run).summaries) if place.head.method == method)
+@pytest.fixture(scope="module")
+def comparison(cornered: Run) -> Comparison:
+    """Return the comparison of that run."""
+    return compare_methods(cornered)
 
 
-def test_places_are_means_over_textures(cornered: Run) -> None:
+def _point(comparison: Comparison, method: str) -> PerilsPoint:
+    return next(point for point in perils_points(comparison.summaries) if point.method.name == method)
+
+
+def test_points_are_means_over_textures(comparison: Comparison) -> None:
     """A point is the mean of both axes over textures, each with an interval that holds it."""
-    place = _place(cornered, "copier")
-    assert place.regularity.value == pytest.approx(0.99)
-    assert place.randomness.value == pytest.approx(np.mean([1 / 2, 1 / 2.1, 1 / 2.2]))
-    for one in (place.regularity, place.randomness):
+    point = _point(comparison, "copier")
+    assert point.regularity.value == pytest.approx(0.99)
+    assert point.randomness.value == pytest.approx(np.mean([1 / 2, 1 / 2.1, 1 / 2.2]))
+    for one in (point.regularity, point.randomness):
         assert one.low is not None and one.high is not None and one.value is not None
         assert one.low <= one.value <= one.high
 
 
 def test_worse_is_taken_before_the_mean(make_cell: Make, make_run: Make) -> None:
-    """Too little variation on one texture and copies on another are two faults, not two halves that cancel."""
+    """Too little variation on one texture and copies on another are two faults; they do not cancel in the mean."""
     run = make_run([_cell(make_cell, "a", "m", 1.0, 0.5, 0.0), _cell(make_cell, "b", "m", 1.0, 1.0, 1.0)])
-    assert _place(run, "m").randomness.value == pytest.approx(0.5)
+    assert _point(compare_methods(run), "m").randomness.value == pytest.approx(0.5)
 
 
-def test_lost_regularity_has_no_height(cornered: Run) -> None:
-    """A method that loses every lattice has a place across but none upwards; one that loses some says on how many."""
-    lost, shaky = _place(cornered, "drifter"), _place(cornered, "shaky")
-    assert not lost.known and lost.regularity.n == 3 and "not scored" in lost.words
-    assert shaky.known and (shaky.randomness.n, shaky.regularity.n) == (2, 3)
-    assert caption([shaky]) == "shaky (own) [2 of 3]"
+def test_a_lost_lattice_has_no_height(comparison: Comparison) -> None:
+    """A method that loses every lattice has no vertical coordinate; a method that loses some says how many count."""
+    lost, shaky = _point(comparison, "drifter"), _point(comparison, "shaky")
+    assert not lost.has_height and lost.regularity.n == 3 and "not scored" in lost.words
+    assert shaky.has_height and (shaky.randomness.n, shaky.regularity.n) == (2, 3)
+    assert caption_text([shaky]) == "shaky (own) [2 of 3]"
 
 
-def test_references_are_marked_and_not_ranked(cornered: Run) -> None:
-    """The corners are in the plane as references; no rank of what is kept exists."""
-    table = perils_table(places(comparison(cornered).summaries)).set_index("method")
+def test_references_are_marked_and_not_ranked(comparison: Comparison) -> None:
+    """Reference methods are points of the plane; no rank of the randomness kept exists."""
+    table = perils_table(perils_points(comparison.summaries)).set_index("method")
     assert table["reference"].to_dict() == {
         "copier": False, "shaky": False, "drifter": False, "oracle": True, "tiling": True,
     }  # fmt: skip
-    assert all(KEPT not in one.ranks for one in comparison(cornered).summaries)
+    assert all(RANDOMNESS_KEPT not in one.ranks for one in comparison.summaries)
 
 
-def test_pairs_are_compared_in_what_is_kept(cornered: Run) -> None:
-    """The paired differences hold one line of the randomness kept for two methods, over the textures both have."""
-    found = [one for one in comparison(cornered).differences if one.score == KEPT]
-    pair = next(one for one in found if (one.first.method, one.second.method) == ("copier", "shaky"))
+def test_paired_differences_hold_the_randomness_kept(comparison: Comparison) -> None:
+    """The paired differences hold the randomness kept of two methods, over the textures that both have."""
+    found = [one for one in comparison.differences if one.score == RANDOMNESS_KEPT]
+    pair = next(one for one in found if (one.first.name, one.second.name) == ("copier", "shaky"))
     assert pair.estimate.n == 2
 
 
@@ -135,9 +144,11 @@ def test_files_are_vector_graphics_and_the_same_again(cornered: Run, tmp_path: P
     assert first == [path.read_bytes() for path in PerilsPlane().write(cornered, tmp_path / "b")]
 
 
-def test_the_plane_uses_no_color(cornered: Run) -> None:
+def test_the_plane_uses_no_color(comparison: Comparison) -> None:
     """Every color of the picture is a gray: it can be printed in black and white."""
-    pixels = np.asarray(PIL.Image.open(io.BytesIO(drawn(places(comparison(cornered).summaries), "png"))).convert("RGB"))
+    pixels = np.asarray(
+        PIL.Image.open(io.BytesIO(plot_perils_plane(perils_points(comparison.summaries), "png"))).convert("RGB")
+    )
     assert (np.ptp(pixels.astype(int), axis=2) == 0).all()
 
 
@@ -160,7 +171,7 @@ def test_captions_cover_nothing(seed: int) -> None:
     sizes = np.column_stack([rng.uniform(30, 90, 14), np.full(14, 10.0)])
     points = np.concatenate([anchors - 3, anchors + 3], 1)
     frame = np.array([0.0, 0.0, 320.0, 240.0])
-    boxes = placed(anchors, sizes, points, frame)
+    boxes = place_captions(anchors, sizes, points, frame)
     covered = overlap(boxes, boxes)
     np.fill_diagonal(covered, 0)
     assert covered.max() == 0
@@ -170,14 +181,18 @@ def test_captions_cover_nothing(seed: int) -> None:
 
 def test_captions_break_between_parameters() -> None:
     """A long name is broken after a colon or comma, before sources, and never inside them."""
-    assert wrapped("lattice-only:block=12,overlap=4 (given, own)").splitlines() == [
+    assert wrap_caption("lattice-only:block=12,overlap=4 (given, own)").splitlines() == [
         "lattice-only:block=12,", "overlap=4 (given, own)",
     ]  # fmt: skip
 
 
 def test_a_crowd_is_drawn_in_time() -> None:
-    """Twenty methods on one spot are drawn: captions far from their points still get room."""
+    """Twenty methods at one point are drawn, with captions far from the point."""
+    none = BaselineValidity(0, 0)
     one = Estimate(0.98, 0.97, 0.99, 9, 9)
-    crowd = [Place(Head(f"m{i}", "own", False, {}), one, Estimate(0.4 + i / 1e4, 0.3, 0.5, 9, 9)) for i in range(20)]
-    assert len(drawn(crowd, "svg")) > 10_000
-    assert math.isfinite(sum(place.randomness.value or 0 for place in crowd))
+    crowd = [
+        PerilsPoint(Method(f"m{i}", "own", False, {}), one, Estimate(0.4 + i / 1e4, 0.3, 0.5, 9, 9), none)
+        for i in range(20)
+    ]
+    assert len(plot_perils_plane(crowd, "svg")) > 10_000
+    assert math.isfinite(sum(point.randomness.value or 0 for point in crowd))

@@ -46,7 +46,7 @@ def test_marks_tell_verdicts_apart() -> None:
 
 def test_frame_holds_numbers(every_ending: Run) -> None:
     """Truth values become 0 and 1, None becomes NaN, and only cells that ended well have seconds."""
-    table = verdicts.frame(every_ending)
+    table = verdicts.tabulate_cells(every_ending)
     assert len(table) == len(every_ending.cells)
     assert set(table["regularity.preserved"].dropna()) == {0.0, 1.0}
     assert table.loc[table["status"] == "ok", "seconds"].notna().all()
@@ -55,6 +55,6 @@ def test_frame_holds_numbers(every_ending: Run) -> None:
 
 def test_frame_of_an_empty_run_has_its_columns(make_run: Make) -> None:
     """A run without cells gives a frame without rows."""
-    table = verdicts.frame(make_run([]))
+    table = verdicts.tabulate_cells(make_run([]))
     assert len(table) == 0
     assert {"texture", "verdict", "regularity.score"} <= set(table)

@@ -8,7 +8,7 @@ import pytest
 
 from nrbench.api import run
 from nrbench.errors import BadInput
-from nrbench.reports.statistics.detections import answers
+from nrbench.reports.statistics.detections import tabulate_answers
 from nrbench.running.runner import Options, metrics_of
 from nrbench.runs.records import Run
 from nrbench.suites.cell import Cell
@@ -119,7 +119,7 @@ def test_a_detector_that_fails_is_no_answer(faulty: Path, tmp_path: Path) -> Non
         ("error", "detect", None)
     }
     assert "blind: failed: KeyError" in found.cells[0].message
-    assert set(answers(found)["answer"]) == {"failed"}
+    assert set(tabulate_answers(found)["answer"]) == {"failed"}
 
 
 def test_a_finished_run_is_resumed(asked: Run) -> None:

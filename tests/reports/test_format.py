@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from nrbench.reports.page import format as wording
-from nrbench.reports.statistics.statistics import Estimate
+from nrbench.reports.statistics import format as text_format
+from nrbench.reports.statistics.estimates import Estimate
 
 
 @pytest.mark.parametrize(
@@ -15,15 +15,15 @@ from nrbench.reports.statistics.statistics import Estimate
 )  # fmt: skip
 def test_numbers_read_well(value: float | None, text: str) -> None:
     """Numbers are short at every size."""
-    assert wording.number(value) == text
+    assert text_format.format_number(value) == text
 
 
 def test_counts_say_what_was_left_out() -> None:
     """A success rate says k of n, and how many textures it leaves out."""
-    assert wording.successes(Estimate(0.875, 0.5, 1.0, 8, 8)) == "7 of 8"
-    assert wording.successes(Estimate(0.875, 0.5, 1.0, 8, 9)) == "7 of 8, 1 left out"
+    assert text_format.format_successes(Estimate(0.875, 0.5, 1.0, 8, 8)) == "7 of 8"
+    assert text_format.format_successes(Estimate(0.875, 0.5, 1.0, 8, 9)) == "7 of 8, 1 left out"
 
 
 def test_plain_drops_escapes_and_keeps_lines() -> None:
     """Terminal colors, bells and NUL go; line breaks and tabs stay."""
-    assert wording.plain("\x1b[1;31mred\x1b[0m\x00\x07\r\n\tb") == "red\n\tb"
+    assert text_format.strip_control("\x1b[1;31mred\x1b[0m\x00\x07\r\n\tb") == "red\n\tb"

@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nrbench.reports.statistics import statistics
-from nrbench.reports.statistics.statistics import Estimate
+from nrbench.reports.statistics import estimates
+from nrbench.reports.statistics.estimates import Estimate
 
 
 def _cells(**columns: list[object]) -> pd.DataFrame:
     """Return a frame of cells, one column of the comparison, replicate 0 unless given."""
     size = len(next(iter(columns.values())))
-    return pd.DataFrame({"replicate": [0] * size, "column": ["m"] * size, "applicable": [True] * size, **columns})
+    return pd.DataFrame({"replicate": [0] * size, "label": ["m"] * size, "applicable": [True] * size, **columns})
 
 
 @pytest.mark.parametrize(
@@ -22,80 +22,81 @@ def _cells(**columns: list[object]) -> pd.DataFrame:
 )
 def test_wilson_gives_the_published_intervals(successes: int, n: int, low: float, high: float) -> None:
     """Wilson's interval agrees with Newcombe (1998), table I, method 3."""
-    assert statistics.wilson(successes, n) == pytest.approx((low, high), abs=6e-5)
+    assert estimates.wilson_interval(successes, n) == pytest.approx((low, high), abs=6e-5)
 
 
 def test_wilson_of_nothing_is_none() -> None:
     """No trials, no interval."""
-    assert statistics.wilson(0, 0) is None
+    assert estimates.wilson_interval(0, 0) is None
 
 
 @given(st.integers(1, 50), st.floats(0, 1))
 def test_wilson_holds_the_share_inside_zero_and_one(n: int, share: float) -> None:
     """Wilson's interval lies in [0, 1] and holds the share, whole or not."""
-    found = statistics.wilson(share * n, n)
+    found = estimates.wilson_interval(share * n, n)
     assert found is not None
     assert 0 <= found[0] <= share * n / n <= found[1] <= 1
 
 
 def test_wilson_is_mirrored() -> None:
     """Counting failures instead of successes mirrors the interval."""
-    low, high = statistics.wilson(2.5, 9) or (0, 0)
-    assert statistics.wilson(6.5, 9) == pytest.approx((1 - high, 1 - low))
+    low, high = estimates.wilson_interval(2.5, 9) or (0, 0)
+    assert estimates.wilson_interval(6.5, 9) == pytest.approx((1 - high, 1 - low))
 
 
 def test_bootstrap_is_deterministic_and_ignores_order() -> None:
     """Equal values give an equal interval, whatever their order."""
     values = np.random.default_rng(0).random(12)
-    assert statistics.bootstrap_mean(values) == statistics.bootstrap_mean(values[::-1])
+    assert estimates.bootstrap_interval(values) == estimates.bootstrap_interval(values[::-1])
 
 
 def test_bootstrap_agrees_with_students_interval() -> None:
     """On normal values, the widened bootstrap interval is Student's within a tenth of its width."""
     values = np.random.default_rng(1).normal(5, 2, 30)
     half = 2.0452 * values.std(ddof=1) / np.sqrt(30)
-    low, high = statistics.bootstrap_mean(values) or (0, 0)
+    low, high = estimates.bootstrap_interval(values) or (0, 0)
     assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=0.2 * half)
 
 
 def test_bootstrap_covers_the_mean_of_few_values() -> None:
     """On five normal values the interval holds the true mean about as often as it says (plain percentiles: 83 %)."""
     draws = np.random.default_rng(3).normal(0, 1, (300, 5))
-    ends = np.array([statistics.bootstrap_mean(draw) for draw in draws])
+    ends = np.array([estimates.bootstrap_interval(draw) for draw in draws])
     assert ((ends[:, 0] <= 0) & (ends[:, 1] >= 0)).mean() > 0.88
 
 
 def test_bootstrap_of_one_value_is_none_and_of_equal_values_a_point() -> None:
     """One value says nothing of its scatter; equal ones have none."""
-    assert statistics.bootstrap_mean([0.5]) is None
-    assert statistics.bootstrap_mean([0.5] * 6) == (0.5, 0.5)
+    assert estimates.bootstrap_interval([0.5]) is None
+    assert estimates.bootstrap_interval([0.5] * 6) == (0.5, 0.5)
 
 
 @settings(max_examples=20)
 @given(st.lists(st.floats(-10, 10), min_size=2, max_size=12))
 def test_bootstrap_stays_between_the_extremes(values: list[float]) -> None:
     """A mean of resamples lies between the smallest and the largest value."""
-    low, high = statistics.bootstrap_mean(values) or (0, 0)
+    low, high = estimates.bootstrap_interval(values) or (0, 0)
     assert min(values) - 1e-9 <= low <= high <= max(values) + 1e-9
 
 
 def test_mean_averages_replicates_before_textures() -> None:
     """A texture counts once, however many replicates it has; one without a value is not counted."""
     cells = _cells(texture=["a", "a", "a", "b", "c"], replicate=[0, 1, 2, 0, 0], score=[0.0, 0.0, 0.0, 1.0, np.nan])
-    found = statistics.mean(cells, "score")
+    found = estimates.means_over_textures(cells, ["score"])["score"]
     assert (found.value, found.n, found.of) == (0.5, 2, 3)
 
 
 def test_mean_of_nothing_has_no_value() -> None:
     """No value anywhere: None, and 0 of N."""
-    assert statistics.mean(_cells(texture=["a"], score=[np.nan]), "score") == Estimate(None, n=0, of=1)
+    found = estimates.means_over_textures(_cells(texture=["a"], score=[np.nan]), ["score"])["score"]
+    assert found == Estimate(None, n=0, of=1)
 
 
 def test_paired_difference_uses_common_samples_only() -> None:
     """Differences are taken sample by sample; a sample that one side lacks is left out."""
     first = _cells(texture=["a", "b", "c"], score=[1.0, 3.0, np.nan])
     second = _cells(texture=["b", "a", "c"], score=[2.0, 0.5, 9.0])
-    found = statistics.paired_difference(first, second, "score")
+    found = estimates.paired_differences(first, second, ["score"])["score"]
     assert (found.value, found.n, found.of) == (0.75, 2, 3)
     assert found.excludes_zero
 
@@ -105,34 +106,36 @@ def test_paired_difference_is_antisymmetric() -> None:
     rng = np.random.default_rng(2)
     first = _cells(texture=list("abcdefgh"), score=list(rng.random(8)))
     second = _cells(texture=list("abcdefgh"), score=list(rng.random(8)))
-    there, back = (statistics.paired_difference(*pair, "score") for pair in ((first, second), (second, first)))
+    there, back = (
+        estimates.paired_differences(*pair, ["score"])["score"] for pair in ((first, second), (second, first))
+    )
     assert there.value == pytest.approx(-(back.value or 0))
 
 
 def test_success_rate_counts_failures_against_the_method() -> None:
     """Failed and refused cells count as not preserved; undecided, unscored and missing ones do not count."""
     verdicts = ["preserved", "lost", "failed", "refused", "undecided", "unscored", "missing"]
-    found = statistics.success_rate(_cells(texture=list("abcdefg"), verdict=verdicts))
+    found = estimates.success_rate(_cells(texture=list("abcdefg"), verdict=verdicts))
     assert (found.value, found.n, found.of) == (0.25, 4, 7)
-    assert (found.low, found.high) == pytest.approx(statistics.wilson(1, 4))
+    assert (found.low, found.high) == pytest.approx(estimates.wilson_interval(1, 4))
 
 
 def test_success_rate_can_leave_refusals_out() -> None:
     """With refusals left out, failures still count."""
     cells = _cells(texture=list("abc"), verdict=["preserved", "failed", "refused"])
-    assert statistics.success_rate(cells, leave_refusals_out=True).value == 0.5
+    assert estimates.success_rate(cells, leave_refusals_out=True).value == 0.5
 
 
 def test_success_rate_takes_the_mean_over_replicates() -> None:
     """A texture whose replicates disagree counts with their share."""
     cells = _cells(texture=["a", "a", "b"], replicate=[0, 1, 0], verdict=["preserved", "lost", "preserved"])
-    assert statistics.success_rate(cells).value == 0.75
+    assert estimates.success_rate(cells).value == 0.75
 
 
 def test_success_rate_skips_textures_without_a_lattice() -> None:
     """Where there is no lattice to preserve, a texture is not in N, even if the method failed on it."""
     cells = _cells(texture=["a", "b"], verdict=["preserved", "failed"], applicable=[True, False])
-    found = statistics.success_rate(cells)
+    found = estimates.success_rate(cells)
     assert (found.value, found.n, found.of) == (1.0, 1, 1)
 
 
@@ -140,11 +143,12 @@ def _ranked(
     values: dict[str, float], verdicts: dict[str, str], better: str, leave_out: bool = False
 ) -> dict[str, float]:
     cells = _cells(
-        texture=["a"] * len(values), column=list(values), score=list(values.values()),
+        texture=["a"] * len(values), label=list(values), score=list(values.values()),
         verdict=[verdicts.get(name, "preserved") for name in values],
     )  # fmt: skip
     return {
-        str(name): float(rank) for name, rank in statistics.ranks(cells, "score", better, leave_out).loc["a"].items()
+        str(name): float(rank)
+        for name, rank in estimates.texture_ranks(cells, "score", better, leave_out).loc["a"].items()
     }
 
 
@@ -183,10 +187,10 @@ def test_ranks_can_leave_refusals_out() -> None:
 def test_mean_ranks_average_over_textures() -> None:
     """The mean rank says on how many textures it rests."""
     cells = _cells(
-        texture=["a", "a", "b", "b"], column=["x", "y", "x", "y"], score=[1.0, 0.0, 0.0, np.nan],
+        texture=["a", "a", "b", "b"], label=["x", "y", "x", "y"], score=[1.0, 0.0, 0.0, np.nan],
         verdict=["preserved", "preserved", "preserved", "undecided"],
     )  # fmt: skip
-    found = statistics.mean_ranks(cells, "score", "higher")
+    found = estimates.mean_ranks(cells, "score", "higher")
     assert (found["x"].value, found["x"].n) == (1.0, 2)
     assert (found["y"].value, found["y"].n, found["y"].of) == (2.0, 1, 2)
 
@@ -194,4 +198,80 @@ def test_mean_ranks_average_over_textures() -> None:
 def test_ranks_of_no_cells_are_empty() -> None:
     """An empty table gives no ranks."""
     empty = _cells(texture=["a"], score=[1.0], verdict=["preserved"]).iloc[:0]
-    assert statistics.mean_ranks(empty, "score", "higher") == {}
+    assert estimates.mean_ranks(empty, "score", "higher") == {}
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [
+        ([[20, 5], [10, 15]], 0.4),
+        ([[45, 15], [25, 15]], 0.1304),
+        ([[25, 35], [5, 35]], 0.2593),
+        ([[88, 14, 18], [10, 40, 10], [2, 6, 12]], 0.4915),
+        ([[5, 0], [0, 5]], 1.0),
+        ([[0, 5], [5, 0]], -1.0),
+    ],
+)
+def test_kappa_gives_published_values(table: list[list[int]], expected: float) -> None:
+    """Cohen's kappa of tables with known answers (the fourth is Cohen's own of 1960, with 200 cases)."""
+    assert estimates.kappa(np.array(table, float)) == pytest.approx(expected, abs=6e-4)
+
+
+def test_one_answer_throughout_has_no_kappa() -> None:
+    """Where both always say one word there is nothing beyond chance: NaN, and None in the estimate."""
+    table = np.zeros((1, 4, 3, 3))
+    table[..., 0, 0] = 5
+    assert np.isnan(estimates.kappa(table.sum(1))).all()
+    assert estimates.mean_kappa(table).value is None
+
+
+def _answers(rng: np.random.Generator, textures: int, each: int, agree: float) -> np.ndarray:
+    """Return tables of two raters, two words at even odds, who agree beyond chance with the share ``agree``."""
+    first = rng.integers(0, 2, (textures, each))
+    second = np.where(rng.random((textures, each)) < agree, first, rng.integers(0, 2, (textures, each)))
+    words = ("p", "l")
+    units = np.repeat(np.arange(textures), each).astype(str)
+    return estimates.count_answers(
+        [words[i] for i in first.ravel()], [words[i] for i in second.ravel()], list(units), words, sorted(set(units))
+    )
+
+
+@pytest.mark.parametrize("agree", [0.0, 0.5, 0.9])
+def test_kappa_of_synthetic_raters_is_known(agree: float) -> None:
+    """Raters who copy the other with chance k, and else toss a coin, have kappa k."""
+    table = _answers(np.random.default_rng(0), 40, 100, agree)
+    found = estimates.mean_kappa(table[None])
+    assert found.value == pytest.approx(agree, abs=0.04)
+    assert found.low is not None and found.high is not None
+    assert found.low <= agree + 0.04 and found.high >= agree - 0.04
+    assert (found.n, found.of) == (40, 40)
+
+
+def test_interval_covers_the_true_kappa() -> None:
+    """Of 60 sets of labels of true kappa 0.6, the interval holds it about as often as it says."""
+    hits = 0
+    for seed in range(60):
+        found = estimates.mean_kappa(_answers(np.random.default_rng(seed), 12, 10, 0.6)[None])
+        hits += (found.low or 0) <= 0.6 <= (found.high or 0)
+    assert hits >= 52
+
+
+def test_interval_is_over_textures() -> None:
+    """The same answers a hundred times over on each texture are no more evidence."""
+    table = _answers(np.random.default_rng(3), 8, 6, 0.6)[None]
+    once, often = estimates.mean_kappa(table), estimates.mean_kappa(100 * table)
+    assert (once.low, once.high) == pytest.approx((often.low, often.high))
+
+
+def test_mean_over_pairs_leaves_unknown_pairs_out() -> None:
+    """A pair of raters without a common item changes nothing."""
+    table = _answers(np.random.default_rng(4), 9, 9, 0.5)
+    assert (
+        estimates.mean_kappa(np.stack([table, np.zeros_like(table)])).value == estimates.mean_kappa(table[None]).value
+    )
+
+
+def test_one_texture_has_no_interval() -> None:
+    """One texture says nothing of the scatter over textures."""
+    found = estimates.mean_kappa(_answers(np.random.default_rng(5), 1, 30, 0.5)[None])
+    assert found.value is not None and found.low is None
