@@ -6,6 +6,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -112,6 +113,15 @@ def _svg_source(svg: bytes) -> str:
 
 def _fill_template(content: Mapping[str, Any]) -> str:
     """Return the page; its content policy names style and script by hash, so that nothing else on it can run."""
+    environment = _environment()
+    style = Markup(environment.get_template("style.css").render(content))
+    script = Markup(environment.get_template("script.js").render())
+    hashes = {"style_hash": content_hash(style), "script_hash": content_hash(script)}
+    return environment.get_template("report.html").render(content, style=style, script=script, **hashes)
+
+
+@cache
+def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=True,
@@ -120,10 +130,7 @@ def _fill_template(content: Mapping[str, Any]) -> str:
         lstrip_blocks=True,
     )
     environment.filters.update({name: getattr(text_format, name) for name in _FILTERS}, score_shade=score_shade)
-    style = Markup(environment.get_template("style.css").render(content))
-    script = Markup(environment.get_template("script.js").render())
-    hashes = {"style_hash": content_hash(style), "script_hash": content_hash(script)}
-    return environment.get_template("report.html").render(content, style=style, script=script, **hashes)
+    return environment
 
 
 def _families(detectors: DetectorComparison | None) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import ClassVar
 
@@ -18,6 +19,10 @@ from .statistics.summary import headline_columns
 from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, PRESERVED, SHARES_LEGEND
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"
+_FILTERS = (
+    *("format_number", "format_percent", "format_interval", "format_count", "format_successes"),
+    "describe_column",
+)
 _ACTIVE = re.compile(r"([\\`*_\[\]<>|~&@#]|:(?=//)|(?<=www)\.|^[-+=])")
 
 
@@ -39,24 +44,31 @@ class MarkdownTables:
 
     def render(self, run: Run) -> str:
         """Return the tables as text; every line ends in a newline."""
-        environment = jinja2.Environment(
-            loader=jinja2.FileSystemLoader(_TEMPLATES),
-            undefined=jinja2.StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-            keep_trailing_newline=True,
+        return (
+            _environment()
+            .get_template("comparison.md")
+            .render(
+                comparison=compare_methods(run),
+                columns=headline_columns(run),
+                scored=PRESERVED in run.columns,
+                meanings=MEANINGS,
+                baseline_sign=BASELINE_SIGN,
+                baseline_legend=f"{BASELINE_LEGEND} ({SHARES_LEGEND})",
+            )
         )
-        names = ("format_number", "format_percent", "format_interval", "format_count", "format_successes")
-        environment.filters.update({name: getattr(text_format, name) for name in names})
-        environment.filters.update(escape_markdown=escape_markdown, describe_column=text_format.describe_column)
-        return environment.get_template("comparison.md").render(
-            comparison=compare_methods(run),
-            columns=headline_columns(run),
-            scored=PRESERVED in run.columns,
-            meanings=MEANINGS,
-            baseline_sign=BASELINE_SIGN,
-            baseline_legend=f"{BASELINE_LEGEND} ({SHARES_LEGEND})",
-        )
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters.update({name: getattr(text_format, name) for name in _FILTERS}, escape_markdown=escape_markdown)
+    return environment
 
 
 def escape_markdown(text: str) -> str:

@@ -229,8 +229,7 @@ def texture_ranks(cells: pd.DataFrame, score: str, better: str, leave_refusals_o
     scored = cells.assign(goodness=goodness.mask(worst, -np.inf))
     table = scored.pivot(index=["texture", "replicate"], columns="label", values="goodness")
     last = table.notna().sum(axis=1)
-    ranked = table.rank(axis=1, ascending=False)
-    ranked = ranked.apply(lambda one: one.mask(table[one.name].eq(-np.inf), last))
+    ranked = table.rank(axis=1, ascending=False).mask(table.eq(-np.inf), last, axis=0)
     by_texture: pd.DataFrame = ranked.groupby(level="texture", sort=False).mean()
     return by_texture
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from nrbench.reports.csv import CsvTables
 from nrbench.runs.records import Run
@@ -18,6 +19,12 @@ def _read(path: Path) -> pd.DataFrame:
     return pd.read_csv(path, keep_default_na=False, na_values=[""])
 
 
+@pytest.fixture(scope="module")
+def written(every_ending: Run) -> dict[str, Path]:
+    """Return the tables of a run with every status, by name."""
+    return {path.stem: path for path in CsvTables().write(every_ending, every_ending.root / "tables")}
+
+
 def test_cells_read_back_to_the_same_bits(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
     """Floats survive writing and reading bit by bit."""
     values = np.random.default_rng(0).random(20) / 3
@@ -26,20 +33,18 @@ def test_cells_read_back_to_the_same_bits(make_cell: Make, make_run: Make, tmp_p
         assert [float(row["regularity.score"]) for row in csv.DictReader(file)] == values.tolist()
 
 
-def test_every_cell_is_a_row(every_ending: Run, tmp_path: Path) -> None:
+def test_every_cell_is_a_row(every_ending: Run, written: dict[str, Path]) -> None:
     """One row a cell, whatever its status, quotes and line breaks in messages included."""
-    written = {path.name: path for path in CsvTables().write(every_ending, tmp_path)}
-    assert set(written) == {
-        f"{name}.csv" for name in ("cells", "comparison", "summary", "differences", "columns", "perils")
-    }
-    cells = _read(written["cells.csv"])
+    assert set(written) == {"cells", "comparison", "summary", "differences", "columns", "perils"}
+    assert {path.suffix for path in written.values()} == {".csv"}
+    cells = _read(written["cells"])
     assert list(cells["status"]) == [record.status for record in every_ending.cells]
     assert list(cells["texture"]) == [record.texture for record in every_ending.cells]
 
 
-def test_summary_has_one_row_a_column(every_ending: Run, tmp_path: Path) -> None:
+def test_summary_has_one_row_a_method(written: dict[str, Path]) -> None:
     """Counts add up, and the success rate stands with its interval and n of N."""
-    summary = _read(CsvTables().write(every_ending, tmp_path)[2]).set_index(["method", "lattice_source"])
+    summary = _read(written["summary"]).set_index(["method", "lattice_source"])
     own = summary.loc[("rsgf", "own")]
     assert own["cells"] == own["ok"] + own["refused"] + own["failed"] + own["missing"] == 9
     assert own["preserved_low"] <= own["preserved"] <= own["preserved_high"]
@@ -47,9 +52,9 @@ def test_summary_has_one_row_a_column(every_ending: Run, tmp_path: Path) -> None
     assert own["preserved_refusals_left_out_n"] == 6
 
 
-def test_comparison_has_verdict_and_score(every_ending: Run, tmp_path: Path) -> None:
+def test_comparison_has_verdict_and_score(written: dict[str, Path]) -> None:
     """Each texture is a row; each method gives a verdict and a score."""
-    table = _read(CsvTables().write(every_ending, tmp_path)[1]).set_index("texture")
+    table = _read(written["comparison"]).set_index("texture")
     assert table.loc["brick", "rsgf (own) verdict"] == "lost"
     assert table.loc["brick", "rsgf (own) score"] == 0.2
     assert table.loc["t-refused", "rsgf (own) verdict"] == "refused"
@@ -76,18 +81,17 @@ def test_an_empty_run_gives_headers(make_run: Make, tmp_path: Path) -> None:
     assert [len(_read(path)) for path in paths[1:4]] == [0, 0, 0]
 
 
-def test_every_column_of_the_cells_is_declared(every_ending: Run, tmp_path: Path) -> None:
+def test_every_column_of_the_cells_is_declared(written: dict[str, Path]) -> None:
     """``columns.csv`` has a line for each column of ``cells.csv``: sentence, unit, range and better way."""
-    paths = {path.stem: path for path in CsvTables().write(every_ending, tmp_path)}
-    declared = _read(paths["columns"]).set_index("column")
-    assert set(_read(paths["cells"]).columns) <= set(declared.index)
+    declared = _read(written["columns"]).set_index("column")
+    assert set(_read(written["cells"]).columns) <= set(declared.index)
     assert declared["meaning"].str.len().min() > 5
     line = declared.loc["randomness.variation"]
     assert (line["low"], line["high"], line["better"]) == (0, float("inf"), "one")
     assert declared.loc["seconds", "unit"] == "s"
 
 
-def test_tables_are_the_same_bytes_again(every_ending: Run, tmp_path: Path) -> None:
+def test_tables_are_the_same_bytes_again(every_ending: Run, written: dict[str, Path], tmp_path: Path) -> None:
     """Writing twice gives equal bytes, intervals included."""
-    first = [path.read_bytes() for path in CsvTables().write(every_ending, tmp_path / "a")]
-    assert first == [path.read_bytes() for path in CsvTables().write(every_ending, tmp_path / "b")]
+    first = [path.read_bytes() for path in written.values()]
+    assert first == [path.read_bytes() for path in CsvTables().write(every_ending, tmp_path)]

@@ -20,6 +20,12 @@ def _written(run: Run, directory: Path, columns: int = 6) -> dict[str, str]:
     return {path.stem: path.read_text("utf-8") for path in LatexTables(columns).write(run, directory)}
 
 
+@pytest.fixture(scope="module")
+def written(every_ending: Run) -> dict[str, str]:
+    """Return the tables of a run with every status, by name."""
+    return _written(every_ending, every_ending.root / "latex")
+
+
 def test_special_characters_are_escape_latex() -> None:
     """Every character that LaTeX obeys is printed instead, and line breaks and escapes are gone."""
     assert escape_latex("a_b & 50% of $x #1 {y} ~^\\") == (
@@ -29,9 +35,9 @@ def test_special_characters_are_escape_latex() -> None:
     assert escape_latex("--") == "{-}{-}"
 
 
-def test_tables_are_booktabs_and_closed(every_ending: Run, tmp_path: Path) -> None:
+def test_tables_are_booktabs_and_closed(written: dict[str, str]) -> None:
     """Each file is one table with rules of booktabs, balanced braces, and as many columns in every line."""
-    for text in _written(every_ending, tmp_path).values():
+    for text in written.values():
         for rule in (r"\toprule", r"\midrule", r"\bottomrule"):
             assert rule in text
         bare = re.sub(r"\\[{}]", "", text)
@@ -40,9 +46,9 @@ def test_tables_are_booktabs_and_closed(every_ending: Run, tmp_path: Path) -> No
         assert len({line.count(" & ") for line in lines}) == 1
 
 
-def test_references_and_given_lattices_are_marked(every_ending: Run, tmp_path: Path) -> None:
+def test_references_and_given_lattices_are_marked(written: dict[str, str]) -> None:
     """A reference has its dagger, a method that was handed the lattice its g, one that found it neither."""
-    text = _written(every_ending, tmp_path)["summary"]
+    text = written["summary"]
     assert r"\textit{oracle}\nrbReference{} &" in text
     assert r"rsgf\nrbGiven{} &" in text
     assert "\nrsgf &" in text
@@ -54,9 +60,9 @@ def test_a_detector_is_named(make_cell: Make, make_run: Make, tmp_path: Path) ->
     assert r"rsgf\textsuperscript{gncc} &" in text
 
 
-def test_verdicts_have_their_marks(every_ending: Run, tmp_path: Path) -> None:
+def test_verdicts_have_their_marks(written: dict[str, str]) -> None:
     """Each verdict that occurs is a command with its score or status, and the caption tells what it means."""
-    text = _written(every_ending, tmp_path)["comparison"]
+    text = written["comparison"]
     for mark in (r"\nrbPreserved{} 0.90", r"\nrbLost{} 0.20", r"\nrbUndecided{} 0.60", r"\nrbRefused{}"):
         assert mark in text
     assert r"\nrbLost{} lost" in text

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from nrbench.reports.markdown import MarkdownTables, escape_markdown
 from nrbench.runs.records import Run
 
@@ -16,6 +18,12 @@ def _rows(text: str) -> list[list[str]]:
     return [[part.strip() for part in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
 
 
+@pytest.fixture(scope="module")
+def text(every_ending: Run) -> str:
+    """Return the tables of a run with every status."""
+    return MarkdownTables().render(every_ending)
+
+
 def test_nothing_in_a_name_is_markup() -> None:
     """Links, pictures, emphasis, code, HTML, mentions and addresses read as they are."""
     assert escape_markdown("[a](b) ![c](d) *e* _f_ `g` <h> i|j @k") == (
@@ -25,18 +33,17 @@ def test_nothing_in_a_name_is_markup() -> None:
     assert escape_markdown("a\nb\x1b[1m") == "a b"
 
 
-def test_tables_are_even(every_ending: Run) -> None:
+def test_tables_are_even(text: str) -> None:
     """Every line of a table has as many places as its head, hostile names included."""
-    rows = _rows(MarkdownTables().render(every_ending))
+    rows = _rows(text)
     second = next(i for i, row in enumerate(rows) if row[0] == "texture")
     for table in (rows[:second], rows[second:]):
         assert len(table) > 3
         assert {len(row) for row in table} == {len(table[0])}
 
 
-def test_places_and_references(every_ending: Run) -> None:
+def test_places_and_references(text: str) -> None:
     """Verdict and score stand in each place, the lattice source beside the method, references are marked."""
-    text = MarkdownTables().render(every_ending)
     rows = _rows(text)
     head = next(row for row in rows if row[0] == "texture")
     brick = next(row for row in rows if row[0] == "brick")
@@ -46,9 +53,8 @@ def test_places_and_references(every_ending: Run) -> None:
     assert "a note of its own" in text and "unit: none; range: 0 to 1; better: higher" in text
 
 
-def test_no_hostile_markup_survives(every_ending: Run) -> None:
+def test_no_hostile_markup_survives(text: str) -> None:
     """No tag but our own footnote marks is left in the text."""
-    text = MarkdownTables().render(every_ending)
     assert set(re.findall(r"(?<!\\)<(\w+)", text)) == {"sup"}
 
 
