@@ -159,7 +159,8 @@ class Departures:
         if self.light:
             gradient = waves(role_seed(seed, "light"), shape, 16 * self.s, count=1)
             image *= np.asarray(1 + 0.25 * self.light * gradient, np.float32)[..., np.newaxis]
-        image += np.float32(self.noise) * grain(role_seed(seed, "noise"), shape)[..., np.newaxis]
+        if self.noise:
+            image += np.float32(self.noise) * grain(role_seed(seed, "noise"), shape)[..., np.newaxis]
         return image, elements
 
     def _depart(self, pattern: Pattern, seed: int) -> Iterator[tuple[Layer, Image, Elements]]:

@@ -45,6 +45,13 @@ def render(model: Model, seed: int = 0, side: int = 128) -> Texture:
     return model.render((side, side), np.random.default_rng(seed))
 
 
+def without_share(model: Model) -> Model:
+    """Return the model with a made-up regular share: measuring it under jitter takes longer than many draws."""
+    copy = dataclasses.replace(model)
+    vars(copy)["regular_share"] = 0.5
+    return copy
+
+
 def truth(texture: Texture) -> tuple[Lattice, Image]:
     """Return the lattice and the ideal image of a texture that has them."""
     assert texture.lattice is not None and texture.ideal is not None
