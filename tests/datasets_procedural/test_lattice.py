@@ -53,7 +53,8 @@ def _explained(image: Image, lattice: Lattice) -> float:
     points = np.minimum(lattice.to_cell(pixels) % 1.0, 1 - 1e-12) * sides
     values = image.reshape(len(points), -1)
     picked = np.random.default_rng(0).permutation(len(points))[:3000]
-    neighbors = cKDTree(points, boxsize=sides).query(points[picked], k=4)[1][:, 1:]
+    tree = cKDTree(points, boxsize=sides, balanced_tree=False, compact_nodes=False)
+    neighbors = tree.query(points[picked], k=4)[1][:, 1:]
     return float(1 - ((values[neighbors].mean(1) - values[picked]) ** 2).mean() / values.var(0).mean())
 
 
