@@ -153,7 +153,7 @@ def _legend(comparison: Comparison) -> Iterator[str]:
     marks = ", ".join(f"{mark} {name}" for mark, name in comparison.legend)
     yield f"{marks}. Beside the mark: regularity.score, 0 to 1. share: regular share of the texture."
     yield "Under a method: the source of its lattice. References calibrate the scores and are never ranked."
-    yield "Below the line: means over textures with 95 % intervals. (n/N): n of N textures count."
+    yield "Lower rows: means over textures with 95 % intervals. (n/N): the mean counts n of N textures."
     if comparison.has_valid_baseline:
         yield f"{BASELINE_SIGN} {BASELINE_LEGEND} ({SHARES_LEGEND})."
     for index, note in enumerate(comparison.notes, 1):

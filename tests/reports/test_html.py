@@ -127,7 +127,7 @@ def test_hostile_names_stay_text(page: Page) -> None:
 
 def test_it_has_what_a_reader_needs(page: Page) -> None:
     """Suite, hash, success rate, provenance and glossary are on the page."""
-    for words in ("tiny", "abc123", "A tiny suite.", "preserved", "lattice given", "reference", "numpy 2.0"):
+    for words in ("tiny", "abc123", "A tiny suite.", "preserved", "lattice: given", "reference", "numpy 2.0"):
         assert words in page.text
     for words in ("undecided: too little power", "a note of its own", "Whether the lattice is preserved.", "block=40"):
         assert words in page.text
