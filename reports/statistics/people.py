@@ -62,7 +62,7 @@ class Disagreement:
     ----------
     record
         The cell.
-    judge
+    verdict
         The automatic verdict, as one of the answers that people can give.
     people
         The answer of each person.
@@ -71,7 +71,7 @@ class Disagreement:
     """
 
     record: CellRecord
-    judge: str
+    verdict: str
     people: Mapping[str, str]
     opposite: bool
 
@@ -86,7 +86,7 @@ class PeopleComparison:
         The people who gave answers.
     outputs
         Number of outputs with an answer.
-    judged
+    with_verdict
         The automatic verdict with each person; if there are several, their mean comes last.
     between
         Every two people; if there are several pairs, their mean comes last.
@@ -98,7 +98,7 @@ class PeopleComparison:
 
     people: Sequence[Person]
     outputs: int
-    judged: Sequence[RaterAgreement]
+    with_verdict: Sequence[RaterAgreement]
     between: Sequence[RaterAgreement]
     selves: Sequence[RaterAgreement]
     disagreements: Sequence[Disagreement]
@@ -118,17 +118,17 @@ def compare_people(run: Run, files: Sequence[Path]) -> PeopleComparison | None:
         return None
     textures = {record.key: record.texture for record in run.cells}
     answers = {person.name: person.by_cell() for person in people}
-    judge = {record.key: verdict_as_answer(record) for record in run.cells}
+    verdicts = {record.key: verdict_as_answer(record) for record in run.cells}
     names = list(answers)
     pairs = [(a, b, answers[a], answers[b]) for a, b in itertools.combinations(names, 2)]
     repeats = [(person.name, "shown again", person.by_cell(), person.by_cell(again=True)) for person in people]
     return PeopleComparison(
         people=people,
         outputs=len(set().union(*answers.values())),
-        judged=_agreements([(JUDGE, name, judge, answers[name]) for name in names], textures, JUDGE),
+        with_verdict=_agreements([(JUDGE, name, verdicts, answers[name]) for name in names], textures, JUDGE),
         between=_agreements(pairs, textures, "people"),
         selves=[_agreement([pair], textures) for pair in repeats],
-        disagreements=_list_disagreements(run, judge, answers),
+        disagreements=_list_disagreements(run, verdicts, answers),
     )
 
 
@@ -161,12 +161,12 @@ def _agreement(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: s
 
 
 def _list_disagreements(
-    run: Run, judge: Mapping[str, str], answers: Mapping[str, Mapping[str, str]]
+    run: Run, verdicts: Mapping[str, str], answers: Mapping[str, Mapping[str, str]]
 ) -> list[Disagreement]:
     disagreements = []
     for record in run.cells:
         own = {name: by_cell[record.key] for name, by_cell in answers.items() if record.key in by_cell}
-        verdict = judge[record.key]
+        verdict = verdicts[record.key]
         if any(answer != verdict for answer in own.values()):
             opposite = verdict in DECIDED and any(answer in DECIDED and answer != verdict for answer in own.values())
             disagreements.append(Disagreement(record, verdict, own, opposite))
@@ -189,7 +189,7 @@ def labels_table(run: Run, files: Sequence[Path]) -> pd.DataFrame:
 
 def agreement_table(comparison: PeopleComparison) -> pd.DataFrame:
     """Return one row a pair of raters: number of items, share of equal answers, kappa with its interval."""
-    kinds = {"judge and people": comparison.judged, "people": comparison.between, "self": comparison.selves}
+    kinds = {"judge and people": comparison.with_verdict, "people": comparison.between, "self": comparison.selves}
     rows = [
         [kind, one.first, one.second, one.n, one.equal]
         + [part for estimate in (one.kappa, one.decided) for part in (estimate.value, estimate.low, estimate.high)]

@@ -106,7 +106,7 @@ def test_the_comparison_marks_entries_and_methods(comparison: Comparison) -> Non
 
 
 def test_replicates_count_as_one_texture(make_cell: Make, make_run: Make) -> None:
-    """Three replicates of one texture are one texture: all of them, not one of three."""
+    """Three replicates of one texture count as one texture."""
     cells = [make_cell("w", "tiling", "none", replicate=i, reference=True, kind="0") for i in range(3)]
     assert compare_methods(make_run(cells)).summaries[0].validity == BaselineValidity(1, 1)
 
@@ -151,10 +151,10 @@ def test_csv_has_it_cell_by_cell(mixed: Run, tmp_path: Path) -> None:
     """``cells.csv`` and ``comparison.csv`` say of each baseline whether it is valid; empty for other methods."""
     cells, table = CsvTables().write(mixed, tmp_path)[:2]
     with cells.open(newline="", encoding="utf-8") as file:
-        said = {(row["texture"], row["method"]): row["reference_right"] for row in csv.DictReader(file)}
-    assert said["wallpaper", "tiling"] == said["noise", "scatter"] == "True"
-    assert said["brick", "tiling"] == said["wallpaper", "scatter"] == "False"
-    assert {said[key] for key in said if key[1] in ("rsgf", "oracle")} == {""}
+        valid = {(row["texture"], row["method"]): row["reference_right"] for row in csv.DictReader(file)}
+    assert valid["wallpaper", "tiling"] == valid["noise", "scatter"] == "True"
+    assert valid["brick", "tiling"] == valid["wallpaper", "scatter"] == "False"
+    assert {valid[key] for key in valid if key[1] in ("rsgf", "oracle")} == {""}
     with table.open(newline="", encoding="utf-8") as file:
         rows = {row["texture"]: row for row in csv.DictReader(file)}
     assert rows["wallpaper"]["tiling reference_right"] == "True"

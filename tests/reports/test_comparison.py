@@ -15,19 +15,17 @@ from .conftest import COLUMNS
 Make = Callable[..., Any]
 
 
-def test_every_cell_has_its_place(every_ending: Run, every_comparison: Comparison) -> None:
-    """Each cell of the run stands in exactly one place: nothing is dropped."""
-    found = every_comparison
-    placed = [record.key for row in found.rows for entry in row.entries if entry for record in entry.records]
-    assert sorted(placed) == sorted(record.key for record in every_ending.cells)
+def test_every_cell_has_one_entry(every_ending: Run, every_comparison: Comparison) -> None:
+    """Each cell of the run is in exactly one entry."""
+    keys = [record.key for row in every_comparison.rows for entry in row.entries if entry for record in entry.records]
+    assert sorted(keys) == sorted(record.key for record in every_ending.cells)
 
 
 def test_references_come_last_and_are_not_ranked(every_comparison: Comparison) -> None:
-    """Reference columns stand behind the methods, and have no rank."""
-    found = every_comparison
-    marks = [head.reference for head in found.methods]
+    """Reference methods come last and have no rank."""
+    marks = [method.reference for method in every_comparison.methods]
     assert marks == sorted(marks)
-    ranks = [line for line in found.summary_rows if line.name.startswith("rank")]
+    ranks = [line for line in every_comparison.summary_rows if line.name.startswith("rank")]
     assert ranks
     assert all(line.estimates[-1] is None and line.values[-1] == "–" for line in ranks)
 
@@ -45,17 +43,16 @@ def test_references_come_last_and_are_not_ranked(every_comparison: Comparison) -
         ("t-missing", "rsgf (own)", "· missing"),
     ],
 )
-def test_a_place_shows_mark_and_score(every_comparison: Comparison, texture: str, label: str, text: str) -> None:
-    """A place shows the verdict's mark beside the score, or the status that ended the cell."""
-    found = every_comparison
-    row = next(row for row in found.rows if row.texture == texture)
-    entry = row.entries[[head.label for head in found.methods].index(label)]
+def test_an_entry_shows_mark_and_score(every_comparison: Comparison, texture: str, label: str, text: str) -> None:
+    """An entry shows the verdict's mark beside the score, or the status that ended the cell."""
+    row = next(row for row in every_comparison.rows if row.texture == texture)
+    entry = row.entries[[method.label for method in every_comparison.methods].index(label)]
     assert entry is not None
     assert entry.text == text
 
 
 def test_replicates_that_disagree_are_mixed(make_cell: Make, make_run: Make) -> None:
-    """Where replicates disagree, the place says how many preserve, and shows their mean score."""
+    """If replicates disagree, the entry shows how many preserve the lattice, and the mean score."""
     cells = [make_cell(replicate=i, preserved=i > 0, score=0.3 * i) for i in range(3)]
     entry = compare_methods(make_run(cells)).rows[0].entries[0]
     assert entry is not None
@@ -65,13 +62,13 @@ def test_replicates_that_disagree_are_mixed(make_cell: Make, make_run: Make) -> 
 def test_notes_are_numbered_once(make_cell: Make, make_run: Make) -> None:
     """Equal notes share a number."""
     cells = [make_cell("a", note="fell back"), make_cell("b", note="fell back"), make_cell("c", note="other")]
-    found = compare_methods(make_run(cells))
-    assert list(found.notes) == ["fell back", "other"]
-    assert [list(row.entries[0].notes) for row in found.rows if row.entries[0]] == [[1], [1], [2]]
+    comparison = compare_methods(make_run(cells))
+    assert list(comparison.notes) == ["fell back", "other"]
+    assert [list(row.entries[0].notes) for row in comparison.rows if row.entries[0]] == [[1], [1], [2]]
 
 
-def test_foot_counts_textures(make_cell: Make, make_run: Make) -> None:
-    """The foot's success rate is preserved of N textures, with refusals once counted and once left out."""
+def test_success_rates_count_textures(make_cell: Make, make_run: Make) -> None:
+    """The first summary rows are the success rates, with refusals counted and with refusals left out."""
     cells = [make_cell("a"), make_cell("b", preserved=False), make_cell("c", status="refused")]
     rate, answered = compare_methods(make_run(cells)).summary_rows[:2]
     assert (rate.values, rate.counts) == (["33 %"], ["1 of 3"])
@@ -79,54 +76,54 @@ def test_foot_counts_textures(make_cell: Make, make_run: Make) -> None:
 
 
 def test_columns_differ_by_lattice_source(make_cell: Make, make_run: Make) -> None:
-    """One method with two lattice sources is two columns, and their paired difference is there."""
+    """One method with two lattice sources is two columns with a paired difference."""
     cells = [
         make_cell(texture, "rsgf", source, score=score)
         for texture in "ab"
         for source, score in (("given", 0.9), ("own", 0.5))
     ]
-    found = compare_methods(make_run(cells))
-    assert [head.label for head in found.methods] == ["rsgf (given)", "rsgf (own)"]
-    difference = next(one for one in found.differences if one.score == "regularity.score")
+    comparison = compare_methods(make_run(cells))
+    assert [method.label for method in comparison.methods] == ["rsgf (given)", "rsgf (own)"]
+    difference = next(one for one in comparison.differences if one.score == "regularity.score")
     assert difference.estimate.value == pytest.approx(0.4)
     assert difference.estimate.excludes_zero
 
 
 def test_a_run_without_cells_has_no_rows(make_run: Make) -> None:
-    """No cells: no heads, no rows, no foot."""
-    found = compare_methods(make_run([]))
-    assert not [*found.methods, *found.rows, *found.summary_rows, *found.notes, *found.legend]
+    """A run without cells has no methods, no rows and no summary rows."""
+    comparison = compare_methods(make_run([]))
+    assert not [*comparison.methods, *comparison.rows, *comparison.summary_rows, *comparison.notes, *comparison.legend]
 
 
 def test_a_run_without_metrics_is_compared_by_time(make_cell: Make, make_run: Make) -> None:
-    """Without any score there still are success counts and seconds."""
-    foot = compare_methods(make_run([make_cell()], columns={})).summary_rows
-    assert [line.name for line in foot] == ["preserved", "seconds"]
+    """A run without scores has success rates and seconds."""
+    rows = compare_methods(make_run([make_cell()], columns={})).summary_rows
+    assert [line.name for line in rows] == ["preserved", "seconds"]
 
 
-def test_other_scores_stand_apart_from_the_headlines(
+def test_other_scores_have_their_own_rows(
     every_ending: Run, every_comparison: Comparison, make_cell: Make, make_run: Make
 ) -> None:
-    """A score that is no headline is averaged in a table of its own, never at the foot; one that nobody has is not."""
+    """The mean of a score that is no headline has a row of its own, unless no cell has the score."""
     run = make_run([make_cell(values={"cost.note": 3.0, "randomness.variation": 0.5})])
-    found = compare_methods(run)
-    lines = {line.name: line for line in other_score_rows(run, found.summaries)}
+    comparison = compare_methods(run)
+    lines = {line.name: line for line in other_score_rows(run, comparison.summaries)}
     assert lines["cost.note"].values == ["3.00"]
-    assert not lines.keys() & {line.name for line in found.summary_rows}
+    assert not lines.keys() & {line.name for line in comparison.summary_rows}
     assert "cost.note" not in {line.name for line in other_score_rows(every_ending, every_comparison.summaries)}
 
 
-def test_costs_are_shown_once(make_cell: Make, make_run: Make) -> None:
-    """Seconds stand at the foot, memory among the other scores, and neither again as the metric has it."""
+def test_costs_appear_once(make_cell: Make, make_run: Make) -> None:
+    """Seconds are a headline, memory is another score, and the columns of the metric cost repeat neither."""
     columns = {**COLUMNS, "cost.seconds": COSTS["seconds"], "cost.peak_mib": COSTS["peak_mib"]}
     run = make_run([make_cell(values={"cost.seconds": 1.0, "cost.peak_mib": 2.0}, peak_mib=2.0)], columns=columns)
-    found = compare_methods(run)
-    names = [line.name for line in (*found.summary_rows, *other_score_rows(run, found.summaries))]
+    comparison = compare_methods(run)
+    names = [line.name for line in (*comparison.summary_rows, *other_score_rows(run, comparison.summaries))]
     assert [name for name in names if name.endswith(("seconds", "peak_mib"))] == ["seconds", "peak_mib"]
 
 
 def test_undecided_scores_enter_no_mean_and_no_rank(make_cell: Make, make_run: Make) -> None:
-    """A texture on which nothing would be seen is left out of the mean and of the ranks, and of n."""
+    """A texture with an undecided verdict counts neither in the mean nor in the ranks nor in n."""
     why = {"regularity.preserved": "undecided: too little power"}
     run = make_run([
         make_cell("a", "m", score=0.5), make_cell("a", "n", score=0.9),
@@ -140,7 +137,7 @@ def test_undecided_scores_enter_no_mean_and_no_rank(make_cell: Make, make_run: M
 
 
 def test_metrics_of_the_headlines_come_first() -> None:
-    """Regularity and randomness lead, the others keep their order."""
+    """Regularity and randomness come first, the others keep their order."""
     names = ["appearance.seam", "randomness.x", "regularity.defects", "integrity.broken", "appearance.color"]
     assert sort_headlines_first(names) == [
         "regularity.defects", "randomness.x", "appearance.seam", "integrity.broken", "appearance.color",

@@ -43,7 +43,7 @@ def test_every_cell_is_a_row(every_ending: Run, written: dict[str, Path]) -> Non
 
 
 def test_summary_has_one_row_a_method(written: dict[str, Path]) -> None:
-    """Counts add up, and the success rate stands with its interval and n of N."""
+    """Counts add up, and the success rate has its interval and n of N."""
     summary = _read(written["summary"]).set_index(["method", "lattice_source"])
     own = summary.loc[("rsgf", "own")]
     assert own["cells"] == own["ok"] + own["refused"] + own["failed"] + own["missing"] == 9
@@ -53,14 +53,14 @@ def test_summary_has_one_row_a_method(written: dict[str, Path]) -> None:
 
 
 def test_comparison_has_verdict_and_score(written: dict[str, Path]) -> None:
-    """Each texture is a row; each method gives a verdict and a score."""
+    """Each texture is a row; each method has a verdict and a score."""
     table = _read(written["comparison"]).set_index("texture")
     assert table.loc["brick", "rsgf (own) verdict"] == "lost"
     assert table.loc["brick", "rsgf (own) score"] == 0.2
     assert table.loc["t-refused", "rsgf (own) verdict"] == "refused"
 
 
-def test_formulas_are_disarmed(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+def test_formulas_do_not_run(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
     """Text that a spreadsheet would run starts with an apostrophe; negative numbers stay numbers."""
     attack = '=HYPERLINK("http://x","y")'
     cell = make_cell(attack, "+m", score=-0.5, status="ok", note="@sum(a)\nb", message="-1+2")
@@ -75,14 +75,14 @@ def test_formulas_are_disarmed(make_cell: Make, make_run: Make, tmp_path: Path) 
 
 
 def test_an_empty_run_gives_headers(make_run: Make, tmp_path: Path) -> None:
-    """Without cells, the tables are there, without rows."""
+    """Without cells the tables have a header and no rows."""
     paths = CsvTables().write(make_run([]), tmp_path)
     assert all(path.is_file() for path in paths)
     assert [len(_read(path)) for path in paths[1:4]] == [0, 0, 0]
 
 
 def test_every_column_of_the_cells_is_declared(written: dict[str, Path]) -> None:
-    """``columns.csv`` has a line for each column of ``cells.csv``: sentence, unit, range and better way."""
+    """``columns.csv`` has a line for each column of ``cells.csv``: meaning, unit, range and which values are better."""
     declared = _read(written["columns"]).set_index("column")
     assert set(_read(written["cells"]).columns) <= set(declared.index)
     assert declared["meaning"].str.len().min() > 5

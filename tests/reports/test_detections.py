@@ -95,10 +95,10 @@ def test_unknown_answers_are_left_out(answered: Run) -> None:
 
 
 def test_rates_are_those_of_the_answers(answered: Run) -> None:
-    """Exact over draws that have a lattice, false lattices over those that have none, each with Wilson's interval."""
-    found = compare_detectors(answered)
-    assert found is not None
-    gncc, hostile = found.summaries
+    """Exact answers count over draws with a lattice, false lattices over draws without, with Wilson's interval."""
+    comparison = compare_detectors(answered)
+    assert comparison is not None
+    gncc, hostile = comparison.summaries
     assert (gncc.exact.value, gncc.exact.n, (gncc.exact.low, gncc.exact.high)) == (
         pytest.approx(1 / 3),
         3,
@@ -114,15 +114,15 @@ def test_rates_are_those_of_the_answers(answered: Run) -> None:
 
 def test_groups_are_by_family_departure_and_level(answered: Run) -> None:
     """Departures and levels come from the suite's rows; a stochastic texture is a departure of its own."""
-    found = compare_detectors(answered)
-    assert found is not None
-    assert [(one.family, one.departure) for one in found.groups] == [
+    comparison = compare_detectors(answered)
+    assert comparison is not None
+    assert [(one.family, one.departure) for one in comparison.groups] == [
         ("bricks", "color"),
         ("bricks", "noise"),
         ("noise", "stochastic"),
     ]
-    assert found.groups[0].rates["gncc"].value == 0.5 and found.groups[2].rates["gncc"].value == 1
-    assert [one.level for one in found.levels] == [0.3, 0.6, 0.1]
+    assert comparison.groups[0].rates["gncc"].value == 0.5 and comparison.groups[2].rates["gncc"].value == 1
+    assert [one.level for one in comparison.levels] == [0.3, 0.6, 0.1]
 
 
 def test_a_run_without_detectors_has_none(every_ending: Run) -> None:
@@ -146,7 +146,7 @@ def test_csv_tables(answered: Run, tmp_path: Path) -> None:
 
 
 def test_the_page_has_a_section(answered: Run) -> None:
-    """A table, the groups, a diagram for each detector, escaped names."""
+    """The page has a section on detectors, with a diagram for each detector and escaped names."""
     page = HtmlReport().render(answered, answered.root)
     assert 'id="detectors"' in page and 'href="#detectors"' in page
     assert page.count('class="reliability"') == 2 and "1 of 3" in page
@@ -165,9 +165,9 @@ def test_without_a_verdict_there_is_no_comparison(answered: Run) -> None:
 
 def test_calibration_of_known_answers() -> None:
     """One of two answers right at 0.25 and both at 0.95: distances 0.25 and 0.05, mean 0.15."""
-    found = calibrate(np.array([0.25, 0.25, 0.95, 0.95]), np.array([True, False, True, True]))
-    assert found.error == pytest.approx(0.15) and found.n == 4
-    assert [(one.low, one.high, one.right.n, one.right.value) for one in found.bins] == [
+    calibration = calibrate(np.array([0.25, 0.25, 0.95, 0.95]), np.array([True, False, True, True]))
+    assert calibration.error == pytest.approx(0.15) and calibration.n == 4
+    assert [(one.low, one.high, one.right.n, one.right.value) for one in calibration.bins] == [
         (0.2, 0.3, 2, 0.5),
         (0.9, 1.0, 2, 1.0),
     ]
@@ -175,14 +175,14 @@ def test_calibration_of_known_answers() -> None:
 
 def test_the_ends_of_the_confidence_are_in_the_outer_bins() -> None:
     """Confidence 0 lies in the first tenth, 1 in the last."""
-    found = calibrate(np.array([0.0, 1.0]), np.array([False, True]))
-    assert [one.low for one in found.bins] == [0.0, 0.9] and found.error == 0
+    calibration = calibrate(np.array([0.0, 1.0]), np.array([False, True]))
+    assert [one.low for one in calibration.bins] == [0.0, 0.9] and calibration.error == 0
 
 
 def test_no_answers_have_no_calibration() -> None:
     """Without answers there are no bins and no error."""
-    found = calibrate(np.array([]), np.array([], bool))
-    assert (list(found.bins), found.error, found.n) == ([], None, 0)
+    calibration = calibrate(np.array([]), np.array([], bool))
+    assert (list(calibration.bins), calibration.error, calibration.n) == ([], None, 0)
 
 
 def test_a_calibrated_confidence_has_little_error() -> None:
@@ -195,11 +195,11 @@ def test_a_calibrated_confidence_has_little_error() -> None:
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=40))
 def test_calibration_bins_hold_every_answer_once(pairs: list[tuple[float, bool]]) -> None:
     """The bins hold every answer once, in order; the error lies in [0, 1]; intervals hold their share."""
-    found = calibrate(np.array([c for c, _ in pairs]), np.array([right for _, right in pairs]))
-    assert sum(one.right.n for one in found.bins) == found.n == len(pairs)
-    assert sum(one.share for one in found.bins) == pytest.approx(1)
-    assert found.error is not None and 0 <= found.error <= 1
-    assert [one.low for one in found.bins] == sorted(one.low for one in found.bins)
-    for one in found.bins:
+    calibration = calibrate(np.array([c for c, _ in pairs]), np.array([right for _, right in pairs]))
+    assert sum(one.right.n for one in calibration.bins) == calibration.n == len(pairs)
+    assert sum(one.share for one in calibration.bins) == pytest.approx(1)
+    assert calibration.error is not None and 0 <= calibration.error <= 1
+    assert [one.low for one in calibration.bins] == sorted(one.low for one in calibration.bins)
+    for one in calibration.bins:
         low, value, high = one.right.low, one.right.value, one.right.high
         assert low is not None and value is not None and high is not None and low <= value <= high

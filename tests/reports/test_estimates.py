@@ -26,16 +26,16 @@ def test_wilson_gives_the_published_intervals(successes: int, n: int, low: float
 
 
 def test_wilson_of_nothing_is_none() -> None:
-    """No trials, no interval."""
+    """Without trials there is no interval."""
     assert estimates.wilson_interval(0, 0) is None
 
 
 @given(st.integers(1, 50), st.floats(0, 1))
 def test_wilson_holds_the_share_inside_zero_and_one(n: int, share: float) -> None:
-    """Wilson's interval lies in [0, 1] and holds the share, whole or not."""
-    found = estimates.wilson_interval(share * n, n)
-    assert found is not None
-    assert 0 <= found[0] <= share * n / n <= found[1] <= 1
+    """Wilson's interval lies in [0, 1] and contains the share, for whole and fractional successes."""
+    estimate = estimates.wilson_interval(share * n, n)
+    assert estimate is not None
+    assert 0 <= estimate[0] <= share * n / n <= estimate[1] <= 1
 
 
 def test_wilson_is_mirrored() -> None:
@@ -66,7 +66,7 @@ def test_bootstrap_covers_the_mean_of_few_values() -> None:
 
 
 def test_bootstrap_of_one_value_is_none_and_of_equal_values_a_point() -> None:
-    """One value says nothing of its scatter; equal ones have none."""
+    """One value has no interval; the interval of equal values is a point."""
     assert estimates.bootstrap_interval([0.5]) is None
     assert estimates.bootstrap_interval([0.5] * 6) == (0.5, 0.5)
 
@@ -82,27 +82,27 @@ def test_bootstrap_stays_between_the_extremes(values: list[float]) -> None:
 def test_mean_averages_replicates_before_textures() -> None:
     """A texture counts once, however many replicates it has; one without a value is not counted."""
     cells = _cells(texture=["a", "a", "a", "b", "c"], replicate=[0, 1, 2, 0, 0], score=[0.0, 0.0, 0.0, 1.0, np.nan])
-    found = estimates.means_over_textures(cells, ["score"])["score"]
-    assert (found.value, found.n, found.of) == (0.5, 2, 3)
+    estimate = estimates.means_over_textures(cells, ["score"])["score"]
+    assert (estimate.value, estimate.n, estimate.of) == (0.5, 2, 3)
 
 
 def test_mean_of_nothing_has_no_value() -> None:
-    """No value anywhere: None, and 0 of N."""
-    found = estimates.means_over_textures(_cells(texture=["a"], score=[np.nan]), ["score"])["score"]
-    assert found == Estimate(None, n=0, of=1)
+    """A mean without values is None, and counts 0 of N textures."""
+    estimate = estimates.means_over_textures(_cells(texture=["a"], score=[np.nan]), ["score"])["score"]
+    assert estimate == Estimate(None, n=0, of=1)
 
 
 def test_paired_difference_uses_common_samples_only() -> None:
-    """Differences are taken sample by sample; a sample that one side lacks is left out."""
+    """Differences are taken sample by sample; a sample that one method lacks is left out."""
     first = _cells(texture=["a", "b", "c"], score=[1.0, 3.0, np.nan])
     second = _cells(texture=["b", "a", "c"], score=[2.0, 0.5, 9.0])
-    found = estimates.paired_differences(first, second, ["score"])["score"]
-    assert (found.value, found.n, found.of) == (0.75, 2, 3)
-    assert found.excludes_zero
+    estimate = estimates.paired_differences(first, second, ["score"])["score"]
+    assert (estimate.value, estimate.n, estimate.of) == (0.75, 2, 3)
+    assert estimate.excludes_zero
 
 
 def test_paired_difference_is_antisymmetric() -> None:
-    """Swapping the sides changes the sign."""
+    """Swapping the methods changes the sign."""
     rng = np.random.default_rng(2)
     first = _cells(texture=list("abcdefgh"), score=list(rng.random(8)))
     second = _cells(texture=list("abcdefgh"), score=list(rng.random(8)))
@@ -115,9 +115,9 @@ def test_paired_difference_is_antisymmetric() -> None:
 def test_success_rate_counts_failures_against_the_method() -> None:
     """Failed and refused cells count as not preserved; undecided, unscored and missing ones do not count."""
     verdicts = ["preserved", "lost", "failed", "refused", "undecided", "unscored", "missing"]
-    found = estimates.success_rate(_cells(texture=list("abcdefg"), verdict=verdicts))
-    assert (found.value, found.n, found.of) == (0.25, 4, 7)
-    assert (found.low, found.high) == pytest.approx(estimates.wilson_interval(1, 4))
+    estimate = estimates.success_rate(_cells(texture=list("abcdefg"), verdict=verdicts))
+    assert (estimate.value, estimate.n, estimate.of) == (0.25, 4, 7)
+    assert (estimate.low, estimate.high) == pytest.approx(estimates.wilson_interval(1, 4))
 
 
 def test_success_rate_can_leave_refusals_out() -> None:
@@ -133,10 +133,10 @@ def test_success_rate_takes_the_mean_over_replicates() -> None:
 
 
 def test_success_rate_skips_textures_without_a_lattice() -> None:
-    """Where there is no lattice to preserve, a texture is not in N, even if the method failed on it."""
+    """A texture without a lattice does not count in N, even if the method failed on it."""
     cells = _cells(texture=["a", "b"], verdict=["preserved", "failed"], applicable=[True, False])
-    found = estimates.success_rate(cells)
-    assert (found.value, found.n, found.of) == (1.0, 1, 1)
+    estimate = estimates.success_rate(cells)
+    assert (estimate.value, estimate.n, estimate.of) == (1.0, 1, 1)
 
 
 def _ranked(
@@ -171,28 +171,28 @@ def test_ranks_share_ties() -> None:
 
 
 def test_failures_refusals_and_lost_lattices_rank_worst() -> None:
-    """Whoever failed, refused, or has no score because the lattice is lost gets the last rank."""
+    """A method that failed, refused, or has no score because the lattice is lost takes the last rank."""
     values = {"good": 0.9, "bad": 0.1, "crash": np.nan, "no": np.nan, "lost": np.nan}
     verdicts = {"crash": "failed", "no": "refused", "lost": "lost"}
     assert _ranked(values, verdicts, "higher") == {"good": 1, "bad": 2, "crash": 5, "no": 5, "lost": 5}
 
 
 def test_ranks_can_leave_refusals_out() -> None:
-    """Left out, a refusal has no rank, and the worst rank is that of those who answered."""
-    found = _ranked({"x": 0.9, "c": np.nan, "r": np.nan}, {"c": "failed", "r": "refused"}, "higher", leave_out=True)
-    assert (found["x"], found["c"]) == (1, 2)
-    assert np.isnan(found["r"])
+    """A refusal that is left out has no rank, and does not count in the worst rank."""
+    estimate = _ranked({"x": 0.9, "c": np.nan, "r": np.nan}, {"c": "failed", "r": "refused"}, "higher", leave_out=True)
+    assert (estimate["x"], estimate["c"]) == (1, 2)
+    assert np.isnan(estimate["r"])
 
 
 def test_mean_ranks_average_over_textures() -> None:
-    """The mean rank says on how many textures it rests."""
+    """The mean rank is taken over textures, and n is their number."""
     cells = _cells(
         texture=["a", "a", "b", "b"], label=["x", "y", "x", "y"], score=[1.0, 0.0, 0.0, np.nan],
         verdict=["preserved", "preserved", "preserved", "undecided"],
     )  # fmt: skip
-    found = estimates.mean_ranks(cells, "score", "higher")
-    assert (found["x"].value, found["x"].n) == (1.0, 2)
-    assert (found["y"].value, found["y"].n, found["y"].of) == (2.0, 1, 2)
+    estimate = estimates.mean_ranks(cells, "score", "higher")
+    assert (estimate["x"].value, estimate["x"].n) == (1.0, 2)
+    assert (estimate["y"].value, estimate["y"].n, estimate["y"].of) == (2.0, 1, 2)
 
 
 def test_ranks_of_no_cells_are_empty() -> None:
@@ -218,7 +218,7 @@ def test_kappa_gives_published_values(table: list[list[int]], expected: float) -
 
 
 def test_one_answer_throughout_has_no_kappa() -> None:
-    """Where both always say one word there is nothing beyond chance: NaN, and None in the estimate."""
+    """Kappa is NaN, and None in the estimate, if both raters always give the same answer."""
     table = np.zeros((1, 4, 3, 3))
     table[..., 0, 0] = 5
     assert np.isnan(estimates.kappa(table.sum(1))).all()
@@ -238,26 +238,26 @@ def _answers(rng: np.random.Generator, textures: int, each: int, agree: float) -
 
 @pytest.mark.parametrize("agree", [0.0, 0.5, 0.9])
 def test_kappa_of_synthetic_raters_is_known(agree: float) -> None:
-    """Raters who copy the other with chance k, and else toss a coin, have kappa k."""
+    """Raters who copy each other with probability k, and otherwise toss a coin, have kappa k."""
     table = _answers(np.random.default_rng(0), 40, 100, agree)
-    found = estimates.mean_kappa(table[None])
-    assert found.value == pytest.approx(agree, abs=0.04)
-    assert found.low is not None and found.high is not None
-    assert found.low <= agree + 0.04 and found.high >= agree - 0.04
-    assert (found.n, found.of) == (40, 40)
+    estimate = estimates.mean_kappa(table[None])
+    assert estimate.value == pytest.approx(agree, abs=0.04)
+    assert estimate.low is not None and estimate.high is not None
+    assert estimate.low <= agree + 0.04 and estimate.high >= agree - 0.04
+    assert (estimate.n, estimate.of) == (40, 40)
 
 
 def test_interval_covers_the_true_kappa() -> None:
-    """Of 60 sets of labels of true kappa 0.6, the interval holds it about as often as it says."""
+    """The 95 % interval contains the true kappa 0.6 in at least 52 of 60 sets of answers."""
     hits = 0
     for seed in range(60):
-        found = estimates.mean_kappa(_answers(np.random.default_rng(seed), 12, 10, 0.6)[None])
-        hits += (found.low or 0) <= 0.6 <= (found.high or 0)
+        estimate = estimates.mean_kappa(_answers(np.random.default_rng(seed), 12, 10, 0.6)[None])
+        hits += (estimate.low or 0) <= 0.6 <= (estimate.high or 0)
     assert hits >= 52
 
 
 def test_interval_is_over_textures() -> None:
-    """The same answers a hundred times over on each texture are no more evidence."""
+    """Repeating all answers a hundred times leaves the interval unchanged."""
     table = _answers(np.random.default_rng(3), 8, 6, 0.6)[None]
     once, often = estimates.mean_kappa(table), estimates.mean_kappa(100 * table)
     assert (once.low, once.high) == pytest.approx((often.low, often.high))
@@ -272,6 +272,6 @@ def test_mean_over_pairs_leaves_unknown_pairs_out() -> None:
 
 
 def test_one_texture_has_no_interval() -> None:
-    """One texture says nothing of the scatter over textures."""
-    found = estimates.mean_kappa(_answers(np.random.default_rng(5), 1, 30, 0.5)[None])
-    assert found.value is not None and found.low is None
+    """Kappa of a single texture has no interval."""
+    estimate = estimates.mean_kappa(_answers(np.random.default_rng(5), 1, 30, 0.5)[None])
+    assert estimate.value is not None and estimate.low is None

@@ -13,7 +13,7 @@ from nrbench.runs.records import Run
 Make = Callable[..., Any]
 
 
-def test_places_lie_on_the_axis(every_ending: Run, every_comparison: Comparison) -> None:
+def test_points_lie_on_the_axis(every_ending: Run, every_comparison: Comparison) -> None:
     """Every point and interval lies on its axis, low before value before high."""
     for axis in forest_axes(every_comparison.summaries, headline_columns(every_ending)):
         for point in axis.points:
@@ -30,7 +30,7 @@ def test_a_share_uses_the_whole_axis(make_cell: Make, make_run: Make) -> None:
 
 
 def test_a_two_sided_score_marks_one(make_cell: Make, make_run: Make) -> None:
-    """Where 1 is best, the axis holds 1 and marks it."""
+    """The axis of a score that is best at 1 contains 1 and marks it."""
     run = make_run([make_cell(values={"randomness.variation": 0.1})])
     axis = next(
         p
@@ -51,7 +51,7 @@ def test_seconds_are_drawn_by_decades(make_cell: Make, make_run: Make) -> None:
 
 
 def test_nothing_known_is_drawn_as_nothing(make_cell: Make, make_run: Make) -> None:
-    """A failed method has a line without a point."""
+    """A failed method has no point."""
     run = make_run([make_cell(status="crash")])
     assert [axis.points[0].value for axis in forest_axes(compare_methods(run).summaries, headline_columns(run))][
         1:

@@ -25,5 +25,5 @@ def test_counts_say_what_was_left_out() -> None:
 
 
 def test_plain_drops_escapes_and_keeps_lines() -> None:
-    """Terminal colors, bells and NUL go; line breaks and tabs stay."""
+    """Terminal colors, bells and NUL are removed; line breaks and tabs stay."""
     assert text_format.strip_control("\x1b[1;31mred\x1b[0m\x00\x07\r\n\tb") == "red\n\tb"

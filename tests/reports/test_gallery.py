@@ -28,7 +28,7 @@ def test_every_cell_has_a_figure(every_ending: Run, tmp_path: Path) -> None:
 
 
 def test_figures_follow_the_comparison(every_ending: Run, every_comparison: Comparison, tmp_path: Path) -> None:
-    """Outputs stand in the order of the comparison's columns."""
+    """Outputs are in the order of the comparison's columns."""
     figures = _gallery(every_ending, tmp_path)[0].draws[0].figures
     assert [one.method.label for one in figures] == ["rsgf (given)", "rsgf (own)", "oracle"]
     assert [head.label for head in every_comparison.methods][:2] == ["rsgf (given)", "rsgf (own)"]
@@ -45,8 +45,8 @@ def test_equal_lattices_are_drawn_once(make_cell: Make, make_run: Make, tmp_path
     assert list(draw.agreeing) == ["d (own)"]
 
 
-def test_reasons_stand_beside_scores_that_are_missing(every_ending: Run, tmp_path: Path) -> None:
-    """A score without a value says why."""
+def test_missing_scores_show_the_reason(every_ending: Run, tmp_path: Path) -> None:
+    """A score without a value shows the reason."""
     figure = next(s for s in _gallery(every_ending, tmp_path) if s.row.texture == "weave").draws[0].figures[0]
     line = next(one for one in figure.scores if one.name == "randomness.variation")
     assert (line.text, line.reason) == ("–", "not scored")
@@ -60,7 +60,7 @@ def test_shades_follow_the_score(score: float | None, expected: int | None) -> N
 
 @pytest.mark.parametrize(("width", "scale"), [(8, 24), (100, 2), (191, 2), (192, 1), (384, 1), (768, 0.5)])
 def test_small_pictures_are_magnified_by_whole_factors(width: int, scale: float) -> None:
-    """A pixel is shown as a whole number of pixels, so that no moire looks like a defect."""
+    """Small pictures are magnified by whole factors, so that moire cannot look like a defect."""
     assert PagePicture("", width, width).scale == scale
 
 
@@ -68,6 +68,6 @@ def test_links_are_escaped(make_cell: Make, tmp_path: Path) -> None:
     """A file name with odd characters makes a valid relative link."""
     output = make_cell().folder / "output.png"
     odd = output.rename(output.with_name('a b"<#?.png'))
-    found = PictureSource(tmp_path / "run" / "report", embedded=False).load(odd)
-    assert found is not None
-    assert found.source.endswith("/a%20b%22%3C%23%3F.png")
+    picture = PictureSource(tmp_path / "run" / "report", embedded=False).load(odd)
+    assert picture is not None
+    assert picture.source.endswith("/a%20b%22%3C%23%3F.png")

@@ -77,8 +77,8 @@ def test_it_is_well_formed(page: Page) -> None:
     assert len(ids) == len(set(ids))
 
 
-def test_it_asks_no_network(page: Page) -> None:
-    """Nothing on the page is fetched from anywhere: pictures are in it, links stay on it."""
+def test_it_loads_nothing(page: Page) -> None:
+    """The page loads nothing: pictures are embedded, links stay on the page."""
     for tag, attributes in page.elements:
         for name in ("src", "href", "srcset", "action", "data", "poster", "xlink:href"):
             assert attributes.get(name, "#").startswith(("#", "data:image/")), (tag, name)
@@ -86,7 +86,7 @@ def test_it_asks_no_network(page: Page) -> None:
 
 
 def test_style_and_script_fetch_nothing(text: str) -> None:
-    """Without the pictures' bytes, the page holds no address and no import."""
+    """Apart from embedded pictures the page contains no address and no import."""
     bare = re.sub(r"data:image/(png|svg\+xml);base64,[A-Za-z0-9+/=]+", "", text)
     assert not re.search(r"https?:|@import|url\((?!#)|src=\"//|href=\"//", bare)
 
@@ -101,13 +101,13 @@ def test_nothing_but_its_own_script_can_run(page: Page) -> None:
 
 
 def test_links_within_the_page_lead_somewhere(page: Page) -> None:
-    """Each place of the comparison leads to a picture that is there."""
+    """Every link leads to an element of the page."""
     ids = {attributes["id"] for _, attributes in page.elements if "id" in attributes}
     assert {one["href"].removeprefix("#") for one in page.all("a")} <= ids
 
 
 def test_every_status_is_a_row(page: Page) -> None:
-    """Each status but ok has its line among the failures, and so has a metric that failed."""
+    """Each status but ok has a row among the failures, and so has a metric that failed."""
     listed = [attributes["data-status"] for tag, attributes in page.elements if "data-status" in attributes]
     others = ["error", "timeout", "memory", "crash", "invalid"]
     assert listed == [*others, "refused", "missing", "unscored"]
@@ -118,7 +118,7 @@ def test_every_status_is_a_row(page: Page) -> None:
 
 
 def test_hostile_names_stay_text(page: Page) -> None:
-    """Markup in names, messages, notes, logs, versions and plugins is shown, never obeyed."""
+    """Markup in names, messages, notes, logs, versions and plugins appears as text."""
     assert all(one["src"] != "x" for one in page.all("img"))
     assert not [attributes for _, attributes in page.elements if any(name.startswith("on") for name in attributes)]
     assert page.text.count("<img src=x onerror=\"alert(1)\"> & 'co'") > 15
@@ -133,8 +133,8 @@ def test_it_has_what_a_reader_needs(page: Page) -> None:
         assert words in page.text
 
 
-def test_verdicts_are_read_aloud(page: Page) -> None:
-    """Each mark is hidden from screen readers and has its word beside it; each picture has a text."""
+def test_screen_readers_read_verdicts(page: Page) -> None:
+    """Screen readers read the verdict's word instead of its mark; each picture has an alternative text."""
     marks = [one for one in page.all("span") if one.get("class", "").startswith("mark")]
     assert marks
     assert all(one["aria-hidden"] == "true" for one in marks)
@@ -143,7 +143,7 @@ def test_verdicts_are_read_aloud(page: Page) -> None:
 
 
 def test_pictures_are_the_runs_own_bytes(every_ending: Run, page: Page) -> None:
-    """An output is embedded as it lies in the run, and drawn without smoothing where magnified."""
+    """The page embeds the bytes of the run's outputs, and magnifies them without smoothing."""
     output = (every_ending.cells[0].folder / "output.png").read_bytes()
     source = f"data:image/png;base64,{base64.b64encode(output).decode()}"
     shown = [one for one in page.all("img") if one["src"] == source]
@@ -152,7 +152,7 @@ def test_pictures_are_the_runs_own_bytes(every_ending: Run, page: Page) -> None:
 
 
 def test_heavy_pages_link_the_runs_files(every_ending: Run) -> None:
-    """Beyond the limit, pictures are relative links to files that exist."""
+    """Above the limit, pictures are relative links to files that exist."""
     directory = every_ending.root / "linked"
     (path,) = HtmlReport(embed_mib=0.001).write(every_ending, directory)
     sources = {one["src"] for one in Page(path.read_text("utf-8")).all("img")}
@@ -169,14 +169,14 @@ def test_an_empty_run_is_a_page(make_run: Make, tmp_path: Path) -> None:
 
 
 def test_a_bare_run_record_is_enough(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """A page can be made where run.json holds nothing at all."""
+    """A run without any record in run.json has a page."""
     run = make_run([make_cell()])
     vars(run)["info"] = {}
     assert "not recorded" in Page(HtmlReport().render(run, tmp_path)).text
 
 
 def test_a_single_failed_cell_is_a_page(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """One failed cell: its row, its place, no picture of an output."""
+    """A single failed cell has a row and an entry, and no output."""
     run = make_run([make_cell(status="error", message="boom", phase="synthesize")])
     page = Page(HtmlReport().render(run, tmp_path))
     assert "boom" in page.text
@@ -185,7 +185,7 @@ def test_a_single_failed_cell_is_a_page(make_cell: Make, make_run: Make, tmp_pat
 
 
 def test_a_missing_picture_is_no_error(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """Pictures that were deleted or cut short leave a placeholder."""
+    """A picture that was deleted or truncated leaves a placeholder."""
     first, second = make_cell("a"), make_cell("b")
     (first.folder / "output.png").unlink()
     (second.folder / "output.png").write_bytes(b"")
@@ -195,15 +195,15 @@ def test_a_missing_picture_is_no_error(make_cell: Make, make_run: Make, tmp_path
 
 
 def test_lattices_are_drawn_over_the_sample(page: Page) -> None:
-    """The true lattice is drawn, and one that a method used instead beside it."""
+    """The page draws the true lattice, and each different lattice that a method used."""
     classes = [one.get("class", "") for one in page.all("path")]
     assert "truth" in classes
     assert classes.count("found") == 1
     assert "lattice used by rsgf (own)" in page.text
 
 
-def test_every_column_says_what_it_means(page: Page) -> None:
-    """Each head of a column has a tooltip, and that of a score holds its unit, range and better way."""
+def test_every_column_has_its_meaning(page: Page) -> None:
+    """Each column title has a tooltip; that of a score contains its unit, range and which values are better."""
     heads = [one for one in page.all("th") if one.get("scope") == "col"]
     assert len(heads) > 30
     assert all(one.get("title") for one in heads)
@@ -211,14 +211,14 @@ def test_every_column_says_what_it_means(page: Page) -> None:
         assert any(words in one["title"] for one in heads)
 
 
-def test_every_score_of_a_cell_says_what_it_means(page: Page) -> None:
-    """Each line of scores under an output has the tooltip of its column."""
+def test_every_score_of_a_cell_has_its_meaning(page: Page) -> None:
+    """Each score below an output has the tooltip of its column."""
     lines = [one for tag, one in page.elements if tag == "tr" and "unit:" in one.get("title", "")]
     assert len(lines) >= 10
 
 
 def test_the_perils_plane_is_on_the_page(page: Page) -> None:
-    """The plane is an SVG in the page, and its text tells every point."""
+    """The perils plane is an embedded SVG, and its alternative text lists every point."""
     (plane,) = [one for one in page.all("img") if one["src"].startswith("data:image/svg+xml;base64,")]
     svg = base64.b64decode(plane["src"].partition(",")[2])
     assert svg.lstrip().startswith(b"<?xml")
@@ -227,7 +227,7 @@ def test_the_perils_plane_is_on_the_page(page: Page) -> None:
 
 
 def test_replicates_have_their_own_pictures(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """Each replicate's sample and outputs are shown under its number."""
+    """Each replicate has its own sample and outputs, below its number."""
     run = make_run([make_cell(replicate=i, method=m) for i in range(2) for m in ("a", "b")])
     page = Page(HtmlReport().render(run, tmp_path))
     assert "replicate 0" in page.text

@@ -27,7 +27,7 @@ def written(every_ending: Run) -> dict[str, str]:
 
 
 def test_special_characters_are_escape_latex() -> None:
-    """Every character that LaTeX obeys is printed instead, and line breaks and escapes are gone."""
+    """Special characters are escaped; line breaks and terminal escapes are removed."""
     assert escape_latex("a_b & 50% of $x #1 {y} ~^\\") == (
         r"a\_b \& 50\% of \$x \#1 \{y\} \textasciitilde{}\textasciicircum{}\textbackslash{}"
     )
@@ -36,7 +36,7 @@ def test_special_characters_are_escape_latex() -> None:
 
 
 def test_tables_are_booktabs_and_closed(written: dict[str, str]) -> None:
-    """Each file is one table with rules of booktabs, balanced braces, and as many columns in every line."""
+    """Each file is one booktabs table with balanced braces and equally many columns in every line."""
     for text in written.values():
         for rule in (r"\toprule", r"\midrule", r"\bottomrule"):
             assert rule in text
@@ -47,7 +47,7 @@ def test_tables_are_booktabs_and_closed(written: dict[str, str]) -> None:
 
 
 def test_references_and_given_lattices_are_marked(written: dict[str, str]) -> None:
-    """A reference has its dagger, a method that was handed the lattice its g, one that found it neither."""
+    """A reference has a dagger, a method that received the lattice a g, a method that found it neither."""
     text = written["summary"]
     assert r"\textit{oracle}\nrbReference{} &" in text
     assert r"rsgf\nrbGiven{} &" in text
@@ -61,7 +61,7 @@ def test_a_detector_is_named(make_cell: Make, make_run: Make, tmp_path: Path) ->
 
 
 def test_verdicts_have_their_marks(written: dict[str, str]) -> None:
-    """Each verdict that occurs is a command with its score or status, and the caption tells what it means."""
+    """Each verdict that occurs is a command with its score or status, and the caption explains the command."""
     text = written["comparison"]
     for mark in (r"\nrbPreserved{} 0.90", r"\nrbLost{} 0.20", r"\nrbUndecided{} 0.60", r"\nrbRefused{}"):
         assert mark in text
@@ -69,13 +69,13 @@ def test_verdicts_have_their_marks(written: dict[str, str]) -> None:
 
 
 def test_many_methods_follow_below(every_ending: Run, tmp_path: Path) -> None:
-    """Beyond the columns asked for, methods follow in further blocks: every texture again."""
+    """Methods beyond the number of columns follow in further blocks, which repeat every texture."""
     text = _written(every_ending, tmp_path, columns=2)["comparison"]
     assert text.count(r"brick & ") == 2 and text.count("texture & share") == 2
 
 
 def test_columns_are_checked(make_run: Make, tmp_path: Path) -> None:
-    """Less than one column is refused; without cells no file is written."""
+    """Fewer than one column is an error; a run without cells writes no file."""
     with pytest.raises(BadInput, match="give at least 1"):
         LatexTables(columns=0)
     assert LatexTables().write(make_run([]), tmp_path) == []
@@ -83,7 +83,7 @@ def test_columns_are_checked(make_run: Make, tmp_path: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdfLaTeX")
 def test_pdflatex_reads_it(every_ending: Run, tmp_path: Path) -> None:
-    """A paper with booktabs and nothing else takes both tables without an error, hostile names included."""
+    """A paper with booktabs alone compiles with both tables, hostile names included."""
     paths = LatexTables().write(every_ending, tmp_path)
     body = "\n".join(rf"\input{{{path.name}}}" for path in paths)
     head = "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n\\usepackage{booktabs}\n\\begin{document}\n"

@@ -47,13 +47,13 @@ def test_every_lattice_point_lies_on_two_lines(
 
 
 def test_too_fine_a_lattice_is_not_drawn() -> None:
-    """Lines closer than can be seen are left out; the vectors stay."""
-    found = draw_lattice(Lattice((0.5, 0), (0, 0.5)), (256, 256))
-    assert found.lines == ""
-    assert found.vectors == ("t1 = (0.50, 0.00)", "t2 = (0.00, 0.50)")
+    """Lines too close to be seen are left out; the vectors stay."""
+    drawing = draw_lattice(Lattice((0.5, 0), (0, 0.5)), (256, 256))
+    assert drawing.lines == ""
+    assert drawing.vectors == ("t1 = (0.50, 0.00)", "t2 = (0.00, 0.50)")
 
 
-def test_a_found_lattice_takes_the_true_basis_and_starting_point() -> None:
+def test_a_detected_lattice_takes_the_true_basis_and_starting_point() -> None:
     """Another basis and origin of the same lattice is drawn exactly like the true one."""
     truth = Lattice((13.1, 22.7), (-13.1, 22.7), (4.0, 7.0)).reduced()
     other = Lattice((26.2, 0.0), (13.1, 22.7), (0.0, 0.0))
@@ -63,13 +63,13 @@ def test_a_found_lattice_takes_the_true_basis_and_starting_point() -> None:
 
 
 def test_a_supercell_keeps_its_own_basis() -> None:
-    """A lattice that is not the true one is drawn as it is, through a true point."""
+    """A lattice that differs from the true one keeps its basis and passes through a true point."""
     truth = Lattice((10, 0), (0, 10), (5, 5))
-    found = align_basis(Lattice((20, 0), (0, 10)), truth, (64, 64))
-    assert found.area == pytest.approx(200)
-    assert np.allclose(truth.wrap(np.array(found.origin) - truth.origin), 0)
+    drawing = align_basis(Lattice((20, 0), (0, 10)), truth, (64, 64))
+    assert drawing.area == pytest.approx(200)
+    assert np.allclose(truth.wrap(np.array(drawing.origin) - truth.origin), 0)
 
 
-def test_without_a_truth_a_lattice_keeps_its_origin() -> None:
-    """There is nothing to compare with, so nothing moves."""
+def test_without_a_true_lattice_the_origin_stays() -> None:
+    """Without a true lattice the origin stays."""
     assert align_basis(Lattice((10, 0), (0, 10), (3, 4)), None, (64, 64)).origin == (3, 4)

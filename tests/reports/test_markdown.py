@@ -34,7 +34,7 @@ def test_nothing_in_a_name_is_markup() -> None:
 
 
 def test_tables_are_even(text: str) -> None:
-    """Every line of a table has as many places as its head, hostile names included."""
+    """Every line of a table has as many entries as its title line, hostile names included."""
     rows = _rows(text)
     second = next(i for i, row in enumerate(rows) if row[0] == "texture")
     for table in (rows[:second], rows[second:]):
@@ -42,8 +42,8 @@ def test_tables_are_even(text: str) -> None:
         assert {len(row) for row in table} == {len(table[0])}
 
 
-def test_places_and_references(text: str) -> None:
-    """Verdict and score stand in each place, the lattice source beside the method, references are marked."""
+def test_entries_and_references_are_marked(text: str) -> None:
+    """Each entry shows verdict and score, each method its lattice source; references are marked."""
     rows = _rows(text)
     head = next(row for row in rows if row[0] == "texture")
     brick = next(row for row in rows if row[0] == "brick")
@@ -54,11 +54,11 @@ def test_places_and_references(text: str) -> None:
 
 
 def test_no_hostile_markup_survives(text: str) -> None:
-    """No tag but our own footnote marks is left in the text."""
+    """The text contains no HTML tag but footnote marks."""
     assert set(re.findall(r"(?<!\\)<(\w+)", text)) == {"sup"}
 
 
 def test_an_empty_run_says_so(make_run: Make, tmp_path: Path) -> None:
-    """Without cells the file says so; the same run gives the same bytes."""
+    """A run without cells gives one sentence."""
     (path,) = MarkdownTables().write(make_run([]), tmp_path)
     assert "There are no cells." in path.read_text("utf-8")

@@ -29,73 +29,73 @@ def judged(makers: tuple[Make, Make]) -> Run:
     return run
 
 
-def _file(path: Path, sheet: LabelPage, said: Sequence[str]) -> Path:
+def _file(path: Path, sheet: LabelPage, answers: Sequence[str]) -> Path:
     with path.open("w", newline="") as file:
-        rows = [[item.id, answer, 1.0, i] for i, (item, answer) in enumerate(zip(sheet.items, said, strict=True), 1)]
+        rows = [[item.id, answer, 1.0, i] for i, (item, answer) in enumerate(zip(sheet.items, answers, strict=True), 1)]
         csv.writer(file).writerows([["item", "answer", "seconds", "order"], *rows])
     return path
 
 
 def _person(run: Run, path: Path, wrong: Callable[[int, bool], str | None], repeat: float = 0.0) -> Path:
-    """Write a person who answers as the judge does, except where ``wrong(number, again)`` says something else."""
+    """Write the answers of a person who repeats the verdicts unless ``wrong(number, again)`` gives another answer."""
     sheet = make_page(run, repeat=repeat)
     write_key(run.root, sheet)
-    judge = {record.key: verdict_as_answer(record) for record in run.cells}
-    said = [wrong(i, item.again) or judge[item.cell] for i, item in enumerate(sheet.items)]
-    return _file(path, sheet, said)
+    verdicts = {record.key: verdict_as_answer(record) for record in run.cells}
+    answers = [wrong(i, item.again) or verdicts[item.cell] for i, item in enumerate(sheet.items)]
+    return _file(path, sheet, answers)
 
 
 def test_full_agreement_is_one(judged: Run, tmp_path: Path) -> None:
-    """A person who says what the judge says has kappa 1 with a point for an interval, and nothing is disputed."""
-    found = compare_people(judged, [_person(judged, tmp_path / "a.csv", lambda i, again: None)])
-    assert found is not None
-    (one,) = found.judged
+    """A person who agrees with every verdict has kappa 1, an interval of one point, and no disagreements."""
+    comparison = compare_people(judged, [_person(judged, tmp_path / "a.csv", lambda i, again: None)])
+    assert comparison is not None
+    (one,) = comparison.with_verdict
     assert (one.kappa.value, one.kappa.low, one.kappa.high, one.equal, one.n) == (1.0, 1.0, 1.0, 1.0, 40)
-    assert found.disagreements == [] and found.between == []
+    assert comparison.disagreements == [] and comparison.between == []
 
 
 def test_known_kappa(judged: Run, tmp_path: Path) -> None:
-    """Turning ten of forty even answers round leaves 0.75 equal: kappa 0.5 within what the odds of the ten allow."""
-    judge = {record.key: verdict_as_answer(record) for record in judged.cells}
+    """A person who reverses 10 of 40 balanced verdicts has 0.75 equal answers and kappa 0.5."""
+    verdicts = {record.key: verdict_as_answer(record) for record in judged.cells}
     sheet = make_page(judged, repeat=0)
     turned = {"preserved": "lost", "lost": "preserved"}
-    kinds = {word: [i for i, item in enumerate(sheet.items) if judge[item.cell] == word] for word in turned}
+    kinds = {word: [i for i, item in enumerate(sheet.items) if verdicts[item.cell] == word] for word in turned}
     chosen = {*kinds["preserved"][:5], *kinds["lost"][:5]}
     path = _person(
-        judged, tmp_path / "a.csv", lambda i, again: turned[judge[sheet.items[i].cell]] if i in chosen else None
+        judged, tmp_path / "a.csv", lambda i, again: turned[verdicts[sheet.items[i].cell]] if i in chosen else None
     )
-    found = compare_people(judged, [path])
-    assert found is not None
-    assert found.judged[0].kappa.value == pytest.approx(0.5)
-    assert found.judged[0].table == [[15, 5, 0], [5, 15, 0], [0, 0, 0]]
-    assert len(found.disagreements) == 10 and all(one.opposite for one in found.disagreements)
+    comparison = compare_people(judged, [path])
+    assert comparison is not None
+    assert comparison.with_verdict[0].kappa.value == pytest.approx(0.5)
+    assert comparison.with_verdict[0].table == [[15, 5, 0], [5, 15, 0], [0, 0, 0]]
+    assert len(comparison.disagreements) == 10 and all(one.opposite for one in comparison.disagreements)
 
 
-def test_who_cannot_say_counts_against_kappa_but_not_among_the_decided(judged: Run, tmp_path: Path) -> None:
+def test_cannot_say_lowers_kappa_but_not_kappa_of_the_decided(judged: Run, tmp_path: Path) -> None:
     """Five times "cannot say" lowers kappa; over items that both decide it stays 1; the disputes come as not plain."""
     path = _person(judged, tmp_path / "a.csv", lambda i, again: "cannot say" if i < 5 else None)
-    found = compare_people(judged, [path])
-    assert found is not None
-    one = found.judged[0]
+    comparison = compare_people(judged, [path])
+    assert comparison is not None
+    one = comparison.with_verdict[0]
     assert one.kappa.value is not None and one.kappa.value < 1
     assert one.decided.value == 1.0
-    assert [dispute.opposite for dispute in found.disagreements] == [False] * 5
+    assert [dispute.opposite for dispute in comparison.disagreements] == [False] * 5
 
 
-def test_self_agreement_looks_at_second_showings_only(judged: Run, tmp_path: Path) -> None:
-    """A person who changes every second answer agrees with the judge in full and with themself not at all."""
+def test_self_agreement_counts_second_showings_only(judged: Run, tmp_path: Path) -> None:
+    """A person who reverses all second answers agrees with every verdict and never with themself."""
     other = {"preserved": "lost", "lost": "preserved"}
-    judge = {record.key: verdict_as_answer(record) for record in judged.cells}
+    verdicts = {record.key: verdict_as_answer(record) for record in judged.cells}
     sheet = make_page(judged, repeat=0.5)
-    said = lambda i, again: other[judge[sheet.items[i].cell]] if again else None  # noqa: E731
-    found = compare_people(judged, [_person(judged, tmp_path / "a.csv", said, repeat=0.5)])
-    assert found is not None
-    assert found.judged[0].equal == 1.0
-    assert (found.selves[0].n, found.selves[0].equal) == (20, 0.0)
+    answers = lambda i, again: other[verdicts[sheet.items[i].cell]] if again else None  # noqa: E731
+    comparison = compare_people(judged, [_person(judged, tmp_path / "a.csv", answers, repeat=0.5)])
+    assert comparison is not None
+    assert comparison.with_verdict[0].equal == 1.0
+    assert (comparison.selves[0].n, comparison.selves[0].equal) == (20, 0.0)
 
 
 def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
-    """With three people there is the judge with each and with all, every pair and the mean over pairs."""
+    """Three people give the verdict with each person, every pair of people, and the means of both."""
     rng = np.random.default_rng(0)
     files = [
         _person(
@@ -103,9 +103,9 @@ def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
         )
         for name in "abc"
     ]
-    found = compare_people(judged, files)
-    assert found is not None
-    table = agreement_table(found)
+    comparison = compare_people(judged, files)
+    assert comparison is not None
+    table = agreement_table(comparison)
     assert list(table["kind"]) == ["judge and people"] * 4 + ["people"] * 4 + ["self"] * 3
     means = table[table["second"] == "mean of 3"]["kappa"].tolist()
     each = table.groupby("kind", sort=False)["kappa"].apply(lambda one: one.iloc[:3].mean()).tolist()
@@ -113,8 +113,8 @@ def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
     assert len(labels_table(judged, files)) == 120
 
 
-def test_the_page_shows_every_dispute(judged: Run, tmp_path: Path) -> None:
-    """Each disputed output is on the page as a picture with the judge's numbers and everybody's answer."""
+def test_the_page_shows_every_disagreement(judged: Run, tmp_path: Path) -> None:
+    """The page shows each disagreement with its pictures, scores and answers."""
     path = _person(judged, tmp_path / "ada.csv", lambda i, again: "cannot say" if i < 3 else None)
     page = HtmlReport(labels=(path,)).render(judged, tmp_path)
     assert page.count('class="disagreement') == 3
@@ -123,6 +123,6 @@ def test_the_page_shows_every_dispute(judged: Run, tmp_path: Path) -> None:
 
 
 def test_without_files_there_is_no_section(judged: Run, tmp_path: Path) -> None:
-    """No labels, no section."""
+    """Without answer files the page has no section on people."""
     assert compare_people(judged, []) is None
     assert 'id="people"' not in HtmlReport().render(judged, tmp_path)

@@ -31,13 +31,15 @@ Make = Callable[..., Any]
         *[(1, -0.2, -0.1, 1), (0.8, 1, 0, 0.5), (1, 0, WALLPAPER / 2, 0.5), (1, 0, 1, 0), (0.4, 0, WALLPAPER / 2, 0.4)],
     ],
 )
-def test_kept_is_the_worst_departure(variation: float, repetition: float, distance: float, expected: float) -> None:
+def test_randomness_kept_is_the_worst_departure(
+    variation: float, repetition: float, distance: float, expected: float
+) -> None:
     """Variation counts on both sides, repetition and distance on one side only; the worst of the three is kept."""
     assert randomness_kept(variation, repetition, distance) == pytest.approx(expected)
 
 
 @given(st.floats(0, 1e9), st.floats(-1e9, 1e9), st.floats(-1e9, 1e9))
-def test_kept_lies_between_zero_and_one(variation: float, repetition: float, distance: float) -> None:
+def test_randomness_kept_lies_between_zero_and_one(variation: float, repetition: float, distance: float) -> None:
     """The randomness kept is in [0, 1] for all scores, and more repetition or distance never helps."""
     value = float(randomness_kept(variation, repetition, distance))
     worse = (
@@ -47,8 +49,8 @@ def test_kept_lies_between_zero_and_one(variation: float, repetition: float, dis
     assert all(0 <= one <= value <= 1 for one in worse)
 
 
-def test_kept_of_an_unknown_score_is_unknown() -> None:
-    """One unknown score makes the worst of all unknown."""
+def test_randomness_kept_of_an_unknown_score_is_unknown() -> None:
+    """The randomness kept is unknown if one of its scores is unknown."""
     nan = np.nan
     assert np.isnan(randomness_kept([nan, 0.1, 1.0, nan], [0.0, nan, 0.0, nan], [0.0, 0.0, nan, nan])).all()
 
@@ -97,7 +99,7 @@ def _point(comparison: Comparison, method: str) -> PerilsPoint:
 
 
 def test_points_are_means_over_textures(comparison: Comparison) -> None:
-    """A point is the mean of both axes over textures, each with an interval that holds it."""
+    """Both coordinates of a point are means over textures, each inside its interval."""
     point = _point(comparison, "copier")
     assert point.regularity.value == pytest.approx(0.99)
     assert point.randomness.value == pytest.approx(np.mean([1 / 2, 1 / 2.1, 1 / 2.2]))
@@ -106,7 +108,7 @@ def test_points_are_means_over_textures(comparison: Comparison) -> None:
         assert one.low <= one.value <= one.high
 
 
-def test_worse_is_taken_before_the_mean(make_cell: Make, make_run: Make) -> None:
+def test_the_worst_is_taken_before_the_mean(make_cell: Make, make_run: Make) -> None:
     """Too little variation on one texture and copies on another are two faults; they do not cancel in the mean."""
     run = make_run([_cell(make_cell, "a", "m", 1.0, 0.5, 0.0), _cell(make_cell, "b", "m", 1.0, 1.0, 1.0)])
     assert _point(compare_methods(run), "m").randomness.value == pytest.approx(0.5)
@@ -131,8 +133,8 @@ def test_references_are_marked_and_not_ranked(comparison: Comparison) -> None:
 
 def test_paired_differences_hold_the_randomness_kept(comparison: Comparison) -> None:
     """The paired differences hold the randomness kept of two methods, over the textures that both have."""
-    found = [one for one in comparison.differences if one.score == RANDOMNESS_KEPT]
-    pair = next(one for one in found if (one.first.name, one.second.name) == ("copier", "shaky"))
+    differences = [one for one in comparison.differences if one.score == RANDOMNESS_KEPT]
+    pair = next(one for one in differences if (one.first.name, one.second.name) == ("copier", "shaky"))
     assert pair.estimate.n == 2
 
 
@@ -145,7 +147,7 @@ def test_files_are_vector_graphics_and_the_same_again(cornered: Run, tmp_path: P
 
 
 def test_the_plane_uses_no_color(comparison: Comparison) -> None:
-    """Every color of the picture is a gray: it can be printed in black and white."""
+    """Every color of the picture is a gray, for print in black and white."""
     pixels = np.asarray(
         PIL.Image.open(io.BytesIO(plot_perils_plane(perils_points(comparison.summaries), "png"))).convert("RGB")
     )
@@ -158,7 +160,7 @@ def test_no_scores_no_plane(make_run: Make, tmp_path: Path) -> None:
 
 
 def test_width_is_checked() -> None:
-    """A width that no page has is refused with the range."""
+    """A width outside the range is an error that states the range."""
     with pytest.raises(BadInput, match="give 3 to 12 inches"):
         PerilsPlane(width=40)
 

@@ -21,7 +21,7 @@ def test_it_names_every_texture_method_and_mark(every_ending: Run) -> None:
 
 
 @pytest.mark.parametrize("width", [40, 60, 120])
-def test_no_line_is_wider_than_asked(every_ending: Run, width: int) -> None:
+def test_no_line_is_wider_than_the_width(every_ending: Run, width: int) -> None:
     """Lines keep to the width; methods that do not fit follow below."""
     text = TextTable(width).render(every_ending)
     assert max(map(len, text.splitlines())) <= width
@@ -38,25 +38,25 @@ def test_it_has_no_escapes_and_no_markup(make_cell: Make, make_run: Make) -> Non
 
 
 def test_written_file_is_the_rendered_text(every_ending: Run, tmp_path: Path) -> None:
-    """The file holds what the terminal shows."""
+    """The file contains what the terminal shows."""
     (path,) = TextTable().write(every_ending, tmp_path / "tables")
     assert path.name == "comparison.txt"
     assert path.read_text("utf-8") == TextTable().render(every_ending)
 
 
 def test_an_empty_run_says_so(make_run: Make) -> None:
-    """Without cells there is one sentence."""
+    """A run without cells gives one sentence."""
     assert "There are no cells." in TextTable().render(make_run([]))
 
 
 def test_a_single_failed_cell_is_a_table(make_cell: Make, make_run: Make) -> None:
-    """A run of one failed cell still is a table with its status."""
+    """A run of one failed cell gives a table with its status."""
     text = TextTable().render(make_run([make_cell(status="crash", message="signal 11")]))
     assert "! crash" in text
     assert "0 % (0/1)" in text
 
 
 def test_a_width_too_small_is_refused() -> None:
-    """The error says what to give."""
+    """A width below 40 is an error that states the minimum."""
     with pytest.raises(BadInput, match="at least 40"):
         TextTable(10)

@@ -13,7 +13,7 @@ Make = Callable[..., Any]
 
 
 @pytest.mark.parametrize(
-    ("asked", "verdict"),
+    ("cell", "verdict"),
     [
         ({"preserved": True}, "preserved"),
         ({"preserved": False}, "lost"),
@@ -26,13 +26,13 @@ Make = Callable[..., Any]
         *[({"status": status}, "failed") for status in ("error", "timeout", "memory", "crash", "invalid")],
     ],
 )
-def test_each_ending_has_its_verdict(make_cell: Make, asked: dict[str, object], verdict: str) -> None:
+def test_each_ending_has_its_verdict(make_cell: Make, cell: dict[str, object], verdict: str) -> None:
     """A cell's status, value and reason decide its verdict."""
-    assert verdicts.verdict(make_cell(**asked)) == verdict
+    assert verdicts.verdict(make_cell(**cell)) == verdict
 
 
 def test_a_cell_without_a_regularity_score_is_unscored(make_cell: Make) -> None:
-    """Where the metric is not installed, a cell is unscored, not undecided."""
+    """A cell is unscored, not undecided, if the metric is not installed."""
     record = make_cell()
     bare = CellRecord(record.cell, record.folder, record.result)
     assert verdicts.verdict(bare) == "unscored"
@@ -44,7 +44,7 @@ def test_marks_tell_verdicts_apart() -> None:
     assert set(verdicts.MARKS) == set(verdicts.MEANINGS)
 
 
-def test_frame_holds_numbers(every_ending: Run) -> None:
+def test_table_holds_numbers(every_ending: Run) -> None:
     """Truth values become 0 and 1, None becomes NaN, and only cells that ended well have seconds."""
     table = verdicts.tabulate_cells(every_ending)
     assert len(table) == len(every_ending.cells)
@@ -53,8 +53,8 @@ def test_frame_holds_numbers(every_ending: Run) -> None:
     assert math.isnan(table.loc[table["status"] == "timeout", "seconds"].iloc[0])
 
 
-def test_frame_of_an_empty_run_has_its_columns(make_run: Make) -> None:
-    """A run without cells gives a frame without rows."""
+def test_table_of_an_empty_run_has_its_columns(make_run: Make) -> None:
+    """A run without cells gives a table without rows."""
     table = verdicts.tabulate_cells(make_run([]))
     assert len(table) == 0
     assert {"texture", "verdict", "regularity.score"} <= set(table)
