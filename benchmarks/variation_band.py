@@ -35,8 +35,7 @@ from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import Values
 from nrbench.metrics.randomness import Randomness
-from nrbench.metrics.residual_tiles.tileset import quarters
-from nrbench.metrics.residual_tiles.variety import Variety
+from nrbench.metrics.residual_tiles.tiles import ComparedTiles, quarters
 from nrbench.metrics.verdict.measurements import Look, look_at_references
 from nrbench.metrics.verdict.reference import FIRST_DRAW, Yardstick, model_yardstick
 from nrbench.metrics.verdict.verdict import compare, obstacle
@@ -108,7 +107,7 @@ class Place:
         if told := obstacle(judgement):
             return {"reason": told}
         seen = Observation(self.texture.image, output, self.texture, again=self.again)
-        found = Randomness().of(seen, judgement)
+        found = Randomness().score_verdict(seen, judgement)
         values = {name: found.values[name] for name in ("variation", "repetition", "distance")}
         why = "; ".join(dict.fromkeys(found.reasons.get(name, "") for name in values))
         return {"preserved": judgement.preserved, **values, "reason": why.strip("; ")}
@@ -117,15 +116,13 @@ class Place:
     def allowed(self) -> dict[str, Value]:
         """What the sample allows: variation of the sample, and of a uniform copier on average; places it has."""
         seen = Observation(self.texture.image, self.fresh(0), self.texture, again=self.again)
-        variety = Variety.of(seen, compare(seen.output, *self.measure))
-        right = [tiles for tiles in variety.reference if len(tiles) > 1]
-        shares = quarters((variety.weights / variety.weights.sum())[np.newaxis, ..., np.newaxis])[:, 0]
-        energy = np.average(
-            [_energy(t.departures, variety.weights) for t in right], weights=[len(t) - 1 for t in right]
-        )
+        tiles = ComparedTiles.of(seen, compare(seen.output, *self.measure))
+        right = [some for some in tiles.reference if len(some) > 1]
+        shares = quarters((tiles.weights / tiles.weights.sum())[np.newaxis, ..., np.newaxis])[:, 0]
+        energy = np.average([_energy(t.departures, tiles.weights) for t in right], weights=[len(t) - 1 for t in right])
         parts = [
             (len(each), float((each.var(0) * share).mean(-1).sum()))
-            for each, share in zip(variety.windows, shares, strict=True)
+            for each, share in zip(tiles.windows, shares, strict=True)
         ]
         if min(count for count, _ in parts) < 2 or energy <= 0:
             return {"sample": None, "copier": None, "sources": min(count for count, _ in parts)}

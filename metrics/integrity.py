@@ -1,42 +1,91 @@
-"""Integrity: whether the output's tiles are whole, or joined of parts that do not belong together."""
+"""Integrity: share of tiles that are whole, not joined of parts that do not belong together."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from nrbench.plugins.forms import Column, Observation, Score
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from .verdict.verdict import judge, obstacle
-from .whole_elements.broken import BROKEN_SURPRISE, Broken, find_broken
-from .whole_elements.broken_map import broken_map, worst_tiles
+from nrbench.imaging.convert import Image, gray
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import Again, Column, Observation, Score
 
+from .ncc.periodic import tile_box
+from .residual_tiles.tiles import offset_noise
+from .verdict.exponential_tail import Tail
+from .verdict.reference import FIRST_DRAW
+from .verdict.verdict import Judgement, judge, obstacle
+from .whole_elements.composite_tiles import (
+    Discriminant,
+    Levels,
+    Rows,
+    WholeTiles,
+    alteration_moments,
+    compose_tiles,
+)
+from .whole_elements.elements import Cutter, Windows, departures, find_element_places, squared_gradient
+
+BROKEN_SURPRISAL = 8.0
+"""Surprisal above which a tile is broken: see ``benchmarks/validation.py alarms``."""
 LEAST_POWER = 0.1
-"""Share of joined tiles that would be counted below which nothing is said."""
+"""Detection power below which broken tiles are not counted."""
+
+_DRAWS = 4
+_FIRST_DRAW = FIRST_DRAW + (1 << 11)
+_TILES_A_SIDE, _SIDES = 10, (160, 360)
+"""Side of a fresh draw in tiles, and its limits in px."""
+_LEAST_WINDOWS, _LEAST_REFERENCES = 12, 12
+_TAIL = 0.9
+"""Quantile from which on the evidence of whole tiles follows an exponential tail."""
+_OVERLAP = 2.0
+"""Windows, half a cell apart, that show the same pixel."""
+_ALIGNMENT = 0.4
+"""Misalignment of a tile, px: a fraction of the rounding of a whole-pixel copy."""
+_ROUNDING = 1 / 255
+_SHARE_OF_VARIANCE = 0.02
+_LEAST_CONTRAST, _LOW = 0.8, 0.01
+"""Tiles with less contrast than this share of a low quantile of the references' contrast are ignored: after a strong
+blur the parts of a tile cannot be told apart."""
+_ROUNDS = 3
+_CALM, _LEAST_CALM, _MANY_CALM = 0.99, 0.25, 0.9
+"""Tiles are calm if their evidence is below this quantile of the references', but at least a quarter of the tiles are.
+If more than nine tenths are calm, as in all right images, their mean is not corrected."""
+_TOUCHING = 0.9
+"""Windows nearer than this, in cells along both vectors, overlap."""
+
+_DIM = 0.5
+_MARK = np.array((0.9, 0.1, 0.1), np.float32)
+_WORST, _SIDE, _GAP = 8, 96, 4
+"""Tiles in the picture of the worst tiles, their height and the gap between them, px."""
+_References = list[tuple[Cutter, slice]]
 
 
 @dataclass(frozen=True)
 class Integrity:
-    """How many tiles are broken: joined of parts that do not belong together, as when a cut runs through a brick.
+    """Share of broken tiles: tiles that are joined of parts that do not belong together.
 
-    A brick has one color. A method that cuts and blends inside bricks makes two-tone ones, which lie in their places,
-    so regularity does not see them. Windows of one cell are cut around the elements, where the output shows them, and
-    their mean is taken out. What a whole tile can then show is learned from fresh draws, what a joined one shows from
-    tiles of fresh draws that are joined along straight cuts; directions along which only the latter vary are the
-    evidence (see :class:`~nrbench.metrics.whole_elements.composite_tiles.Joint`), each half of the fresh draws measured by directions of the
-    other. A tile is broken where its evidence exceeds what chance explains, the number of tiles accounted for
-    (:class:`~nrbench.metrics.verdict.exponential_tail.Tail`). The tail tells, not the median: most tiles of a copier are copies.
+    A brick has one color. A method that cuts and blends inside bricks makes two-tone bricks. These lie in their places,
+    so regularity does not detect them. Windows of one cell are cut around the elements, at the displacements that the
+    output shows, and their mean is subtracted. The variation of whole tiles is learned from fresh draws, and that of
+    composite tiles from tiles of fresh draws that are joined along straight cuts. Directions along which only composite
+    tiles vary provide the evidence (:class:`~.whole_elements.composite_tiles.Discriminant`); each half of the fresh
+    draws is measured by directions learned from the other half. A tile is broken if its evidence exceeds chance, given
+    the number of tiles (:class:`~.verdict.exponential_tail.Tail`). ``evidence_p90`` describes the tail and
+    not the median, because most tiles of a copier are whole copies.
 
-    What blur, uneven light and smooth bending do to a whole tile is no evidence
-    (:func:`~nrbench.metrics.whole_elements.alterations.alterations`), and tiles that a strong blur has emptied, with those around
-    them, are left out: these are faults of appearance and of regularity. A warp beyond 0.15 s, which tears tiles out of
-    shape, and a seam that drives values to black or white may still break some.
+    The effects of blur, uneven light and smooth bending on whole tiles are no evidence
+    (:func:`~.whole_elements.composite_tiles.alteration_moments`). Tiles without contrast after a strong blur, and their
+    neighbors, are left out. These are faults of appearance and of regularity. A warp of more than 0.15 s deforms tiles
+    and may break some; so may a seam that clips values.
 
-    Where the lattice's origin lies in the tile does not matter: the windows are put where most of a window varies with
-    its middle, and once more half a cell aside along both vectors. Tiles that regularity calls displaced are left out,
-    since they lie over other elements. Of a photograph the sample itself takes the place of fresh draws.
+    The scores do not depend on the lattice's origin: the windows are placed where most of a window covaries with its
+    middle, and once more half a cell aside along both vectors. Tiles that regularity calls displaced are left out,
+    because they lie over other elements. For a photograph the sample replaces the fresh draws.
     """
 
     version: ClassVar[str] = "2"
@@ -44,49 +93,268 @@ class Integrity:
         "broken_share": Column(
             "Share of the tiles in place that are joined of parts that do not belong together.", better="lower"
         ),
-        "broken_tiles": Column("Number of such tiles.", "tiles", (0.0, math.inf), "lower"),
+        "broken_tiles": Column(
+            "Number of tiles in place that are joined of parts that do not belong together.",
+            "tiles",
+            (0.0, math.inf),
+            "lower",
+        ),
         "evidence_p90": Column(
             "90th percentile of the tiles' evidence of being joined, over that of fresh draws.",
             "",
             (0.0, math.inf),
             "lower",
         ),
-        "power": Column("Share of fresh tiles, joined along random straight cuts, that would be counted."),
+        "detection_power": Column("Share of fresh tiles, joined along straight cuts, that would be counted as broken."),
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return the scores, and two pictures: the ``broken`` tiles in their places, and the ``worst`` of them."""
-        judgement = judge(observation)
-        if judgement is None or obstacle(judgement):
-            return Score.missing(self.columns, obstacle(judgement, observation))
-        broken = find_broken(judgement, observation.sample, observation.again)
+        """Return the scores, and two pictures: ``broken`` shows the broken tiles in place, ``worst`` enlarges some."""
+        verdict = judge(observation)
+        if verdict is None or obstacle(verdict):
+            return Score.missing(self.columns, obstacle(verdict, observation))
+        broken = find_broken(verdict, observation.sample, observation.again)
         if isinstance(broken, str):
             return Score.missing(self.columns, broken)
-        pictures = {"broken": broken_map(observation.output, broken)}
-        if broken.number:
-            pictures["worst"] = worst_tiles(observation.output, broken)
-        if broken.power < LEAST_POWER:
-            reason = f"undecided: only {broken.power:.0%} of tiles joined of two would be told from whole ones"
-            score = Score.missing(self.columns, reason)
-            reasons = {name: reason for name in self.columns if name != "power"}
-            return Score({**score.values, "power": broken.power}, reasons, records=_records(broken))
-        return Score(_values(broken), {}, pictures, _records(broken))
+        values: dict[str, float | None] = {
+            "broken_share": broken.share,
+            "broken_tiles": float(len(broken.places)),
+            "evidence_p90": broken.evidence_p90,
+            "detection_power": broken.detection_power,
+        }
+        records = {
+            "tiles": broken.tiles,
+            "limit": BROKEN_SURPRISAL,
+            "places": [[float(x), float(y)] for x, y in broken.places],
+            "surprises": [float(value) for value in broken.surprisals],
+            "anchor": [float(value) for value in broken.anchor],
+        }
+        if broken.detection_power < LEAST_POWER:
+            reason = f"undecided: only {broken.detection_power:.0%} of joined tiles would be told from whole ones"
+            reasons = {name: reason for name in self.columns if name != "detection_power"}
+            return Score(values | dict.fromkeys(reasons), reasons, records=records)
+        pictures = {"broken": draw_broken(observation.output, broken)}
+        if len(broken.places):
+            pictures["worst"] = enlarge_worst(observation.output, broken)
+        return Score(values, {}, pictures, records)
 
 
-def _values(broken: Broken) -> dict[str, float | bool | None]:
-    return {
-        "broken_share": broken.share,
-        "broken_tiles": float(broken.number),
-        "evidence_p90": broken.evidence_p90,
-        "power": broken.power,
-    }
+@dataclass(frozen=True)
+class BrokenTiles:
+    """The broken tiles of an output.
+
+    Parameters
+    ----------
+    lattice
+        The lattice of the tiles.
+    anchor
+        Cell coordinates of the middles of whole elements.
+    places
+        ``(n, 2)``: middles (x, y) px of the broken tiles, largest surprisal first; none overlap.
+    surprisals
+        ``(n,)``: about -log of the probability that the worst tile of a fresh draw has more evidence.
+    tiles
+        Number of tiles in place, whole within the output.
+    worst
+        Surprisal of the most suspicious tile, broken or not.
+    evidence_p90
+        90th percentile of the evidence over that of fresh draws.
+    detection_power
+        Share of composite tiles of fresh draws that would be counted.
+    """
+
+    lattice: Lattice
+    anchor: Points
+    places: Points
+    surprisals: Levels
+    tiles: int
+    worst: float
+    evidence_p90: float
+    detection_power: float
+
+    @property
+    def share(self) -> float:
+        """Share of broken tiles."""
+        return min(len(self.places) / max(self.tiles, 1), 1.0)
 
 
-def _records(broken: Broken) -> dict[str, Any]:
-    return {
-        "tiles": broken.tiles,
-        "limit": BROKEN_SURPRISE,
-        "places": [[float(x), float(y)] for x, y in broken.places],
-        "surprises": [float(value) for value in broken.surprises],
-        "anchor": [float(value) for value in broken.anchor],
-    }
+@dataclass(frozen=True)
+class _Evidence:
+    """Middles (x, y) px of the output's windows at one place of the cell, and evidence of three kinds of windows."""
+
+    middles: Points
+    output: Levels
+    whole: Levels
+    composite: Levels
+
+
+def find_broken(verdict: Judgement, sample: Image, again: Again | None) -> BrokenTiles | str:
+    """Return the broken tiles of an output, or the reason why they cannot be found.
+
+    If regularity lacks power, the places of the tiles are not known.
+    """
+    if verdict.blindness:
+        return f"undecided: {verdict.blindness}"
+    halves = _references(verdict, sample, again)
+    output = Cutter.following(verdict.output, offset_noise(verdict.references))
+    places = find_element_places([cutter for half in halves for cutter, _ in half])
+    evidence = []
+    for place in places:
+        one = _measure_evidence(output, halves, place, verdict)
+        if isinstance(one, str):
+            return one
+        evidence.append(one)
+    return _count_broken(output.lattice, places[0], evidence)
+
+
+def _references(verdict: Judgement, sample: Image, again: Again | None) -> tuple[_References, _References]:
+    """Return two halves of the references: fresh draws, or every second tile of the sample."""
+    lattice = verdict.yardstick.lattice
+    if again is None or verdict.yardstick.source == "sample":
+        cutter = Cutter(sample, lattice)
+        return [(cutter, slice(0, None, 2))], [(cutter, slice(1, None, 2))]
+    side = np.ceil(np.clip(_TILES_A_SIDE * tile_box(lattice), *_SIDES)).astype(int)
+    draws = [again((int(side[1]), int(side[0])), _FIRST_DRAW + k) for k in range(_DRAWS)]
+    cutters = [(Cutter(draw.image, lattice), slice(None)) for draw in draws if draw is not None]
+    return cutters[: len(cutters) // 2], cutters[len(cutters) // 2 :]
+
+
+def _measure_evidence(
+    output: Cutter, halves: tuple[_References, _References], place: Points, verdict: Judgement
+) -> _Evidence | str:
+    """Return the evidence at one place of the cell, or the reason why there is none.
+
+    Each half of the references is measured by directions learned from the other half.
+    """
+    seen = _in_place(output.cut(place), verdict)
+    own = [[cutter.cut(place).take(part) for cutter, part in half] for half in halves]
+    if min(sum(len(windows.middles) for windows in half) for half in own) < _LEAST_REFERENCES:
+        return f"undecided: the references hold fewer than 2 x {_LEAST_REFERENCES} whole tiles"
+    if len(seen.values) < _LEAST_WINDOWS:
+        return f"undecided: fewer than {_LEAST_WINDOWS} whole tiles in place to compare"
+    parts = [_whole_tiles([cutter for cutter, _ in half], windows) for half, windows in zip(halves, own, strict=True)]
+    floor = _floor([windows for half in own for windows in half], output.lattice, [part.rows for part in parts])
+    measures, whole, composite = [], [], []
+    for one, other in (parts, parts[::-1]):
+        discriminant = Discriminant.fit(one, other, floor)
+        evidence = discriminant.evidence(other.rows)
+        level = max(float(evidence.mean()), 1e-9)
+        measures.append((discriminant, level))
+        whole.append(evidence / level)
+        composite.append(discriminant.evidence(compose_tiles(other.rows)) / level)
+    calm = float(np.quantile(np.concatenate(whole), _CALM))
+    shown = _output_evidence(measures, departures(seen.values), calm)
+    return _Evidence(seen.middles, shown, np.concatenate(whole), np.concatenate(composite))
+
+
+def _output_evidence(measures: list[tuple[Discriminant, float]], rows: Rows, calm_level: float) -> Levels:
+    """Return the evidence of an output's tiles, about the mean of the calm tiles if many tiles are broken.
+
+    The cuts of many broken tiles do not quite cancel in the mean of all, and would leave evidence in whole tiles.
+    """
+    for _ in range(_ROUNDS):
+        evidence = np.mean([discriminant.evidence(rows) / level for discriminant, level in measures], 0)
+        calm = evidence <= max(calm_level, float(np.quantile(evidence, _LEAST_CALM)))
+        if calm.mean() > _MANY_CALM:
+            break
+        rows = rows - rows[calm].mean(0)
+    return np.asarray(evidence)
+
+
+def _whole_tiles(cutters: list[Cutter], windows: list[Windows]) -> WholeTiles:
+    seen = [(cutter, some) for cutter, some in zip(cutters, windows, strict=True) if len(some.middles)]
+    altered = [alteration_moments(cutter, some.middles) for cutter, some in seen]
+    return WholeTiles(np.concatenate([departures(some.values) for _, some in seen]), np.mean(altered, 0))
+
+
+def _floor(windows: list[Windows], lattice: Lattice, parts: list[Rows]) -> Levels:
+    """Return the variance of rounding and of misalignment, plus a share of the texture's variance."""
+    steep = squared_gradient(np.mean([some.values.mean(0) for some in windows], 0), lattice)
+    variance = float(np.mean([part.var(0).mean() for part in parts]))
+    return np.asarray(_ROUNDING**2 + _SHARE_OF_VARIANCE * variance + _ALIGNMENT**2 * steep.ravel())
+
+
+def _in_place(windows: Windows, verdict: Judgement) -> Windows:
+    """Return the windows that regularity does not call displaced, and that do not touch a tile without contrast."""
+    output, tiles = verdict.output, verdict.output.tiles
+    _, tile = cKDTree(tiles.centers).query(windows.middles)
+    moved = verdict.misplaced[output.placement.nearest(windows.middles)] | verdict.displaced[tile]
+    usual = np.quantile(np.concatenate([one.tiles.slope for one in verdict.references]), _LOW)
+    empty = tiles.centers[tiles.slope < _LEAST_CONTRAST * usual]
+    if not len(empty):
+        return windows.take(~moved)
+    near, _ = cKDTree(tiles.lattice.to_cell(empty)).query(tiles.lattice.to_cell(windows.middles), p=np.inf)
+    return windows.take(~(moved | (near <= 1)))
+
+
+def _count_broken(lattice: Lattice, anchor: Points, evidence: list[_Evidence]) -> BrokenTiles:
+    """Return the broken tiles; each counts once, although windows at several places show it."""
+    whole, output = (np.concatenate([getattr(one, name) for one in evidence]) for name in ("whole", "output"))
+    tail = Tail.fit(whole, _TAIL, overlap=_OVERLAP)
+
+    def surprisal(levels: Levels) -> Levels:
+        return np.asarray(tail.surprise(levels) - np.log(len(output) / len(levels)))
+
+    surprisals = np.concatenate([surprisal(one.output) for one in evidence])
+    places, values = _drop_overlapping(lattice, np.concatenate([one.middles for one in evidence]), surprisals)
+    return BrokenTiles(
+        lattice,
+        anchor,
+        places,
+        values,
+        tiles=len(evidence[0].output),
+        worst=float(surprisals.max(initial=-np.inf)),
+        evidence_p90=float(np.quantile(output, 0.9) / max(float(np.quantile(whole, 0.9)), 1e-9)),
+        detection_power=float((surprisal(evidence[0].composite) > BROKEN_SURPRISAL).mean()),
+    )
+
+
+def _drop_overlapping(lattice: Lattice, middles: Points, surprisals: Levels) -> tuple[Points, Levels]:
+    """Return middles and surprisals of the broken windows, largest first; of overlapping ones only the first."""
+    flagged = np.flatnonzero(surprisals > BROKEN_SURPRISAL)
+    flagged = flagged[np.argsort(-surprisals[flagged], kind="stable")]
+    if not len(flagged):
+        return np.zeros((0, 2)), np.zeros(0)
+    uv = lattice.to_cell(middles[flagged])
+    free = np.ones(len(flagged), np.bool_)
+    kept = []
+    for one, near in enumerate(cKDTree(uv).query_ball_point(uv, _TOUCHING, p=np.inf)):
+        if free[one]:
+            kept.append(flagged[one])
+            free[near] = False
+    return middles[kept], surprisals[kept]
+
+
+def draw_broken(output: Image, broken: BrokenTiles) -> Image:
+    """Return the output in faint gray, with the broken tiles in color and framed."""
+    faint = np.repeat((1 - _DIM + _DIM * gray(output))[..., np.newaxis], 3, 2)
+    colored = np.broadcast_to(output, (*output.shape[:2], 3))
+    reach = np.abs(broken.lattice.matrix).sum(0) / 2 + 1
+    for place in broken.places:
+        x0, y0 = np.maximum(np.floor(place - reach), 0).astype(int)
+        x1, y1 = np.ceil(place + reach).astype(int) + 1
+        y, x = np.indices(output[y0:y1, x0:x1].shape[:2])
+        uv = np.abs(broken.lattice.shifted(place - broken.lattice.origin).to_cell(np.stack([x + x0, y + y0], -1)))
+        inside, edge = (uv < 0.5).all(-1), (uv.max(-1) >= 0.5 - 1.0 / np.sqrt(broken.lattice.area))
+        faint[y0:y1, x0:x1][inside] = colored[y0:y1, x0:x1][inside]
+        faint[y0:y1, x0:x1][inside & edge] = _MARK
+    return np.asarray(np.clip(faint, 0, 1), np.float32)
+
+
+def enlarge_worst(output: Image, broken: BrokenTiles) -> Image:
+    """Return up to eight of the worst tiles with their neighborhoods, two tiles wide, side by side, worst first."""
+    reach = np.maximum(np.ceil(tile_box(broken.lattice)).astype(int), 3)
+    crops = [_enlarged_crop(output, place, reach) for place in broken.places[:_WORST]]
+    gap = np.ones((max(crop.shape[0] for crop in crops), _GAP, output.shape[2]), np.float32)
+    return np.concatenate([part for crop in crops for part in (crop, gap)][:-1], 1)
+
+
+def _enlarged_crop(output: Image, place: Points, reach: NDArray[np.int64]) -> Image:
+    middle = np.rint(place).astype(int)
+    x, y = (
+        np.clip(np.arange(m - r, m + r + 1), 0, side - 1)
+        for m, r, side in zip(middle, reach, output.shape[1::-1], strict=True)
+    )
+    crop = output[np.ix_(y, x)]
+    times = max(round(_SIDE / crop.shape[0]), 1)
+    return np.asarray(crop.repeat(times, 0).repeat(times, 1))

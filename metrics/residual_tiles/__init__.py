@@ -1,1 +1,1 @@
-"""TODO nrbench.metrics.residual_tiles."""
+"""Tiles of output, sample and fresh draws, cut on one grid, and repetition among them."""

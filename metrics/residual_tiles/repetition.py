@@ -1,4 +1,4 @@
-"""Near-exact twins: windows of the output that are there twice, and those that are in the sample."""
+"""Count near-exact twins: windows that the output shows twice, and windows that it copies from the sample."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice
 
 from ..ncc.periodic import tile_box
-from .tileset import TileSet, quarters
+from .tiles import ComparedTiles, TileSet, quarters
 
 Distances = NDArray[np.float32]
-MOST_TILES = 1200
-"""Pairs of more tiles than this are not compared: the tiles in the middle stand for all."""
 SIZES = (0.5, 1.0, 2.0)
-"""Widths of the windows that are compared, in tiles."""
+"""Widths of the compared windows, in tiles."""
+_MOST_TILES = 1200
+"""Of more tiles only the central ones are compared."""
 _OF_COPIER = 0.1
-"""Near-exact: so near that pairs of fresh draws are a tenth as often as the copier's twins would be."""
+"""Pairs are twins if they are so near that pairs of fresh draws are a tenth as often as twins of the best copier."""
 _LEAST_PAIRS = 6
-"""Of fewer pairs at one lag half are twins by chance."""
+"""Pairs at one lag below which the lag is ignored: half of them can be twins by chance."""
 _BY_CHANCE = 0.02
-"""Near-exact in the sample: nearer than all but this share of a fresh draw's windows."""
+"""Windows are copies if they are nearer to the sample than all but this share of the windows of fresh draws."""
 _LEAST_SCALE = 0.25
-"""Departures are measured against the output's own energy, down to this share of the fresh draws'."""
+"""Distances are relative to the output's energy, but at least to this share of that of fresh draws."""
 
 
 @dataclass(frozen=True)
@@ -38,18 +38,17 @@ class Pairs:
     distances
         ``(p,)``: weighted mean squared difference of each pair.
     lags
-        ``(p,)``: numbers that tell by how many cells, and in which direction, the two lie apart; windows in
-        different quarters of the cell have numbers of their own.
+        ``(p,)``: index of each pair's lag, in cells; windows in different quarters of the cell have different indices.
     """
 
     distances: Distances
     lags: NDArray[np.intp]
 
-    def counts(self, limit: float) -> NDArray[np.float64]:
-        """Return how many pairs there are, how many are nearer than ``limit``, and how many lie where windows return.
+    def count(self, limit: float) -> NDArray[np.float64]:
+        """Return the number of pairs, of pairs nearer than ``limit``, and of pairs at lags at which windows return.
 
-        At a lag with k of n pairs near, ``2 k / n - 1`` of them do, if that is more than none: from no pair where half
-        of the windows return to all where all do. Lags of fewer than :data:`_LEAST_PAIRS` pairs are left out.
+        At a lag where k of n pairs are near, max(2 k - n, 0) return: none if half of the pairs are near, all if all
+        are. Lags with fewer than :data:`_LEAST_PAIRS` pairs are ignored.
         """
         pairs = np.bincount(self.lags)
         near = np.bincount(self.lags[self.distances <= limit], minlength=len(pairs))
@@ -59,15 +58,15 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Share:
-    """Share of pairs of windows that are near-exact twins.
+    """Share of pairs of windows that are twins.
 
     Parameters
     ----------
     all
-        Of all pairs.
+        Share of all pairs.
     by_lag
-        Root of the share of pairs at lags at which windows return, see :meth:`Pairs.counts`: 0 where twins are strewn
-        over all lags, and 1 where all pairs are twins.
+        Square root of the share of pairs that return, see :meth:`Pairs.count`: 0 if twins are spread over all lags, 1
+        if all pairs are twins.
     """
 
     all: float
@@ -76,22 +75,22 @@ class Share:
     @classmethod
     def of(cls, pairs: list[Pairs], limit: float) -> Share:
         """Return the shares of pairs, of one or several images, that are nearer than ``limit``."""
-        count, near, returning = np.sum([one.counts(limit) for one in pairs], 0)
+        count, near, returning = np.sum([one.count(limit) for one in pairs], 0)
         return cls(float(near / count), float(np.sqrt(returning / count)))
 
 
 @dataclass(frozen=True)
 class Twins:
-    """Near-exact twins among pairs of windows, beside what chance and copying would give.
+    """Twins among windows of one width.
 
     Parameters
     ----------
     size
         Width of the windows in tiles.
     own, natural
-        Among pairs of the output, and of fresh draws.
+        Share of twins in the output, and in fresh draws.
     sources
-        Among how many places of the sample a copier can choose.
+        Number of places of the sample from which a copier can choose.
     """
 
     size: float
@@ -101,11 +100,11 @@ class Twins:
 
     @property
     def score(self) -> float:
-        """0 as in fresh draws, 1 where each window is drawn at random from the sources: one pair in them is a twin.
+        """Excess of twins: 0 as in fresh draws, 1 if each window is a random choice among the sources.
 
-        Of all pairs or by lag, whichever is more. A crop of the sample that is repeated in rows and columns has no more
-        twins than a copier that chooses at random - fewer, since it uses every source equally often - but at few lags,
-        and there all windows are: of one pair in M at the root of M.
+        This is the larger of the excess among all pairs and the excess by lag. A crop of the sample that is repeated in
+        rows and columns has fewer twins than a random choice, because it uses every source equally often. But its twins
+        are at few lags, at which all windows return; for M sources its excess by lag is about the square root of M.
         """
         strewn = self._excess(self.own.all, self.natural.all)
         returning = self._excess(self.own.by_lag, self.natural.by_lag)
@@ -116,66 +115,66 @@ class Twins:
         return (own - natural) * self.sources / (1 - natural)
 
 
-def twins(
+def find_twins(
     output: TileSet, fresh: tuple[TileSet, ...], weights: NDArray[np.float32], sources: list[float], scale: float
 ) -> list[Twins]:
-    """Return the twins for windows of each of :data:`SIZES`; sizes of which there are no pairs are left out.
+    """Return the twins among windows of each of :data:`SIZES` of which there are pairs.
 
-    O(n^2) products of tiles for n of them, at most 1200.
+    For n tiles, at most 1200, this computes O(n^2) products of tiles.
 
     Parameters
     ----------
     output, fresh
-        The output's tiles and those of its references.
+        Tiles of the output, and of its references.
     weights
-        ``(V, U)``.
+        ``(V, U)``: weight of each sample of a tile.
     sources
-        For each size, among how many places a copier can choose.
+        For each size, the number of places from which a copier can choose.
     scale
-        Energy of the output's departures over the references'. Where the output varies less, pairs are nearer without
-        being copies, so distances are taken relative to it, down to 0.25: below that all tiles look alike, and are
-        twins.
+        Energy of the output's departures over the references'. If the output varies less, pairs are nearer without
+        being copies. Distances are therefore relative to the scale, down to 0.25. Below that all tiles look alike and
+        are twins.
     """
     relative = float(np.clip(scale, _LEAST_SCALE, 1))
-    own, others = window_pairs(output, weights), [window_pairs(tiles, weights) for tiles in fresh]
-    found = []
+    own, others = find_pairs(output, weights), [find_pairs(tiles, weights) for tiles in fresh]
+    twins = []
     for i, size in enumerate(SIZES):
         right = np.concatenate([other[i].distances for other in others])
         if len(own[i].distances) and len(right):
             limit = float(np.quantile(right, _OF_COPIER / sources[i]))
             near, chance = Share.of([own[i]], limit * relative), Share.of([other[i] for other in others], limit)
-            found.append(Twins(size, near, chance, sources[i]))
-    return found
+            twins.append(Twins(size, near, chance, sources[i]))
+    return twins
 
 
-def window_pairs(tiles: TileSet, weights: NDArray[np.float32]) -> tuple[Pairs, Pairs, Pairs]:
-    """Return the pairs of windows half a tile, one and two tiles wide."""
-    tiles = tiles.middle(MOST_TILES)
-    shares = weights / weights.sum()
-    parts = zip(quarters(tiles.tiles), quarters(shares[np.newaxis, ..., np.newaxis])[..., 0], strict=True)
-    distances = np.stack([_squares(part, part, share[0]) for part, share in parts])
-    whole = distances.sum(0)
-    masses = quarters(shares[np.newaxis, ..., np.newaxis]).sum((1, 2, 3, 4))
+def find_pairs(tiles: TileSet, weights: NDArray[np.float32]) -> tuple[Pairs, Pairs, Pairs]:
+    """Return the pairs of windows half a tile, one tile and two tiles wide."""
+    tiles = tiles.take_central(_MOST_TILES)
+    shares = quarters((weights / weights.sum())[np.newaxis, ..., np.newaxis])
+    distances = np.stack(
+        [_squares(part, part, share[0, ..., 0]) for part, share in zip(quarters(tiles.tiles), shares, strict=True)]
+    )
+    whole, masses = distances.sum(0), shares.sum((1, 2, 3, 4))
     upper = np.triu_indices(len(tiles), 1)
-    lags = _lags(tiles.numbers, *upper)
+    lags = _lag_index(tiles.numbers, *upper)
     count = int(lags.max(initial=0)) + 1
     halves = np.concatenate([one[upper] / mass for one, mass in zip(distances, masses, strict=True)])
     quartered = np.concatenate([lags + count * k for k in range(len(masses))])
-    return Pairs(halves, quartered), Pairs(whole[upper], lags), _wide(whole, tiles)
+    return Pairs(halves, quartered), Pairs(whole[upper], lags), _wide_pairs(whole, tiles)
 
 
-def _wide(whole: Distances, tiles: TileSet) -> Pairs:
-    """Return the pairs of windows of four tiles that share none of them: the mean of these tiles' distances."""
+def _wide_pairs(whole: Distances, tiles: TileSet) -> Pairs:
+    """Return the pairs of windows of four tiles that have no tile in common."""
     neighbors = tiles.neighbors()
     i, j = np.triu_indices(len(neighbors), 1)
     shared = (neighbors[i][:, :, np.newaxis] == neighbors[j][:, np.newaxis]).any((1, 2))
     i, j = i[~shared], j[~shared]
     mean = np.mean([whole[neighbors[i, k], neighbors[j, k]] for k in range(4)], 0, np.float32)
-    return Pairs(np.asarray(mean, np.float32), _lags(tiles.numbers, neighbors[i, 0], neighbors[j, 0]))
+    return Pairs(np.asarray(mean, np.float32), _lag_index(tiles.numbers, neighbors[i, 0], neighbors[j, 0]))
 
 
-def _lags(numbers: NDArray[np.int64], i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return a number for the lag between tiles i and j, the same from j to i."""
+def _lag_index(numbers: NDArray[np.int64], i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return an index of the lag between tiles i and j, the same from j to i."""
     u, v = (numbers[j] - numbers[i]).T
     back = (u < 0) | ((u == 0) & (v < 0))
     u, v = np.where(back, -u, u), np.where(back, -v, v)
@@ -184,7 +183,7 @@ def _lags(numbers: NDArray[np.int64], i: NDArray[np.intp], j: NDArray[np.intp]) 
 
 
 def _squares(one: Values, other: Values, share: NDArray[np.float32]) -> Distances:
-    """Return the weighted squared differences, mean over channels, of two sets of windows, ``(n, m)``."""
+    """Return the weighted squared differences, mean over channels, between two sets of windows, ``(n, m)``."""
     root = np.sqrt(share / one.shape[-1])[..., np.newaxis]
     middle = other.mean(0)
     a, b = (((windows - middle) * root).reshape(len(windows), -1) for windows in (one, other))
@@ -192,67 +191,48 @@ def _squares(one: Values, other: Values, share: NDArray[np.float32]) -> Distance
     return np.asarray(np.maximum(powers - 2 * (a @ b.T), 0), np.float32)
 
 
-@dataclass(frozen=True)
-class Library:
-    """The sample's windows of half a tile, among which the output's are looked for.
+def copied_share(tiles: ComparedTiles) -> float | None:
+    """Return the share of the output's windows of half a tile that are copies, in excess of that of fresh draws.
 
-    Parameters
-    ----------
-    windows
-        For each quarter of the cell, ``(m, V / 2, U / 2, C)``.
-    mean
-        Mean tile of the texture.
-    weights
-        ``(V, U)``.
+    None if the sample holds no windows to compare with.
     """
-
-    windows: tuple[Values, ...]
-    mean: Values
-    weights: NDArray[np.float32]
-
-    def nearest(self, tiles: TileSet, inside: bool = False) -> NDArray[np.float64]:
-        """Return how near the nearest window of the sample comes to each quarter of each tile, ``(k,)``.
-
-        The squared difference over what both depart from the mean tile: 0 for a copy, about 1 for a stranger. That
-        makes it blind to how strong departures are, so weak ones are not taken for copies.
-
-        Parameters
-        ----------
-        tiles
-            Whose quarters.
-        inside
-            They are the sample's own: windows that are the same place do not count.
-        """
-        own, mean, share = (
-            quarters(tiles.tiles),
-            *(quarters(x[np.newaxis]) for x in (self.mean, self.weights[..., None])),
-        )
-        found = [
-            self._ratios(part, window, middle[0], weight[0, ..., 0], inside).min(1)
-            for part, window, middle, weight in zip(own, self.windows, mean, share, strict=True)
-            if len(window) > inside
-        ]
-        return np.concatenate(found) if found else np.zeros(0)
-
-    def copied(self, output: TileSet, reference: tuple[TileSet, ...], inside: bool) -> tuple[float, float] | None:
-        """Return the share of the output's windows that are in the sample, and of fresh draws'; None: no windows."""
-        own, others = self.nearest(output), [self.nearest(tiles, inside) for tiles in reference]
-        right = np.concatenate(others)
-        if not len(own) or not len(right):
-            return None
-        limit = float(np.quantile(right, _BY_CHANCE))
-        return float((own <= limit).mean()), float((right <= limit).mean())
-
-    def _ratios(
-        self, part: Values, windows: Values, mean: Values, weight: NDArray[np.float32], inside: bool
-    ) -> NDArray[np.float64]:
-        squares = _squares(part, windows, weight).astype(np.float64)
-        own, other = (_squares(some, mean[np.newaxis], weight) for some in (part, windows))
-        ratios = squares / np.maximum(own + other.T, 1e-9)
-        return np.where(squares < 1e-6 * weight.sum(), np.inf, ratios) if inside else ratios
+    own = _nearest_in_sample(tiles.output, tiles)
+    right = np.concatenate([_nearest_in_sample(some, tiles, inside=not tiles.model) for some in tiles.reference])
+    if not len(own) or not len(right):
+        return None
+    limit = float(np.quantile(right, _BY_CHANCE))
+    share, natural = float((own <= limit).mean()), float((right <= limit).mean())
+    return (share - natural) / (1 - natural)
 
 
-def sources(sample: Image, lattice: Lattice, size: float = 0.5) -> float:
-    """Return how many places of the sample that the lattice calls equal hold a window of ``size`` tiles, at least 1."""
+def _nearest_in_sample(some: TileSet, tiles: ComparedTiles, inside: bool = False) -> NDArray[np.float64]:
+    """Return the distance of each quarter of each tile to the nearest window of the sample, ``(k,)``.
+
+    The squared difference is divided by the departures of both from the mean tile, so it is 0 for a copy and about 1
+    for an independent window, and weak departures do not count as copies. ``inside`` tells that the tiles are the
+    sample's own: the same window at the same place does not count.
+    """
+    parts = zip(
+        quarters(some.tiles),
+        tiles.windows,
+        quarters(tiles.mean[np.newaxis]),
+        quarters(tiles.weights[np.newaxis, ..., np.newaxis])[:, 0, ..., 0],
+        strict=True,
+    )
+    nearest = []
+    for part, windows, mean, weight in parts:
+        if len(windows) > inside:
+            squares = _squares(part, windows, weight).astype(np.float64)
+            own, other = _squares(part, mean, weight), _squares(windows, mean, weight)
+            ratios = squares / np.maximum(own + other.T, 1e-9)
+            nearest.append((np.where(squares < 1e-6 * weight.sum(), np.inf, ratios) if inside else ratios).min(1))
+    return np.concatenate(nearest) if nearest else np.zeros(0)
+
+
+def count_sources(sample: Image, lattice: Lattice, size: float = 0.5) -> float:
+    """Return the number of places, equal modulo the lattice, where the sample holds a window of ``size`` tiles.
+
+    It is at least 1.
+    """
     room = np.maximum(np.array(sample.shape[1::-1]) - tile_box(lattice) * size, 1)
     return max(float(room.prod()) / lattice.area, 1.0)

@@ -1,1 +1,1 @@
-"""TODO nrbench.metrics.whole_elements."""
+"""Windows around elements, and the discriminant of whole and composite tiles."""

@@ -1,4 +1,4 @@
-"""Tiles joined of parts that do not belong together: what they have that no tile of the texture has."""
+"""Discriminate composite tiles, joined of parts that do not belong together, from whole tiles."""
 
 from __future__ import annotations
 
@@ -10,25 +10,44 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
+from nrbench.imaging.fold import Values
+from nrbench.lattice.geometry import Lattice, Points
+
+from .elements import SAMPLES, Cutter
+
 Rows = NDArray[np.float64]
 """``(n, p)``: one tile's departures from the mean tile a row."""
 Levels = NDArray[np.float64]
 _LEAST_RATIO = 2.0
 _MOST_DIRECTIONS = 24
 _CUTS, _ASIDE = 16, (-0.2, 0.0, 0.2, 0.0)
+"""Directions of the cuts through a tile, and their distances from its middle in turn, in cells."""
 _PARTNERS = (3, 7, 11, 17)
+"""Each tile is joined to the tiles this many rows before it."""
+_WIDE = 2 * SAMPLES + 1
+"""Samples of the windows that are blurred: half a cell more on every side."""
+_MOST_ALTERED = 48
+"""Windows of an image that are altered; second moments need no more."""
+_BLURS = (1.5, 3.0, 6.0)
+"""Standard deviations of the blurs, px."""
+_BENDS, _BEND, _SHIFT = 64, 0.05, 0.05
+"""Number of bends; standard deviations of the entries of their matrix, and of their shift in units of s."""
+_LIGHTS, _LIGHT_DISTANCES = 16, (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
+"""Directions of uneven light, and the distances of its edge from the middle, in cells."""
+_LIGHT_REACH, _LIGHT_STEP = 16.0, 0.3
+"""Distance from its edge at which the light has faded, px, and its step at the edge, in values."""
 
 
 @dataclass(frozen=True)
-class Whole:
-    """Tiles that are whole.
+class WholeTiles:
+    """Whole tiles.
 
     Parameters
     ----------
     rows
         ``(n, p)``: their departures from their mean.
     altered
-        ``(p, p)``: second moments of what altering them adds.
+        ``(p, p)``: second moments of what :func:`alteration_moments` adds to them.
     """
 
     rows: Rows
@@ -36,72 +55,70 @@ class Whole:
 
 
 @dataclass(frozen=True)
-class Joint:
-    """Directions in the space of departures along which joined tiles vary and whole tiles do not.
+class Discriminant:
+    """Directions in the space of departures along which composite tiles vary and whole tiles do not.
 
-    The tones of the elements that a tile shows span a subspace, in which all tiles of the texture lie but for their
-    noise. A tile that is joined of two parts leaves it. So may one that is blurred, lit or bent, which others judge
-    (:func:`~nrbench.metrics.whole_elements.alterations.alterations`): what those show counts as if whole tiles varied so. Of the
-    generalized eigenvectors of the covariance of joined tiles against that of whole ones (the discriminants of two
-    Gaussians that differ in covariance: Fukunaga and Koontz, IEEE Transactions on Computers C-19, 1970) those are kept
-    along which joined tiles have more than twice the variance of whole ones, at most 24.
+    The colors of the elements in a tile span a subspace. All tiles of the texture lie in it, up to their noise, but
+    composite tiles do not. Tiles that are blurred, unevenly lit or bent may leave it too. Other metrics measure these
+    defects, so they count here as variation of whole tiles. The directions are generalized eigenvectors of the
+    covariance of composite tiles against that of whole tiles (the discriminants of two Gaussians that differ in
+    covariance: Fukunaga and Koontz, IEEE Transactions on Computers C-19, 1970). At most 24 are kept, along which
+    composite tiles have more than twice the variance of whole ones.
 
     Parameters
     ----------
     directions
         ``(p, k)``.
-    whole, joined
-        ``(k,)``: variance of whole and of joined tiles along them, altered ones included, measured on tiles that they
-        were not fitted to.
+    whole, composite
+        ``(k,)``: variance of whole (and altered) tiles and of composite tiles along the directions, measured on other
+        tiles than those that the directions were fitted to.
     """
 
     directions: Rows
     whole: Levels
-    joined: Levels
+    composite: Levels
 
     @classmethod
-    def fit(cls, tiles: Whole, others: Whole, floor: Levels) -> Joint:
-        """Fit the directions to whole tiles, and measure them on others.
+    def fit(cls, tiles: WholeTiles, others: WholeTiles, floor: Levels) -> Discriminant:
+        """Fit the directions to whole tiles, and measure variances along them on others.
 
         Parameters
         ----------
         tiles, others
-            Whole tiles, ``p = samples^2 channels``, at least two.
+            At least two whole tiles each, ``p = samples^2 channels``.
         floor
-            ``(p,)``: variance that each value has at least, e.g. because tiles are cut a fraction of a pixel off.
+            ``(p,)``: least variance of each value, e.g. because tiles are cut a fraction of a pixel off.
         """
         inner = tiles.rows.T @ tiles.rows / (len(tiles.rows) - 1) + tiles.altered + np.diag(floor)
-        joins = joined(tiles.rows, len(floor))
+        joins = compose_tiles(tiles.rows)
         first = max(len(floor) - _MOST_DIRECTIONS, 0)
         _, directions = eigh(joins.T @ joins / len(joins), inner, subset_by_index=(first, len(floor) - 1))
         spared = floor @ directions**2 + np.einsum("pk,pk->k", directions, others.altered @ directions)
         whole = ((others.rows @ directions) ** 2).mean(0) + spared
-        broken = ((joined(others.rows, len(floor)) @ directions) ** 2).mean(0) + spared
-        keep = broken > _LEAST_RATIO * whole
-        return cls(directions[:, keep], whole[keep], broken[keep])
+        composite = ((compose_tiles(others.rows) @ directions) ** 2).mean(0) + spared
+        keep = composite > _LEAST_RATIO * whole
+        return cls(directions[:, keep], whole[keep], composite[keep])
 
     def evidence(self, tiles: Rows) -> Levels:
-        """Return ``(n,)``: twice the log-likelihood ratio of joined to whole, but for its constant."""
-        return np.asarray((tiles @ self.directions) ** 2 @ (1 / self.whole - 1 / self.joined))
+        """Return twice the log-likelihood ratio of composite to whole for each tile, up to a constant, ``(n,)``."""
+        return np.asarray((tiles @ self.directions) ** 2 @ (1 / self.whole - 1 / self.composite))
 
 
-def joined(tiles: Rows, values: int) -> Rows:
-    """Return tiles each joined to four others, along cuts of 16 directions through the middle or a fifth beside it.
+def compose_tiles(tiles: Rows) -> Rows:
+    """Return each tile joined to four others along cuts of 16 directions, through its middle or 0.2 cells beside it.
 
     Parameters
     ----------
     tiles
-        ``(n, values)``.
-    values
-        Three times the number of samples of a square window, or once where the image is gray.
+        ``(n, p)``, where p is the number of samples of a square window, times 3 in a color image.
     """
-    cut = np.resize(cuts(values), tiles.shape)
+    cut = np.resize(_cut_masks(tiles.shape[1]), tiles.shape)
     return np.concatenate([np.where(cut, np.roll(tiles, partner, 0), tiles) for partner in _PARTNERS])
 
 
 @lru_cache(maxsize=2)
-def cuts(values: int) -> NDArray[np.bool_]:
-    """Return which values each cut takes from the second tile, ``(16, values)``."""
+def _cut_masks(values: int) -> NDArray[np.bool_]:
+    """Return for each cut which values come from the second tile, ``(16, values)``."""
     samples = math.isqrt(values)
     channels = 1 if samples**2 == values else 3
     samples = math.isqrt(values // channels)
@@ -111,3 +128,72 @@ def cuts(values: int) -> NDArray[np.bool_]:
     aside = np.resize(_ASIDE, _CUTS)[:, np.newaxis, np.newaxis]
     beyond = np.cos(angles) * u + np.sin(angles) * v > aside
     return np.repeat(beyond.reshape(_CUTS, -1), channels, 1)
+
+
+def alteration_moments(cutter: Cutter, middles: Points) -> Rows:
+    """Return the second moments of the changes that blur, bending and uneven light make to whole windows, ``(p, p)``.
+
+    Each window is blurred by three Gaussians, completely and on one side of a cut (the border of a blurred region runs
+    through tiles). It is bent by a random affine map, about as strong as a displacement of 0.15 s that is smooth over
+    2 s. It is lit from one side of a line, in all channels alike. Directions along which these changes vary are no
+    evidence of composite tiles. Otherwise a blurred band, a seam of brightness or a warp would count as broken tiles.
+
+    Parameters
+    ----------
+    cutter
+        Cutter of an image with whole tiles.
+    middles
+        ``(n, 2)``: middles of at least one window inside the image.
+    """
+    middles = middles[:: -(-len(middles) // _MOST_ALTERED)]
+    wide = cutter.around(middles, _WIDE, _WIDE / SAMPLES)
+    side = (_WIDE - SAMPLES) // 2
+    own, channels = _rows(wide[:, side:-side, side:-side]), wide.shape[-1]
+    flat = wide.reshape(len(wide), -1, channels)
+    total = _moments(_rows(cutter.around(middles, bends=_bends(cutter.lattice))) - own)
+    total += _moments(np.repeat(_lights(cutter.lattice), channels, 1))
+    cut = np.resize(_cut_masks(own.shape[1]), own.shape)
+    for deviation in _BLURS:
+        change = _rows(np.einsum("qp,npc->nqc", _blur(cutter.lattice, deviation), flat, optimize=True)) - own
+        total += _moments(change) + _moments(np.where(cut, change, 0))
+    return total
+
+
+def _rows(values: Values) -> Rows:
+    return values.reshape(len(values), -1).astype(np.float64)
+
+
+def _moments(rows: Rows) -> Rows:
+    return np.asarray(rows.T @ rows / len(rows))
+
+
+def _sample_places(samples: int, lattice: Lattice) -> Points:
+    """Return the samples' places (x, y) px relative to the middle of a window, ``(samples^2, 2)``."""
+    steps = (np.arange(samples) + 0.5 - samples / 2) / SAMPLES
+    u, v = np.meshgrid(steps, steps)
+    return np.asarray(np.stack([u, v], -1).reshape(-1, 2) @ lattice.matrix)
+
+
+@lru_cache(maxsize=len(_BLURS))
+def _blur(lattice: Lattice, deviation: float) -> NDArray[np.float32]:
+    """Return the Gaussian weights that compute each sample of a window from those of a wide one, ``(49, 225)``."""
+    away = _sample_places(SAMPLES, lattice)[:, np.newaxis] - _sample_places(_WIDE, lattice)
+    weights = np.exp(-(away**2).sum(-1) / (2 * deviation**2))
+    return np.asarray(weights / weights.sum(1, keepdims=True), np.float32)
+
+
+@lru_cache(maxsize=1)
+def _bends(lattice: Lattice) -> tuple[NDArray[np.float64], Points]:
+    """Return random matrices ``(64, 2, 2)`` and shifts ``(64, 2)`` px, the same in every call."""
+    normal = np.random.default_rng(0).standard_normal((_BENDS, 3, 2))
+    return np.eye(2) + _BEND * normal[:, :2], _SHIFT * lattice.s * normal[:, 2]
+
+
+@lru_cache(maxsize=1)
+def _lights(lattice: Lattice) -> Rows:
+    """Return patterns that are bright on one side of a line and dark on the other, ``(112, 49)``."""
+    angles = 2 * np.pi * np.arange(_LIGHTS) / _LIGHTS
+    across = _sample_places(SAMPLES, lattice) @ np.stack([np.cos(angles), np.sin(angles)])
+    beyond = across.T[:, np.newaxis] - np.array(_LIGHT_DISTANCES)[:, np.newaxis] * np.sqrt(lattice.area)
+    weight = np.maximum(1 - np.abs(beyond) / _LIGHT_REACH, 0)
+    return np.asarray((_LIGHT_STEP / 2 * np.where(beyond >= 0, weight, -weight)).reshape(-1, SAMPLES**2))

@@ -1,4 +1,4 @@
-"""Windows around elements (bricks, threads, cans): where they lie in the cell, and what they show, coarsely."""
+"""Cut windows around elements (bricks, threads, cans), and find where elements lie in the cell."""
 
 from __future__ import annotations
 
@@ -17,74 +17,93 @@ from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Shape
 
 from ..ncc.periodic import HALVES
-from ..residual_tiles.tile_alignment import found_middles
+from ..residual_tiles.tiles import find_middles
 from ..verdict.measurements import Look
 
 SAMPLES = 7
 """Samples of a window along each of the lattice's vectors."""
 _DENSE = 8
+"""Places tried along each of the lattice's vectors."""
 Bends = tuple[Points, Points]
 """Matrices ``(k, 2, 2)`` and shifts ``(k, 2)`` px."""
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of one cell at one place of the cell, found where the image shows them.
+    """Windows of one cell, all at the same place of the cell.
 
     Parameters
     ----------
     middles
         ``(n, 2)``: their middles (x, y) px.
     values
-        ``(n, SAMPLES, SAMPLES, C)``: what they show, smoothed to the distance of the samples.
+        ``(n, SAMPLES, SAMPLES, C)``: their pixels, smoothed to the distance of the samples.
     """
 
     middles: Points
     values: Values
 
+    def take(self, part: slice | NDArray[np.bool_]) -> Windows:
+        """Return some of the windows."""
+        return Windows(self.middles[part], self.values[part])
+
 
 class Cutter:
-    """Cuts windows out of one image.
+    """Cuts windows out of an image.
 
     Parameters
     ----------
     image
         The image.
     lattice
-        Where its tiles belong.
+        The lattice of its tiles.
     """
 
     def __init__(self, image: Image, lattice: Lattice) -> None:
         self.lattice, self.shape = lattice.canonical(), (image.shape[0], image.shape[1])
-        self._image = _smoothed(image, float(np.sqrt(lattice.area)) / SAMPLES)
-        self._found: tuple[cKDTree, Points] | None = None
+        size = max(round(float(np.sqrt(lattice.area)) / SAMPLES), 1)
+        self._image = np.asarray(ndimage.uniform_filter(image, (size, size, 0), mode="reflect"), np.float32)
+        self._tracked: tuple[cKDTree, Points] | None = None
 
     @classmethod
-    def following(cls, look: Look, noise: Points) -> Cutter:
-        """Return what cuts windows where the judge found the tiles that they belong to."""
-        cutter, whole = cls(look.image, look.tiles.lattice), look.tiles.centers[look.tiles.whole]
-        cutter._found = cKDTree(whole), found_middles(look, noise) - whole
+    def following(cls, measurements: Look, noise: Points) -> Cutter:
+        """Return a cutter that follows the displacements of an image's tiles.
+
+        Parameters
+        ----------
+        measurements
+            The tiles of an image.
+        noise
+            2 x 2: covariance of tile offsets in images without displacements, px^2.
+        """
+        tiles = measurements.tiles
+        cutter, whole = cls(measurements.image, tiles.lattice), tiles.centers[tiles.whole]
+        cutter._tracked = cKDTree(whole), find_middles(measurements, noise) - whole
         return cutter
 
     def cut(self, place: Points, samples: int = SAMPLES, cells: float = 1.0) -> Windows:
-        """Return the windows whose middles are at a place of the cell (cell coordinates), those that lie inside."""
-        at = _points(self.lattice, self.shape, (float(place[0]), float(place[1])))
-        middles = at + self._offsets(at)
+        """Return all windows inside the image whose middles are at a place of the cell (cell coordinates)."""
+        points = _points(self.lattice, self.shape, (float(place[0]), float(place[1])))
+        offsets = np.zeros_like(points)
+        if self._tracked is not None:
+            tree, moved = self._tracked
+            offsets = moved[tree.query(points)[1]]
+        middles = points + offsets
         reach = np.abs(self._steps(samples, cells)).reshape(-1, 2).max(0)
         inside = (middles >= reach).all(1) & (middles <= np.array(self.shape[::-1]) - 1 - reach).all(1)
         return Windows(middles[inside], self.around(middles[inside], samples, cells))
 
     def around(self, middles: Points, samples: int = SAMPLES, cells: float = 1.0, bends: Bends | None = None) -> Values:
-        """Return windows around middles (x, y) px, ``(n, samples, samples, C)``; beyond the image its border goes on.
+        """Return windows around middles, ``(n, samples, samples, C)``; beyond the image its border is repeated.
 
         Parameters
         ----------
         middles
             ``(n, 2)``: (x, y) px.
         samples, cells
-            Of a window, along each of the lattice's vectors.
+            Samples and size of a window along each of the lattice's vectors.
         bends
-            Matrices and shifts (px), taken in turn, by which what the windows show is bent; None: not at all.
+            Affine maps that bend the content of the windows, used in turn; None if it is not bent.
         """
         steps = self._steps(samples, cells)
         if bends is None:
@@ -95,22 +114,15 @@ class Cutter:
         return _bilinear(self._image, np.clip(xy, 0, np.array(self.shape[::-1]) - 1))
 
     def _steps(self, samples: int, cells: float) -> Points:
-        """Return where the samples of a window lie from its middle, (x, y) px."""
+        """Return the samples' places (x, y) px relative to the middle of a window."""
         steps = ((np.arange(samples) + 0.5) / samples - 0.5) * cells
         u, v = np.meshgrid(steps, steps)
         return np.asarray(np.stack([u, v], -1) @ self.lattice.matrix)
 
-    def _offsets(self, at: Points) -> Points:
-        """Return how far (x, y) px from where they belong the nearest tiles were found."""
-        if self._found is None:
-            return np.zeros_like(at)
-        tree, offsets = self._found
-        return np.asarray(offsets[tree.query(at)[1]])
-
 
 @lru_cache(maxsize=8)
 def _points(lattice: Lattice, shape: Shape, place: Vector) -> Points:
-    """Return the points at a place of the cell; kept, since draws of one shape share them."""
+    """Return the points at a place of the cell; cached, because draws of one shape share them."""
     origin = lattice.from_cell(place)
     return Lattice(lattice.t1, lattice.t2, (float(origin[0]), float(origin[1]))).points(shape)
 
@@ -121,31 +133,35 @@ def departures(values: Values) -> NDArray[np.float64]:
     return flat - flat.mean(0) if len(flat) else flat
 
 
-def slope(mean: Values, lattice: Lattice) -> NDArray[np.float64]:
-    """Return the squared gradient per px of a mean window ``(SAMPLES, SAMPLES, C)``, which wraps round."""
+def squared_gradient(mean: Values, lattice: Lattice) -> NDArray[np.float64]:
+    """Return the squared gradient per px of a periodic mean window ``(SAMPLES, SAMPLES, C)``."""
     step = SAMPLES / 2
     along, across = ((np.roll(mean, -1, axis) - np.roll(mean, 1, axis)) * step for axis in (1, 0))
     gradient = np.stack([along, across], -1).astype(np.float64) @ np.linalg.inv(lattice.matrix).T
     return np.asarray((gradient**2).sum(-1))
 
 
-def places(cutters: list[Cutter]) -> Points:
-    """Return the places (cell coordinates) of windows around elements, ``(4, 2)``; the first is the anchor.
+def find_element_places(cutters: list[Cutter]) -> Points:
+    """Return four places of the cell (cell coordinates) for windows around elements; the first is the anchor.
 
-    The anchor is the place around which most of a window varies with its middle: that of a whole element. Where the
-    lattice's origin lies in a tile is chance, and does not matter. The other places are half a cell away, where the
-    parts that the first windows leave out are seen whole.
+    The anchor is the place around which most of a window covaries with its middle: the middle of a whole element. It
+    does not depend on the lattice's origin. The other places are half a cell away. Their windows show whole the parts
+    that the first windows cut.
     """
-    explained = np.sum([_explained(cutter.cut(np.zeros(2), 2 * _DENSE, 2.0).values) for cutter in cutters], 0)
-    row, column = np.unravel_index(int(np.argmax(explained)), explained.shape)
-    anchor = (np.array([column, row]) + 0.5 + _peak(explained, int(row), int(column))) / _DENSE - 0.5
+    explained = np.sum([_explained_energy(cutter.cut(np.zeros(2), 2 * _DENSE, 2.0).values) for cutter in cutters], 0)
+    row, column = (int(index) for index in np.unravel_index(int(np.argmax(explained)), explained.shape))
+    rows, columns = explained.shape
+    across = explained[[(row - 1) % rows, row, (row + 1) % rows], column]
+    along = explained[row, [(column - 1) % columns, column, (column + 1) % columns]]
+    vertex = np.array([find_vertex(*along)[0], find_vertex(*across)[0]])
+    anchor = (np.array([column, row]) + 0.5 + vertex) / _DENSE - 0.5
     return np.asarray(anchor + np.array(HALVES))
 
 
-def _explained(values: Values) -> NDArray[np.float64]:
-    """Return, for each place of the cell, how much of the window around it goes with its middle.
+def _explained_energy(values: Values) -> NDArray[np.float64]:
+    """Return for each place of the cell the energy of the window around it that its middle explains.
 
-    ``values`` are windows two cells wide. Both ends of the cell are included once.
+    ``values`` are windows two cells wide. The windows include both ends of the cell.
     """
     half, centered = _DENSE // 2, values - values.mean(0)
     total = np.zeros((_DENSE, _DENSE))
@@ -157,19 +173,6 @@ def _explained(values: Values) -> NDArray[np.float64]:
                 around = covariance[y, x, y - half : y + half + 1, x - half : x + half + 1]
                 total[row, column] += (around**2).sum() / (covariance[y, x, y, x] + 1e-6)
     return total
-
-
-def _peak(surface: NDArray[np.float64], row: int, column: int) -> Points:
-    """Return how far (x, y) the top of the parabola through the neighbors is from the highest sample, at most half."""
-    rows, columns = surface.shape
-    across = surface[[(row - 1) % rows, row, (row + 1) % rows], column]
-    along = surface[row, [(column - 1) % columns, column, (column + 1) % columns]]
-    return np.array([find_vertex(*along)[0], find_vertex(*across)[0]])
-
-
-def _smoothed(image: Image, spacing: float) -> Image:
-    size = max(round(spacing), 1)
-    return np.asarray(ndimage.uniform_filter(image, (size, size, 0), mode="reflect"), np.float32)
 
 
 def _bilinear(image: Image, xy: Points) -> Values:

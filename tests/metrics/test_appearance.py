@@ -50,7 +50,7 @@ def value(case: Case, image: Image, column: str) -> float:
 
 @pytest.mark.parametrize("name", MODELS)
 def test_a_fresh_draw_looks_like_one(name: str) -> None:
-    """Ratios are about 1, distances small."""
+    """Fresh draws have ratios of about 1 and small distances."""
     values = [fresh_values(name, k) for k in range(3)]
     for column in ("sharpness", "sharpness_worst", "seam"):
         assert np.mean([one[column] for one in values]) == pytest.approx(1, abs=0.25)
@@ -70,7 +70,7 @@ def test_a_fresh_draw_looks_like_one(name: str) -> None:
 def test_each_score_follows_its_defect(
     case: Cases, name: str, kind: str, column: str, sizes: tuple[float, ...], sign: int, side: int
 ) -> None:
-    """Over single images the rank correlation of size and score is 0.95 or more."""
+    """Over single images the rank correlation of defect size and score is at least 0.95."""
     pairs = [(size, seed) for size in sizes for seed in range(2)]
     found = [value(case(name), case(name).planted(kind, size, seed, side)[0], column) for size, seed in pairs]
     assert sign * spearmanr([size for size, _ in pairs], found).statistic >= 0.95
@@ -85,10 +85,8 @@ def test_each_score_follows_its_defect(
         ("two-tone", 0.3, ("sharpness_worst", "gradient")),
     ],
 )
-def test_scores_are_silent_on_the_defects_of_others(
-    case: Cases, kind: str, size: float, columns: tuple[str, ...]
-) -> None:
-    """A defect of one kind leaves the scores of other kinds where fresh draws have them."""
+def test_scores_ignore_other_defects(case: Cases, kind: str, size: float, columns: tuple[str, ...]) -> None:
+    """A defect of one kind leaves the scores for other defects within the range of fresh draws."""
     image, _ = case("hexagon").planted(kind, size)
     own = appearance(case("hexagon").seen(image)).values
     fresh = [fresh_values("hexagon", k) for k in range(4)]
@@ -97,8 +95,8 @@ def test_scores_are_silent_on_the_defects_of_others(
         assert abs(own[column] - np.mean(usual)) < max(6 * np.std(usual), 0.15 * np.mean(usual)), column
 
 
-def test_a_phase_of_its_own_does_not_matter(case: Cases) -> None:
-    """Cutting the output elsewhere leaves every score within what fresh draws scatter by."""
+def test_the_phase_of_the_output_does_not_matter(case: Cases) -> None:
+    """Cropping the output elsewhere changes no score by more than fresh draws scatter."""
     wide = case("hexagon").fresh(210)
     one, other = (appearance(case("hexagon").seen(wide[y : y + 200, x : x + 200])).values for x, y in ((0, 0), (7, 4)))
     for column in ("sharpness", "sharpness_worst", "seam"):
@@ -107,7 +105,7 @@ def test_a_phase_of_its_own_does_not_matter(case: Cases) -> None:
 
 
 def test_the_seam_is_drawn_where_it_is(case: Cases) -> None:
-    """The worst line of an image with one step lies on that step, and the picture marks it."""
+    """The worst line of an image with one step lies on the step, and the picture marks it."""
     image = np.array(case("weave").fresh())
     image[:, 70:] = np.clip(image[:, 70:] + 0.1, 0, 1)
     step, _ = find_worst_lines(quantize(image), case("weave").texture.lattice)
@@ -118,7 +116,7 @@ def test_the_seam_is_drawn_where_it_is(case: Cases) -> None:
 
 @pytest.mark.parametrize("angle", [10.0, 60.0, 100.0, 160.0])
 def test_seams_are_found_in_any_direction(angle: float) -> None:
-    """A step across a line of any direction is found on that line."""
+    """A step across a line in any direction is found on that line."""
     y, x = np.indices((128, 160)).astype(float)
     normal = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
     beyond = (x - 80) * normal[0] + (y - 64) * normal[1] > 0
@@ -130,7 +128,7 @@ def test_seams_are_found_in_any_direction(angle: float) -> None:
 
 
 def test_line_sums_are_those_of_digital_lines() -> None:
-    """Upright and diagonal lines are summed exactly, and every pixel once for each lean."""
+    """Upright and diagonal lines are summed exactly, and every direction sums each pixel once."""
     image = np.random.default_rng(0).random((16, 16), np.float32)
     sums = steep_line_sums(image)
     assert sums[0, 16:] == pytest.approx(image.sum(0), rel=1e-5)
@@ -138,7 +136,7 @@ def test_line_sums_are_those_of_digital_lines() -> None:
     assert sums.sum(1) == pytest.approx(np.full(16, image.sum()), rel=1e-5)
 
 
-def test_distances_are_wassersteins() -> None:
+def test_distances_are_those_of_wasserstein() -> None:
     """The distance of histograms is that of their values, and proportional to a shift of all colors."""
     rng = np.random.default_rng(0)
     one, other = rng.beta(2, 3, 4000).astype(np.float32), rng.beta(3, 2, 4000).astype(np.float32)
@@ -153,7 +151,7 @@ def test_distances_are_wassersteins() -> None:
 
 
 def test_photographs_are_compared_with_the_sample(case: Cases) -> None:
-    """Without fresh draws the sample is the reference, and the sample itself is at no distance."""
+    """Without fresh draws the sample is the reference, and its distance to itself is 0."""
     score = appearance(case("brick").seen(case("brick").texture.image, model=False))
     assert score.records["reference"] == "sample"
     assert score.values["color"] == 0 and score.values["seam"] == pytest.approx(1)
@@ -166,13 +164,13 @@ def test_a_texture_without_lattice_is_scored(case: Cases) -> None:
 
 
 def test_small_outputs_leave_the_seam_open(case: Cases) -> None:
-    """An output without room for lines says so."""
+    """The seam of an output of 12 px is undecided."""
     score = appearance(case("brick").seen(case("brick").fresh()[:12, :12], model=False))
     assert score.reasons["seam"].startswith("undecided")
 
 
 def wrapping(seed: int = 0) -> Image:
-    """Return an image that wraps."""
+    """Return a periodic image."""
     spectrum = np.fft.fft2(np.random.default_rng(seed).random((48, 64)))
     fy, fx = np.meshgrid(np.fft.fftfreq(48), np.fft.fftfreq(64), indexing="ij")
     smooth = np.fft.ifft2(spectrum * np.exp(-200 * (fx**2 + fy**2))).real
@@ -180,8 +178,8 @@ def wrapping(seed: int = 0) -> Image:
     return ((smooth - low) / (high - low)).astype(np.float32)[..., np.newaxis]
 
 
-def test_a_tile_that_wraps_shows_no_border() -> None:
-    """A tile that wraps reads about 1 at most, wherever it is cut; half of it reads more."""
+def test_a_periodic_tile_has_no_visible_border() -> None:
+    """The border of a periodic tile has an excess of about 1 at most, wherever it is cut; that of half a tile more."""
     tile = wrapping()
     assert max(border_excess(np.roll(tile, shift, (0, 1))) for shift in range(0, 40, 9)) < 1.3
     assert border_excess(tile[:, :31]) > 3
@@ -196,7 +194,7 @@ def test_a_tile_that_wraps_shows_no_border() -> None:
     ],
 )
 def test_claimed_tiles_are_measured(case: Cases, extras: Mapping[str, NDArray[Any]], size: int) -> None:
-    """A tile in the extras, or an output that claims to wrap, has a border and a size."""
+    """The border and size of a tile in the extras, or of an output that claims to be tileable, are measured."""
     seen = replace(case("brick").seen(case("brick").fresh()), extras=extras)
     values = appearance(seen).values
     assert values["tileable"] is not None and values["tileable"] > 0
@@ -213,13 +211,13 @@ def test_claimed_tiles_are_measured(case: Cases, extras: Mapping[str, NDArray[An
     ],
 )
 def test_no_claim_is_no_score(case: Cases, extras: Mapping[str, NDArray[Any]], why: str) -> None:
-    """Without a usable tile or a claim both columns are None and say so."""
+    """Without a usable tile or a claim both columns are None, with the reason."""
     score = appearance(replace(case("brick").seen(case("brick").fresh(64)), extras=extras))
     assert why in score.reasons["tileable"] and why in score.reasons["tile_bytes"]
 
 
 def test_basis_and_origin_of_the_truth_do_not_matter(case: Cases) -> None:
-    """Another basis or origin moves the seam by less than fresh draws scatter, and nothing else."""
+    """Another basis or origin changes the seam by less than fresh draws scatter, and no other score."""
     seen = case("hexagon").seen(case("hexagon").fresh())
     assert seen.truth is not None and seen.truth.lattice is not None
     a, b = np.array(seen.truth.lattice.t1), np.array(seen.truth.lattice.t2)
@@ -231,7 +229,7 @@ def test_basis_and_origin_of_the_truth_do_not_matter(case: Cases) -> None:
 
 
 def test_textures_that_hardly_vary_have_finite_scores() -> None:
-    """A flat image reads finite numbers."""
+    """A flat image has finite scores."""
     flat = np.full((64, 64, 3), 0.5, np.float32)
     values = appearance(Observation(flat, flat, Texture(flat))).values
     assert all(np.isfinite(float(one)) for one in values.values() if one is not None)

@@ -46,7 +46,7 @@ def planted(amplitude: float, wave: float, side: int = 400) -> DeformationField:
 
 @pytest.mark.parametrize("amplitude", [0.5, 2.0, 6.0])
 def test_amplitude_and_deviation_of_a_known_field(amplitude: float) -> None:
-    """A sine of known root mean square reads so, in px, whatever affine map lies over it."""
+    """The amplitude of a sine is its root mean square in px, also under an affine map."""
     field = planted(amplitude, 100.0)
     turned = replace(field, places=field.places @ np.array([[1.02, 0.03], [-0.01, 0.98]]) + (5, -3))
     assert field.amplitude == pytest.approx(amplitude, rel=0.05)
@@ -55,7 +55,7 @@ def test_amplitude_and_deviation_of_a_known_field(amplitude: float) -> None:
 
 
 def test_correlation_length_of_a_known_field() -> None:
-    """White displacements correlate over less than s, smoothed ones over the width of the filter."""
+    """White displacements correlate over less than s, smooth ones over the width of their spectrum."""
     field, rng = planted(0.0, 100.0, 600), np.random.default_rng(0)
     white = replace(field, places=field.places + rng.normal(size=field.places.shape))
     assert white.correlation_length == pytest.approx((1 - 1 / math.e) * SQUARE.s, rel=0.1)
@@ -68,7 +68,7 @@ def test_correlation_length_of_a_known_field() -> None:
 
 @pytest.mark.parametrize(("amplitude", "share"), [(0.0, 0.0), (8.0, 0.0), (40.0, 0.2)])
 def test_folded_cells_are_counted(amplitude: float, share: float) -> None:
-    """A field whose slope stays under 1 folds nothing; a steep one turns many cells over."""
+    """A field with slopes under 1 folds nothing; a steep one folds many cells."""
     field = planted(amplitude, 100.0)
     along = replace(field, places=field.places + (field.places - planted(0.0, 100.0).places)[:, ::-1])
     assert along.folded is not None
@@ -76,7 +76,7 @@ def test_folded_cells_are_counted(amplitude: float, share: float) -> None:
 
 
 def test_output_and_sample_are_compared_alike() -> None:
-    """A warped output beside a sample as warped has ratios near 1, beside fresh draws too; a straight one far below."""
+    """An output as warped as its sample has ratios near 1, also to fresh draws; a straight one far below 1."""
     warped = Weave(color=0.15, noise=0.02, bend=0.4)
     alike = Deformation().score(seen(warped, side=256, again=True))
     assert isinstance(Deformation(), Metric) and set(alike.values) == set(Deformation.columns)
@@ -91,7 +91,7 @@ def test_output_and_sample_are_compared_alike() -> None:
 
 
 def test_brightness_and_contrast_do_not_count() -> None:
-    """Halved contrast and another brightness leave the amplitude as it is."""
+    """Halved contrast and another brightness hardly change the amplitude."""
     first = seen(Weave(color=0.1, noise=0.02, bend=0.4))
     dim = replace(first, output=np.asarray(0.5 * first.output + 0.2, np.float32))
     before, after = (Deformation().score(one).values["amplitude"] for one in (first, dim))
@@ -113,8 +113,8 @@ def test_the_lattice_alone_is_enough() -> None:
     assert amplitudes[3] == amplitudes[2]
 
 
-def test_what_cannot_be_measured_says_why(case: Cases) -> None:
-    """No lattice, too small an output, and an output without the texture: None and the reason, never 0."""
+def test_missing_scores_have_reasons(case: Cases) -> None:
+    """Without a lattice, contrast, enough tiles or the texture in the output the scores are None, with a reason."""
     one = case("hexagon").seen(case("hexagon").fresh())
     none = Deformation().score(replace(one, truth=Texture(one.sample)))
     assert set(none.values.values()) == {None}
@@ -130,7 +130,7 @@ def test_what_cannot_be_measured_says_why(case: Cases) -> None:
 
 
 def test_parts_are_alike_and_cover_the_image() -> None:
-    """An image as large as the part is one part; a larger one is covered by several, each as large."""
+    """An image of the size of a part is one part; larger images are covered by several parts of that size."""
     field = planted(1.0, 100.0)
     assert len(field.parts((400, 400), (400, 400))) == 1
     some = field.parts((400, 400), (200, 200))

@@ -1,4 +1,4 @@
-"""G and A on fields and tiles that are known."""
+"""G and A of textures with known departures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PLAIN = Weave(color=0.0, intensity=0.0, noise=0.0)
 
 
 def test_a_perfect_texture_has_neither() -> None:
-    """Identical tiles on a regular lattice: G under 0.01 s, A about the error of resampling."""
+    """Identical tiles on a regular lattice have a G under 0.01 s and an A under the error of resampling."""
     values = GeometryAppearance().score(seen(PLAIN)).values
     assert isinstance(GeometryAppearance(), Metric) and set(values) == set(GeometryAppearance.columns)
     assert values["g"] is not None and values["a"] is not None
@@ -27,15 +27,15 @@ def test_a_perfect_texture_has_neither() -> None:
 
 
 def test_appearance_measures_noise() -> None:
-    """Grain of a known standard deviation is what A reads, less what bilinear resampling smooths; G stays small."""
+    """A is the standard deviation of grain, less what bilinear resampling removes, and G stays small."""
     values = GeometryAppearance().score(seen(replace(PLAIN, noise=0.08))).values
     assert values["a"] is not None and values["g"] is not None
     assert 0.05 < values["a"] < 0.08
     assert values["g"] < 0.02
 
 
-def test_each_score_answers_to_its_own_departure() -> None:
-    """Color moves A and hardly G; a warp moves G and hardly A."""
+def test_each_score_responds_to_its_own_departure() -> None:
+    """Color changes A and hardly G; a warp changes G and hardly A."""
     g, a = [], []
     for departure in ({}, {"color": 0.2}, {"color": 0.4}, {"bend": 0.2}, {"bend": 0.4}):
         values = GeometryAppearance().score(seen(Weave(noise=0.02, **{"color": 0.1, **departure}))).values
@@ -47,7 +47,7 @@ def test_each_score_answers_to_its_own_departure() -> None:
 
 
 def test_one_tile_repeated_lacks_appearance(case: Cases) -> None:
-    """Wallpaper beside a varied sample: A ratio far below 1, a fresh draw's near 1."""
+    """The A ratio of one tile repeated is far below 1, that of a fresh draw near 1."""
     one = case("hexagon")
     drawn = one.again((192, 192), 0)
     assert drawn is not None and drawn.ideal is not None

@@ -9,7 +9,7 @@ from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.integrity import Integrity
-from nrbench.metrics.whole_elements.composite_tiles import Joint, Whole, joined
+from nrbench.metrics.whole_elements.composite_tiles import Discriminant, WholeTiles, compose_tiles
 from nrbench.plugins.forms import Observation, Score, Task, Texture
 from nrbench.synthesizers.rsgf import Rsgf
 
@@ -28,7 +28,7 @@ def integrity(observation: Observation) -> Score:
 
 @pytest.mark.parametrize("name", MODELS)
 def test_a_fresh_draw_is_whole(case: Cases, name: str) -> None:
-    """Fresh draws hold no broken tile, and their evidence is that of fresh draws."""
+    """Fresh draws have no broken tile, and evidence of about 1."""
     values = [integrity(case(name).seen(case(name).fresh(k=k))).values for k in range(3)]
     assert [one["broken_tiles"] for one in values] == [0, 0, 0]
     assert np.mean([one["evidence_p90"] for one in values]) == pytest.approx(1, abs=0.3)
@@ -41,7 +41,7 @@ def test_a_fresh_draw_is_whole(case: Cases, name: str) -> None:
 def test_the_share_of_broken_tiles_grows_with_that_of_two_tone_ones(
     case: Cases, name: str, sizes: tuple[float, ...]
 ) -> None:
-    """Over single images the rank correlation is 0.95 or more, up to where threads that cross tiles are whole again."""
+    """Over single images the rank correlation is at least 0.95, up to where threads across tiles are whole again."""
     pairs = [(size, seed) for seed, size in enumerate(sizes)]
     images = [case(name).planted("two-tone", size, seed)[0] for size, seed in pairs]
     shares = [integrity(case(name).seen(image)).values["broken_share"] for image in images]
@@ -65,7 +65,7 @@ def test_one_two_tone_brick_is_found_in_its_place(case: Cases) -> None:
 
 @pytest.mark.parametrize("model", [True, False])
 def test_a_method_that_cuts_bricks_breaks_them(case: Cases, model: bool) -> None:
-    """Patches smaller than a brick, blended, break a good part of them, with or without the model."""
+    """Blended patches smaller than a brick break more than a fifth of the bricks, with or without the model."""
     texture = case("brick").texture
     task = Task(texture.image, (192, 192), texture.lattice, np.random.default_rng(0))
     made = quantize(Rsgf(block=20, border=5, seam="blend", subpixel=False).synthesize(task).image)
@@ -89,14 +89,14 @@ def test_a_method_that_cuts_bricks_breaks_them(case: Cases, model: bool) -> None
 )
 @pytest.mark.parametrize("name", MODELS)
 def test_other_defects_break_no_tile(case: Cases, name: str, kind: str, size: float) -> None:
-    """Where tiles change alike, are blurred, lit or bent, hardly any is taken for joined: 2 % at most."""
+    """At most 2 % of tiles that change alike, are blurred, lit or bent count as broken."""
     score = integrity(case(name).seen(case(name).planted(kind, size)[0]))
     assert score.values["broken_share"] is not None
     assert score.values["broken_share"] <= 0.02
 
 
 def test_origin_and_basis_of_the_truth_do_not_matter(case: Cases) -> None:
-    """Another basis leaves every score; another origin hardly moves them."""
+    """Another basis leaves every score; another origin hardly changes them."""
     seen = case("brick").seen(case("brick").planted("two-tone", 0.3)[0])
     assert seen.truth is not None and seen.truth.lattice is not None
     t1, t2, origin = (
@@ -110,25 +110,25 @@ def test_origin_and_basis_of_the_truth_do_not_matter(case: Cases) -> None:
     assert again["broken_share"] == pytest.approx(own["broken_share"], abs=0.06)
 
 
-def test_a_phase_of_its_own_does_not_matter(case: Cases) -> None:
-    """Cutting the output elsewhere leaves the share but for the tiles at its border."""
+def test_the_phase_of_the_output_does_not_matter(case: Cases) -> None:
+    """Cropping the output elsewhere changes the share only by the tiles at its border."""
     wide = case("brick").planted("two-tone", 0.4, side=230)[0]
     values = [integrity(case("brick").seen(wide[y : y + 200, x : x + 200])).values for x, y in ((0, 0), (9, 5))]
     assert values[0]["broken_share"] == pytest.approx(values[1]["broken_share"], abs=0.08)
 
 
-def test_what_would_not_be_seen_is_not_said() -> None:
-    """Where bricks have no tone of their own a joined one is no different, and the score is left open."""
+def test_without_power_the_share_is_undecided() -> None:
+    """If bricks have no tone of their own, joined bricks look whole, and the share is undecided."""
     model = Brick(color=0.0, intensity=0.0, noise=0.1)
     plain = Case(model, model.render((128, 128), np.random.default_rng(0)))
     score = integrity(plain.seen(plain.fresh()))
     assert score.values["broken_share"] is None
-    assert score.values["power"] is not None and score.values["power"] < 0.1
+    assert score.values["detection_power"] is not None and score.values["detection_power"] < 0.1
     assert score.reasons["broken_share"].startswith("undecided: only")
 
 
-def test_no_lattice_and_no_room_say_so(case: Cases) -> None:
-    """Without a lattice: not applicable; with a few tiles: undecided."""
+def test_missing_scores_have_reasons(case: Cases) -> None:
+    """Without a lattice the scores are not applicable; with few tiles they are undecided."""
     seen = case("brick").seen(case("brick").fresh())
     bare = integrity(replace(seen, truth=Texture(seen.sample)))
     assert set(bare.reasons.values()) == {"not applicable: no lattice in the truth"}
@@ -136,11 +136,11 @@ def test_no_lattice_and_no_room_say_so(case: Cases) -> None:
     assert all(reason.startswith("undecided") for reason in small.reasons.values())
 
 
-def test_the_joint_tells_joined_from_whole() -> None:
-    """Of tiles of one tone each, the directions are those of a step, and whole tiles show no evidence."""
+def test_the_discriminant_separates_composite_from_whole_tiles() -> None:
+    """For tiles of one tone each, composite tiles have five times the evidence of whole ones."""
     rng = np.random.default_rng(0)
     one, other = (np.repeat(rng.normal(size=(200, 1)), 49, 1) + 0.1 * rng.normal(size=(200, 49)) for _ in range(2))
-    joint = Joint.fit(*(Whole(rows, np.zeros((49, 49))) for rows in (one, other)), np.full(49, 1e-4))
-    whole, broken = joint.evidence(other), joint.evidence(joined(other, 49))
-    assert np.median(broken) > 5 * np.quantile(whole, 0.95)
-    assert (joint.joined > 2 * joint.whole).all()
+    discriminant = Discriminant.fit(*(WholeTiles(rows, np.zeros((49, 49))) for rows in (one, other)), np.full(49, 1e-4))
+    whole, composite = discriminant.evidence(other), discriminant.evidence(compose_tiles(other))
+    assert np.median(composite) > 5 * np.quantile(whole, 0.95)
+    assert (discriminant.composite > 2 * discriminant.whole).all()

@@ -18,13 +18,13 @@ Cases = Callable[[str], Case]
 
 
 def moments(plane: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Stand in for the package's statistics."""
+    """Replace the package's statistics."""
     return np.array([plane.mean(), plane.std(), np.abs(np.diff(plane)).mean()], np.float64)
 
 
 @pytest.fixture
 def present(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the packages seem to be there."""
+    """Make the packages seem to be installed."""
     monkeypatch.setattr(portilla, "find_spec", lambda name: object())
     monkeypatch.setattr(portilla, "statistics", moments)
     monkeypatch.setattr(perceptual, "find_spec", lambda name: object())
@@ -33,7 +33,7 @@ def present(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("module", "metric", "column"), [(portilla, Portilla, "distance"), (perceptual, Perceptual, "dists")]
 )
-def test_absent_packages_say_so(
+def test_absent_packages_are_named(
     case: Cases,
     monkeypatch: pytest.MonkeyPatch,
     module: object,
@@ -47,8 +47,8 @@ def test_absent_packages_say_so(
     assert "pip install 'nrbench[perceptual]'" in score.reasons[column]
 
 
-def test_statistics_are_held_against_fresh_draws(case: Cases, present: None) -> None:
-    """A fresh draw departs about as draws do, a blurred one more."""
+def test_statistics_are_compared_with_fresh_draws(case: Cases, present: None) -> None:
+    """A fresh draw has a small distance, a blurred one a larger one."""
     found = [
         Portilla().score(case("brick").seen(image)).values["distance"]
         for image in (case("brick").fresh(), case("brick").planted("blurred-band", 0.3)[0])
@@ -57,8 +57,8 @@ def test_statistics_are_held_against_fresh_draws(case: Cases, present: None) -> 
     assert found[0] < 2.5 < found[1]
 
 
-def test_no_draws_and_no_room_say_so(case: Cases, present: None) -> None:
-    """Photographs and small outputs have no statistics to compare."""
+def test_missing_scores_have_reasons(case: Cases, present: None) -> None:
+    """Photographs, small outputs and textures without further draws have no distance."""
     photograph = Portilla().score(case("brick").seen(case("brick").fresh(), model=False))
     assert photograph.reasons["distance"].startswith("not applicable")
     small = Portilla().score(case("brick").seen(case("brick").fresh()[:100]))
@@ -69,14 +69,14 @@ def test_no_draws_and_no_room_say_so(case: Cases, present: None) -> None:
 
 
 def test_departures_are_z_scores() -> None:
-    """Statistics two standard deviations off read about 2, and draws about 1 against each other."""
+    """Statistics two standard deviations off have a departure of 2, and draws one of 1 from each other."""
     draws = np.random.default_rng(0).normal(5, 1, (40, 300))
     assert departure(draws.mean(0) + 2 * draws.std(0, ddof=1), draws) == pytest.approx(2, rel=0.03)
     assert usual_departure(draws) == pytest.approx(1, abs=0.1)
 
 
-def test_absent_weights_say_so(case: Cases, present: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """With the package but without its weights nothing is fetched, and the reason names the files."""
+def test_absent_weights_are_named(case: Cases, present: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Without the weights nothing is downloaded, and the reason names the files."""
     monkeypatch.setattr(perceptual, "torch", SimpleNamespace(hub=SimpleNamespace(get_dir=lambda: str(tmp_path))))
     score = Perceptual().score(case("brick").seen(case("brick").fresh()))
     assert score.values == {"dists": None}
@@ -84,7 +84,7 @@ def test_absent_weights_say_so(case: Cases, present: None, monkeypatch: pytest.M
 
 
 def test_the_network_compares_output_and_draws(case: Cases, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The distance to fresh draws is over that between them: 1 for a fresh draw, more for a blurred one."""
+    """The score is about 1 for a fresh draw and more for a blurred one."""
     monkeypatch.setattr(perceptual, "_missing", lambda: "")
     monkeypatch.setattr(perceptual, "piq", SimpleNamespace(DISTS=lambda: None))
     contrast = lambda network, one, other: abs(float(np.abs(np.diff(one, axis=0)).mean()) - 0.2) + 0.01  # noqa: E731
@@ -95,8 +95,8 @@ def test_the_network_compares_output_and_draws(case: Cases, monkeypatch: pytest.
     assert worse is not None and worse > 1.03
 
 
-def test_the_network_is_shown_pixels_and_believed(case: Cases, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """With weights in their place the network sees the images' own values, the score is the ratio of its numbers."""
+def test_the_network_gets_the_pixels(case: Cases, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The network gets the images' own values, and the score is the ratio of its distances."""
     (tmp_path / "checkpoints").mkdir()
     for name in perceptual.WEIGHTS:
         (tmp_path / "checkpoints" / name).touch()

@@ -1,4 +1,4 @@
-"""Regularity without a lattice, from the regular to the stochastic end."""
+"""Self-similarity, from regular to stochastic textures."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def test_perfect_regularity_is_near_one(model: type[Model]) -> None:
 
 @pytest.mark.parametrize("spectrum", ["white", "pink", "brown", "blobs"])
 def test_noise_is_near_zero(spectrum: str) -> None:
-    """Noise of any spectrum, even of blots all of a size, scores below 0.1."""
+    """Noise of any spectrum, even blots of one size, scores below 0.1."""
     scores = [regular(picture(Noise(spectrum=spectrum, scale=13), seed=seed)) for seed in range(3)]
     assert max(scores) < 0.1
 
 
 @pytest.mark.parametrize("side", [128, 192])
 def test_the_spectrum_is_in_order(side: int) -> None:
-    """From the regular end of the spectrum to the other the score falls step by step, on single images too."""
+    """The score falls from regular to stochastic textures, also on single images."""
     knob = [0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8]
     models = [Hexagon(period=26.2, joint=2.4, **{name: k * full for name, full in FULL.items()}) for k in knob]
     scores = np.array([[regular(picture(model, side, seed)) for model in models] for seed in range(3)])
@@ -57,7 +57,7 @@ def test_the_spectrum_is_in_order(side: int) -> None:
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-90, 90), st.floats(14, 32))
 def test_rotation_and_period_do_not_count(rotation: float, period: float) -> None:
-    """Hexagons of any size and turn, two periods in reach, score alike."""
+    """Hexagons of any period and rotation score alike, if two periods are in reach."""
     model = Hexagon(period=period, joint=period / 10, rotation=rotation, color=0.2, noise=0.02)
     assert 0.68 < regular(picture(model)) < 0.92
 
@@ -71,14 +71,14 @@ def test_brightness_and_contrast_do_not_count(contrast: float, brightness: float
 
 
 def test_the_period_is_found() -> None:
-    """The step that repeats is a lattice vector, in length and direction."""
+    """Length and direction of the step that repeats are those of a lattice vector."""
     found = regularity(picture(Hexagon(period=22.3, rotation=20.0, color=0.1)), 76)
     assert found.period / 22.3 == pytest.approx(1, abs=0.03) or found.period / 22.3 == pytest.approx(3**0.5, abs=0.03)
     assert min(abs((found.direction - 20) % 30), 30 - abs((found.direction - 20) % 30)) < 2
 
 
 def test_sample_and_output_are_compared() -> None:
-    """The difference is that of both scores, over the same lags; a noisy output is less regular than its sample."""
+    """The difference of the scores is reported; a noisy output is less regular than its sample."""
     sample, output = picture(Hexagon(color=0.1)), picture(Noise(), 200)
     values = SelfSimilarity().score(Observation(sample, output)).values
     assert isinstance(SelfSimilarity(), Metric) and set(values) == set(SelfSimilarity.columns)
@@ -87,15 +87,15 @@ def test_sample_and_output_are_compared() -> None:
 
 
 @pytest.mark.parametrize(("output", "why"), [(np.full((64, 64, 3), 0.5), "flat"), (np.zeros((12, 64, 3)), "lags of")])
-def test_what_cannot_be_scored_says_why(output: Image, why: str) -> None:
-    """A flat image and one of few pixels have no score, and say why."""
+def test_missing_scores_have_reasons(output: Image, why: str) -> None:
+    """A flat image and one of few pixels have no score, with a reason."""
     score = SelfSimilarity().score(Observation(picture(Weave()), output.astype(np.float32)))
     assert score.values["score"] is None and why in score.reasons["score"]
     assert score.values["difference"] is None and score.reasons["difference"]
 
 
-def test_the_suite_is_what_is_tested() -> None:
-    """The suite named spectrum turns the same knob."""
+def test_the_suite_has_the_tested_models() -> None:
+    """The suite named spectrum has the models of these tests."""
     rows = {row.name: row for row in load_suite("spectrum").texture}
     for knob in (5, 20, 80):
         parameters = rows[f"knob-{knob:03}"].parameters

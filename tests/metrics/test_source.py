@@ -30,7 +30,7 @@ def blocks(side: int, count: int, seed: int = 0) -> SourceMap:
 
 
 def test_a_plain_copy_is_one_run() -> None:
-    """The sample itself: runs as long as its sides, all of it used, evenly."""
+    """In a copy of the sample the runs are as long as its sides, and all of it is used evenly."""
     y, x = np.indices((32, 48))
     values = use(np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)).values
     assert values["mean_copy_length"] == pytest.approx(2 * 32 * 48 / (32 + 48))
@@ -40,7 +40,7 @@ def test_a_plain_copy_is_one_run() -> None:
 
 @pytest.mark.parametrize("side", [4, 8, 16])
 def test_runs_are_as_long_as_the_patches(side: int) -> None:
-    """Patches of n px give runs of about n px; real-valued places are runs all the same."""
+    """Patches of n px give runs of about n px, also at real-valued places."""
     source = blocks(side, 8)
     assert use(source).values["mean_copy_length"] == pytest.approx(side, rel=0.1)
     source[..., :2] += np.float32(0.3)
@@ -48,7 +48,7 @@ def test_runs_are_as_long_as_the_patches(side: int) -> None:
 
 
 def test_single_pixels_from_anywhere_have_runs_of_one() -> None:
-    """Pixels in random order have runs of 1 px, and use the sample evenly but for chance."""
+    """Pixels in random order have runs of 1 px, and use the sample almost evenly."""
     rng = np.random.default_rng(0)
     source = np.stack([rng.integers(48, size=(99, 99)), rng.integers(32, size=(99, 99)), np.ones((99, 99))], -1)
     values = use(source.astype(np.float32)).values
@@ -58,14 +58,14 @@ def test_single_pixels_from_anywhere_have_runs_of_one() -> None:
 
 
 def test_one_patch_repeated_uses_little() -> None:
-    """A patch of 8 x 8 px tiled uses 64 pixels, and has their entropy."""
+    """A patch of 8 x 8 px that is repeated uses 64 pixels, and has their entropy."""
     values = use(np.tile(blocks(8, 1), (8, 8, 1))).values
     assert values["used"] == pytest.approx(64 / SAMPLE[..., 0].size)
     assert values["entropy"] == pytest.approx(np.log(64) / np.log(SAMPLE[..., 0].size))
 
 
-def test_what_cannot_be_told_says_why() -> None:
-    """No map, an empty map, a single pixel."""
+def test_missing_scores_have_reasons() -> None:
+    """Without a map, with an empty one, and for a single pixel the scores are None, with a reason."""
     assert set(use(None).reasons.values()) == {"not applicable: the method gives no source map"}
     empty = np.full((9, 9, 3), np.nan, np.float32)
     assert set(use(empty).reasons.values()) == {"not applicable: the source map names no pixel"}
@@ -73,7 +73,7 @@ def test_what_cannot_be_told_says_why() -> None:
 
 
 def test_pixels_without_a_source_break_runs() -> None:
-    """A gap of unknown source divides a copy, and is left out of the use."""
+    """Pixels of unknown source divide a copy, and do not count as used."""
     y, x = np.indices((16, 21))
     source = np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)
     source[:, 10] = np.nan

@@ -1,4 +1,4 @@
-"""Tile sets, and the scores that are made of them, on tiles of known departures."""
+"""Tile sets, and the statistics of them, on tiles of known departures."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.residual_tiles.distance import distance
-from nrbench.metrics.residual_tiles.repetition import SIZES, Share, Twins, twins, window_pairs
-from nrbench.metrics.residual_tiles.tileset import TileSet, even_grid, quarters
+from nrbench.metrics.randomness import energy_distance
+from nrbench.metrics.residual_tiles.repetition import SIZES, Share, Twins, find_pairs, find_twins
+from nrbench.metrics.residual_tiles.tiles import TileSet, even_grid, quarters
 
 SQUARE = Lattice((16, 0), (0, 16))
 FLAT = np.ones((16, 16), np.float32)
@@ -47,7 +47,7 @@ def chosen(sources: NDArray[np.intp], seed: int = 0) -> TileSet:
 
 
 def test_tiles_are_cut_where_the_lattice_says() -> None:
-    """A picture that is its own coordinates gives tiles whose middles are the lattice's points."""
+    """In an image of its own coordinates the mean of each tile is its lattice point."""
     y, x = np.indices((70, 90))
     found = TileSet.on(np.stack([x, y], -1).astype(np.float32), Lattice((15.5, 2), (-1, 12.3), (3, 4)), (12, 16))
     assert len(found) > 15
@@ -63,8 +63,8 @@ def test_departures_keep_the_energy_that_the_mean_takes() -> None:
     assert np.mean(energy) == pytest.approx(1, abs=0.01)
 
 
-def test_blocks_cover_the_picture_at_the_extent_asked() -> None:
-    """Every tile lies in a block, none is broader than the extent, and one block does where the extents are equal."""
+def test_blocks_cover_the_image() -> None:
+    """Every tile lies in a block, no block exceeds the extent, and equal extents give one block."""
     found = tiles(9, 12)
     blocks = list(found.blocks((144, 192), (80, 100)))
     assert len(blocks) == 4
@@ -74,7 +74,7 @@ def test_blocks_cover_the_picture_at_the_extent_asked() -> None:
 
 
 def test_quarters_lie_as_their_order_says() -> None:
-    """Left before right, upper before lower; the grid is even, so all four are alike."""
+    """Left quarters precede right ones, upper precede lower ones, and all four have one size."""
     y, x = np.indices((16, 16))
     parts = quarters(np.stack([x, y], -1)[np.newaxis].astype(np.float32))
     np.testing.assert_allclose(parts.mean((1, 2, 3)), [[3.5, 3.5], [11.5, 3.5], [3.5, 11.5], [11.5, 11.5]])
@@ -82,9 +82,9 @@ def test_quarters_lie_as_their_order_says() -> None:
 
 
 def test_pair_distances_are_mean_squared_differences() -> None:
-    """At each size they equal those summed directly, weights included."""
+    """At each size the distances equal weighted mean squared differences that are summed directly."""
     found, weights = tiles(2, 4), np.linspace(1, 2, 256).reshape(16, 16).astype(np.float32)
-    halves, whole, wide = (pairs.distances for pairs in window_pairs(found, weights))
+    halves, whole, wide = (pairs.distances for pairs in find_pairs(found, weights))
     i, j = np.triu_indices(8, 1)
     squares = ((found.tiles[i] - found.tiles[j]) ** 2).mean(-1)
     np.testing.assert_allclose(whole, (squares * weights).sum((1, 2)) / weights.sum(), rtol=1e-3, atol=1e-6)
@@ -98,9 +98,9 @@ def test_pair_distances_are_mean_squared_differences() -> None:
 
 @pytest.mark.parametrize("period", [3, 4, 6])
 def test_a_supercell_repeats_at_every_size(period: int) -> None:
-    """A period of p x p of N tiles makes N / p^2 - 1 of each tile's N - 1 pairs twins, and all of these at few lags."""
+    """With a period of p x p tiles, N / p^2 - 1 of a tile's N - 1 pairs are twins, all at few lags."""
     fresh = tuple(tiles(12, 12, seed) for seed in (10, 11))
-    found = twins(repeated(period), fresh, FLAT, [float(period**2)] * 3, 1.0)
+    found = find_twins(repeated(period), fresh, FLAT, [float(period**2)] * 3, 1.0)
     assert [one.size for one in found] == list(SIZES)
     expected = period**2 * math.sqrt((144 / period**2 - 1) / 143)
     assert [one.score for one in found[:2]] == pytest.approx([expected] * 2, rel=0.15)
@@ -108,54 +108,54 @@ def test_a_supercell_repeats_at_every_size(period: int) -> None:
 
 
 def test_weaker_departures_are_no_copies() -> None:
-    """Tiles of half the energy are as little twins as those of all; tiles that hardly differ at all are."""
+    """Tiles of half the energy are no twins, but tiles that hardly differ at all are."""
     fresh = tuple(tiles(12, 12, seed) for seed in (10, 11))
     weak = tiles(12, 12, 5)
     half, nothing = (
         with_tiles(weak, (0.5 + share * (weak.tiles - 0.5)).astype(np.float32)) for share in (0.5**0.5, 0.05)
     )
-    assert all(abs(one.score) < 0.1 for one in twins(half, fresh, FLAT, [20.0] * 3, 0.5))
-    assert all(one.score > 15 for one in twins(nothing, fresh, FLAT, [20.0] * 3, 0.0025))
+    assert all(abs(one.score) < 0.1 for one in find_twins(half, fresh, FLAT, [20.0] * 3, 0.5))
+    assert all(one.score > 15 for one in find_twins(nothing, fresh, FLAT, [20.0] * 3, 0.0025))
 
 
-def test_the_copier_reads_one() -> None:
-    """One pair in M a twin besides chance is 1, chance alone 0, all pairs M."""
+def test_the_best_copier_scores_one() -> None:
+    """The score is 1 if one pair in M is a twin beyond chance, 0 by chance alone, and M if all pairs are."""
     for share, expected in ((0.02 + 0.98 / 50, 1), (0.02, 0), (1.0, 50)):
         found = Twins(1.0, Share(share, share), Share(0.02, 0.02), 50.0)
         assert found.score == pytest.approx(expected)
 
 
 def test_strewn_twins_do_not_count_by_lag() -> None:
-    """Where each of M sources is chosen at random one pair in M is a twin, and no lag has most of its pairs."""
+    """If each of M sources is chosen at random one pair in M is a twin, and at no lag most pairs are."""
     found = [chosen(np.random.default_rng(seed).integers(9, size=144)) for seed in range(12)]
-    shares = [Share.of([window_pairs(one, FLAT)[1]], 1e-6) for one in found]
+    shares = [Share.of([find_pairs(one, FLAT)[1]], 1e-6) for one in found]
     assert np.mean([share.all for share in shares]) == pytest.approx(1 / 9, rel=0.1)
     assert max(share.by_lag for share in shares) < 1 / 9
 
 
 def test_lags_are_the_same_both_ways() -> None:
-    """Numbering tiles in another order changes no pair's lag, so not the share by lag."""
+    """The order of the tiles does not change the shares."""
     one = repeated(4)
-    turned = one.some(np.random.default_rng(0).permutation(len(one)))
-    assert Share.of([window_pairs(turned, FLAT)[1]], 1e-6) == Share.of([window_pairs(one, FLAT)[1]], 1e-6)
+    turned = one.take(np.random.default_rng(0).permutation(len(one)))
+    assert Share.of([find_pairs(turned, FLAT)[1]], 1e-6) == Share.of([find_pairs(one, FLAT)[1]], 1e-6)
 
 
 def test_the_energy_distance_of_one_distribution_is_nothing() -> None:
-    """A further draw lies within the level of fresh draws; half the strength, or as strong grain, far beyond it."""
+    """A further draw is at the level of fresh draws; half the strength, or equally strong grain, far beyond it."""
     fresh = tuple(tiles(9, 9, seed) for seed in range(10, 16))
-    right = [distance(tiles(9, 9, seed), fresh, FLAT) for seed in range(6)]
+    right = [energy_distance(tiles(9, 9, seed), fresh, FLAT) for seed in range(6)]
     spread = np.std([far - level for far, level in right])
     assert abs(np.mean([far - level for far, level in right])) < 3 * spread
-    weak, level = distance(tiles(9, 9, 0, 0.05), fresh, FLAT)
+    weak, level = energy_distance(tiles(9, 9, 0, 0.05), fresh, FLAT)
     assert weak - level > 5 * spread
     rng = np.random.default_rng(0)
     grain = with_tiles(fresh[0], (0.1 * rng.standard_normal((81, 16, 16, 3))).astype(np.float32))
     assert (grain.departures**2).mean() == pytest.approx((fresh[0].departures ** 2).mean(), rel=0.2)
-    assert distance(grain, fresh, FLAT)[0] - level > 20 * spread
+    assert energy_distance(grain, fresh, FLAT)[0] - level > 20 * spread
 
 
 def test_the_order_of_tiles_does_not_matter() -> None:
-    """Distances of sets are the same in another order."""
+    """The order of the tiles does not change the energy distance."""
     fresh, own = tuple(tiles(9, 9, seed) for seed in (10, 11)), tiles(9, 9, 1)
-    mixed = own.some(np.random.default_rng(0).permutation(len(own)))
-    assert distance(mixed, fresh, FLAT) == pytest.approx(distance(own, fresh, FLAT), abs=1e-6)
+    mixed = own.take(np.random.default_rng(0).permutation(len(own)))
+    assert energy_distance(mixed, fresh, FLAT) == pytest.approx(energy_distance(own, fresh, FLAT), abs=1e-6)
