@@ -7,10 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, interlace
-from .modelling.model import Model, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_choice, check_sizes
 
 _STAKE = (0.42, 0.32, 0.24)
 _STRAND = (0.62, 0.51, 0.34)
@@ -49,7 +47,7 @@ class Basket(Model):
         check_sizes(self, gap=1, stake=self.gap + 2, strand=self.gap + 2)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next equal crossings."""
         (a, b), (c, d) = _DRAFTS[self.draft][1]
         return (a * self.stake, b * self.strand), (c * self.stake, d * self.strand)

@@ -7,10 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, box, boxes, coverage, nearest, rim
-from .modelling.model import Model, check, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check, check_choice, check_sizes
 
 _CLAY = (0.55, 0.38, 0.32)
 _MORTAR = (0.75, 0.72, 0.67)
@@ -59,7 +57,7 @@ class Brick(Model):
         return 2 if self.bond == "english" else max(1, self.small_every)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """Along a course, and to the next equal course."""
         along = self.width * (1.5 if self.bond == "flemish" else 1.0)
         return (along, 0.0), (self._courses * _SHIFTS[self.bond] * self.width % along, self._courses * self.height)

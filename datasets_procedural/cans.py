@@ -8,10 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, capsule, cells, coverage, disc, honeycomb, mix
-from .modelling.model import Model, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_choice, check_sizes
 
 _LID = (0.46, 0.46, 0.45)
 _TAB = (0.44, 0.44, 0.46)
@@ -40,7 +38,7 @@ class Cans(Model):
         check_sizes(self, period=12)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next cans."""
         p = self.period
         return (p, 0.0), ((p / 2, p * math.sqrt(3) / 2) if self.packing == "hexagonal" else (0.0, p))

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, hats
-from .modelling.model import Model, check, check_sizes
+from .modelling.model import Model, Vectors, check, check_sizes
 
 _HOLE = (0.25, 0.24, 0.26)
 _PAPER = (0.62, 0.58, 0.47)
@@ -35,7 +33,7 @@ class Card(Model):
         check(0.2 <= self.hole <= 0.8, f"hole is {self.hole}; give a share of the width from 0.2 to 0.8")
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """Along and across the rows."""
         return (self.width, 0.0), (0.0, self.height)
 

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, rim
-from .modelling.model import Model, check, check_sizes
+from .modelling.model import Model, Vectors, check, check_sizes
 
 _COLORS = np.array([(0.50, 0.20, 0.22), (0.20, 0.23, 0.36), (0.60, 0.50, 0.34), (0.34, 0.39, 0.28)])
 _WARP = (0.25, 0.20, 0.19)
@@ -37,7 +35,7 @@ class Carpet(Model):
         check(self.knots in range(6, 41, 2), f"knots is {self.knots}; give an even number from 6 to 40")
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next medallion along the row, and in the next row."""
         side = self.knots * self.knot
         return (side, 0.0), (side / 2, side)

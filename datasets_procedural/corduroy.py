@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, coverage, nearest, round_profile, stripe
-from .modelling.model import Model, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
 
 _PILE = (0.52, 0.41, 0.28)
 _GROUND = (0.28, 0.22, 0.18)
@@ -35,7 +33,7 @@ class Corduroy(Model):
         check_sizes(self, width=5, tuft=3)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next cord, and along it."""
         return (self.width, 0.0), (0.0, self.tuft)
 

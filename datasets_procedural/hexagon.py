@@ -8,10 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Index, Layer, Local, Pattern, coverage, hexagon, honeycomb, rim, round_profile
-from .modelling.model import Model, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_choice, check_sizes
 
 _GLAZE = (0.32, 0.46, 0.52)
 _GROUT = (0.78, 0.77, 0.73)
@@ -45,7 +43,7 @@ class Hexagon(Model):
         check_sizes(self, joint=1, period=self.joint + 2)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next tile on the right, and to the next one below it."""
         return (self.period, 0.0), (self.period / 2, self.period * math.sqrt(3) / 2)
 

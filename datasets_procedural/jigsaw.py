@@ -8,10 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, coverage, disc, nearest, rim
-from .modelling.model import Model, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_choice, check_sizes
 
 _CARD = (0.52, 0.50, 0.39)
 _TABLE = (0.24, 0.22, 0.20)
@@ -43,7 +41,7 @@ class Jigsaw(Model):
         check_sizes(self, gap=1, width=8 * self.gap, height=8 * self.gap)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next equal pieces."""
         if self.tabs == "same":
             return (self.width, 0.0), (0.0, self.height)

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, capsule, coverage, nearest, round_profile
-from .modelling.model import Model, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
 
 _WOOL = (0.55, 0.31, 0.33)
 _SHADOW = (0.25, 0.18, 0.18)
@@ -33,7 +31,7 @@ class Knit(Model):
         check_sizes(self, width=6, height=5)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """Along a row, and to the next one."""
         return (self.width, 0.0), (0.0, self.height)
 

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, capsule, coverage, nearest, round_profile, stripe
-from .modelling.model import Model, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
 
 _ROPE = (0.60, 0.52, 0.38)
 _KNOT = (0.56, 0.44, 0.30)
@@ -39,7 +37,7 @@ class Mat(Model):
         check_sizes(self, rope=3, width=2 * self.rope, height=self.rope)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """From a knot to the next ones, on the next rope."""
         return (self.width, self.height), (self.width, -self.height)
 

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, hexagon, honeycomb
-from .modelling.model import Model, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
 
 _SQUARE = (0.60, 0.49, 0.25)
 _HEXAGON = (0.30, 0.39, 0.49)
@@ -38,11 +36,11 @@ class Overlap(Model):
         check_sizes(self, period=14)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """Those of the common lattice."""
         return (5 * self.period, 0.0), (0.0, 5 * self.period)
 
-    def sublattices(self) -> tuple[tuple[Vector, Vector], ...]:
+    def sublattices(self) -> tuple[Vectors, ...]:
         """Return the lattice of the squares, and that of the hexagons."""
         width, rise = 5 / 7 * self.period, 5 / 4 * self.period
         return ((self.period, 0.0), (0.0, self.period)), ((width, 0.0), (width / 2, rise / 2))

@@ -8,15 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, lozenge, rim
-from .modelling.model import Model, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_choice, check_sizes
 
 _STONE = (0.54, 0.50, 0.46)
 _SMALL = (0.41, 0.36, 0.36)
 _SAND = (0.28, 0.26, 0.23)
-_LATTICES: dict[str, tuple[Vector, Vector]] = {
+_LATTICES: dict[str, Vectors] = {
     "herringbone": ((1, 1), (2, -2)),
     "basket": ((2, 2), (2, -2)),
     "octagon": ((2, 0), (0, 2)),
@@ -47,7 +45,7 @@ class Pavement(Model):
         check_sizes(self, joint=1, width=2 * self.joint + 2)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next stones of the same orientation."""
         (a, b), (c, d) = _LATTICES[self.style]
         return (a * self.width, b * self.width), (c * self.width, d * self.width)

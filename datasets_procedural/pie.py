@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, interlace, mix
-from .modelling.model import Model, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
 
 _CRUST = (0.62, 0.49, 0.31)
 _BROWN = (0.50, 0.34, 0.22)
@@ -37,7 +35,7 @@ class Pie(Model):
         check_sizes(self, strip=4, period=self.strip + 1)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next equal crossings."""
         return (self.period, self.period), (self.period, -self.period)
 

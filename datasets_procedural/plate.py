@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, bevel, cells, coverage, hats, lozenge, rotate
-from .modelling.model import Model, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
 
 _STEEL = (0.49, 0.50, 0.52)
 
@@ -31,7 +29,7 @@ class Plate(Model):
         check_sizes(self, period=8)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next lozenges of the same orientation."""
         return (self.period, self.period), (self.period, -self.period)
 

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, cells, coverage, round_profile, stripe
-from .modelling.model import Model, check, check_sizes
+from .modelling.model import Model, Vectors, check, check_sizes
 
 _COLORS = np.array([(0.57, 0.26, 0.22), (0.62, 0.54, 0.41), (0.23, 0.30, 0.39), (0.58, 0.42, 0.22)])
 _STEPS = np.array([3, 1, 0, 0, 2, 2, 0])
@@ -41,7 +39,7 @@ class Rug(Model):
         check(4 <= self.steps <= 20, f"steps is {self.steps}; give a number from 4 to 20")
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next lozenge along the band, and in the next band."""
         return (self.steps * self.step, 0.0), (0.0, 2 * self.steps * self.yarn)
 

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Index, Layer, Pattern, coverage, disc, rim
-from .modelling.model import Model, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
 
 _SCALE = (0.39, 0.52, 0.54)
 _GAP = (0.22, 0.25, 0.28)
@@ -35,7 +33,7 @@ class Scales(Model):
         check_sizes(self, gap=1, width=6 * self.gap)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """Along a row, and to the next one."""
         return (self.width, 0.0), (self.width / 2, self.width / 2)
 

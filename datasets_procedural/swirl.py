@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, coverage, disc, mix, rows
-from .modelling.model import Model, check, check_sizes
+from .modelling.model import Model, Vectors, check, check_sizes
 
 _LIGHT = (0.60, 0.55, 0.46)
 _DARK = (0.44, 0.25, 0.31)
@@ -37,7 +35,7 @@ class Swirl(Model):
         check(1 <= self.arms <= 6, f"arms is {self.arms}; give a number from 1 to 6")
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """Along a row, and to the next one."""
         return (self.period, 0.0), (self.period / 2, self.period)
 

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, coverage, nearest, round_profile, stripe
-from .modelling.model import Model, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
 
 _COLORS = np.array([(0.62, 0.62, 0.61), (0.58, 0.23, 0.25), (0.62, 0.62, 0.61), (0.23, 0.47, 0.50)])
 _GAP = (0.28, 0.30, 0.33)
@@ -35,7 +33,7 @@ class Toothpaste(Model):
         check_sizes(self, width=6, turn=12)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next strand, and along it."""
         return (self.width, 0.0), (0.0, self.turn)
 

@@ -14,10 +14,10 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.lattice.geometry import Lattice
 
 from .modelling.drawing import Field, Layer, Pattern, hats, mix
-from .modelling.model import Model, check, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check, check_choice, check_sizes
 from .modelling.random_fields import role_seed, uniform, unit
 
 _PAPER = (0.62, 0.60, 0.54)
@@ -94,7 +94,7 @@ class Wallpaper(Model):
         check(not self.slant or self.group in ("p1", "p2"), f"slant is for groups p1 and p2, not {self.group}; give 0")
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """The sides of the cell."""
         width, height = self.width, self.height
         if self.group in HEXAGONAL:

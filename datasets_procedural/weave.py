@@ -7,10 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, interlace
-from .modelling.model import Model, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_choice, check_sizes
 
 _WARP = (0.34, 0.37, 0.45)
 _WEFT = (0.65, 0.61, 0.53)
@@ -54,7 +52,7 @@ class Weave(Model):
         check_sizes(self, gap=1, warp=self.gap + 2, weft=self.gap + 2)
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """To the next equal crossings."""
         (a, b), (c, d) = _DRAFTS[self.draft][1]
         return (a * self.warp, b * self.weft), (c * self.warp, d * self.weft)

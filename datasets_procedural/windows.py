@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.lattice.geometry import Vector
-
 from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, nearest
-from .modelling.model import Model, check, check_sizes
+from .modelling.model import Model, Vectors, check, check_sizes
 
 _WALL = (0.60, 0.54, 0.46)
 _FRAME = (0.62, 0.62, 0.60)
@@ -45,7 +43,7 @@ class Windows(Model):
         check_sizes(self, width=5 * self.columns / (1 - self.wall), height=5 * self.lines / (1 - self.wall))
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """Along a floor, and to the next one."""
         return (self.width, 0.0), (0.0, self.height)
 

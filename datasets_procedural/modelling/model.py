@@ -20,6 +20,8 @@ from .departures import Departures
 from .drawing import Field, Frame, Pattern, hue_rotation
 from .random_fields import role_seed
 
+Vectors = tuple[Vector, Vector]
+"""Two generating vectors (x, y) in px."""
 LARGEST_AREA = 1 << 26
 """Area in px^2 of the largest picture that a model draws: about 8000 x 8000, which takes a few GiB."""
 _STRENGTHS = ("color", "intensity", "noise", "light", "damage", "missing", "jitter", "bend")
@@ -110,7 +112,7 @@ class Model(ABC):
 
     @property
     @abstractmethod
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """Generating vectors of the smallest lattice in px, before rotation."""
 
     @abstractmethod
@@ -127,7 +129,7 @@ class Model(ABC):
         """Typical breadth of an element in px."""
         return self.s / 2
 
-    def sublattices(self) -> tuple[tuple[Vector, Vector], ...]:
+    def sublattices(self) -> tuple[Vectors, ...]:
         """Return the generating vectors, before rotation, of parts that have a lattice of their own."""
         return ()
 
@@ -180,7 +182,7 @@ class Model(ABC):
         pattern = self.pattern(x, y)
         return pattern.recolor(hue_rotation(self.hue)) if self.hue else pattern
 
-    def _lattice(self, origin: Vector, vectors: tuple[Vector, Vector] | None = None) -> Lattice:
+    def _lattice(self, origin: Vector, vectors: Vectors | None = None) -> Lattice:
         t1, t2 = vectors or self.vectors
         frame = Frame(rotation=self.rotation)
         return Lattice(frame.vector(t1), frame.vector(t2), origin)
@@ -219,7 +221,7 @@ class SquareModel(Model):
     period: float
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
+    def vectors(self) -> Vectors:
         """Along a row, and to the next one."""
         return (self.period, 0.0), (0.0, self.period)
 
