@@ -12,12 +12,17 @@ import pandas as pd
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
-from .statistics.comparison import Comparison, compare_methods
+from .statistics.comparison import (
+    Comparison,
+    MethodSummary,
+    compare_methods,
+    describe_scores,
+    perils_points,
+    perils_table,
+)
 from .statistics.detections import detectors_table, tabulate_answers
 from .statistics.estimates import Estimate
 from .statistics.people import agreement_table, compare_people, labels_table
-from .statistics.perils_points import perils_points, perils_table
-from .statistics.summary import MethodSummary, describe_scores
 from .statistics.verdicts import is_valid_baseline
 
 OWN_COLUMNS: Mapping[str, str] = {

@@ -22,11 +22,9 @@ from .page.forest_plot import forest_axes
 from .page.gallery import PictureSource, build_disagreement, build_gallery, layer_titles, score_shade
 from .perils import plot_perils_plane
 from .statistics import format as text_format
-from .statistics.comparison import compare_methods
+from .statistics.comparison import compare_methods, describe_scores, headline_columns, other_score_rows, perils_points
 from .statistics.detections import KINDS, STOCHASTIC, DetectorComparison, compare_detectors
 from .statistics.people import compare_people
-from .statistics.perils_points import perils_points
-from .statistics.summary import describe_scores, headline_columns, other_score_rows
 from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, PRESERVED
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"

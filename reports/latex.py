@@ -12,10 +12,9 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
-from .statistics.comparison import Comparison, Entry, compare_methods
+from .statistics.comparison import Comparison, Entry, MethodSummary, compare_methods, headline_columns
 from .statistics.estimates import Estimate
 from .statistics.format import format_interval, format_number, strip_control
-from .statistics.summary import MethodSummary, headline_columns
 from .statistics.verdicts import BASELINE_LEGEND, PRESERVED, SHARES_LEGEND
 
 _SPECIAL: Mapping[str, str] = {

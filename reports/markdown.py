@@ -14,8 +14,7 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
 from .statistics import format as text_format
-from .statistics.comparison import compare_methods
-from .statistics.summary import headline_columns
+from .statistics.comparison import compare_methods, headline_columns
 from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, PRESERVED, SHARES_LEGEND
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"

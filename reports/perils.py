@@ -22,8 +22,7 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
-from .statistics.comparison import compare_methods
-from .statistics.perils_points import PerilsPoint, perils_points
+from .statistics.comparison import PerilsPoint, compare_methods, perils_points
 from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, COPIER, SHARES_LEGEND, method_label
 
 _INK, _GRAY, _FAINT = "black", "0.45", "0.8"

@@ -18,11 +18,10 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
-from .statistics.comparison import Comparison, Entry, compare_methods
+from .statistics.comparison import Comparison, Entry, MethodSummary, compare_methods
 from .statistics.detections import DetectorSummary, compare_detectors
 from .statistics.estimates import Estimate
 from .statistics.format import format_number, format_percent, strip_control
-from .statistics.summary import MethodSummary
 from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, PRESERVED, SHARES_LEGEND
 
 _SUPERSCRIPT = str.maketrans("0123456789,", "⁰¹²³⁴⁵⁶⁷⁸⁹˒")

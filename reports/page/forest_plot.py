@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from nrbench.plugins.forms import Column
 
+from ..statistics.comparison import COSTS, MethodSummary
 from ..statistics.estimates import Estimate
 from ..statistics.format import (
     describe_column,
@@ -17,7 +18,6 @@ from ..statistics.format import (
     format_percent,
     format_successes,
 )
-from ..statistics.summary import COSTS, MethodSummary
 
 Scale = Callable[[float | None], float | None]
 """Maps a value to its place on an axis, from 0 to 100."""

@@ -14,9 +14,8 @@ import PIL.Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.runs.records import CellRecord, Run
 
-from ..statistics.comparison import Comparison, TextureRow
+from ..statistics.comparison import COSTS, Comparison, Method, TextureRow, headline_columns, sort_headlines_first
 from ..statistics.format import describe_column, format_number
-from ..statistics.summary import COSTS, Method, headline_columns, sort_headlines_first
 from ..statistics.verdicts import MARKS, SCORE, explain_valid_baseline, explain_verdict, verdict
 from .lattice_overlay import LatticeOverlay, align_basis, draw_lattice
 

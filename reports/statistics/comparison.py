@@ -1,28 +1,166 @@
-"""Build the comparison of a run: textures by methods, with verdict and score in each entry, and summary rows below.
+"""Compare the methods of a run: the table of textures by methods, the summary of each method, and the perils plane.
 
-Every report format prints this one table.
+Every report format prints the one :class:`Comparison` that :func:`compare_methods` builds.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import pandas as pd
+
+from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
+from nrbench.runs.store import FAILED
 
-from .format import pluralize
-from .summary import (
-    Method,
-    MethodSummary,
-    PairedDifference,
-    SummaryRow,
-    compare_pairs,
-    list_methods,
-    summarize_methods,
-    summary_rows,
+from .estimates import Estimate, mean_ranks, means_over_textures, paired_differences, success_rate
+from .format import (
+    describe_column,
+    format_count,
+    format_interval,
+    format_number,
+    format_percent,
+    format_successes,
+    pluralize,
 )
-from .verdicts import MARKS, SCORE, explain_verdict, is_valid_baseline, tabulate_cells, verdict
+from .verdicts import (
+    MARKS,
+    PRESERVED,
+    RANDOMNESS_KEPT,
+    RANDOMNESS_KEPT_COLUMN,
+    SCORE,
+    BaselineValidity,
+    count_valid_textures,
+    explain_verdict,
+    has_randomness,
+    is_valid_baseline,
+    method_label,
+    tabulate_cells,
+    verdict,
+)
+
+HEADLINES = (SCORE, "randomness.variation", "randomness.repetition", "randomness.distance")
+COSTS: Mapping[str, Column] = {
+    "seconds": Column("Wall time of the synthesis, including its own lattice detection.", "s", (0, math.inf), "lower"),
+    "peak_mib": Column("Peak memory above the idle worker.", "MiB", (0, math.inf), "lower"),
+}
+RATE_MEANING = (
+    "Share of textures whose lattice is preserved, with Wilson's 95 % interval over textures. A texture counts as the "
+    "mean over its replicates. Failures and refusals count as not preserved. Undecided cells are left out."
+)
+MEAN_MEANING = "Mean over textures, with a 95 % bootstrap interval. A texture counts as the mean over its replicates."
+RANK_MEANING = (
+    "Mean rank among the methods over textures (1 is best), with a 95 % bootstrap interval. A method takes the worst "
+    "rank if it fails, if it refuses, or if it has no score because the lattice is lost. Reference rows are not ranked."
+)
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method with its lattice source: one column of the comparison.
+
+    Parameters
+    ----------
+    name, lattice_source
+        As in the cells.
+    reference
+        Whether it calibrates the scores and is never ranked.
+    parameters
+        All parameters of the method.
+    """
+
+    name: str
+    lattice_source: str
+    reference: bool
+    parameters: Mapping[str, Any]
+
+    @property
+    def label(self) -> str:
+        """The name, with the lattice source in parentheses."""
+        return method_label(self.name, self.lattice_source)
+
+
+@dataclass(frozen=True)
+class MethodSummary:
+    """One method in numbers.
+
+    Parameters
+    ----------
+    method
+        The method.
+    counts
+        Number of ``cells``, and of those that are ``ok``, ``refused``, ``failed`` and ``missing``.
+    success, success_answered
+        Success rate; refusals count as not preserved, or are left out.
+    means
+        Mean over textures of every score and cost.
+    ranks, ranks_answered
+        Mean rank by headline; refusals take the worst rank, or are left out. Empty for a reference.
+    validity, validity_scored
+        On how many textures a baseline is valid: of all, and of those whose regularity is scored.
+    """
+
+    method: Method
+    counts: Mapping[str, int]
+    success: Estimate
+    success_answered: Estimate
+    means: Mapping[str, Estimate]
+    ranks: Mapping[str, Estimate]
+    ranks_answered: Mapping[str, Estimate]
+    validity: BaselineValidity
+    validity_scored: BaselineValidity
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """The mean difference of two methods in one score, over the textures that both have."""
+
+    score: str
+    first: Method
+    second: Method
+    estimate: Estimate
+
+
+@dataclass(frozen=True)
+class SummaryRow:
+    """A row below the comparison: one estimate for each method.
+
+    Parameters
+    ----------
+    name, meaning
+        Its name and its description.
+    estimates
+        One for each method; None if there is none.
+    rate
+        Whether it is a success rate.
+    """
+
+    name: str
+    meaning: str
+    estimates: Sequence[Estimate | None]
+    rate: bool = False
+
+    @property
+    def values(self) -> list[str]:
+        """The values as text; a dash if there is none."""
+        text = format_percent if self.rate else format_number
+        return [text(estimate.value) if estimate else "–" for estimate in self.estimates]
+
+    @property
+    def intervals(self) -> list[str]:
+        """The intervals as text; empty if there is none."""
+        return [format_interval(estimate, self.rate) if estimate else "" for estimate in self.estimates]
+
+    @property
+    def counts(self) -> list[str]:
+        """How many textures succeed for a rate; how many are counted for other rows."""
+        text = format_successes if self.rate else format_count
+        return [text(estimate) if estimate else "" for estimate in self.estimates]
 
 
 @dataclass(frozen=True)
@@ -131,10 +269,53 @@ class Comparison:
         return any(one.validity.n for one in self.summaries)
 
 
+@dataclass(frozen=True)
+class PerilsPoint:
+    """One method with its lattice source in the perils plane.
+
+    Parameters
+    ----------
+    method
+        The method.
+    regularity
+        Mean of ``regularity.score`` over textures: the horizontal coordinate.
+    randomness
+        Mean of :func:`~nrbench.reports.statistics.verdicts.randomness_kept` over textures: the vertical coordinate. It
+        rests only on the textures whose lattice is not lost, because randomness is not scored on the others.
+    validity
+        On how many of the textures with a regularity score a baseline is valid.
+    """
+
+    method: Method
+    regularity: Estimate
+    randomness: Estimate
+    validity: BaselineValidity
+
+    @property
+    def has_height(self) -> bool:
+        """Whether the randomness is scored on any texture."""
+        return self.randomness.value is not None
+
+    @property
+    def rests_on(self) -> str:
+        """``" [k of n]"`` if the height rests on k of the n textures with a regularity score; empty if on all."""
+        fewer = self.has_height and self.randomness.n < self.regularity.n
+        return f" [{self.randomness.n} of {self.regularity.n}]" if fewer else ""
+
+    @property
+    def words(self) -> str:
+        """The point in one sentence."""
+        kept = f"{format_number(self.randomness.value)} {format_interval(self.randomness)}"
+        height = f"{kept} (on {self.randomness.n} of {self.regularity.n})" if self.has_height else "not scored"
+        across = f"{format_number(self.regularity.value)} {format_interval(self.regularity)}"
+        valid = f"; {self.validity.words}" if self.validity.n else ""
+        return f"{self.method.label}: regularity {across}, randomness kept {height}{valid}"
+
+
 def compare_methods(run: Run) -> Comparison:
     """Build the comparison of a run; without rows if the run has no cells."""
-    cells, methods = tabulate_cells(run), list_methods(run)
-    summaries = summarize_methods(run, cells)
+    cells, methods = tabulate_cells(run), _list_methods(run)
+    summaries = _summarize_methods(run, cells)
     notes = list(dict.fromkeys(record.note for record in run.cells if record.note))
     rows = _texture_rows(run, methods, {note: number for number, note in enumerate(notes, 1)})
     counts = dict(Counter(record.status for record in run.cells).most_common())
@@ -142,10 +323,10 @@ def compare_methods(run: Run) -> Comparison:
         title=_title(run, len(rows), counts),
         methods=methods,
         rows=rows,
-        summary_rows=summary_rows(run, summaries),
+        summary_rows=_summary_rows(run, summaries),
         notes=notes,
         summaries=summaries,
-        differences=compare_pairs(run, cells),
+        differences=_paired_differences(run, cells),
         counts=counts,
     )
 
@@ -156,6 +337,15 @@ def _title(run: Run, textures: int, counts: Mapping[str, int]) -> str:
     sizes = f"{pluralize(textures, 'texture')}, {pluralize(len(run.cells), 'cell')}"
     ended = ", ".join(f"{count} {status}" for status, count in counts.items())
     return f"{name} ({suite.get('hash', 'no hash')}): {sizes}" + (f": {ended}" if ended else "")
+
+
+def _list_methods(run: Run) -> list[Method]:
+    """Return the methods in the order of the suite, reference methods last."""
+    methods: dict[tuple[str, str], Method] = {}
+    for record in run.cells:
+        key = (record.method, record.lattice_source)
+        methods.setdefault(key, Method(*key, record.reference, dict(record.parameters)))
+    return sorted(methods.values(), key=lambda method: method.reference)
 
 
 def _texture_rows(run: Run, methods: Sequence[Method], notes: Mapping[str, int]) -> list[TextureRow]:
@@ -194,3 +384,129 @@ def _entry(records: list[CellRecord], notes: Mapping[str, int]) -> Entry | None:
         notes=sorted({notes[record.note] for record in records if record.note}),
         baseline_valid=is_valid_baseline(records[0]),
     )
+
+
+def _summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
+    contestants = cells[~cells["reference"].astype(bool)]
+    ranked = {name: column.better for name, column in headline_columns(run).items() if column.better != "none"}
+    ranks, answered = (
+        {name: mean_ranks(contestants, name, better, leave_out) for name, better in ranked.items()}
+        for leave_out in (False, True)
+    )
+    summaries = []
+    for method in _list_methods(run):
+        own = cells[cells["label"] == method.label]
+        scored = own[own[SCORE].notna()] if SCORE in own else own.iloc[:0]
+        summaries.append(
+            MethodSummary(
+                method=method,
+                counts=_count_statuses(own["status"]),
+                success=success_rate(own),
+                success_answered=success_rate(own, leave_refusals_out=True),
+                means=means_over_textures(own, list(describe_scores(run))),
+                ranks={name: by_label[method.label] for name, by_label in ranks.items() if method.label in by_label},
+                ranks_answered={
+                    name: by_label[method.label] for name, by_label in answered.items() if method.label in by_label
+                },
+                validity=count_valid_textures(own),
+                validity_scored=count_valid_textures(scored),
+            )
+        )
+    return summaries
+
+
+def _count_statuses(status: pd.Series[str]) -> dict[str, int]:
+    by_status = {name: int((status == name).sum()) for name in ("ok", "refused", "missing")}
+    return {"cells": len(status), **by_status, "failed": int(status.isin(FAILED).sum())}
+
+
+def _paired_differences(run: Run, cells: pd.DataFrame) -> list[PairedDifference]:
+    """Return the differences of all pairs whose first method is no reference, in every headline and randomness kept."""
+    pairs = [(a, b) for a, b in itertools.combinations(_list_methods(run), 2) if not a.reference]
+    own = dict(iter(cells.groupby("label", sort=False)))
+    names = [*headline_columns(run), *({RANDOMNESS_KEPT} & set(describe_scores(run)))]
+    estimates = [paired_differences(own[a.label], own[b.label], names) for a, b in pairs]
+    return [
+        PairedDifference(name, a, b, by_name[name])
+        for name in names
+        for (a, b), by_name in zip(pairs, estimates, strict=True)
+    ]
+
+
+def _summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRow]:
+    if not summaries:
+        return []
+    rates = [_row("preserved", RATE_MEANING, [one.success for one in summaries], rate=True)]
+    if any(one.counts["refused"] for one in summaries):
+        meaning = RATE_MEANING.replace("Failures and refusals count", "Refusals are left out. Failures count")
+        rates.append(_row("… refusals left out", meaning, [one.success_answered for one in summaries], rate=True))
+    means = []
+    for name, column in headline_columns(run).items():
+        undecided = " Undecided cells are left out." if name == SCORE else ""
+        meaning = f"{describe_column(column)}\n{MEAN_MEANING}{undecided}"
+        means.append(_row(name, meaning, [one.means[name] for one in summaries]))
+    if sum(not one.method.reference for one in summaries) < 2:
+        return [*rates, *means]
+    ranked = [name for name, column in headline_columns(run).items() if column.better != "none"]
+    ranks = [_row(f"rank: {name}", RANK_MEANING, [one.ranks.get(name) for one in summaries]) for name in ranked]
+    return [*rates, *means, *ranks]
+
+
+def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRow]:
+    """Return a row of means for each further score that any method has.
+
+    Wall time and peak memory appear once: the columns of the metric ``cost`` that repeat them are left out.
+    """
+    shown = {*headline_columns(run), PRESERVED, RANDOMNESS_KEPT, *(f"cost.{name}" for name in COSTS)}
+    columns = describe_scores(run)
+    rows = [
+        _row(name, f"{describe_column(columns[name])}\n{MEAN_MEANING}", [one.means[name] for one in summaries])
+        for name in sort_headlines_first(columns)
+        if name not in shown
+    ]
+    return [row for row in rows if any(row.estimates)]
+
+
+def _row(name: str, meaning: str, estimates: Sequence[Estimate | None], rate: bool = False) -> SummaryRow:
+    return SummaryRow(name, meaning, [estimate if estimate and estimate.n else None for estimate in estimates], rate)
+
+
+def describe_scores(run: Run) -> dict[str, Column]:
+    """Return the column of every score and cost by name, and of the randomness kept if the run has its scores."""
+    own = {RANDOMNESS_KEPT: RANDOMNESS_KEPT_COLUMN} if has_randomness(run.columns) else {}
+    return {**run.columns, **own, **COSTS}
+
+
+def headline_columns(run: Run) -> dict[str, Column]:
+    """Return the columns by which methods are compared, as far as the run has them."""
+    columns = describe_scores(run)
+    return {name: columns[name] for name in (*HEADLINES, "seconds") if name in columns}
+
+
+def sort_headlines_first(names: Iterable[str]) -> list[str]:
+    """Return ``metric.name`` sorted so that the metrics of the headlines come first; otherwise in the given order."""
+    first = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES))
+    order = {metric: i for i, metric in enumerate(first)}
+    return sorted(names, key=lambda name: order.get(name.partition(".")[0], len(first)))
+
+
+def perils_points(summaries: Sequence[MethodSummary]) -> list[PerilsPoint]:
+    """Return the point of every method whose regularity is scored, in the order of the summaries."""
+    points = [
+        PerilsPoint(one.method, one.means[SCORE], one.means[RANDOMNESS_KEPT], one.validity_scored)
+        for one in summaries
+        if {SCORE, RANDOMNESS_KEPT} <= set(one.means)
+    ]
+    return [point for point in points if point.regularity.value is not None]
+
+
+def perils_table(points: Sequence[PerilsPoint]) -> pd.DataFrame:
+    """Return one row a point, with intervals and the number of textures that each coordinate rests on."""
+    parts = ("value", "low", "high", "n", "of")
+    names = [f"{axis}_{part}" for axis in ("regularity", "randomness_kept") for part in parts]
+    rows = [
+        [point.method.name, point.method.lattice_source, point.method.reference]
+        + [getattr(estimate, part) for estimate in (point.regularity, point.randomness) for part in parts]
+        for point in points
+    ]
+    return pd.DataFrame(rows, columns=["method", "lattice_source", "reference", *names])

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,7 @@ class Estimate:
         return None if self.ends is None else self.ends[0] > 0 or self.ends[1] < 0
 
 
-def wilson_interval(successes: float, n: int, level: float = LEVEL) -> tuple[float, float] | None:
+def wilson_interval(successes: float, n: int) -> tuple[float, float] | None:
     """Compute Wilson's score interval of a proportion.
 
     This is our own code because ``scipy.stats.binomtest`` accepts only whole numbers of successes, and a texture whose
@@ -70,8 +71,6 @@ def wilson_interval(successes: float, n: int, level: float = LEVEL) -> tuple[flo
         the same mean, so the interval is then conservative.
     n
         Number of trials.
-    level
-        Confidence level.
 
     Returns
     -------
@@ -90,7 +89,7 @@ def wilson_interval(successes: float, n: int, level: float = LEVEL) -> tuple[flo
     """
     if n == 0:
         return None
-    z = float(ndtri(0.5 + level / 2))
+    z = float(ndtri(0.5 + LEVEL / 2))
     share, shrink = successes / n, 1 + z * z / n
     center = (share + z * z / (2 * n)) / shrink
     half = z / shrink * math.sqrt(max(0.0, share * (1 - share)) / n + z * z / (4 * n * n))
@@ -104,9 +103,7 @@ def estimate_share(outcomes: ArrayLike) -> Estimate:
     return Estimate(None) if interval is None else Estimate(float(known.mean()), *interval, known.size, known.size)
 
 
-def bootstrap_interval(
-    values: ArrayLike, level: float = LEVEL, rng: np.random.Generator | None = None
-) -> tuple[float, float] | None:
+def bootstrap_interval(values: ArrayLike) -> tuple[float, float] | None:
     """Compute the bootstrap interval of a mean, with expanded percentiles.
 
     Plain percentiles are too narrow for the ten or so textures of a suite, so they are widened by the ratio of
@@ -116,11 +113,7 @@ def bootstrap_interval(
     Parameters
     ----------
     values
-        One-dimensional; their order does not matter.
-    level
-        Confidence level.
-    rng
-        By default every call starts the same random stream: equal values give an equal interval.
+        One-dimensional; their order does not matter. Equal values give an equal interval.
 
     Returns
     -------
@@ -135,14 +128,18 @@ def bootstrap_interval(
     n = sample.size
     if n < 2:
         return None
-    rng = rng or stream("bootstrap")
-    means = sample[rng.integers(0, n, (RESAMPLES, n))].mean(1)
-    return _expanded_percentiles(means, n, level)
+    return _expanded_percentiles(sample[_resample(n)].mean(1), n)
 
 
-def _expanded_percentiles(draws: NDArray[np.float64], n: int, level: float = LEVEL) -> tuple[float, float]:
+@lru_cache(maxsize=4)
+def _resample(n: int) -> NDArray[np.int64]:
+    """Return the same random indices of n values at every call, ``(RESAMPLES, n)``."""
+    return stream("bootstrap").integers(0, n, (RESAMPLES, n))
+
+
+def _expanded_percentiles(draws: NDArray[np.float64], n: int) -> tuple[float, float]:
     """Return the expanded percentile interval of bootstrap ``draws`` that each resample ``n`` > 1 units."""
-    tail = float(ndtr(-math.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + level / 2)))
+    tail = float(ndtr(-math.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + LEVEL / 2)))
     low, high = np.quantile(draws, [tail, 1 - tail])
     return float(low), float(high)
 

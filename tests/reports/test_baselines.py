@@ -12,8 +12,7 @@ from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
 from nrbench.reports.perils import caption_text, plot_perils_plane
-from nrbench.reports.statistics.comparison import Comparison, compare_methods
-from nrbench.reports.statistics.perils_points import perils_points
+from nrbench.reports.statistics.comparison import Comparison, compare_methods, perils_points
 from nrbench.reports.statistics.verdicts import (
     BASELINE_LEGEND,
     BASELINE_SIGN,

@@ -5,8 +5,13 @@ from typing import Any
 
 import pytest
 
-from nrbench.reports.statistics.comparison import Comparison, compare_methods
-from nrbench.reports.statistics.summary import COSTS, other_score_rows, sort_headlines_first
+from nrbench.reports.statistics.comparison import (
+    COSTS,
+    Comparison,
+    compare_methods,
+    other_score_rows,
+    sort_headlines_first,
+)
 from nrbench.reports.statistics.verdicts import SCORE
 from nrbench.runs.records import Run
 

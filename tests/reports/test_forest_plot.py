@@ -6,8 +6,7 @@ from typing import Any
 import pytest
 
 from nrbench.reports.page.forest_plot import forest_axes
-from nrbench.reports.statistics.comparison import Comparison, compare_methods
-from nrbench.reports.statistics.summary import headline_columns
+from nrbench.reports.statistics.comparison import Comparison, compare_methods, headline_columns
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]

@@ -14,10 +14,15 @@ from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
 from nrbench.reports.perils import PerilsPlane, caption_text, overlap, place_captions, plot_perils_plane, wrap_caption
-from nrbench.reports.statistics.comparison import Comparison, compare_methods
+from nrbench.reports.statistics.comparison import (
+    Comparison,
+    Method,
+    PerilsPoint,
+    compare_methods,
+    perils_points,
+    perils_table,
+)
 from nrbench.reports.statistics.estimates import Estimate
-from nrbench.reports.statistics.perils_points import PerilsPoint, perils_points, perils_table
-from nrbench.reports.statistics.summary import Method
 from nrbench.reports.statistics.verdicts import RANDOMNESS_KEPT, WALLPAPER, BaselineValidity, randomness_kept
 from nrbench.runs.records import CellRecord, Run
 
