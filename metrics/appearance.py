@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +51,8 @@ Histograms = NDArray[np.float64]
 """``(k, _BINS + 1)``: k histograms over [0, 1]."""
 
 
-def _distance(meaning: str, unit: str) -> Column:
-    return Column(meaning, unit, (0.0, math.inf), "lower")
+def _column(meaning: str, unit: str = "", better: Literal["lower", "one"] = "lower") -> Column:
+    return Column(meaning, unit, (0.0, math.inf), better)
 
 
 @dataclass(frozen=True)
@@ -70,37 +70,26 @@ class Appearance:
 
     version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
-        "color": _distance("Sliced Wasserstein distance between the colors of output and fresh draws.", "values"),
-        "gradient": _distance(
-            "Wasserstein distance between gradient magnitudes of output and fresh draws, over the latter's mean.", ""
+        "color": _column("Sliced Wasserstein distance between the colors of output and fresh draws.", "values"),
+        "gradient": _column(
+            "Wasserstein distance between gradient magnitudes of output and fresh draws, over the latter's mean."
         ),
-        "spectrum": _distance("Difference of the power spectra of output and fresh draws, rms over frequencies.", "dB"),
-        "sharpness": Column(
-            "Amplitude of four octaves of detail over that of fresh draws; below 1 the output is blurred.",
-            "",
-            (0.0, math.inf),
-            "one",
+        "spectrum": _column("Difference of the power spectra of output and fresh draws, rms over frequencies.", "dB"),
+        "sharpness": _column(
+            "Amplitude of four octaves of detail over that of fresh draws; below 1 the output is blurred.", better="one"
         ),
-        "sharpness_worst": Column(
+        "sharpness_worst": _column(
             "Amplitude of detail in the blurriest window over that in the blurriest window of fresh draws.",
-            "",
-            (0.0, math.inf),
-            "one",
+            better="one",
         ),
-        "seam": Column(
-            "Visibility (size, and contrast to its parallels) of the worst line over that of fresh draws' worst line.",
-            "",
-            (0.0, math.inf),
-            "lower",
+        "seam": _column(
+            "Visibility (size, and contrast to its parallels) of the worst line over that of fresh draws' worst line."
         ),
-        "seam_step": _distance("Step of brightness across the line with the most visible step.", "values"),
-        "tileable": Column(
-            "Gradient across the wrapped border over that across lines inside; up to 1 the border is invisible.",
-            "",
-            (0.0, math.inf),
-            "lower",
+        "seam_step": _column("Step of brightness across the line with the most visible step.", "values"),
+        "tileable": _column(
+            "Gradient across the wrapped border over that across lines inside; up to 1 the border is invisible."
         ),
-        "tile_bytes": Column("Bytes of the tile over those of the sample.", "", (0.0, math.inf), "lower"),
+        "tile_bytes": _column("Bytes of the tile over those of the sample."),
     }
 
     def score(self, observation: Observation) -> Score:

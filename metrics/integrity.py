@@ -16,7 +16,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Again, Column, Observation, Score
 
 from .ncc.periodic import tile_box
-from .residual_tiles.tiles import offset_noise
+from .residual_tiles.tiles import offset_noise, squared_gradient
 from .verdict.exponential_tail import Tail
 from .verdict.reference import FIRST_DRAW
 from .verdict.verdict import Judgement, judge, obstacle
@@ -28,7 +28,7 @@ from .whole_elements.composite_tiles import (
     alteration_moments,
     compose_tiles,
 )
-from .whole_elements.elements import Cutter, Windows, departures, find_element_places, squared_gradient
+from .whole_elements.elements import Cutter, Windows, departures, find_element_places
 
 BROKEN_SURPRISAL = 8.0
 """Surprisal above which a tile is broken: see ``benchmarks/validation.py alarms``."""
@@ -101,9 +101,8 @@ class Integrity:
         ),
         "evidence_p90": Column(
             "90th percentile of the tiles' evidence of being joined, over that of fresh draws.",
-            "",
-            (0.0, math.inf),
-            "lower",
+            range=(0.0, math.inf),
+            better="lower",
         ),
         "detection_power": Column("Share of fresh tiles, joined along straight cuts, that would be counted as broken."),
     }

@@ -33,6 +33,14 @@ _SPOTS = 3
 """Spots along each side of a window of half a tile; damage is local."""
 
 
+def _ratio(meaning: str) -> Column:
+    return Column(meaning, range=(0.0, math.inf), better="one")
+
+
+def _excess(meaning: str) -> Column:
+    return Column(meaning, range=(-math.inf, math.inf), better="lower")
+
+
 @dataclass(frozen=True)
 class Randomness:
     """Variation of the output's tiles about their mean, its distribution, and its repetition.
@@ -58,37 +66,22 @@ class Randomness:
 
     version: ClassVar[str] = "3"
     columns: ClassVar[Mapping[str, Column]] = {
-        "variation": Column("Tile-to-tile variation over that of fresh draws.", "", (0.0, math.inf), "one"),
-        "variation_color": Column(
-            "Variation of the tiles' mean colors over that of fresh draws.", "", (0.0, math.inf), "one"
+        "variation": _ratio("Tile-to-tile variation over that of fresh draws."),
+        "variation_color": _ratio("Variation of the tiles' mean colors over that of fresh draws."),
+        "repetition": _excess(
+            "Excess of near-exact twins among windows up to a tile: 0 as in fresh draws, 1 as the best copier."
         ),
-        "repetition": Column(
-            "Excess of near-exact twins among windows up to a tile: 0 as in fresh draws, 1 as the best copier.",
-            "",
-            (-math.inf, math.inf),
-            "lower",
-        ),
-        "repetition_wide": Column(
-            "Excess of near-exact twins among windows two tiles wide: 0 as in fresh draws, 1 as the best copier.",
-            "",
-            (-math.inf, math.inf),
-            "lower",
+        "repetition_wide": _excess(
+            "Excess of near-exact twins among windows two tiles wide: 0 as in fresh draws, 1 as the best copier."
         ),
         "copied": Column(
             "Share of windows of half a tile with a near-exact twin in the sample, beyond chance.",
-            "",
-            (-math.inf, 1.0),
-            "none",
+            range=(-math.inf, 1.0),
         ),
-        "distance": Column(
-            "Energy distance between the tiles' departures of output and fresh draws, less that among fresh draws.",
-            "",
-            (-math.inf, math.inf),
-            "lower",
+        "distance": _excess(
+            "Energy distance between the tiles' departures of output and fresh draws, less that among fresh draws."
         ),
-        "survival": Column(
-            "Share of odd (damaged, missing) windows over the expected share.", "", (0.0, math.inf), "one"
-        ),
+        "survival": _ratio("Share of odd (damaged, missing) windows over the expected share."),
     }
 
     def score(self, observation: Observation) -> Score:

@@ -175,6 +175,15 @@ def _wiener_filter(total: Points, noise: Points, chance: float = 1.0) -> Points:
     return np.asarray(root @ axes @ np.diag(np.where(ratio > chance, 1 - 1 / ratio, 0.0)) @ axes.T @ back)
 
 
+def squared_gradient(tile: Values, lattice: Lattice) -> NDArray[np.float64]:
+    """Return the squared gradient per px of a periodic tile, ``(V, U, C)``."""
+    rows, columns = tile.shape[:2]
+    along = (np.roll(tile, -1, 1) - np.roll(tile, 1, 1)) * columns / 2
+    across = (np.roll(tile, -1, 0) - np.roll(tile, 1, 0)) * rows / 2
+    gradient = np.stack([along, across], -1) @ np.linalg.inv(lattice.matrix).T
+    return np.asarray((gradient**2).sum(-1))
+
+
 def interior_weights(mean: Values, energy: float, lattice: Lattice) -> NDArray[np.float32]:
     """Return weights ``(V, U)`` that are 1 in flat parts of the mean tile and small on its edges.
 
@@ -189,11 +198,7 @@ def interior_weights(mean: Values, energy: float, lattice: Lattice) -> NDArray[n
     lattice
         The lattice of the tile.
     """
-    rows, columns = mean.shape[:2]
-    along = (np.roll(mean, -1, 1) - np.roll(mean, 1, 1)) * columns / 2
-    across = (np.roll(mean, -1, 0) - np.roll(mean, 1, 0)) * rows / 2
-    gradient = np.stack([along, across], -1) @ np.linalg.inv(lattice.matrix).T
-    steep = ndimage.maximum_filter(np.asarray((gradient**2).sum(-1).mean(-1), np.float32), 3, mode="wrap")
+    steep = ndimage.maximum_filter(squared_gradient(mean, lattice).mean(-1).astype(np.float32), 3, mode="wrap")
     return np.asarray(1 / (1 + steep * _ALIGNMENT**2 / max(energy, 1e-9)), np.float32)
 
 

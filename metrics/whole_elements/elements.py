@@ -133,14 +133,6 @@ def departures(values: Values) -> NDArray[np.float64]:
     return flat - flat.mean(0) if len(flat) else flat
 
 
-def squared_gradient(mean: Values, lattice: Lattice) -> NDArray[np.float64]:
-    """Return the squared gradient per px of a periodic mean window ``(SAMPLES, SAMPLES, C)``."""
-    step = SAMPLES / 2
-    along, across = ((np.roll(mean, -1, axis) - np.roll(mean, 1, axis)) * step for axis in (1, 0))
-    gradient = np.stack([along, across], -1).astype(np.float64) @ np.linalg.inv(lattice.matrix).T
-    return np.asarray((gradient**2).sum(-1))
-
-
 def find_element_places(cutters: list[Cutter]) -> Points:
     """Return four places of the cell (cell coordinates) for windows around elements; the first is the anchor.
 
