@@ -18,7 +18,7 @@ _SLACK = 0.25
 
 @dataclass(frozen=True)
 class SourceUse:
-    """Statistics of a method's source map, which tells for each output pixel the sample pixel that it is a copy of.
+    """Statistics of a source map, which gives for each output pixel the sample pixel that it was copied from.
 
     They are for display. The map is checked against the pixels, but only methods that copy give one, so no headline
     score depends on it. A random choice among all equivalent places uses the sample evenly; one tile repeated uses a
@@ -45,9 +45,8 @@ class SourceUse:
             return Score.missing(self.columns, "not applicable: the method gives no source map")
         if not np.isfinite(source).all(-1).any():
             return Score.missing(self.columns, "not applicable: the source map names no pixel")
-        counts, entropy = _count_uses(source, observation.sample.shape[:2]), None
-        if min(int(counts.sum()), counts.size) > 1:
-            entropy = _entropy(counts)
+        counts = _count_uses(source, observation.sample.shape[:2])
+        entropy = _entropy(counts) if min(int(counts.sum()), counts.size) > 1 else None
         values = {"mean_copy_length": _mean_copy_length(source), "used": float((counts > 0).mean()), "entropy": entropy}
         reasons = {"entropy": "not applicable: the use of a single pixel has no entropy"} if entropy is None else {}
         return Score(values, reasons, records={"mapped": float(np.isfinite(source).all(-1).mean())})

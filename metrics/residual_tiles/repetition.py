@@ -20,7 +20,7 @@ SIZES = (0.5, 1.0, 2.0)
 _MOST_TILES = 1200
 """Of more tiles only the central ones are compared."""
 _OF_COPIER = 0.1
-"""Pairs are twins if they are so near that pairs of fresh draws are a tenth as often as twins of the best copier."""
+"""Pairs are twins below the distance at which pairs of fresh draws are a tenth as frequent as twins of a copier."""
 _LEAST_PAIRS = 6
 """Pairs at one lag below which the lag is ignored: half of them can be twins by chance."""
 _BY_CHANCE = 0.02
@@ -194,7 +194,7 @@ def _squares(one: Values, other: Values, share: NDArray[np.float32]) -> Distance
 def copied_share(tiles: ComparedTiles) -> float | None:
     """Return the share of the output's windows of half a tile that are copies, in excess of that of fresh draws.
 
-    None if the sample holds no windows to compare with.
+    It is None if the sample holds no windows to compare with.
     """
     own = _nearest_in_sample(tiles.output, tiles)
     right = np.concatenate([_nearest_in_sample(some, tiles, inside=not tiles.model) for some in tiles.reference])

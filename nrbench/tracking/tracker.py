@@ -48,7 +48,7 @@ _REACH = 3.0
 _NODES_A_TILE = 2.0
 
 Field = NDArray[np.float64]
-"""``(rows, columns, 2)``: a displacement (x, y) px at each node; ``(rows, columns)``: a number at each node."""
+"""A displacement (x, y) px at each node, ``(rows, columns, 2)``, or a number at each node, ``(rows, columns)``."""
 Coefficients = NDArray[np.complex64]
 """``(K, C, rows, columns)``: K harmonics of C channels at the nodes."""
 Surfaces = NDArray[np.float32]
@@ -350,10 +350,10 @@ def track_lattice(image: Image, lattice: Lattice, tile: MeanTile) -> Track:
 def unwrap(surfaces: Surfaces, lattice: Lattice) -> Field:
     """Return a continuous displacement of each node, (x, y) px, from correlations that are known modulo the lattice.
 
-    The field grows from the node of the highest peak, and next to the nodes of the field always at the one of the
-    highest peak. Each node takes the displacement that maximizes its own correlation less the cost of departing from
+    The field grows from the node with the highest peak; of the nodes next to the field, the one with the highest peak
+    is added first. Each node takes the displacement that maximizes its own correlation less the cost of departing from
     the mean of its neighbors in the field (:data:`STIFFNESS`). Then every node is revised twice, with all its neighbors
-    known. No library unwraps modulo a two-dimensional lattice.
+    known. Libraries unwrap a phase modulo 2 pi, not a displacement modulo a two-dimensional lattice.
 
     Parameters
     ----------

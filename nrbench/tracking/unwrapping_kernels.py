@@ -22,9 +22,9 @@ def grow(
 ) -> NDArray[np.float64]:
     """Return a continuous displacement (x, y) px of each node, ``(rows, columns, 2)``.
 
-    The field grows from the most trusted node, always by the most trusted of its neighbors. Then every node is revised
-    ``sweeps`` times. Time is linear in nodes times labels, plus a fast scan for the next node that is quadratic in the
-    nodes.
+    The field grows from the most trusted node; of the nodes next to the field, the most trusted one is added first.
+    Then every node is revised ``sweeps`` times. Time is linear in nodes times labels, plus a fast scan for the next
+    node that is quadratic in the nodes.
 
     Parameters
     ----------
