@@ -24,7 +24,7 @@ NONE: dict[str, Any] = {"color": 0.0, "intensity": 0.0, "noise": 0.0}
 
 
 def _variants() -> Iterator[Any]:
-    """Yield each model as it is, and once for each other word of each of its choices."""
+    """Yield each model with its defaults, and once for each other word of each of its choices."""
     further: list[tuple[type[Model], dict[str, Any]]] = [(Brick, {"small_every": 6}), (Brick, {"small_every": 3})]
     for model in MODELS:
         yield pytest.param(model, {}, id=model.__name__)

@@ -80,7 +80,7 @@ def test_known_places(
 
 
 def test_small_courses() -> None:
-    """Every n-th course is of bricks half as wide; the bond of the others goes on across it."""
+    """Every n-th course has bricks half as wide; the bond of the others continues across it."""
     wall = Brick(width=20, height=10, small_every=3)
     x = np.arange(-40.0, 40, 0.5)
     counts = [len(np.unique(wall.pattern(x, np.full_like(x, 10 * j)).layers[0].index[0])) for j in range(-3, 4)]

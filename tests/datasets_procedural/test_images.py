@@ -50,7 +50,7 @@ def test_crops_are_drawn(picture: Path) -> None:
 
 @pytest.mark.parametrize(("shape", "region"), [((100, 100), (0, 0, 90, 60)), ((60, 90), (0, 0, 90, 60))])
 def test_small_picture_is_taken_whole(picture: Path, shape: tuple[int, int], region: Region) -> None:
-    """A picture no larger than the sample asked for is the sample."""
+    """A picture no larger than the requested sample is the sample."""
     assert Images(picture).render(shape, np.random.default_rng(0)).region == region
 
 
@@ -60,7 +60,7 @@ def test_picture_small_in_one_direction(picture: Path) -> None:
 
 
 def test_again_is_disjoint(picture: Path) -> None:
-    """The oracle's region has the shape asked for, shares no pixel with the sample, and moves with the stream."""
+    """The oracle's region has the requested shape, shares no pixel with the sample, and varies with the stream."""
     plugin = Images(picture)
     texture = plugin.render((20, 30), np.random.default_rng(1))
     seen = set()

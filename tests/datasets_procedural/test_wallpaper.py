@@ -13,7 +13,7 @@ EVERY = {one for group in GROUPS for one in operations(group)}
 
 
 def _error(group: Group, operation: tuple[int, int, int, int, float, float]) -> float:
-    """Return how far an operation is from leaving a motif as it is: its squared error over twice its variance."""
+    """Return how much an operation changes a motif: the squared error over twice the variance."""
     motif = random_motif(5, group, 2)
     u, v = np.random.default_rng(0).random((2, 800))
     a, b, c, d, e, f = operation
@@ -33,7 +33,7 @@ def test_a_group_is_a_group(group: Group) -> None:
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_a_motif_has_the_symmetry_of_its_group_and_no_other(group: Group) -> None:
-    """Of all operations of all groups, those of its own leave the motif as it is, and no other does nearly."""
+    """Among the operations of all groups, only those of its own leave a motif unchanged; no other nearly does."""
     for operation in EVERY:
         error = _error(group, operation)
         assert error < 1e-20 if operation in operations(group) else error > 0.02

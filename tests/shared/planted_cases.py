@@ -1,4 +1,4 @@
-"""Textures, and what a planted defect makes of their fresh draws."""
+"""Textures, and planted defects in their fresh draws."""
 
 from collections.abc import Mapping
 
@@ -31,7 +31,7 @@ LARGEST = {
 
 
 class Draws:
-    """Fresh draws of a texture, the last of which can be asked for."""
+    """Fresh draws of a texture, which are kept."""
 
     def __init__(self, name: str = "brick") -> None:
         self.model, self.texture = MODELS[name], TEXTURES[name]
@@ -44,7 +44,7 @@ class Draws:
         return drawn
 
     def fresh(self, shape: Shape, draw: int = -1) -> Image:
-        """Return what the output would be without its defect: the middle of a draw."""
+        """Return the output without its defect: the middle of a draw."""
         image = self.seen[draw]
         margin = (image.shape[0] - shape[0]) // 2
         return image[margin : margin + shape[0], margin : margin + shape[1]]

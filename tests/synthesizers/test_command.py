@@ -103,7 +103,7 @@ def test_a_program_that_writes_nothing_is_an_error(tmp_path: Path, sample: Image
 
 
 def test_a_program_that_writes_no_picture_is_an_error(tmp_path: Path, sample: Image) -> None:
-    """A file that is no picture is told, with why."""
+    """An output that is no picture is an error that gives the reason."""
     text = "import sys; open(sys.argv[2], 'w').write('hello')"
     with pytest.raises(RuntimeError, match=r"unusable \{output\}: .*no picture"):
         run(f"{script(tmp_path, text)} {{sample}} {{output}}", sample)

@@ -53,14 +53,14 @@ def test_without_fresh_draws_or_lattice_it_refuses(kind: str) -> None:
         ("two-tone", 0.001, (64, 48)),
     ],
 )
-def test_nothing_is_never_passed_off_as_a_defect(kind: str, size: float, shape: Shape) -> None:
-    """Where a defect has no room, or is less than a pixel or a tile, the method says so."""
+def test_an_empty_defect_is_refused(kind: str, size: float, shape: Shape) -> None:
+    """A defect without room, or of less than a pixel or a tile, is refused."""
     with pytest.raises(Refused, match=rf"planted: {kind} of size .* covers no pixel .* give a larger size or output"):
         plant(kind, size, shape=shape)
 
 
 @pytest.mark.parametrize("move", [(3, 0), (-3, 0), (0, 3), (0, -3)])
-def test_content_never_comes_from_the_far_side(move: tuple[int, int]) -> None:
+def test_a_margin_that_is_too_small_is_an_error(move: tuple[int, int]) -> None:
     """A margin as wide as the move is read to its end; one that is a pixel narrower is an error, on every side."""
     draw = np.random.default_rng(0).random((16, 20, 1)).astype(np.float32)
     field = np.broadcast_to(np.array(move, np.intp), (10, 14, 2))
@@ -79,6 +79,6 @@ def test_the_lattice_costs_no_draw_of_the_sample() -> None:
 
 
 @pytest.mark.parametrize("kind", DEFECTS)
-def test_of_size_zero_nothing_is_covered(kind: str) -> None:
-    """A defect of size 0 lies nowhere."""
+def test_size_zero_covers_nothing(kind: str) -> None:
+    """A defect of size 0 covers no pixel."""
     assert not plant(kind, 0).extras["covered"].any()

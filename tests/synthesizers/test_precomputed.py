@@ -58,7 +58,7 @@ def test_a_missing_folder_is_bad_input(tmp_path: Path) -> None:
 
 
 def test_a_table_without_its_columns_is_bad_input(tmp_path: Path) -> None:
-    """A table with other columns is told what its first line must be."""
+    """The error about a table with other columns says what its first line must be."""
     (tmp_path / "index.csv").write_text("input,result\na.png,b.png\n")
     with pytest.raises(BadInput, match="first line must be sample,output"):
         look_up(tmp_path)

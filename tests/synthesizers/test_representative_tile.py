@@ -93,7 +93,7 @@ def test_the_output_shows_the_sample_where_the_tile_lies() -> None:
 
 
 def test_the_tile_is_floored_and_scaled_down_and_the_output_is_not() -> None:
-    """The period of 21.37 x 18.81 px becomes 21 x 18 (equation 4); the output keeps the sample's, unless told."""
+    """The period of 21.37 x 18.81 px becomes 21 x 18 (equation 4); the output keeps the sample's period by default."""
     sample = quantize(waves((128, 128), UPRIGHT))
     made = synthesize(sample, (300, 300), UPRIGHT)
     assert made.extras["tile"].shape == (18, 21, 3)
@@ -105,7 +105,7 @@ def test_the_tile_is_floored_and_scaled_down_and_the_output_is_not() -> None:
 
 
 def test_without_scale_down_the_tile_is_cut_from_the_sample_as_it_is() -> None:
-    """The tile's pixels are the sample's and lack the rest of the period; the output's period is as asked."""
+    """The tile's pixels are the sample's without the fraction of the period; ``rescale`` decides the output's period."""
     sample = noise(128, 128)
     made = synthesize(sample, (200, 200), UPRIGHT, scale_down=False, rescale=False)
     x, y = made.extras["best"][0, :2].astype(int)
@@ -198,7 +198,7 @@ def test_what_the_source_map_calls_a_copy_is_one(
 
 
 def test_progress_rises_to_one() -> None:
-    """Progress is told while searching and while laying."""
+    """Progress is reported during the search and while tiles are laid."""
     told: list[float] = []
     task = Task(noise(80, 90), (500, 900), UPRIGHT, np.random.default_rng(0), progress=told.append)
     RepresentativeTile().synthesize(task)

@@ -28,7 +28,7 @@ def test_an_oblique_lattice_gets_a_rectangle_within_tolerance_or_is_refused() ->
 
 
 def test_without_a_lattice_given_its_period_is_that_of_ssdn() -> None:
-    """On a stacked wall without a lattice given the sub-pixel period is found, used and told, with its cost."""
+    """On a stacked wall without a given lattice the sub-pixel period is found, used and reported, with its cost."""
     sample = quantize(waves((128, 128), UPRIGHT))
     made = synthesize(sample, (400, 400), None)
     assert made.lattice is not None and made.detection_seconds > 0

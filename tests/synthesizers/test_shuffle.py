@@ -39,7 +39,7 @@ def test_every_pixel_comes_from_an_equal_place() -> None:
 
 
 def test_a_regular_sample_is_continued() -> None:
-    """On a perfectly regular texture it is no cheat: the output is the periodic continuation."""
+    """On a perfectly regular texture the method is valid: the output is the periodic continuation."""
     picture = quantize(np.tile(np.random.default_rng(0).random((16, 16, 3), np.float32), (12, 12, 1)))
     image = made(picture[:100, :100], SQUARE).image
     np.testing.assert_array_equal(image, picture[:120, :140])

@@ -81,7 +81,7 @@ def test_a_sample_without_a_whole_tile_is_refused() -> None:
 
 
 def test_without_a_lattice_it_finds_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With none given the detector's is used and told."""
+    """Without a given lattice the detector's lattice is used and reported."""
 
     class Finds:
         def detect(self, image: Image) -> Detection:
@@ -135,7 +135,7 @@ def test_every_tile_continues_a_fractional_lattice(tile: Any) -> None:
 
 
 def test_the_mean_tile_is_the_mean_of_all() -> None:
-    """On a random sample with a whole-pixel lattice every pixel is the mean of all that the lattice calls equal."""
+    """On a random sample with a whole-pixel lattice every pixel is the mean of all equivalent pixels."""
     sample = quantize(np.random.default_rng(0).random((70, 80, 3), np.float32))
     made = Tiling(tile="mean").synthesize(Task(sample, (60, 60), Lattice((20, 0), (0, 16)), np.random.default_rng(0)))
     expected = np.stack([[sample[y % 16 :: 16, x % 20 :: 20].mean((0, 1)) for x in range(60)] for y in range(60)])

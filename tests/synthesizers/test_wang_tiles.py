@@ -64,8 +64,8 @@ def test_neighbors_agree_in_their_colors_and_choice_is_uniform() -> None:
 
 
 @pytest.mark.parametrize("lattice", [LATTICE, Lattice((12, 0), (6, 10)), Lattice((12.4, 0), (0, 10.3))])
-def test_the_lattice_goes_on_through_all_tiles(lattice: Lattice) -> None:
-    """Every pixel comes from a place that the lattice calls equal to its own, within half a pixel."""
+def test_the_lattice_continues_through_all_tiles(lattice: Lattice) -> None:
+    """Every pixel comes from a place equivalent to its own, within half a pixel."""
     made = synthesize(8, noise(90, 96), (150, 160), lattice)
     assert made.source is not None
     y, x = np.indices((150, 160))
@@ -74,7 +74,7 @@ def test_the_lattice_goes_on_through_all_tiles(lattice: Lattice) -> None:
 
 
 def test_on_a_periodic_sample_it_is_the_continuation() -> None:
-    """Where all pieces are alike the set's tiles join without a trace: the continuation, to the bit."""
+    """On a periodic sample all pieces are equal, and the output is its continuation, to the bit."""
     picture = np.tile(noise(10, 12), (20, 20, 1))
     made = synthesize(8, picture[:60, :72], (130, 170))
     np.testing.assert_array_equal(quantize(made.image), picture[:130, :170])
@@ -88,7 +88,7 @@ def test_a_set_shows_more_than_one_tile_does() -> None:
     assert np.abs(several[10:] - several[:-10]).mean() > 0.05
 
 
-def test_tiles_are_cut_where_there_are_pieces_enough() -> None:
+def test_tiles_are_cut_where_there_are_enough_pieces() -> None:
     """On a sample that holds two pieces an edge in some phases, but not in all, a set is found all the same."""
     for seed in range(12):
         assert len(synthesize(8, noise(24, 29, seed=seed), (20, 20), seed=seed).extras["edges"]) == 8
