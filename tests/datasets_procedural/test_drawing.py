@@ -226,7 +226,7 @@ PATTERN = Pattern((0.4, 0.4, 0.4), (Layer("dot", (INDEX,), COVERAGE, (0.8, 0.2, 
 
 
 def test_census() -> None:
-    """All indices between the least and the greatest are listed; each point has its own; invisible elements are marked."""
+    """The census lists all indices between the least and the greatest; each point has its own; invisible ones count."""
     census = PATTERN.layers[0].census()
     assert census.index[:, 0].tolist() == [-1, 0, 1, 2]
     np.testing.assert_array_equal(census.index[census.row, 0], INDEX)
