@@ -1,1 +1,1 @@
-"""The parts of the HTML page: pictures, lattice drawings, plots and templates."""
+"""Parts of the HTML page, and the templates of the page and of the Markdown tables."""

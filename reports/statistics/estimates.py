@@ -85,7 +85,7 @@ def wilson_interval(successes: float, n: int) -> tuple[float, float] | None:
     --------
     >>> low, high = wilson_interval(2.5, 9)
     >>> round(low, 2), round(high, 2)
-    (0.09, 0.59)
+    (0.09, 0.6)
     """
     if n == 0:
         return None
