@@ -45,6 +45,16 @@ def test_equal_lattices_are_drawn_once(make_cell: Make, make_run: Make, tmp_path
     assert list(draw.agreeing) == ["d (own)"]
 
 
+def test_lattices_are_read_from_records(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """A recorded lattice without an origin has its origin at 0; a record without a lattice has no drawing."""
+    first, second = make_cell(method="a"), make_cell(method="b", lattice_used=None)
+    first.result["lattice_used"] = {"t1": [1, 0], "t2": [0, 2]}
+    draw = _gallery(make_run([first, second]), tmp_path)[0].draws[0]
+    assert [(list(one.labels), one.overlay.vectors) for one in draw.used] == [
+        (["a (own)"], ("t1 = (1.00, 0.00)", "t2 = (0.00, 2.00)"))
+    ]
+
+
 def test_missing_scores_show_the_reason(every_ending: Run, tmp_path: Path) -> None:
     """A score without a value shows the reason."""
     figure = next(s for s in _gallery(every_ending, tmp_path) if s.row.texture == "weave").draws[0].figures[0]
