@@ -14,7 +14,8 @@ import numpy as np
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.convert import quantize
 from nrbench.jit import load_kernels
-from nrbench.metrics.verdict.verdict import judge
+from nrbench.metrics.verdict.examination import examine
+from nrbench.metrics.verdict.verdict import Verdict
 from nrbench.plugins.forms import Observation, Shape, Synthesizer, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.representative_tile import RepresentativeTile
@@ -46,9 +47,9 @@ def worst_misplacement(method: Synthesizer, sample: int, side: int) -> tuple[flo
         return replace(fresh, image=quantize(fresh.image))
 
     made = method.synthesize(Task(texture.image, (side, side), texture.lattice, np.random.default_rng(1)))
-    found = judge(Observation(texture.image, quantize(made.image), texture, again=again))
-    assert found is not None
-    misplacement = found.output.placement.misplacement
+    verdict = examine(Observation(texture.image, quantize(made.image), texture, again=again)).verdict
+    assert isinstance(verdict, Verdict)
+    misplacement = verdict.output.windows.misplacement
     return float(misplacement.max()), float(np.median(misplacement))
 
 

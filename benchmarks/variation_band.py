@@ -36,9 +36,8 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import Values
 from nrbench.metrics.randomness import Randomness
 from nrbench.metrics.residual_tiles.tiles import ComparedTiles, quarters
-from nrbench.metrics.verdict.measurements import Look, look_at_references
-from nrbench.metrics.verdict.reference import FIRST_DRAW, Yardstick, model_yardstick
-from nrbench.metrics.verdict.verdict import compare, obstacle
+from nrbench.metrics.verdict.reference import FIRST_DRAW, Reference, reference_from_model
+from nrbench.metrics.verdict.verdict import compare
 from nrbench.plugins.forms import Again, Observation, Refused, Synthesis, Task, Texture, Value
 from nrbench.running.phases import checked_synthesis
 from nrbench.streams import stream
@@ -74,17 +73,16 @@ class Place:
 
     @cached_property
     def again(self) -> Again:
-        """Fresh draws; the judge's own are kept."""
+        """Fresh draws; those of the reference are kept."""
         draw = self.drawing.recipe.again(self.texture)
         kept = lru_cache(maxsize=64)(draw)
         return lambda shape, k: kept(shape, k) if k >= FIRST_DRAW else draw(shape, k)
 
     @cached_property
-    def measure(self) -> tuple[Yardstick, tuple[Look, ...]]:
-        """What outputs are measured against."""
+    def reference(self) -> Reference:
+        """What outputs are compared with."""
         assert self.texture.lattice is not None
-        measure = model_yardstick(self.texture, self.texture.lattice, self.again)
-        return measure, look_at_references(measure)
+        return reference_from_model(self.texture, self.texture.lattice, self.again)
 
     def fresh(self, k: int) -> Image:
         """Return the k-th fresh draw of the outputs' size."""
@@ -103,20 +101,20 @@ class Place:
 
     def scored(self, output: Image) -> dict[str, Value | str]:
         """Return an output's scores, and why some are missing."""
-        judgement = compare(output, *self.measure)
-        if told := obstacle(judgement):
-            return {"reason": told}
+        verdict = compare(output, self.reference)
+        if verdict.obstacle:
+            return {"reason": verdict.obstacle}
         seen = Observation(self.texture.image, output, self.texture, again=self.again)
-        found = Randomness().score_verdict(seen, judgement)
+        found = Randomness().score_verdict(seen, verdict)
         values = {name: found.values[name] for name in ("variation", "repetition", "distance")}
         why = "; ".join(dict.fromkeys(found.reasons.get(name, "") for name in values))
-        return {"preserved": judgement.preserved, **values, "reason": why.strip("; ")}
+        return {"preserved": verdict.preserved, **values, "reason": why.strip("; ")}
 
     @cached_property
     def allowed(self) -> dict[str, Value]:
         """What the sample allows: variation of the sample, and of a uniform copier on average; places it has."""
         seen = Observation(self.texture.image, self.fresh(0), self.texture, again=self.again)
-        tiles = ComparedTiles.of(seen, compare(seen.output, *self.measure))
+        tiles = ComparedTiles.of(seen, compare(seen.output, self.reference))
         right = [some for some in tiles.reference if len(some) > 1]
         shares = quarters((tiles.weights / tiles.weights.sum())[np.newaxis, ..., np.newaxis])[:, 0]
         energy = np.average([_energy(t.departures, tiles.weights) for t in right], weights=[len(t) - 1 for t in right])

@@ -17,9 +17,10 @@ from nrbench.plugins.forms import Again, Column, Observation, Score
 
 from .ncc.periodic import tile_box
 from .residual_tiles.tiles import offset_noise, squared_gradient
-from .verdict.exponential_tail import Tail
+from .verdict.examination import examine
+from .verdict.exponential_tail import ExponentialTail
 from .verdict.reference import FIRST_DRAW
-from .verdict.verdict import Judgement, judge, obstacle
+from .verdict.verdict import Verdict
 from .whole_elements.composite_tiles import (
     Discriminant,
     Levels,
@@ -75,7 +76,7 @@ class Integrity:
     composite tiles from tiles of fresh draws that are joined along straight cuts. Directions along which only composite
     tiles vary provide the evidence (:class:`~.whole_elements.composite_tiles.Discriminant`); each half of the fresh
     draws is measured by directions learned from the other half. A tile is broken if its evidence exceeds chance, given
-    the number of tiles (:class:`~.verdict.exponential_tail.Tail`). ``evidence_p90`` describes the tail and
+    the number of tiles (:class:`~.verdict.exponential_tail.ExponentialTail`). ``evidence_p90`` describes the tail and
     not the median, because most tiles of a copier are whole copies.
 
     The effects of blur, uneven light and smooth bending on whole tiles are no evidence
@@ -109,9 +110,9 @@ class Integrity:
 
     def score(self, observation: Observation) -> Score:
         """Return the scores, and two pictures: ``broken`` shows the broken tiles in place, ``worst`` enlarges some."""
-        verdict = judge(observation)
-        if verdict is None or obstacle(verdict):
-            return Score.missing(self.columns, obstacle(verdict, observation))
+        verdict = examine(observation).verdict
+        if isinstance(verdict, str):
+            return Score.missing(self.columns, verdict)
         broken = find_broken(verdict, observation.sample, observation.again)
         if isinstance(broken, str):
             return Score.missing(self.columns, broken)
@@ -187,13 +188,13 @@ class _Evidence:
     composite: Levels
 
 
-def find_broken(verdict: Judgement, sample: Image, again: Again | None) -> BrokenTiles | str:
+def find_broken(verdict: Verdict, sample: Image, again: Again | None) -> BrokenTiles | str:
     """Return the broken tiles of an output, or the reason why they cannot be found.
 
     If regularity lacks power, the places of the tiles are not known.
     """
-    if verdict.blindness:
-        return f"undecided: {verdict.blindness}"
+    if verdict.lack_of_power:
+        return f"undecided: {verdict.lack_of_power}"
     halves = _references(verdict, sample, again)
     output = Cutter.following(verdict.output, offset_noise(verdict.references))
     places = find_element_places([cutter for half in halves for cutter, _ in half])
@@ -206,10 +207,10 @@ def find_broken(verdict: Judgement, sample: Image, again: Again | None) -> Broke
     return _count_broken(output.lattice, places[0], evidence)
 
 
-def _references(verdict: Judgement, sample: Image, again: Again | None) -> tuple[_References, _References]:
+def _references(verdict: Verdict, sample: Image, again: Again | None) -> tuple[_References, _References]:
     """Return two halves of the references: fresh draws, or every second tile of the sample."""
-    lattice = verdict.yardstick.lattice
-    if again is None or verdict.yardstick.source == "sample":
+    lattice = verdict.reference.lattice
+    if again is None or verdict.reference.source == "sample":
         cutter = Cutter(sample, lattice)
         return [(cutter, slice(0, None, 2))], [(cutter, slice(1, None, 2))]
     side = np.ceil(np.clip(_TILES_A_SIDE * tile_box(lattice), *_SIDES)).astype(int)
@@ -219,7 +220,7 @@ def _references(verdict: Judgement, sample: Image, again: Again | None) -> tuple
 
 
 def _measure_evidence(
-    output: Cutter, halves: tuple[_References, _References], place: Points, verdict: Judgement
+    output: Cutter, halves: tuple[_References, _References], place: Points, verdict: Verdict
 ) -> _Evidence | str:
     """Return the evidence at one place of the cell, or the reason why there is none.
 
@@ -273,11 +274,11 @@ def _floor(windows: list[Windows], lattice: Lattice, parts: list[Rows]) -> Level
     return np.asarray(_ROUNDING**2 + _SHARE_OF_VARIANCE * variance + _ALIGNMENT**2 * steep.ravel())
 
 
-def _in_place(windows: Windows, verdict: Judgement) -> Windows:
+def _in_place(windows: Windows, verdict: Verdict) -> Windows:
     """Return the windows that regularity does not call displaced, and that do not touch a tile without contrast."""
     output, tiles = verdict.output, verdict.output.tiles
     _, tile = cKDTree(tiles.centers).query(windows.middles)
-    moved = verdict.misplaced[output.placement.nearest(windows.middles)] | verdict.displaced[tile]
+    moved = verdict.misplaced[output.windows.nearest(windows.middles)] | verdict.displaced[tile]
     usual = np.quantile(np.concatenate([one.tiles.slope for one in verdict.references]), _LOW)
     empty = tiles.centers[tiles.slope < _LEAST_CONTRAST * usual]
     if not len(empty):
@@ -289,10 +290,10 @@ def _in_place(windows: Windows, verdict: Judgement) -> Windows:
 def _count_broken(lattice: Lattice, anchor: Points, evidence: list[_Evidence]) -> BrokenTiles:
     """Return the broken tiles; each counts once, although windows at several places show it."""
     whole, output = (np.concatenate([getattr(one, name) for one in evidence]) for name in ("whole", "output"))
-    tail = Tail.fit(whole, _TAIL, overlap=_OVERLAP)
+    tail = ExponentialTail.fit(whole, _TAIL, overlap=_OVERLAP)
 
     def surprisal(levels: Levels) -> Levels:
-        return np.asarray(tail.surprise(levels) - np.log(len(output) / len(levels)))
+        return np.asarray(tail.surprisal(levels) - np.log(len(output) / len(levels)))
 
     surprisals = np.concatenate([surprisal(one.output) for one in evidence])
     places, values = _drop_overlapping(lattice, np.concatenate([one.middles for one in evidence]), surprisals)

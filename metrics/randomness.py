@@ -16,7 +16,8 @@ from nrbench.plugins.forms import Column, Observation, Score, Value
 
 from .residual_tiles.repetition import SIZES, copied_share, count_sources, find_twins
 from .residual_tiles.tiles import ComparedTiles, TileSet, quarters
-from .verdict.verdict import Judgement, judge, obstacle
+from .verdict.examination import examine
+from .verdict.verdict import Verdict
 
 _LEAST_TILES = 4
 _LEAST_VARIANCE = (2 / 255) ** 2
@@ -86,15 +87,15 @@ class Randomness:
 
     def score(self, observation: Observation) -> Score:
         """Return the scores."""
-        verdict = judge(observation)
-        if verdict is None or obstacle(verdict):
-            return Score.missing(self.columns, obstacle(verdict, observation))
+        verdict = examine(observation).verdict
+        if isinstance(verdict, str):
+            return Score.missing(self.columns, verdict)
         return self.score_verdict(observation, verdict)
 
-    def score_verdict(self, observation: Observation, verdict: Judgement) -> Score:
+    def score_verdict(self, observation: Observation, verdict: Verdict) -> Score:
         """Return the scores, given the verdict on regularity."""
-        if verdict.unsure:
-            reason = f"not scored: the lattice may not be the sample's ({verdict.blindness})"
+        if verdict.lattice_doubtful:
+            reason = f"not scored: the lattice may not be the sample's ({verdict.lack_of_power})"
             return Score.missing(self.columns, reason)
         if verdict.preserved is False:
             return Score.missing(self.columns, f"not scored: regularity is lost ({verdict.faults[0]})")
@@ -102,10 +103,10 @@ class Randomness:
         if tiles.fewest < _LEAST_TILES:
             return Score.missing(self.columns, f"undecided: fewer than {_LEAST_TILES} whole tiles to compare")
         energies = Energies.of(tiles)
-        if min(energies.reference, float(verdict.yardstick.periodic.variance.values.mean())) < _LEAST_VARIANCE:
+        if min(energies.reference, float(verdict.reference.periodic.variance.values.mean())) < _LEAST_VARIANCE:
             return Score.missing(self.columns, "not applicable: the texture hardly varies from tile to tile")
 
-        lattice, sample = verdict.yardstick.lattice, observation.sample
+        lattice, sample = verdict.reference.lattice, observation.sample
         sources = [count_sources(sample, lattice, size) for size in SIZES]
         twins = find_twins(tiles.output, tiles.reference, tiles.weights, sources, energies.ratio)
         distance, level = energy_distance(tiles.output, tiles.fresh, tiles.weights)

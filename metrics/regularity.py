@@ -13,8 +13,9 @@ from nrbench.plugins.forms import Column, Observation, Score, Value
 
 from .verdict import limits
 from .verdict.defect_map import defect_map
+from .verdict.examination import examine
 from .verdict.own_lattice import spread
-from .verdict.verdict import Judgement, judge, obstacle
+from .verdict.verdict import Verdict
 
 
 def _distance(meaning: str, unit: str = "of s") -> Column:
@@ -63,7 +64,7 @@ class Regularity:
             range=(0.0, math.inf),
             better="one",
         ),
-        "misalignment": _distance("Mean displacement of two windows against each other"),
+        "pairwise_displacement": _distance("Mean displacement of two windows against each other"),
         "misplaced_share": Column("Share of windows that are out of place.", better="lower"),
         "worst_neighborhood": _distance("Largest median displacement of 3 x 3 windows"),
         "structure": Column(
@@ -96,96 +97,96 @@ class Regularity:
 
     def score(self, observation: Observation) -> Score:
         """Return the scores, and the picture ``defects``: the output dimmed, bad tiles in color."""
-        judgement = judge(observation)
-        if judgement is None or obstacle(judgement):
-            return Score.missing(self.columns, obstacle(judgement, observation))
-        values = measured(judgement)
-        reasons = {name: _reason(name, judgement) for name, value in values.items() if value is None}
-        return Score(values, reasons, {"defects": defect_map(judgement)}, _records(judgement))
+        verdict = examine(observation).verdict
+        if isinstance(verdict, str):
+            return Score.missing(self.columns, verdict)
+        values = measured(verdict)
+        reasons = {name: _reason(name, verdict) for name, value in values.items() if value is None}
+        return Score(values, reasons, {"defects": defect_map(verdict)}, _records(verdict))
 
 
-def measured(judgement: Judgement) -> dict[str, Value]:
+def measured(verdict: Verdict) -> dict[str, Value]:
     """Return all columns of an output that was judged."""
-    return {**_verdicts(judgement), **_placements(judgement), **_lattice(judgement)}
+    return {**_verdicts(verdict), **_placements(verdict), **_lattice(verdict)}
 
 
-def _verdicts(judgement: Judgement) -> dict[str, Value]:
-    course = judgement.output.strips.worst_slide
+def _verdicts(verdict: Verdict) -> dict[str, Value]:
+    course = verdict.output.strips.worst_slide
     return {
-        "preserved": judgement.preserved,
-        "intact": judgement.intact,
-        "score": None if judgement.unsure else judgement.score,
-        "bad_tiles": float(len(judgement.bad_places)),
-        "worst_tile": float(judgement.tile_suspicion.max(initial=0.0)),
-        "worst_tile_displacement": judgement.worst_tile_displacement,
-        "worst_course": course / judgement.yardstick.lattice.s if course is not None else None,
-        "structure": judgement.structure,
-        "structure_spread": judgement.structure_spread,
+        "preserved": verdict.preserved,
+        "intact": verdict.intact,
+        "score": None if verdict.lattice_doubtful else verdict.score,
+        "bad_tiles": float(len(verdict.bad_places)),
+        "worst_tile": float(verdict.tile_excess.max(initial=0.0)),
+        "worst_tile_displacement": verdict.worst_tile_displacement,
+        "worst_course": course / verdict.reference.lattice.s if course is not None else None,
+        "structure": verdict.structure,
+        "structure_spread": verdict.structure_spread,
     }
 
 
-def _placements(judgement: Judgement) -> dict[str, Value]:
-    misplacement, s = judgement.output.placement.misplacement, judgement.yardstick.lattice.s
+def _placements(verdict: Verdict) -> dict[str, Value]:
+    misplacement, s = verdict.output.windows.misplacement, verdict.reference.lattice.s
     median, p95 = (float(value) for value in np.quantile(misplacement, (0.5, 0.95)))
-    usual = judgement.usual_misplacement
+    usual = verdict.usual_misplacement
     return {
         "misplacement_median": median,
         "misplacement_p95": p95,
         "misplacement_median_px": median * s,
         "misplacement_p95_px": p95 * s,
         "misplacement_ratio": median / usual if usual > 0 else None,
-        "misalignment": judgement.output.placement.misalignment,
-        "misplaced_share": float(judgement.misplaced.mean()),
-        "worst_neighborhood": judgement.worst_neighborhood,
+        "pairwise_displacement": verdict.output.windows.pairwise_displacement,
+        "misplaced_share": float(verdict.misplaced.mean()),
+        "worst_neighborhood": verdict.worst_neighborhood,
     }
 
 
-def _lattice(judgement: Judgement) -> dict[str, Value]:
+def _lattice(verdict: Verdict) -> dict[str, Value]:
     """Return the output's own lattice beside the true one: the model's, or the given one as fitted to the sample."""
-    own = judgement.own if judgement.structure >= limits.STRUCTURE else None
-    error = own.error(judgement.yardstick.lattice, judgement.output.image.shape[:2]) if own else None
+    own = verdict.own if verdict.structure >= limits.STRUCTURE else None
+    error = own.error(verdict.reference.lattice, verdict.output.image.shape[:2]) if own else None
     return {
-        "drift": 100 * float(np.linalg.norm(spread(judgement.drift) - np.eye(2), 2)) if error else None,
+        "drift": 100 * float(np.linalg.norm(spread(verdict.drift) - np.eye(2), 2)) if error else None,
         "lattice_exact": error.relation == "exact" if error else None,
         "lattice_vector_error": error.vector if error else None,
         "lattice_area_ratio": error.area_ratio if error else None,
     }
 
 
-def _reason(name: str, judgement: Judgement) -> str:
+def _reason(name: str, verdict: Verdict) -> str:
     """Return why a column of a judged output is None."""
-    if name == "intact" and judgement.preserved is False:
+    if name == "intact" and verdict.preserved is False:
         return "undecided: regularity is lost, and no single tile stands out"
     if name in ("preserved", "intact", "score"):
         what = "one bad tile" if name == "intact" else "a course that slid by 0.15 s"
-        faint = f"{what} might not be seen at the regular share {judgement.yardstick.regular_share:.2f}"
-        return f"undecided: {judgement.blindness or faint}"
+        faint = f"{what} might not be seen at the regular share {verdict.reference.regular_share:.2f}"
+        return f"undecided: {verdict.lack_of_power or faint}"
     if name == "misplacement_ratio":
         return "not measured: the windows of the reference are not displaced at all"
     if name == "worst_course":
         return "not measured: no course of two whole tiles"
     if name == "structure_spread":
         return "not measured: the windows of the reference hardly differ"
-    if judgement.structure < limits.STRUCTURE:
-        return f"not measured: windows show {max(judgement.structure, 0):.0%} of the structure of the references'"
-    if judgement.own is None:
+    if verdict.structure < limits.STRUCTURE:
+        return f"not measured: windows show {max(verdict.structure, 0):.0%} of the structure of the references'"
+    if verdict.own is None:
         return "not measured: fewer than 3 x 3 windows"
-    return f"not measured: only {judgement.own.followers:.0%} of the windows lie on one lattice"
+    return f"not measured: only {verdict.own.followers:.0%} of the windows lie on one lattice"
 
 
-def _records(judgement: Judgement) -> dict[str, Any]:
-    placement = judgement.output.placement
+def _records(verdict: Verdict) -> dict[str, Any]:
+    placement = verdict.output.windows
     return {
-        "yardstick": judgement.yardstick.source,
-        "lattice_from": judgement.yardstick.known.origin,
-        "own_lattice": judgement.own.lattice.as_dict() if judgement.own else None,
-        "followers": judgement.own.followers if judgement.own else None,
-        "regular_share": judgement.yardstick.regular_share,
-        "judged": "detail" if judgement.yardstick.detail else "image",
-        "lattice": judgement.output.tiles.lattice.as_dict(),
+        "yardstick": verdict.reference.source,
+        "lattice_from": verdict.reference.known.origin,
+        "own_lattice": verdict.own.lattice.as_dict() if verdict.own else None,
+        "followers": verdict.own.followers if verdict.own else None,
+        "regular_share": verdict.reference.regular_share,
+        "judged": "detail" if verdict.reference.detail else "image",
+        "lattice": verdict.output.tiles.lattice.as_dict(),
         "phase": [float(value) for value in placement.phase],
         "windows": list(placement.grid),
-        "misplacement_limit": judgement.limit,
-        "faults": list(judgement.faults),
-        "bad_places": [[float(x), float(y)] for x, y in judgement.bad_places],
+        "misplacement_limit": verdict.limit,
+        "faults": list(verdict.faults),
+        "bad_places": [[float(x), float(y)] for x, y in verdict.bad_places],
     }

@@ -14,7 +14,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Again, Observation, Shape
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
-from ..verdict.known_lattice import known_lattice
+from ..verdict.examination import examine
 from ..verdict.reference import FIRST_DRAW
 
 LEAST_POINTS = 9
@@ -77,7 +77,7 @@ def track_images(observation: Observation) -> Tracks | str:
     The mean tile that is tracked is that of the ideal image if the truth has one, else that of the sample. Call it
     through :meth:`~nrbench.plugins.forms.Observation.shared`, so that metrics of one observation share the tracks.
     """
-    known, truth = known_lattice(observation), observation.truth
+    known, truth = examine(observation).known_lattice, observation.truth
     if known.lattice is None:
         return known.reason
     # The same lattice in the truth's own basis: the basis decides the last bits of a track.

@@ -16,9 +16,9 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Observation, Shape
 
 from ..ncc.periodic import TOLERANCE
-from ..verdict.measurements import Look
+from ..verdict.measurements import Measurements
 from ..verdict.reference import FIRST_DRAW
-from ..verdict.verdict import Judgement
+from ..verdict.verdict import Verdict
 
 _DRAWS, _MOST_DRAWS = 4, 12
 """Fresh draws for outputs of 256 x 256 px; smaller outputs get more, so that there are about as many tiles."""
@@ -124,7 +124,7 @@ def quarters(tiles: Values) -> Values:
     return np.stack([tiles[:, y : y + rows, x : x + columns] for y in (0, rows) for x in (0, columns)])
 
 
-def align_middles(image: Look, references: tuple[Look, ...]) -> Points:
+def align_middles(image: Measurements, references: tuple[Measurements, ...]) -> Points:
     """Return the middles (x, y) px of the whole tiles, displaced by what exceeds the references' noise, ``(n, 2)``.
 
     Unlike in :func:`find_middles`, this also applies to the offset of the window around a tile. Tiles of a right image
@@ -137,7 +137,7 @@ def align_middles(image: Look, references: tuple[Look, ...]) -> Points:
     return middles
 
 
-def find_middles(image: Look, noise: Points) -> Points:
+def find_middles(image: Measurements, noise: Points) -> Points:
     """Return the middles (x, y) px of the whole tiles where the image shows them, ``(n, 2)``.
 
     A tile is displaced like the window around it, plus as much of its own offset from there as exceeds the noise of
@@ -148,14 +148,14 @@ def find_middles(image: Look, noise: Points) -> Points:
     return np.asarray(image.tiles.centers[image.tiles.whole] + around + own @ keep.T)
 
 
-def offset_noise(images: tuple[Look, ...]) -> Points:
+def offset_noise(images: tuple[Measurements, ...]) -> Points:
     """Return the covariance in px^2 of the tiles' own offsets in images without displacements."""
     return _covariance(np.concatenate([_offsets(image)[1] for image in images]))
 
 
-def _offsets(image: Look) -> tuple[Points, Points]:
+def _offsets(image: Measurements) -> tuple[Points, Points]:
     """Return for each whole tile the offset of the window around it, 0 if misplaced, and its own offset from there."""
-    tiles, windows = image.tiles, image.placement
+    tiles, windows = image.tiles, image.windows
     nearest = windows.nearest(tiles.centers[tiles.whole])
     inside = windows.misplacement[nearest] <= TOLERANCE
     around = windows.offsets[nearest] * inside[:, np.newaxis]
@@ -232,10 +232,10 @@ class ComparedTiles:
     model: bool
 
     @classmethod
-    def of(cls, observation: Observation, verdict: Judgement) -> ComparedTiles:
+    def of(cls, observation: Observation, verdict: Verdict) -> ComparedTiles:
         """Cut all tiles of an observation."""
-        lattice, sample = verdict.yardstick.lattice, observation.sample
-        grid, model = even_grid(lattice), verdict.yardstick.source == "model"
+        lattice, sample = verdict.reference.lattice, observation.sample
+        grid, model = even_grid(lattice), verdict.reference.source == "model"
         tiles = TileSet.on(sample, lattice, grid)
         output = _cut_displaced(verdict.output, verdict.references, grid)
         fresh = _cut_fresh(observation, verdict, grid) if model else _cut_halves(sample, tiles)
@@ -273,14 +273,14 @@ class ComparedTiles:
         return min(map(len, (*self.blocks[0], *self.blocks[1], *self.fresh)), default=0)
 
 
-def _cut_displaced(image: Look, references: tuple[Look, ...], grid: Grid) -> TileSet:
+def _cut_displaced(image: Measurements, references: tuple[Measurements, ...], grid: Grid) -> TileSet:
     """Cut an image's whole tiles at their displacements, see :func:`align_middles`."""
     tiles = image.tiles
     numbers = tiles.lattice.to_cell(tiles.centers[tiles.whole])
     return TileSet.cut(image.image, tiles.lattice, numbers, align_middles(image, references), grid)
 
 
-def _cut_fresh(observation: Observation, verdict: Judgement, grid: Grid) -> tuple[TileSet, ...]:
+def _cut_fresh(observation: Observation, verdict: Verdict, grid: Grid) -> tuple[TileSet, ...]:
     """Cut fresh draws of the output's size: on the lattice, or displaced if the model displaces its content."""
     again, shape = observation.again, observation.output.shape[:2]
     count = int(np.clip(_DRAWS * 256**2 / (shape[0] * shape[1]), _DRAWS, _MOST_DRAWS))
@@ -290,9 +290,9 @@ def _cut_fresh(observation: Observation, verdict: Judgement, grid: Grid) -> tupl
             raise ValueError(f"the texture's model gave no fresh draw of {shape[1]}x{shape[0]} px")
         image = quantize(draw.image)
         if draw.displacement is None:
-            sets.append(TileSet.on(image, verdict.yardstick.lattice, grid))
+            sets.append(TileSet.on(image, verdict.reference.lattice, grid))
         else:
-            measurements = Look.at(image, verdict.yardstick.periodic)
+            measurements = Measurements.at(image, verdict.reference.periodic)
             sets.append(_cut_displaced(measurements, verdict.references, grid))
     return tuple(sets)
 

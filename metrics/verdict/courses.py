@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import limits
-from .exponential_tail import Tail
+from .exponential_tail import ExponentialTail
 from .tiles import Tiles
 
 Ratios = NDArray[np.float64]
@@ -34,7 +34,7 @@ def course_gains(tiles: Tiles) -> Ratios:
     return gains
 
 
-def course_suspicion(tiles: Tiles, references: list[Tiles]) -> Ratios:
+def course_excess(tiles: Tiles, references: list[Tiles]) -> Ratios:
     """Return, for each tile, how far the worst of its courses exceeds its limits: above 1 the course has slid.
 
     Its tiles fit better elsewhere on the whole, by more than courses of the references ever do.
@@ -43,10 +43,10 @@ def course_suspicion(tiles: Tiles, references: list[Tiles]) -> Ratios:
     gains = course_gains(tiles)
     if not len(own) or not np.isfinite(gains).any():
         return np.zeros(len(tiles.centers))
-    tail = Tail.fit(own, _QUANTILE, _OVERLAP)
+    tail = ExponentialTail.fit(own, _QUANTILE, _OVERLAP)
     chances = np.log(max(len(_once(gains)), 1)) - np.log(gains.size)
-    surprise = tail.surprise(np.maximum(gains, own.min()).ravel()).reshape(gains.shape) - chances
-    ratio = np.minimum(surprise / limits.COURSE_SURPRISE, 1 + gains / limits.COURSE_GAIN)
+    surprise = tail.surprisal(np.maximum(gains, own.min()).ravel()).reshape(gains.shape) - chances
+    ratio = np.minimum(surprise / limits.COURSE_SURPRISAL, 1 + gains / limits.COURSE_GAIN)
     return np.asarray(np.maximum(ratio, 0).max(0))
 
 

@@ -10,21 +10,21 @@ from nrbench.imaging.fold import cell_coordinates
 from nrbench.lattice.geometry import Points
 
 from .tiles import Tiles
-from .verdict import Judgement
+from .verdict import Verdict
 
 COLORS = {"moved": (1.0, 0.6, 0.0), "displaced": (0.9, 0.1, 0.1), "broken": (0.7, 0.1, 0.8)}
 """A tile whose window is out of place; one that fits better elsewhere; one that fits nowhere."""
 _DIM = 0.5
 
 
-def defect_map(judgement: Judgement) -> Image:
+def defect_map(verdict: Verdict) -> Image:
     """Return the output in faint gray, the quarter cells around the middles of bad tiles tinted by :data:`COLORS`.
 
     Of several faults of one tile the last of moved, broken, displaced is shown.
     """
-    output, tiles = judgement.output.image, judgement.output.tiles
+    output, tiles = verdict.output.image, verdict.output.tiles
     faint = np.repeat((1 - _DIM + _DIM * gray(output))[..., np.newaxis], 3, 2)
-    flags = {"moved": judgement.moved, "broken": judgement.broken, "displaced": judgement.displaced}
+    flags = {"moved": verdict.moved, "broken": verdict.broken, "displaced": verdict.displaced}
     tints = np.full((len(tiles.centers) + 1, 3), np.nan, np.float32)
     for name, flag in flags.items():
         tints[:-1][flag] = COLORS[name]

@@ -11,7 +11,7 @@ Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Tail:
+class ExponentialTail:
     """The upper tail of a statistic over references: an exponential above a threshold.
 
     Peaks over a threshold (Pickands, Annals of Statistics 3, 1975), with the shape held at the exponential and the
@@ -36,7 +36,7 @@ class Tail:
     excesses: float
 
     @classmethod
-    def fit(cls, values: Values, quantile: float = 0.95, overlap: float = 1.0) -> Tail:
+    def fit(cls, values: Values, quantile: float = 0.95, overlap: float = 1.0) -> ExponentialTail:
         """Fit the tail of the references' values.
 
         Parameters
@@ -53,7 +53,7 @@ class Tail:
         scale = float(excess.mean()) if len(excess) else 0.0
         return cls(threshold, 1 - quantile, max(scale, 1e-3), max(len(excess) / overlap, 1.0))
 
-    def surprise(self, values: Values) -> Values:
+    def surprisal(self, values: Values) -> Values:
         """Return, for each of n values, about -log of the chance that the largest of n references exceeds it.
 
         The size of the image is so accounted for: over right images the largest surprise exceeds x in a share of about

@@ -13,22 +13,22 @@ seeds, judges them: false alarms, detectability by defect, size and regular shar
 ``docs/validation.md``, each table with its command.
 """
 
-TILE_SURPRISE = 8.0
+TILE_SURPRISAL = 8.0
 """Surprise above which one tile is bad."""
 GAIN_FLOOR = 0.05
 """A displaced tile fits better elsewhere by at least this much NCC."""
 FIT_FLOOR = 0.6
 """A broken tile's NCC, or its slope, is below this share of the references' median."""
 SINGLE_TILE_SHARE = 0.6
-"""Regular share from which a single tile is looked for with :data:`TILE_SURPRISE`."""
+"""Regular share from which a single tile is looked for with :data:`TILE_SURPRISAL`."""
 INTACT_SHARE = 0.85
 """Regular share from which a tile that is not seen is not there: at 0.93 all bad tiles of 0.3 s or more are called
 lost, at 0.8 a covered one is missed in one image of six, at 0.7 in four of ten."""
-FAINT_TILE_SURPRISE = 20.0
+FAINT_TILE_SURPRISAL = 20.0
 """The same below that share, where single tiles of fresh draws fit by chance elsewhere."""
-NEIGHBORHOOD_SURPRISE = 8.0
+NEIGHBORHOOD_SURPRISAL = 8.0
 """Surprise above which the worst neighborhood has moved."""
-COURSE_SURPRISE = 3.0
+COURSE_SURPRISAL = 3.0
 """Surprise above which a course of tiles has slid."""
 COURSE_GAIN = 0.1
 """A course has slid where its tiles fit better elsewhere on the whole (gain above 0), in steps of this much NCC."""
@@ -57,6 +57,6 @@ REFERENCE_MISPLACED = 0.03
 GROSS_SHARE = 0.5
 """Share of misplaced windows above which regularity is lost even where the judge is blind to less."""
 REFERENCE_SCATTER = 0.125
-"""Misplacement (in s) that 95 % of the references' windows may have and still be a yardstick."""
+"""Misplacement (in s) that 95 % of the references' windows may have and still be a reference."""
 LEAST_SPREAD = 1e-3
 """Interquartile range of the references' NCC below which nothing is to be compared: windows all but equal."""

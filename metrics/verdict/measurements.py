@@ -1,4 +1,4 @@
-"""An image as the judge sees it."""
+"""What is measured of an image: its windows, its tiles and its courses against the periodic image."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import Values
 
 from ..ncc.periodic import Periodic
-from .reference import Yardstick
 from .strips import Strips, strips
 from .tiles import Tiles, inspect
-from .window_registration import Placement, place
+from .window_registration import RegisteredWindows, register_windows
 
 
 @dataclass(frozen=True)
-class Look:
-    """An image's windows, its tiles and its courses.
+class Measurements:
+    """The windows, the tiles and the courses of an image, compared with the periodic image.
 
     Parameters
     ----------
@@ -27,8 +26,8 @@ class Look:
         What is compared with the periodic image: the image, or its detail.
     periodic
         What it should follow.
-    placement
-        Its windows.
+    windows
+        Its windows, two tiles wide.
     tiles
         Its tiles, at the phase that most windows share.
     """
@@ -36,22 +35,17 @@ class Look:
     image: Image
     seen: Values
     periodic: Periodic
-    placement: Placement
+    windows: RegisteredWindows
     tiles: Tiles
 
     @classmethod
-    def at(cls, image: Image, periodic: Periodic, seen: Values | None = None) -> Look:
+    def at(cls, image: Image, periodic: Periodic, seen: Values | None = None) -> Measurements:
         """Register the windows of ``seen`` (None: of the image), then inspect its tiles at their phase."""
         seen = image if seen is None else seen
-        placement = place(seen, periodic)
-        return cls(image, seen, periodic, placement, inspect(seen, periodic, placement.phase))
+        windows = register_windows(seen, periodic)
+        return cls(image, seen, periodic, windows, inspect(seen, periodic, windows.phase))
 
     @cached_property
     def strips(self) -> Strips:
         """Its courses, each slid along the periodic image as a whole."""
         return strips(self.seen, self.tiles.lattice, self.periodic)
-
-
-def look_at_references(measure: Yardstick) -> tuple[Look, ...]:
-    """Return the yardstick's references as the judge sees them."""
-    return tuple(Look.at(one.image, one.periodic, measure.view(one.image)) for one in measure.references)

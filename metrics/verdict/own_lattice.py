@@ -10,7 +10,7 @@ from nrbench.lattice.comparison import LatticeError, lattice_error
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Shape
 
-from .window_registration import Placement, followers
+from .window_registration import RegisteredWindows, affine_residuals
 
 LEAST_FOLLOWERS = 0.5
 """Share of the windows that must follow one lattice for it to be the output's."""
@@ -36,7 +36,7 @@ class OwnLattice:
         return lattice_error(self.lattice, truth, shape) if self.followers >= LEAST_FOLLOWERS else None
 
 
-def own_lattice(placement: Placement, drift: Points) -> OwnLattice | None:
+def own_lattice(placement: RegisteredWindows, drift: Points) -> OwnLattice | None:
     """Return the lattice on which the output's content lies; None where there are fewer than 3 x 3 windows.
 
     The content at x came from x - d(x), with ``d = drift @ x + constant`` fitted by least squares to the windows; so a
@@ -44,7 +44,7 @@ def own_lattice(placement: Placement, drift: Points) -> OwnLattice | None:
     """
     if min(placement.grid) < 3:
         return None
-    _, inside, constant = followers(placement, drift)
+    _, inside, constant = affine_residuals(placement, drift)
     return OwnLattice(moved(placement.lattice, drift, constant), float(inside.mean()))
 
 

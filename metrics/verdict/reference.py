@@ -1,25 +1,31 @@
-"""What a synthesis is measured against: the periodic image that it should follow, and textures that do."""
+"""The reference of an output: the known lattice, the periodic image to follow, and images that follow it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from nrbench.detectors.dominance import Dominance
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import Values, fold, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Again, Observation, Shape, Texture
+from nrbench.plugins.forms import Again, NoLatticeFound, Observation, Shape, Texture
 
 from ..ncc.periodic import LARGE, WINDOW_TILES, Periodic, tile_box, window_shape
 from . import limits
-from .known_lattice import KnownLattice, Origin, known_lattice, settled
+from .measurements import Measurements
 from .own_lattice import moved, spread
-from .window_registration import affine_part, place
+from .window_registration import fit_drift, register_windows
 
+Origin = Literal["model", "given", "dominance"]
+NO_LATTICE = "not applicable: no lattice in the truth"
+_DIGITS = 9
+"""Decimals, px, to which the origin of a canonical lattice is rounded."""
 FIRST_DRAW = 1 << 16
 """Fresh draws from here on are the judge's own: the oracle and the planted defects use others."""
 DRAWS = 3
@@ -39,47 +45,102 @@ _WINDOWS, _MOST = 1.5, 0.7
 
 
 @dataclass(frozen=True)
-class Reference:
-    """An image that is known to be right, and the periodic image that it follows."""
+class KnownLattice:
+    """The lattice of the sample, as all metrics use it.
+
+    Parameters
+    ----------
+    lattice
+        In the canonical basis, its origin the point nearest to (0, 0); None if the sample has no lattice.
+    origin
+        Where the lattice comes from. ``"model"``: the model of the texture. ``"given"``: the user, for a photograph;
+        the lattice is then uncertain. ``"dominance"``: that detector found it in the sample.
+    reason
+        Why there is no lattice.
+    """
+
+    lattice: Lattice | None
+    origin: Origin
+    reason: str = ""
+
+
+def find_known_lattice(observation: Observation) -> KnownLattice:
+    """Return the lattice of the sample: that of the truth, else what the detector ``dominance`` finds in the sample.
+
+    A model, or a truth of kind ``"stochastic"``, without a lattice is believed. The lattice that the method received
+    or used does not count: outputs of different methods are compared by one lattice of their sample.
+
+    The detector is ``dominance`` because no synthesizer uses it by default (``rsgf`` and ``tile-set`` use
+    ``consensus``): a score must not share the lattice finder of a method that it ranks.
+    """
+    truth, again = observation.truth, observation.again
+    if truth is not None and truth.lattice is not None:
+        model = again is not None and truth.ideal is not None
+        return KnownLattice(canonical_lattice(truth.lattice), "model" if model else "given")
+    if again is not None or (truth is not None and truth.kind == "stochastic"):
+        return KnownLattice(None, "model", NO_LATTICE)
+    try:
+        return KnownLattice(canonical_lattice(Dominance().detect(observation.sample).lattice), "dominance")
+    except NoLatticeFound as none:
+        reason = f"not applicable: no lattice is given, and the detector dominance finds none in the sample: {none}"
+        return KnownLattice(None, "dominance", reason)
+
+
+def canonical_lattice(lattice: Lattice) -> Lattice:
+    """Return the lattice in its canonical basis, its origin the point nearest to (0, 0)."""
+    canonical = lattice.canonical()
+    x, y = (round(float(value), _DIGITS) for value in canonical.wrap(canonical.origin))
+    return Lattice(canonical.t1, canonical.t2, (x, y))
+
+
+@dataclass(frozen=True)
+class ReferenceImage:
+    """An image of the texture without defects, and the periodic image that it follows."""
 
     image: Image
     periodic: Periodic
 
 
 @dataclass(frozen=True)
-class Yardstick:
+class Reference:
     """What an output is compared with.
 
     Parameters
     ----------
     source
-        ``"model"``: ideal image and fresh draws of the texture's model; ``"sample"``: mean tile of the sample, and
-        the sample itself, each part judged by the mean tile of the rest.
+        ``"model"``: the ideal image and fresh draws of the model. ``"sample"``: the mean tile of the sample, and two
+        parts of the sample, each compared with the mean tile of the rest.
     periodic
-        What the output should follow.
-    references
-        What an output like the texture looks like.
+        The periodic image that the output should follow.
+    images
+        Images of the texture without defects.
     regular_share
-        Share of the regular part in the variance, in [0, 1].
+        Variance of the regular part over the whole variance, in [0, 1].
     known
-        The lattice that was known beforehand, and from where.
+        The known lattice.
     fit
-        2 x 2 matrix that takes the vectors of that lattice to those of :attr:`lattice`, as fitted to the sample.
+        2 x 2 matrix that takes the vectors of the known lattice to those of :attr:`lattice`, which is fitted to the
+        sample.
     detail
-        Standard deviation, px, of the blur that is taken off images before they are judged; 0: they are judged whole.
+        Standard deviation, px, of the blur that is subtracted from images before they are compared; 0: none is.
     """
 
     source: Literal["model", "sample"]
     periodic: Periodic
-    references: tuple[Reference, ...]
+    images: tuple[ReferenceImage, ...]
     regular_share: float
     known: KnownLattice
     fit: Points = field(default_factory=lambda: np.eye(2))
     detail: float = 0.0
 
     def view(self, image: Values) -> Values:
-        """Return what is judged of an image: all of it, or its detail."""
+        """Return what is compared of an image: all of it, or its detail."""
         return _detail(image, self.detail)
+
+    @cached_property
+    def measurements(self) -> tuple[Measurements, ...]:
+        """Measurements of the reference images."""
+        return tuple(Measurements.at(one.image, one.periodic, self.view(one.image)) for one in self.images)
 
     @property
     def lattice(self) -> Lattice:
@@ -96,25 +157,23 @@ class Yardstick:
         return self.source == "sample" and float(np.linalg.norm(away, 2)) <= LATTICE_UNCERTAINTY
 
 
-def yardstick(observation: Observation) -> Yardstick | None:
-    """Return what the output is to be measured against; None where no lattice is known or found."""
-    known, truth = known_lattice(observation), observation.truth
-    if known.lattice is None:
-        return None
-    if known.origin == "model" and truth is not None and observation.again is not None:
-        return model_yardstick(truth, known.lattice, observation.again)
-    return best_yardstick(observation.sample, known.lattice, known.origin)
+def make_reference(observation: Observation, known: KnownLattice) -> Reference:
+    """Return the reference of an observation whose lattice is known."""
+    assert known.lattice is not None
+    if known.origin == "model" and observation.truth is not None and observation.again is not None:
+        return reference_from_model(observation.truth, known.lattice, observation.again)
+    return reference_from_sample(observation.sample, known.lattice, known.origin)
 
 
-def best_yardstick(sample: Image, lattice: Lattice, origin: Origin = "given") -> Yardstick:
-    """Return the yardstick of a sample, or of its detail where the whole has too little that is regular.
+def reference_from_sample(sample: Image, lattice: Lattice, origin: Origin = "given") -> Reference:
+    """Return the reference of a sample, or of its detail if the whole sample has too little that is regular.
 
-    Tiles whose colors differ much swamp the joints between them, which the eye follows all the same.
+    Large differences of color between tiles hide the joints, by which people still see the lattice.
     """
-    whole = sample_yardstick(sample, lattice, origin)
+    whole = fold_reference(sample, lattice, origin)
     if whole.regular_share >= limits.SURE_SHARE:
         return whole
-    fine = sample_yardstick(sample, lattice, origin, _DETAIL * settled(lattice).s)
+    fine = fold_reference(sample, lattice, origin, _DETAIL * canonical_lattice(lattice).s)
     return fine if fine.regular_share > whole.regular_share else whole
 
 
@@ -125,9 +184,9 @@ def _detail(image: Values, sigma: float) -> Values:
     return np.asarray(image - ndimage.gaussian_filter(image, (sigma, sigma, 0), mode="reflect"), np.float32)
 
 
-def model_yardstick(truth: Texture, lattice: Lattice, again: Again) -> Yardstick:
-    """Return the yardstick of a texture whose model is known."""
-    lattice = settled(lattice)
+def reference_from_model(truth: Texture, lattice: Lattice, again: Again) -> Reference:
+    """Return the reference of a texture whose model is known."""
+    lattice = canonical_lattice(lattice)
     box = tile_box(lattice)
     side = np.ceil(np.maximum(np.clip(LARGE * box, *_SIDES), _LEAST_TILES_A_SIDE * box)).astype(int)
     shape = (int(side[1]), int(side[0]))
@@ -143,28 +202,28 @@ def model_yardstick(truth: Texture, lattice: Lattice, again: Again) -> Yardstick
     share = truth.regular_share
     if share is None:
         share = _share(_ideal(draws[0]), float(departures.mean()))
-    references = tuple(Reference(quantize(draw.image), periodic) for draw in draws)
-    return Yardstick("model", periodic, references, share, KnownLattice(lattice, "model"))
+    images = tuple(ReferenceImage(quantize(draw.image), periodic) for draw in draws)
+    return Reference("model", periodic, images, share, KnownLattice(lattice, "model"))
 
 
-def sample_yardstick(sample: Image, lattice: Lattice, origin: Origin = "given", detail: float = 0.0) -> Yardstick:
-    """Return the yardstick of a sample, or of its detail, of which only the lattice is known.
+def fold_reference(sample: Image, lattice: Lattice, origin: Origin = "given", detail: float = 0.0) -> Reference:
+    """Return the reference of a sample, or of its detail, of which only the lattice is known.
 
-    The lattice is first fitted to the sample, as far as its uncertainty allows.
+    The lattice is first fitted to the sample, within :data:`LATTICE_UNCERTAINTY`.
     """
     seen = _detail(sample, detail)
-    known = KnownLattice(settled(lattice), origin)
+    known = KnownLattice(canonical_lattice(lattice), origin)
     everywhere = np.ones(sample.shape[:2], np.bool_)
     assert known.lattice is not None
     rough = _folded(seen, known.lattice, everywhere)
-    drift = affine_part(place(seen, rough))
+    drift = fit_drift(register_windows(seen, rough))
     if not 0 < np.linalg.norm(spread(drift) - np.eye(2), 2) <= LATTICE_UNCERTAINTY:
         drift = np.zeros((2, 2))
     periodic = _folded(seen, moved(known.lattice, drift, np.zeros(2)), everywhere)
     parts = _parts(sample.shape[:2], periodic.lattice)
-    references = tuple(_crossed(sample, seen, periodic.lattice, part) for part in parts)
+    images = tuple(_crossed(sample, seen, periodic.lattice, part) for part in parts)
     share = _sample_share(seen, periodic.lattice)
-    return Yardstick("sample", periodic, references, share, known, spread(drift), detail)
+    return Reference("sample", periodic, images, share, known, spread(drift), detail)
 
 
 def _parts(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -177,13 +236,13 @@ def _parts(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[n
     return first, last
 
 
-def _crossed(sample: Image, seen: Values, lattice: Lattice, part: NDArray[np.bool_]) -> Reference:
+def _crossed(sample: Image, seen: Values, lattice: Lattice, part: NDArray[np.bool_]) -> ReferenceImage:
     """Return one part of the sample, to be judged by the mean tile of the rest, however little it is."""
     rows, columns = np.flatnonzero(part.any(1)), np.flatnonzero(part.any(0))
     crop = sample[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     rest = _folded(seen, lattice, ~part)
     shifted = lattice.shifted((-float(columns[0]), -float(rows[0])))
-    return Reference(crop, rest.on(shifted))
+    return ReferenceImage(crop, rest.on(shifted))
 
 
 def _folded(sample: Values, lattice: Lattice, mask: NDArray[np.bool_]) -> Periodic:

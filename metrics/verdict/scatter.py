@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from . import limits
-from .exponential_tail import Tail
-from .window_registration import Placement
+from .exponential_tail import ExponentialTail
+from .window_registration import RegisteredWindows
 
 _QUARTER = 0.75
 """The quantile that stands for the scatter: no few windows that lock onto a wrong place reach it."""
 
 
-def scatter_suspicion(placement: Placement, references: Sequence[Placement]) -> float:
+def scatter_excess(placement: RegisteredWindows, references: Sequence[RegisteredWindows]) -> float:
     """Return how far the windows' scatter exceeds its limits: above 1 the content is bent.
 
     A smooth displacement leaves most windows within the tolerance, yet all of them off by more than windows of the
@@ -27,7 +27,9 @@ def scatter_suspicion(placement: Placement, references: Sequence[Placement]) -> 
     return min(seen / max(usual, 1e-6) / limits.SCATTER_RATIO, seen / limits.SCATTER)
 
 
-def neighborhood_suspicion(placement: Placement, references: Sequence[Placement], limit: float, model: bool) -> float:
+def neighborhood_excess(
+    placement: RegisteredWindows, references: Sequence[RegisteredWindows], limit: float, model: bool
+) -> float:
     """Return how far the worst neighborhood exceeds its limits: above 1 it has moved.
 
     It is off by more than ``limit`` (in s) and, where a model gives enough references, by more than theirs
@@ -38,5 +40,5 @@ def neighborhood_suspicion(placement: Placement, references: Sequence[Placement]
     if not model:
         return far
     own = np.concatenate([one.neighborhoods() for one in references])
-    surprise = Tail.fit(own, quantile=0.9, overlap=4).surprise(found)
-    return min(far, float(surprise.max(initial=0.0)) / limits.NEIGHBORHOOD_SURPRISE)
+    surprise = ExponentialTail.fit(own, quantile=0.9, overlap=4).surprisal(found)
+    return min(far, float(surprise.max(initial=0.0)) / limits.NEIGHBORHOOD_SURPRISAL)

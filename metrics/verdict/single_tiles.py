@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import limits
-from .exponential_tail import Tail
+from .exponential_tail import ExponentialTail
 from .tiles import Tiles
 
 Ratios = NDArray[np.float64]
@@ -16,15 +16,15 @@ _LEAST_CONTRAST = 0.2
 """Contrast of a tile's surroundings, over the usual, below which it is not made up for: nothing is left to see."""
 
 
-def displacement_suspicion(tiles: Tiles, references: list[Tiles], regular_share: float) -> Ratios:
+def displacement_excess(tiles: Tiles, references: list[Tiles], regular_share: float) -> Ratios:
     """Return, for each tile, how far it exceeds the limits of fitting better elsewhere: above 1 it is displaced."""
-    tail = Tail.fit(np.concatenate([other.gain for other in references]), overlap=_SHARED)
+    tail = ExponentialTail.fit(np.concatenate([other.gain for other in references]), overlap=_SHARED)
     sure = regular_share >= limits.SINGLE_TILE_SHARE
-    limit = limits.TILE_SURPRISE if sure else limits.FAINT_TILE_SURPRISE
-    return np.minimum(tail.surprise(tiles.gain) / limit, tiles.gain / limits.GAIN_FLOOR)
+    limit = limits.TILE_SURPRISAL if sure else limits.FAINT_TILE_SURPRISAL
+    return np.minimum(tail.surprisal(tiles.gain) / limit, tiles.gain / limits.GAIN_FLOOR)
 
 
-def elsewhere_suspicion(tiles: Tiles, references: list[Tiles]) -> float:
+def elsewhere_excess(tiles: Tiles, references: list[Tiles]) -> float:
     """Return how far the share of tiles that fit better elsewhere exceeds its limit: above 1 the pattern is another.
 
     It needs no tail of what single tiles of few references come to: a pattern of twice the period fits the windows of
@@ -35,7 +35,7 @@ def elsewhere_suspicion(tiles: Tiles, references: list[Tiles]) -> float:
     return found / (limits.MISPLACED_SHARE + 2 * most)
 
 
-def breakage_suspicion(tiles: Tiles, references: list[Tiles]) -> Ratios:
+def breakage_excess(tiles: Tiles, references: list[Tiles]) -> Ratios:
     """Return, for each tile, how far it exceeds the limits of fitting badly in its place: above 1 it is broken.
 
     Its correlation with the periodic image, or the contrast that it shows of it, is too low. Contrast that the tiles
@@ -50,6 +50,6 @@ def breakage_suspicion(tiles: Tiles, references: list[Tiles]) -> Ratios:
 
 def _lack(values: Ratios, own: Ratios) -> Ratios:
     """Return how far values fall short of the references' own, in units of both limits of a broken tile."""
-    surprise = Tail.fit(-own, overlap=_SHARED).surprise(-values) / limits.TILE_SURPRISE
+    surprise = ExponentialTail.fit(-own, overlap=_SHARED).surprisal(-values) / limits.TILE_SURPRISAL
     short = (1 - values / max(float(np.median(own)), 1e-6)) / (1 - limits.FIT_FLOOR)
     return np.minimum(surprise, short)

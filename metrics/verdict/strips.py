@@ -85,7 +85,7 @@ def strips(image: Image, lattice: Lattice, periodic: Periodic) -> Strips:
     return Strips(first, gain, slide, beyond)
 
 
-def strip_suspicion(seen: Strips, references: list[Strips], tiles: Tiles) -> Ratios:
+def strip_excess(seen: Strips, references: list[Strips], tiles: Tiles) -> Ratios:
     """Return, for each tile, how far the worst of its courses exceeds its limits: above 1 it has slid.
 
     It is likelier elsewhere than in its place, by more than what is usual and the scatter of the references' courses

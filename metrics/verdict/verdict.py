@@ -10,20 +10,18 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
-from nrbench.plugins.forms import Observation
 
-from ..ncc.periodic import TOLERANCE, WINDOW_TILES, window_shape
+from ..ncc.periodic import TOLERANCE
 from . import limits
-from .courses import course_suspicion
-from .known_lattice import NO_LATTICE, known_lattice
-from .measurements import Look, look_at_references
+from .courses import course_excess
+from .measurements import Measurements
 from .own_lattice import OwnLattice, own_lattice
-from .reference import LATTICE_UNCERTAINTY, Yardstick, yardstick
-from .scatter import neighborhood_suspicion, scatter_suspicion
-from .single_tiles import breakage_suspicion, displacement_suspicion, elsewhere_suspicion
-from .strips import strip_suspicion
+from .reference import Reference
+from .scatter import neighborhood_excess, scatter_excess
+from .single_tiles import breakage_excess, displacement_excess, elsewhere_excess
+from .strips import strip_excess
 from .tiles import Tiles, inspect
-from .window_registration import affine_part, place
+from .window_registration import fit_drift, register_windows
 
 Flags = NDArray[np.bool_]
 Ratios = NDArray[np.float64]
@@ -32,33 +30,35 @@ _OVERLAP = 0.55
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Verdict:
     """An output beside its references.
 
     Parameters
     ----------
-    yardstick
-        What it is measured against.
+    reference
+        What it is compared with.
     output
         The output.
-    references
-        Images that are right.
     drift
         2 x 2 matrix: the affine part of the output's displacement.
     own
         The least-squares lattice of the output; None where it has too few windows.
     """
 
-    yardstick: Yardstick
-    output: Look
-    references: tuple[Look, ...]
+    reference: Reference
+    output: Measurements
     drift: Points
     own: OwnLattice | None
+
+    @property
+    def references(self) -> tuple[Measurements, ...]:
+        """Measurements of the reference images."""
+        return self.reference.measurements
 
     @cached_property
     def scatter(self) -> float:
         """How far (in s) 95 % of the references' windows are from their place at most."""
-        own = np.concatenate([look.placement.misplacement for look in self.references])
+        own = np.concatenate([look.windows.misplacement for look in self.references])
         return float(np.quantile(own, 0.95)) if len(own) else 0.0
 
     @property
@@ -69,29 +69,29 @@ class Judgement:
     @cached_property
     def misplaced(self) -> Flags:
         """Which windows of the output are out of place."""
-        return self.output.placement.misplacement > self.limit
+        return self.output.windows.misplacement > self.limit
 
     @cached_property
     def reference_misplaced(self) -> float:
         """Share of windows out of place in the references."""
-        own = np.concatenate([look.placement.misplacement for look in self.references])
+        own = np.concatenate([look.windows.misplacement for look in self.references])
         return float((own > self.limit).mean()) if len(own) else 1.0
 
     @cached_property
     def structure(self) -> float:
         """Median NCC of the output's windows over that of the references'."""
-        own = np.concatenate([look.placement.structure for look in self.references])
-        return float(np.median(self.output.placement.structure) / max(np.median(own), 1e-6))
+        own = np.concatenate([look.windows.structure for look in self.references])
+        return float(np.median(self.output.windows.structure) / max(np.median(own), 1e-6))
 
     @cached_property
-    def displacement_suspicion(self) -> Ratios:
+    def displacement_excess(self) -> Ratios:
         """For each tile, how far it exceeds the limits of fitting better elsewhere: above 1 it is displaced."""
-        return displacement_suspicion(self.output.tiles, self._reference_tiles, self.yardstick.regular_share)
+        return displacement_excess(self.output.tiles, self._reference_tiles, self.reference.regular_share)
 
     @cached_property
-    def breakage_suspicion(self) -> Ratios:
+    def breakage_excess(self) -> Ratios:
         """For each tile, how far it exceeds the limits of fitting badly in its place: above 1 it is broken."""
-        return breakage_suspicion(self.output.tiles, self._reference_tiles)
+        return breakage_excess(self.output.tiles, self._reference_tiles)
 
     @property
     def worst_tile_displacement(self) -> float:
@@ -104,46 +104,44 @@ class Judgement:
         return [look.tiles for look in self.references]
 
     @property
-    def tile_suspicion(self) -> Ratios:
+    def tile_excess(self) -> Ratios:
         """For each tile, how far it exceeds the limits of being displaced or broken, whichever is worse."""
-        return np.maximum(self.displacement_suspicion, self.breakage_suspicion)
+        return np.maximum(self.displacement_excess, self.breakage_excess)
 
     @cached_property
     def structure_spread(self) -> float | None:
         """Interquartile range of the output's windows' NCC over that of the references'; None where theirs is none."""
-        own = np.concatenate([look.placement.structure for look in self.references])
-        usual, seen = (
-            float(np.ptp(np.quantile(some, (0.25, 0.75)))) for some in (own, self.output.placement.structure)
-        )
+        own = np.concatenate([look.windows.structure for look in self.references])
+        usual, seen = (float(np.ptp(np.quantile(some, (0.25, 0.75)))) for some in (own, self.output.windows.structure))
         return seen / usual if usual > limits.LEAST_SPREAD else None
 
     @property
     def usual_misplacement(self) -> float:
         """Median misplacement of the references' windows, in s."""
-        return float(np.median(np.concatenate([look.placement.misplacement for look in self.references])))
+        return float(np.median(np.concatenate([look.windows.misplacement for look in self.references])))
 
     @property
     def displaced(self) -> Flags:
         """Which tiles fit better elsewhere than chance allows."""
-        return self.displacement_suspicion > 1
+        return self.displacement_excess > 1
 
     @property
     def broken(self) -> Flags:
         """Which tiles fit worse in their place than chance allows."""
-        return self.breakage_suspicion > 1
+        return self.breakage_excess > 1
 
     @cached_property
     def moved(self) -> Flags:
         """Which tiles lie in a window that is out of place, or in a course that has slid."""
-        around = self.misplaced[self.output.placement.nearest(self.output.tiles.centers)]
-        return np.asarray(around | (self.course_suspicion > 1))
+        around = self.misplaced[self.output.windows.nearest(self.output.tiles.centers)]
+        return np.asarray(around | (self.course_excess > 1))
 
     @cached_property
-    def course_suspicion(self) -> Ratios:
+    def course_excess(self) -> Ratios:
         """For each tile, how far its worst course exceeds the limits of having slid."""
         tiles, own = self.output.tiles, [look.strips for look in self.references]
-        slid = strip_suspicion(self.output.strips, own, tiles)
-        return np.maximum(course_suspicion(tiles, self._reference_tiles), slid)
+        slid = strip_excess(self.output.strips, own, tiles)
+        return np.maximum(course_excess(tiles, self._reference_tiles), slid)
 
     @property
     def bad(self) -> Flags:
@@ -156,42 +154,42 @@ class Judgement:
         return float(1 - (self.bad | self.moved).mean())
 
     @cached_property
-    def suspicions(self) -> dict[str, float]:
+    def excesses(self) -> dict[str, float]:
         """Each fault in words, and how far it exceeds its limit: above 1 regularity is lost."""
         most = limits.MISPLACED_SHARE + 2 * self.reference_misplaced
-        placement, references = self.output.placement, [look.placement for look in self.references]
-        model = self.yardstick.source == "model"
+        placement, references = self.output.windows, [look.windows for look in self.references]
+        model = self.reference.source == "model"
         return {
             f"{self.misplaced.mean():.0%} of the windows are out of place": float(self.misplaced.mean()) / most,
-            f"a neighborhood is off by {self.worst_neighborhood:.2f} s": neighborhood_suspicion(
+            f"a neighborhood is off by {self.worst_neighborhood:.2f} s": neighborhood_excess(
                 placement, references, self.limit, model
             ),
-            "the content is bent": scatter_suspicion(placement, references) if model else 0.0,
+            "the content is bent": scatter_excess(placement, references) if model else 0.0,
             f"the structure is {self.structure:.2f} of the references'": (1 - self.structure) / (1 - limits.STRUCTURE),
-            "many tiles fit better elsewhere": elsewhere_suspicion(self.output.tiles, self._reference_tiles),
-            "a course of tiles has slid": float(self.course_suspicion.max(initial=0.0)),
-            f"{len(self.bad_places)} tile(s) displaced or broken": float(self.tile_suspicion.max(initial=0.0)),
+            "many tiles fit better elsewhere": elsewhere_excess(self.output.tiles, self._reference_tiles),
+            "a course of tiles has slid": float(self.course_excess.max(initial=0.0)),
+            f"{len(self.bad_places)} tile(s) displaced or broken": float(self.tile_excess.max(initial=0.0)),
         }
 
     @property
-    def suspicion(self) -> float:
+    def excess(self) -> float:
         """How far the worst fault exceeds its limit."""
-        return max(self.suspicions.values())
+        return max(self.excesses.values())
 
     @property
     def faults(self) -> tuple[str, ...]:
         """Why regularity is lost; empty where nothing is wrong."""
-        return tuple(fault for fault, suspicion in self.suspicions.items() if suspicion > 1)
+        return tuple(fault for fault, excess in self.excesses.items() if excess > 1)
 
     @cached_property
-    def blindness(self) -> str:
+    def lack_of_power(self) -> str:
         """Why the judge would not have seen a fault; empty where it would."""
-        rows, columns = self.output.placement.grid
+        rows, columns = self.output.windows.grid
         if min(rows, columns) < limits.LEAST_WINDOWS:
             least = limits.LEAST_WINDOWS
             return f"the output holds {columns} x {rows} windows of 2 tiles, at least {least} x {least} are needed"
-        if self.yardstick.regular_share < limits.LEAST_SHARE:
-            return f"the regular share {self.yardstick.regular_share:.2f} is under {limits.LEAST_SHARE:g}"
+        if self.reference.regular_share < limits.LEAST_SHARE:
+            return f"the regular share {self.reference.regular_share:.2f} is under {limits.LEAST_SHARE:g}"
         if self.scatter > limits.REFERENCE_SCATTER:
             return f"windows of the {self._reference_name} are themselves off by up to {self.scatter:.2f} s"
         if self.reference_misplaced > limits.REFERENCE_MISPLACED:
@@ -201,31 +199,31 @@ class Judgement:
         return ""
 
     @property
-    def unsure(self) -> bool:
+    def lattice_doubtful(self) -> bool:
         """Whether the lattice was given for a sample in which the judge is blind: it may as well be a wrong one."""
-        return self.yardstick.source == "sample" and bool(self.blindness)
+        return self.reference.source == "sample" and bool(self.lack_of_power)
 
     @property
     def preserved(self) -> bool | None:
         """The verdict: True, False, or None where nothing is seen and nothing would be."""
-        if min(self.output.placement.grid) < limits.LEAST_WINDOWS:
+        if min(self.output.windows.grid) < limits.LEAST_WINDOWS:
             return None
-        if self.blindness:
+        if self.lack_of_power:
             return False if self.misplaced.mean() > limits.GROSS_SHARE + 2 * self.reference_misplaced else None
-        return False if self.faults else (self.yardstick.regular_share >= limits.SURE_SHARE or None)
+        return False if self.faults else (self.reference.regular_share >= limits.SURE_SHARE or None)
 
     @property
     def intact(self) -> bool | None:
         """The verdict on single tiles: True, False, or None where one bad tile might not be seen, or all are."""
         if bool(self.bad.any()):
             return False
-        blind = self.blindness or self.preserved is False or self.yardstick.regular_share < limits.INTACT_SHARE
+        blind = self.lack_of_power or self.preserved is False or self.reference.regular_share < limits.INTACT_SHARE
         return None if blind else True
 
     @cached_property
     def worst_neighborhood(self) -> float:
         """Largest median offset of 3 x 3 windows, in s."""
-        return float(self.output.placement.neighborhoods().max(initial=0.0))
+        return float(self.output.windows.neighborhoods().max(initial=0.0))
 
     @cached_property
     def bad_places(self) -> Points:
@@ -241,57 +239,27 @@ class Judgement:
         return np.array(places).reshape(-1, 2)
 
     @property
-    def _reference_name(self) -> str:
-        return "fresh draws" if self.yardstick.source == "model" else "sample"
-
-
-def obstacle(judgement: Judgement | None, observation: Observation | None = None) -> str:
-    """Return why nothing can be measured; empty where something can."""
-    if judgement is None:
-        return (known_lattice(observation).reason or _too_small(observation)) if observation else NO_LATTICE
-    if judgement.yardstick.regular_share < limits.NO_SHARE:
-        return f"undecided: the lattice explains {judgement.yardstick.regular_share:.0%} of the sample's variance"
-    for name, looks in (("output", (judgement.output,)), (judgement.yardstick.source, judgement.references)):
-        if not all(len(look.placement.corners) and look.tiles.whole.any() for look in looks):
-            return f"undecided: the {name} is smaller than a window of 2 tiles"
-    return ""
-
-
-def _too_small(observation: Observation) -> str:
-    """Return which picture is smaller than a window; empty where none is. Large lattices cost much, and say nothing."""
-    lattice = known_lattice(observation).lattice
-    if lattice is None:
+    def obstacle(self) -> str:
+        """Why output and reference cannot be compared; empty if they can."""
+        if self.reference.regular_share < limits.NO_SHARE:
+            return f"undecided: the lattice explains {self.reference.regular_share:.0%} of the sample's variance"
+        for name, images in (("output", (self.output,)), (self.reference.source, self.references)):
+            if not all(len(image.windows.corners) and image.tiles.whole.any() for image in images):
+                return f"undecided: the {name} is smaller than a window of 2 tiles"
         return ""
-    pictures = {"output": observation.output} | ({} if observation.again else {"sample": observation.sample})
-    window = np.array(window_shape(lattice.canonical(), WINDOW_TILES)) * (1 - LATTICE_UNCERTAINTY)
-    small = [name for name, picture in pictures.items() if (picture.shape[:2] < window).any()]
-    return f"undecided: the {small[0]} is smaller than a window of 2 tiles" if small else ""
+
+    @property
+    def _reference_name(self) -> str:
+        return "fresh draws" if self.reference.source == "model" else "sample"
 
 
-_LAST: list[tuple[Observation, Judgement | None]] = []
-
-
-def judge(observation: Observation) -> Judgement | None:
-    """Return the output beside its references; None where the truth has no lattice.
-
-    The last judgement is kept: metrics that need the same one, one after the other, share it.
-    """
-    for seen, judgement in _LAST:
-        if all(getattr(seen, name) is getattr(observation, name) for name in ("sample", "output", "truth", "again")):
-            return judgement
-    measure = None if _too_small(observation) else yardstick(observation)
-    found = None if measure is None else compare(observation.output, measure, look_at_references(measure))
-    _LAST[:] = [(observation, found)]
-    return found
-
-
-def compare(output: Image, measure: Yardstick, references: tuple[Look, ...]) -> Judgement:
-    """Return an output beside its references; the drift that its lattice's uncertainty allows is taken out."""
-    seen = measure.view(output)
-    found = place(seen, measure.periodic)
-    drift = affine_part(found)
-    left_out = drift if measure.forgiven(drift) else np.zeros((2, 2))
-    placement = found.without(left_out)
-    tiles = inspect(seen, measure.periodic, placement.phase, left_out)
-    look = Look(output, seen, measure.periodic, placement, tiles)
-    return Judgement(measure, look, references, drift, own_lattice(found, drift))
+def compare(output: Image, reference: Reference) -> Verdict:
+    """Return the verdict on an output; a drift that the uncertainty of the lattice allows is left out."""
+    seen = reference.view(output)
+    windows = register_windows(seen, reference.periodic)
+    drift = fit_drift(windows)
+    left_out = drift if reference.forgiven(drift) else np.zeros((2, 2))
+    placed = windows.without(left_out)
+    tiles = inspect(seen, reference.periodic, placed.phase, left_out)
+    measurements = Measurements(output, seen, reference.periodic, placed, tiles)
+    return Verdict(reference, measurements, drift, own_lattice(windows, drift))

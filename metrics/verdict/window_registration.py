@@ -29,7 +29,7 @@ _AT_ONCE = 256
 
 
 @dataclass(frozen=True)
-class Placement:
+class RegisteredWindows:
     """Windows of an image, and how far the content of each has moved.
 
     Parameters
@@ -71,7 +71,7 @@ class Placement:
         return np.asarray(np.hypot(*self.offsets.T) / self.lattice.s)
 
     @cached_property
-    def misalignment(self) -> float:
+    def pairwise_displacement(self) -> float:
         """Mean distance between the displacements of two windows, modulo the lattice, over s.
 
         No phase is asked for: of content that is bent everywhere none is the right one. At most :data:`_CANDIDATES`
@@ -88,7 +88,7 @@ class Placement:
         """``(n, 2)``: middles (x, y) of the windows in px."""
         return self.corners + (np.array(self.window[::-1]) - 1) / 2
 
-    def without(self, drift: Points) -> Placement:
+    def without(self, drift: Points) -> RegisteredWindows:
         """Return the placement less an affine displacement ``drift @ (x, y)``, which so counts as no misplacement."""
         rest = self.lattice.wrap(self.displacement - self.centers @ drift.T)
         return replace(self, displacement=rest)
@@ -114,7 +114,7 @@ class Placement:
         return np.asarray(row * self.grid[1] + column)
 
 
-def place(image: Image, periodic: Periodic) -> Placement:
+def register_windows(image: Image, periodic: Periodic) -> RegisteredWindows:
     """Register windows 2 tiles wide, half a window apart, over one cell of displacements.
 
     Content that the window at p shows and the periodic image has at q has moved by p - q, so every window is looked
@@ -123,12 +123,14 @@ def place(image: Image, periodic: Periodic) -> Placement:
     template = periodic.windows
     grid, corners = _grid(image.shape[:2], template.window)
     if not len(corners):
-        return Placement(periodic.lattice, template.window, grid, corners, np.zeros((0, 2)), np.zeros(0))
+        return RegisteredWindows(periodic.lattice, template.window, grid, corners, np.zeros((0, 2)), np.zeros(0))
     planes = periodic.colors.planes(image)
     few = np.array_split(corners, len(corners) // _AT_ONCE + 1)
     at = np.concatenate([periodic.places.find(planes, some)[0] for some in few])
     displacement, structure = refined(image, periodic.cell, corners, template.window, corners - at)
-    return Placement(periodic.lattice, template.window, grid, corners, periodic.lattice.wrap(displacement), structure)
+    return RegisteredWindows(
+        periodic.lattice, template.window, grid, corners, periodic.lattice.wrap(displacement), structure
+    )
 
 
 def _grid(shape: tuple[int, int], window: tuple[int, int]) -> tuple[tuple[int, int], NDArray[np.intp]]:
@@ -168,7 +170,7 @@ def consensus(displacement: Points, lattice: Lattice) -> Points:
     return lattice.wrap(phase)
 
 
-def affine_part(placement: Placement) -> Points:
+def fit_drift(placement: RegisteredWindows) -> Points:
     """Return the 2 x 2 matrix A of the affine part of the displacement: ``d = A (x, y) + constant``.
 
     Starts from the median step between neighboring windows, modulo the lattice, so that a drift over many cells is
@@ -181,12 +183,12 @@ def affine_part(placement: Placement) -> Points:
         return none
     steps = _median_steps(placement)
     found = [none, steps, _refined(placement, steps)]
-    followed = np.array([followers(placement, matrix)[1].sum() for matrix in found])
+    followed = np.array([affine_residuals(placement, matrix)[1].sum() for matrix in found])
     best = int(np.argmax(followed >= _NEARLY * followed.max()))
     return _refined(placement, found[best]) if followed[best] >= _NEARLY_ALL * len(placement.corners) else found[best]
 
 
-def _median_steps(placement: Placement) -> Points:
+def _median_steps(placement: RegisteredWindows) -> Points:
     matrix = np.zeros((2, 2))
     field = placement.displacement.reshape(*placement.grid, 2)
     centers = placement.centers.reshape(*placement.grid, 2)
@@ -197,9 +199,9 @@ def _median_steps(placement: Placement) -> Points:
     return matrix
 
 
-def _refined(placement: Placement, matrix: Points) -> Points:
+def _refined(placement: RegisteredWindows, matrix: Points) -> Points:
     for _ in range(3):
-        offsets, inside, _ = followers(placement, matrix)
+        offsets, inside, _ = affine_residuals(placement, matrix)
         if inside.sum() < 6:
             break
         design = np.column_stack([placement.centers[inside], np.ones(inside.sum())])
@@ -207,7 +209,7 @@ def _refined(placement: Placement, matrix: Points) -> Points:
     return matrix
 
 
-def followers(placement: Placement, matrix: Points) -> tuple[Points, NDArray[np.bool_], Points]:
+def affine_residuals(placement: RegisteredWindows, matrix: Points) -> tuple[Points, NDArray[np.bool_], Points]:
     """Return what an affine displacement leaves of each window's, which windows follow it, and its constant part."""
     lattice = placement.lattice
     rest = lattice.wrap(placement.displacement - placement.centers @ matrix.T)

@@ -18,7 +18,7 @@ from nrbench.plugins.forms import Shape
 
 from ..ncc.periodic import HALVES
 from ..residual_tiles.tiles import find_middles
-from ..verdict.measurements import Look
+from ..verdict.measurements import Measurements
 
 SAMPLES = 7
 """Samples of a window along each of the lattice's vectors."""
@@ -66,7 +66,7 @@ class Cutter:
         self._tracked: tuple[cKDTree, Points] | None = None
 
     @classmethod
-    def following(cls, measurements: Look, noise: Points) -> Cutter:
+    def following(cls, measurements: Measurements, noise: Points) -> Cutter:
         """Return a cutter that follows the displacements of an image's tiles.
 
         Parameters

@@ -14,6 +14,8 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
+from nrbench.metrics.verdict.examination import examine
+from nrbench.metrics.verdict.verdict import Verdict
 from nrbench.plugins.forms import Observation, Shape, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.planted import Planted
@@ -51,6 +53,12 @@ class Case:
         task = Task(self.texture.image, (side, side), None, np.random.default_rng(seed), again=self.again)
         made = Planted(kind, size).synthesize(task)
         return quantize(made.image), made.extras["displacement"]
+
+    def verdict(self, output: Image, model: bool = True) -> Verdict:
+        """Return the verdict on an output."""
+        verdict = examine(self.seen(output, model)).verdict
+        assert isinstance(verdict, Verdict)
+        return verdict
 
     def seen(self, output: Image, model: bool = True) -> Observation:
         """Return what a metric gets to see, with or without the model."""

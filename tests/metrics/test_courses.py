@@ -3,9 +3,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from nrbench.metrics.verdict.courses import course_gains, course_suspicion
+from nrbench.metrics.verdict.courses import course_excess, course_gains
 from nrbench.metrics.verdict.tiles import inspect
-from nrbench.metrics.verdict.verdict import judge
 
 from .conftest import MODELS, Case
 from .test_tiles import measure
@@ -16,19 +15,18 @@ Cases = Callable[[str], Case]
 @pytest.mark.parametrize("name", MODELS)
 def test_courses_of_a_fresh_draw_fit_here(case: Cases, name: str) -> None:
     """On the whole no course of a fresh draw fits better elsewhere, and none is suspected."""
-    judgement = judge(case(name).seen(case(name).fresh(256)))
-    assert judgement is not None
-    assert course_gains(judgement.output.tiles).max() < 0
-    assert judgement.course_suspicion.max() < 0.3
+    verdict = case(name).verdict(case(name).fresh(256))
+    assert course_gains(verdict.output.tiles).max() < 0
+    assert verdict.course_excess.max() < 0.3
 
 
 def test_a_slipped_course_is_seen_where_it_lies(case: Cases) -> None:
     """The tiles of the course that slid are suspected, those farther than two tiles from it are not."""
     one = case("hexagon")
     image, field = one.planted("slipped-course", 0.3, seed=2, side=256)
-    judgement = judge(one.seen(image))
-    assert judgement is not None and judgement.preserved is False
-    bad = judgement.output.tiles.centers[judgement.course_suspicion > 1]
+    verdict = one.verdict(image)
+    assert verdict.preserved is False
+    bad = verdict.output.tiles.centers[verdict.course_excess > 1]
     rows = np.nonzero(field.any(-1))
     assert len(bad)
     nearest = np.abs(bad[:, 1:] - rows[0]).min(1)
@@ -42,4 +40,4 @@ def test_short_courses_are_left_out(case: Cases) -> None:
     tiny = inspect(one.fresh()[:34, :34], periodic, np.zeros(2))
     whole = inspect(one.fresh(), periodic, np.zeros(2))
     assert len(tiny.here) and not np.isfinite(course_gains(tiny)).any()
-    assert course_suspicion(tiny, [whole]).tolist() == [0.0] * len(tiny.here)
+    assert course_excess(tiny, [whole]).tolist() == [0.0] * len(tiny.here)

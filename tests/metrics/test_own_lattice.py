@@ -5,19 +5,21 @@ from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.verdict.own_lattice import moved, own_lattice
-from nrbench.metrics.verdict.window_registration import Placement, affine_part
+from nrbench.metrics.verdict.window_registration import RegisteredWindows, fit_drift
 
 LATTICE = Lattice((20.0, 3.0), (-4.0, 17.0), (2.0, 1.0))
 _SMALL = st.floats(-0.04, 0.04)
 
 
-def seen(true: Lattice, drift: np.ndarray, rows: int = 14, columns: int = 16) -> Placement:
+def seen(true: Lattice, drift: np.ndarray, rows: int = 14, columns: int = 16) -> RegisteredWindows:
     """Return what windows of an image read whose content has drifted."""
     y, x = np.meshgrid(15 * np.arange(rows), 15 * np.arange(columns), indexing="ij")
     corners = np.stack([x.ravel(), y.ravel()], -1)
-    bare = Placement(true, (30, 30), (rows, columns), corners, np.zeros((len(corners), 2)), np.ones(len(corners)))
+    bare = RegisteredWindows(
+        true, (30, 30), (rows, columns), corners, np.zeros((len(corners), 2)), np.ones(len(corners))
+    )
     displacement = true.wrap(bare.centers @ drift.T + (3.0, -2.0))
-    return Placement(true, (30, 30), (rows, columns), corners, displacement, bare.structure)
+    return RegisteredWindows(true, (30, 30), (rows, columns), corners, displacement, bare.structure)
 
 
 @settings(max_examples=25, deadline=None)
@@ -26,7 +28,7 @@ def test_the_lattice_of_a_drifted_image_is_found(a: float, b: float, c: float, d
     """The least-squares lattice is the true one as the drift has moved it: its points map back onto true points."""
     drift = np.array([[a, b], [c, d]])
     placement = seen(LATTICE, drift)
-    found = own_lattice(placement, affine_part(placement))
+    found = own_lattice(placement, fit_drift(placement))
     assert found is not None and found.followers == 1
     at = found.lattice.points((200, 240))
     back = at - (at @ drift.T + (3.0, -2.0))
@@ -37,7 +39,7 @@ def test_vectors_and_area_are_those_of_the_stretch() -> None:
     """A stretch of 3 % reads as 3 % on the vectors, 6 % on the area, and is no longer exact on long vectors."""
     long = Lattice((60.0, 0.0), (0.0, 50.0))
     placement = seen(long, np.eye(2) * (1 - 1 / 1.03))
-    own = own_lattice(placement, affine_part(placement))
+    own = own_lattice(placement, fit_drift(placement))
     assert own is not None
     error = own.error(long, (240, 240))
     assert error is not None and error.relation == "wrong"
@@ -48,8 +50,10 @@ def test_vectors_and_area_are_those_of_the_stretch() -> None:
 def test_scattered_windows_share_no_lattice() -> None:
     """Where few windows lie on one lattice it is not compared."""
     rng, placement = np.random.default_rng(0), seen(LATTICE, np.zeros((2, 2)))
-    torn = Placement(*list(vars(placement).values())[:4], LATTICE.wrap(rng.uniform(-40, 40, (224, 2))), np.ones(224))
-    own = own_lattice(torn, affine_part(torn))
+    torn = RegisteredWindows(
+        *list(vars(placement).values())[:4], LATTICE.wrap(rng.uniform(-40, 40, (224, 2))), np.ones(224)
+    )
+    own = own_lattice(torn, fit_drift(torn))
     assert own is not None and own.followers < 0.5
     assert own.error(LATTICE, (200, 200)) is None
 

@@ -4,16 +4,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.verdict.window_registration import Placement, affine_part, consensus
+from nrbench.metrics.verdict.window_registration import RegisteredWindows, consensus, fit_drift
 
 LATTICE = Lattice((20.0, 3.0), (-4.0, 17.0))
 
 
-def placement(displacement: np.ndarray, rows: int, columns: int) -> Placement:
+def placement(displacement: np.ndarray, rows: int, columns: int) -> RegisteredWindows:
     """Return windows of 30 px, 15 px apart, displaced as told."""
     y, x = np.meshgrid(15 * np.arange(rows), 15 * np.arange(columns), indexing="ij")
     corners = np.stack([x.ravel(), y.ravel()], -1)
-    return Placement(LATTICE, (30, 30), (rows, columns), corners, LATTICE.wrap(displacement), np.ones(len(corners)))
+    return RegisteredWindows(
+        LATTICE, (30, 30), (rows, columns), corners, LATTICE.wrap(displacement), np.ones(len(corners))
+    )
 
 
 @settings(max_examples=40, deadline=None)
@@ -41,7 +43,7 @@ def test_an_affine_drift_over_many_cells_is_unwrapped(a: float, b: float, c: flo
     matrix = np.array([[a, b], [c, d]])
     bare = placement(np.zeros((300, 2)), 15, 20)
     drifted = placement(bare.centers @ matrix.T + [3.0, -7.0], 15, 20)
-    np.testing.assert_allclose(affine_part(drifted), matrix, atol=2e-3)
+    np.testing.assert_allclose(fit_drift(drifted), matrix, atol=2e-3)
 
 
 def test_one_wrong_window_does_not_move_a_neighborhood() -> None:

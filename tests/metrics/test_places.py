@@ -2,7 +2,7 @@ import numpy as np
 
 from nrbench.metrics.ncc.colors import cut_planes, smoothed
 from nrbench.metrics.ncc.window_search import Places
-from nrbench.metrics.verdict.reference import model_yardstick
+from nrbench.metrics.verdict.reference import reference_from_model
 
 from .conftest import make_case
 
@@ -11,7 +11,7 @@ def test_pixels_taken_two_by_two_find_the_same_places() -> None:
     """At half the resolution, at every offset, windows of a fresh draw are found where all of their pixels put them."""
     case = make_case("hexagon")
     assert case.texture.lattice is not None
-    places = model_yardstick(case.texture, case.texture.lattice, case.again).periodic.places
+    places = reference_from_model(case.texture, case.texture.lattice, case.again).periodic.places
     y, x = np.indices((9, 9)).reshape(2, -1) * 14
     planes, corners = places.colors.planes(case.fresh(192)), np.stack([x, y], -1)
     sizes = (Places(places.template, places.inside, places.colors, size) for size in (1, 2))

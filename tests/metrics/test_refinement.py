@@ -7,8 +7,8 @@ from scipy import ndimage
 from nrbench.imaging.fold import Tile
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.ncc.refinement import Cell, refined
-from nrbench.metrics.verdict.reference import Yardstick, model_yardstick
-from nrbench.metrics.verdict.window_registration import place
+from nrbench.metrics.verdict.reference import Reference, reference_from_model
+from nrbench.metrics.verdict.window_registration import register_windows
 
 from .conftest import MODELS, Case, make_case
 
@@ -21,10 +21,10 @@ CELL = Cell.of(TILE, FLAT, 0.01)
 CORNERS = np.array([(0, 0), (13, 5), (40, 31)])
 
 
-def measure(case: Case) -> Yardstick:
+def measure(case: Case) -> Reference:
     """Return the yardstick of a case."""
     assert case.texture.lattice is not None
-    return model_yardstick(case.texture, case.texture.lattice, case.again)
+    return reference_from_model(case.texture, case.texture.lattice, case.again)
 
 
 @settings(max_examples=25, deadline=None)
@@ -63,6 +63,6 @@ def test_windows_of_the_periodic_image_lie_in_their_places(name: str) -> None:
     periodic = measure(make_case(name)).periodic
     ideal = periodic.image((150, 150))
     for left, top in ((0, 0), (5, 3), (2, 11)):
-        found = place(np.ascontiguousarray(ideal[top:, left:]), periodic)
+        found = register_windows(np.ascontiguousarray(ideal[top:, left:]), periodic)
         assert np.hypot(*periodic.lattice.wrap(np.add(found.phase, (left, top)))) < 0.02
         assert np.hypot(*found.offsets.T).max() < 0.05

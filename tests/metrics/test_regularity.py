@@ -7,7 +7,6 @@ import pytest
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.regularity import Regularity
-from nrbench.metrics.verdict.verdict import judge
 from nrbench.plugins.forms import Observation, Score, Texture
 
 from .conftest import MODELS, Case
@@ -51,7 +50,7 @@ def test_planted_defects_are_lost(case: Cases, name: str, kind: str) -> None:
 def test_a_phase_step_of_k_px_reads_k_px(case: Cases, name: str, size: float, model: bool) -> None:
     """Half the windows read the displacement that was planted, to half a pixel."""
     image, field = case(name).planted("phase-step", size)
-    placement = judge(case(name).seen(image, model)).output.placement  # type: ignore[union-attr]
+    placement = case(name).verdict(image, model).output.windows  # type: ignore[union-attr]
     planted = np.hypot(*np.moveaxis(field, -1, 0)).max()
     assert np.quantile(placement.misplacement, 0.9) * placement.lattice.s == pytest.approx(planted, abs=0.5)
     assert np.quantile(placement.misplacement, 0.3) < 0.03
@@ -235,5 +234,5 @@ def test_equal_observations_give_equal_scores(case: Cases) -> None:
     """Scores are a function of what is seen."""
     image, _ = case("weave").planted("off-lattice", 0.2)
     first = regularity(case("weave").seen(image)).values
-    judge(case("brick").seen(case("brick").fresh()))
+    case("brick").verdict(case("brick").fresh())
     assert regularity(case("weave").seen(image.copy())).values == first

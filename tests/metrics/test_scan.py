@@ -5,7 +5,7 @@ import pytest
 
 from nrbench.metrics.ncc.colors import Colors, smoothed
 from nrbench.metrics.ncc.scan import Scan
-from nrbench.metrics.verdict.reference import model_yardstick
+from nrbench.metrics.verdict.reference import reference_from_model
 
 from .conftest import MODELS, make_case
 
@@ -14,7 +14,7 @@ def searched(name: str) -> tuple[Scan, np.ndarray, np.ndarray]:
     """Return a scan of a texture's one-tile windows, a fresh draw, and corners all over it."""
     case = make_case(name)
     assert case.texture.lattice is not None
-    scan = model_yardstick(case.texture, case.texture.lattice, case.again).periodic.searches[0].scan
+    scan = reference_from_model(case.texture, case.texture.lattice, case.again).periodic.searches[0].scan
     y, x = np.indices((12, 12)).reshape(2, -1) * 9
     return scan, case.fresh(160), np.stack([x, y], -1)
 

@@ -9,9 +9,8 @@ from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.ncc import strip_template
 from nrbench.metrics.ncc.strip_template import StripTemplate
-from nrbench.metrics.verdict.scatter import scatter_suspicion
-from nrbench.metrics.verdict.strips import strip_suspicion, strips
-from nrbench.metrics.verdict.verdict import judge
+from nrbench.metrics.verdict.scatter import scatter_excess
+from nrbench.metrics.verdict.strips import strip_excess, strips
 
 from .conftest import MODELS, Case
 from .test_tiles import measure
@@ -22,31 +21,30 @@ Cases = Callable[[str], Case]
 @pytest.mark.parametrize("name", MODELS)
 def test_no_course_of_a_fresh_draw_has_slid(case: Cases, name: str) -> None:
     """Every course of a fresh draw is likelier in its place than elsewhere, and none is suspected."""
-    judgement = judge(case(name).seen(case(name).fresh(256)))
-    assert judgement is not None
-    seen = judgement.output.strips
+    verdict = case(name).verdict(case(name).fresh(256))
+    seen = verdict.output.strips
     assert max(gain.max() for gain in seen.gain) < 0
-    own = [look.strips for look in judgement.references]
-    assert strip_suspicion(seen, own, judgement.output.tiles).max() < 0.8
+    own = [look.strips for look in verdict.references]
+    assert strip_excess(seen, own, verdict.output.tiles).max() < 0.8
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_a_course_that_slid_by_little_is_seen(case: Cases, name: str) -> None:
     """A course that slid by 0.15 s, within most of its windows' tolerance, is called lost."""
     image, _ = case(name).planted("slipped-course", 0.15, seed=2, side=256)
-    judgement = judge(case(name).seen(image))
-    assert judgement is not None and judgement.preserved is False
-    assert "a course of tiles has slid" in judgement.faults
-    slide = judgement.output.strips.worst_slide
-    assert slide is not None and slide / judgement.yardstick.lattice.s == pytest.approx(0.15, abs=0.03)
+    verdict = case(name).verdict(image)
+    assert verdict.preserved is False
+    assert "a course of tiles has slid" in verdict.faults
+    slide = verdict.output.strips.worst_slide
+    assert slide is not None and slide / verdict.reference.lattice.s == pytest.approx(0.15, abs=0.03)
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_a_course_within_the_tolerance_has_not_slid(case: Cases, name: str) -> None:
     """A course that slid by 0.06 s, less than windows may be off, is no fault, though its exact place is unlikely."""
     image, _ = case(name).planted("slipped-course", 0.06, seed=2, side=256)
-    judgement = judge(case(name).seen(image))
-    assert judgement is not None and judgement.course_suspicion.max() <= 1
+    verdict = case(name).verdict(image)
+    assert verdict.course_excess.max() <= 1
 
 
 @pytest.mark.parametrize("seed", [1, 4])
@@ -55,10 +53,10 @@ def test_a_course_of_yarns_that_differ_is_seen(seed: int) -> None:
     model = Weave(rotation=7.0 * (seed - 1), color=0.55, intensity=0.25, noise=0.05)
     texture = model.render((128, 128), np.random.default_rng(seed))
     one = Case(model, replace(texture, image=quantize(texture.image)))
-    slid = judge(one.seen(one.planted("slipped-course", 0.15, seed=seed, side=256)[0]))
-    assert slid is not None and slid.course_suspicion.max() > 1
-    right = judge(one.seen(one.fresh(256)))
-    assert right is not None and right.course_suspicion.max() < 0.8
+    slid = one.verdict(one.planted("slipped-course", 0.15, seed=seed, side=256)[0])
+    assert slid.course_excess.max() > 1
+    right = one.verdict(one.fresh(256))
+    assert right.course_excess.max() < 0.8
 
 
 def test_a_color_added_everywhere_moves_no_course(case: Cases) -> None:
@@ -76,12 +74,11 @@ def test_a_color_added_everywhere_moves_no_course(case: Cases) -> None:
 def test_bent_content_is_seen(case: Cases, name: str) -> None:
     """A warp of 0.15 s at most scatters windows more than fresh draws do; a fresh draw does not."""
     one = case(name)
-    bent = judge(one.seen(one.planted("warp", 0.15, seed=2, side=256)[0]))
-    assert bent is not None and "the content is bent" in bent.faults
-    right = judge(one.seen(one.fresh(256, 1)))
-    assert right is not None
-    references = [look.placement for look in right.references]
-    assert scatter_suspicion(right.output.placement, references) < 0.6
+    bent = one.verdict(one.planted("warp", 0.15, seed=2, side=256)[0])
+    assert "the content is bent" in bent.faults
+    right = one.verdict(one.fresh(256, 1))
+    references = [look.windows for look in right.references]
+    assert scatter_excess(right.output.windows, references) < 0.6
 
 
 def test_courses_follow_the_lattice_origin(case: Cases) -> None:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from nrbench.metrics.verdict.exponential_tail import Tail
+from nrbench.metrics.verdict.exponential_tail import ExponentialTail
 
 
 @pytest.mark.parametrize("count", [50, 500, 5000])
@@ -11,21 +11,23 @@ def test_false_alarms_do_not_grow_with_the_number_of_windows(count: int, law: st
     rng, worst = np.random.default_rng(0), []
     for _ in range(300):
         draw = rng.exponential if law == "exponential" else rng.normal
-        worst.append(Tail.fit(draw(size=1000)).surprise(draw(size=count)).max())
+        worst.append(ExponentialTail.fit(draw(size=1000)).surprisal(draw(size=count)).max())
     for x in (2.0, 3.0):
         assert np.mean(np.array(worst) > x) < 2 * np.exp(-x)
 
 
 def test_surprise_grows_with_the_value_and_shrinks_with_the_excesses() -> None:
     """A farther value surprises more; a tail that rests on fewer excesses surprises less."""
-    tail, thin = (Tail.fit(np.random.default_rng(1).exponential(size=1000), overlap=overlap) for overlap in (1, 20))
+    tail, thin = (
+        ExponentialTail.fit(np.random.default_rng(1).exponential(size=1000), overlap=overlap) for overlap in (1, 20)
+    )
     far = np.array([5.0, 9.0, 20.0])
-    assert np.all(np.diff(tail.surprise(far)) > 0)
-    assert np.all(thin.surprise(far) < tail.surprise(far))
+    assert np.all(np.diff(tail.surprisal(far)) > 0)
+    assert np.all(thin.surprisal(far) < tail.surprisal(far))
 
 
 def test_constant_references_have_a_tail() -> None:
     """Without any spread every value is within the tail's finite scale."""
-    surprise = Tail.fit(np.zeros(40)).surprise(np.array([0.0, 1.0]))
+    surprise = ExponentialTail.fit(np.zeros(40)).surprisal(np.array([0.0, 1.0]))
     assert np.isfinite(surprise).all()
     assert surprise[0] < surprise[1]

@@ -3,19 +3,18 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from nrbench.metrics.verdict.reference import Yardstick, model_yardstick
+from nrbench.metrics.verdict.reference import Reference, reference_from_model
 from nrbench.metrics.verdict.tiles import inspect
-from nrbench.metrics.verdict.verdict import judge
 
 from .conftest import MODELS, Case
 
 Cases = Callable[[str], Case]
 
 
-def measure(case: Case) -> Yardstick:
+def measure(case: Case) -> Reference:
     """Return the yardstick of a case."""
     assert case.texture.lattice is not None
-    return model_yardstick(case.texture, case.texture.lattice.reduced(), case.again)
+    return reference_from_model(case.texture, case.texture.lattice.reduced(), case.again)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -40,9 +39,8 @@ def test_tiles_are_found_to_a_fraction_of_a_pixel(case: Cases, phase: tuple[floa
 def test_a_displaced_tile_tells_how_far(case: Cases) -> None:
     """The tile that fits best elsewhere says where to: by what was planted, to 0.15 s; all others stay."""
     image, field = case("hexagon").planted("displaced-tile", 0.35, seed=3)
-    judgement = judge(case("hexagon").seen(image))
-    assert judgement is not None
-    tiles = judgement.output.tiles
+    verdict = case("hexagon").verdict(image)
+    tiles = verdict.output.tiles
     planted = np.hypot(*np.moveaxis(field, -1, 0)).max()
     assert np.hypot(*tiles.moved[tiles.gain.argmax()]) == pytest.approx(planted, abs=0.15 * tiles.lattice.s)
     assert np.median(np.hypot(*tiles.moved.T)) < 0.5

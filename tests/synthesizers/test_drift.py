@@ -10,7 +10,8 @@ import pytest
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.verdict.verdict import judge
+from nrbench.metrics.verdict.examination import examine
+from nrbench.metrics.verdict.verdict import Verdict
 from nrbench.plugins.forms import Observation, Shape, Synthesizer, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.representative_tile import RepresentativeTile
@@ -32,9 +33,9 @@ def worst_misplacement(method: Synthesizer, lattice: Lattice | None = None) -> f
         return replace(fresh, image=quantize(fresh.image))
 
     made = method.synthesize(Task(texture.image, (SIDE, SIDE), lattice or texture.lattice, np.random.default_rng(1)))
-    found = judge(Observation(texture.image, quantize(made.image), texture, again=again))
-    assert found is not None
-    return float(found.output.placement.misplacement.max())
+    verdict = examine(Observation(texture.image, quantize(made.image), texture, again=again)).verdict
+    assert isinstance(verdict, Verdict)
+    return float(verdict.output.windows.misplacement.max())
 
 
 @pytest.mark.parametrize(
