@@ -56,7 +56,7 @@ class PerilsPlane:
     fresh draw of the texture lies at (1, 1), wallpaper at (1, 0). Points are means over textures with a verdict, bars
     are 95 % intervals over textures. Reference methods have diamonds and no rank.
 
-    Randomness is not scored where regularity is lost. A method that loses every lattice has an open circle below the
+    Randomness is not scored where regularity is lost. A method that loses every lattice has an open sign below the
     plane. ``[k of n]`` behind a name says that the height rests on k of n textures. A double dagger marks a baseline
     that is valid on some of the textures.
 
