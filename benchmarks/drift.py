@@ -27,8 +27,8 @@ MODEL = Brick(width=21.37, height=18.81, bond="stack", rotation=7.0, color=0.2, 
 METHODS: dict[str, Synthesizer] = {
     "rsgf": Rsgf(),
     "rsgf:seam=blend": Rsgf(seam="blend"),
-    "rsgf:seam=blend,subpixel=false,tolerance=3,among=0,spread=false": Rsgf(
-        seam="blend", subpixel=False, tolerance=3.0, among=0.0, spread=False
+    "rsgf:seam=blend,subpixel=false,tolerance=3,candidate_fraction=0,prefer_unused=false": Rsgf(
+        seam="blend", subpixel=False, tolerance=3.0, candidate_fraction=0.0, prefer_unused=False
     ),
     "tiling": Tiling(),
     "tiling:tile=mean": Tiling(tile="mean"),

@@ -17,8 +17,7 @@ from nrbench.plugins.forms import Refused, SourceMap, Synthesis, Task, require_l
 
 from .rectangular_tiles.tile_frame import TileFrame, find_tile_frame
 from .rectangular_tiles.wang_tiles import Cutter, WangTiles, edge_colors, make_wang_tiles
-from .sampling.patches import Patches
-from .sampling.splines import resampled
+from .sampling.patches import Patches, resample
 
 Values = NDArray[np.float32]
 """``float32 (H, W, C)``, any range."""
@@ -314,7 +313,7 @@ def lay_tiles(
         x, y = np.moveaxis(inside, -1, 0)
         return frame.to_sample(tiles.sources[layout[row, column], y, x] + rest)
 
-    return resampled(task, points, patches)
+    return resample(task, points, patches)
 
 
 _check = checker("representative-tile")

@@ -3,54 +3,67 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from functools import cached_property
+from typing import Any, ClassVar, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.gncc import Gncc
 from nrbench.errors import BadInput
-from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Detector, FoundLattice, Synthesis, Task, find_lattice
+from nrbench.imaging.convert import Image
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import Detector, FoundLattice, Refused, Synthesis, Task, find_lattice
 
-from .gap_filling.blocks import BlockGrid
-from .gap_filling.canvas import Canvas, Seam
-from .gap_filling.gap_filling import Filling, Rules, Search
-from .gap_filling.matching import Match
-from .gap_filling.size_checks import check_border, room_with_border
-from .sampling.patches import Patches
+from .gap_filling.blocks import BlockGrid, check_border
+from .gap_filling.canvas import BlockCanvas, Map, SeamMethod
+from .gap_filling.matching import FrameMatcher, Match, align_patch, fit_deformation
+from .sampling.equal_places import EqualPlaces, Pixels, SearchShape, nearby_pixels, nearest_pixels
+from .sampling.patches import Patches, round_places
+from .seams.minimum_cut import Mask
 
+Search = Literal["lattice", "everywhere", "stochastic"]
 Finder = Literal["consensus", "gncc"]
-NEAR = 0.07
-"""Share of s, along x and along y, that a gap's patch may be off its place: together less than a tenth."""
-FARTHEST_DEFORM = 3.0
+TOLERANCE: Final = 0.07
+"""Default tolerance over s, along x and along y: both together are less than a tenth of s."""
+MAX_DEFORM: Final = 3.0
 """px; a patch deformed more would show other elements than those that were matched."""
-_BETTER_HALF = 0.5
+REMEMBERED: Final = 64
+"""Number of the latest patches that :class:`PlaceSampler` avoids. A draw costs the same however large the output is."""
+_STOCHASTIC_TRIALS = 16
+"""Random places compared in stochastic mode, where there are too many places to compare all."""
+_OVERLAP_SLACK: Final = 0.05
+"""A place is as good as the least used one if its overlap count exceeds that one's by no more than this."""
 
 
 @dataclass(frozen=True)
 class Rsgf:
     """Random sampling and gap filling (RSGF, section 4): random patches on the lattice, and patches that join them.
 
-    The output is divided into blocks. Every second one, as on a chess-board, takes a patch drawn from the places of the
-    sample that the lattice calls equal to its own and that show it whole, borders included (section 4.1; uniformly, but
-    for what ``spread`` prefers). Each gap left takes the patch that agrees best with the border that its neighbours'
-    patches, continued into the gap, compose of their wedges (section 4.2, figure 4). The paper leaves open whether that
-    border lies inside the gap or around it; here it lies inside, so that it is also what is blended, and the sample
-    needs no more room. Places on the lattice are computed from its real-valued vectors, so that nothing drifts.
+    The output is divided into blocks like a chess-board. Every second block takes a random patch from the places of the
+    sample that the lattice makes equal to its own and that show it completely with its borders (section 4.1). Each gap
+    left takes the patch that agrees best with the border which the patches around it form inside the gap (section 4.2,
+    figure 4). The paper leaves open whether this border lies inside or around the gap. Inside, it is also the region
+    that is blended, and a smaller sample suffices. Places are computed from the real-valued vectors of the lattice, so
+    that nothing drifts.
 
-    The paper's own choice is ``rsgf:seam=blend,subpixel=false,tolerance=3,among=0,spread=false,finder=gncc``: places
-    rounded to whole pixels, linear blending, a gap's patch the best from 3 px around. What it leaves to future work
-    (section 6) is the default where it proved better: places to fractions of a pixel, and seams by graph cut, which run
-    along the outlines of what the texture is made of (bricks in one color, not two).
+    The settings of the paper are
+    ``rsgf:seam=blend,subpixel=false,tolerance=3,candidate_fraction=0,prefer_unused=false,finder=gncc``: places rounded
+    to whole pixels, linear blending, and for a gap the best patch within 3 px. The defaults include what the paper
+    leaves to future work (section 6) where it proved better: places between pixels, and seams by graph cut, which
+    follow the outlines of elements, so that fewer bricks have two colors.
 
-    One thing the paper does not speak of: the best match is too often a patch near the mean of all, or one that lies
-    there already, so that the output varies less than the sample. Here a gap's patch is one of the better half, and of
-    these one that the output shows least of; where seams are cut it keeps a border's width from the sample's edge, so
-    that they have room.
+    The defaults also avoid a fault that the paper does not discuss. The best match is too often a patch near the mean
+    of all patches, or one that the output shows already, so that the output varies less than the sample. By default a
+    gap takes one of the better half of the patches, and of these one that the output has used least. Where seams are
+    cut, this patch keeps a border's width from the sample's edge, so that seams can run around elements.
 
-    With no lattice given, be it that a detector of the lattice axis found none, the method finds one itself; where
-    there is none it goes on in the paper's mode for irregular textures, in which every position is a candidate, and
-    says so in the note.
+    If no lattice is given, or the chosen detector found none, the method detects one. If there is none, it uses the
+    paper's mode for irregular textures, in which every position is a candidate, and reports this in the note.
 
     Parameters
     ----------
@@ -59,36 +72,33 @@ class Rsgf:
     border
         Width of the border in px (the paper: 10), at most half a block.
     match
-        How the border of a gap is compared: ``"color"``, by squared color differences (eq. 10), or ``"ncc"``, by the
-        generalized normalized cross-correlation (eq. 4, channels combined by eq. 6). Equally good patches are drawn
-        from at random.
+        How the border of a gap is compared with patches: ``"color"`` by squared color differences (eq. 10), ``"ncc"``
+        by the generalized normalized cross-correlation (eq. 4, channels combined by eq. 6). Ties are broken at random.
     search
-        Where patches come from: ``"lattice"``, a gap's from near the places that the lattice calls equal;
-        ``"everywhere"``, a gap's from anywhere; ``"stochastic"``, all from anywhere, as if v1 = (1, 0), v2 = (0, 1)
-        (section 5): no lattice is looked for or used.
+        Where patches come from. ``"lattice"``: patches of gaps come from near the places that the lattice makes equal.
+        ``"everywhere"``: they come from anywhere. ``"stochastic"``: all patches come from anywhere, as if v1 = (1, 0)
+        and v2 = (0, 1) (section 5), and no lattice is used.
     tolerance
-        How near the lattice's places a gap's patch lies, px along x and along y; only where the search is by the
-        lattice. None takes 3 px (the paper's), but not more than 0.07 of the shortest lattice vector.
+        Largest distance, px along x and along y, between a gap's patch and an equal place, for ``search="lattice"``.
+        None: 3 px (the paper), but not more than 0.07 of the shortest lattice vector.
     subpixel
-        Patches at real-valued places, interpolated by splines of order 5; a gap's is moved to where it meets its border
-        best, within the tolerance. False: at whole pixels, half a pixel off at most.
+        Read patches at real-valued places, interpolated by splines of order 5. The patch of a gap is moved, within the
+        tolerance, to where it agrees best with its border. False: whole pixels, off by at most half a pixel.
     seam
-        How a gap's patch is joined: ``"graphcut"``, along the least visible seam of all, which may run half a block
-        inside its neighbours, too; ``"dynamic"``, in the same room along the least seam of each side by itself;
-        ``"blend"``, by linear blending over the border.
+        How the patch of a gap is joined. ``"graphcut"``: along the least visible closed seam, which may run up to half
+        a block inside the neighbors. ``"dynamic"``: in the same region along the least visible seam of each side.
+        ``"blend"``: by linear blending over the border.
     deform
-        How far, px, a gap's patch may be deformed so that lines meet: by a smooth field, fitted to what it overlaps,
-        that fades to nothing inside. 0 (none) to 3.
-    among
-        Share of the equal places, best first, from which a gap's patch is drawn; only where the search is by the
-        lattice. 0: the best alone (the paper's); 1: all, and only where near them is left to the match. None takes
-        one half.
-    spread
-        Whether patches are drawn from those places that patches laid of late overlap least. False: all are equally
-        likely (the paper's).
+        Largest deformation of a gap's patch in px, 0 (none) to 3: a smooth field, fitted to what the patch overlaps,
+        that fades to zero in the middle of the gap.
+    candidate_fraction
+        Fraction of the equal places, best first, from which a gap's patch is drawn, for ``search="lattice"``. 0: only
+        the best place (the paper). 1: all places, each with its best match nearby. None: one half.
+    prefer_unused
+        Draw patches from the places that the latest patches overlap least. False: all are equally likely (the paper).
     finder
-        By what the method finds a lattice itself: ``"consensus"``, or the paper's own ``"gncc"``, which takes half or
-        twice the period of some walls and carpets.
+        Detector that finds the lattice if none is given: ``"consensus"``, or the paper's ``"gncc"``, which reports half
+        or twice the period of some walls and carpets.
     """
 
     block: int = 40
@@ -97,10 +107,10 @@ class Rsgf:
     search: Search = "lattice"
     tolerance: float | None = None
     subpixel: bool = True
-    seam: Seam = "graphcut"
+    seam: SeamMethod = "graphcut"
     deform: float = 0.0
-    among: float | None = None
-    spread: bool = True
+    candidate_fraction: float | None = None
+    prefer_unused: bool = True
     finder: Finder = "consensus"
 
     reference: ClassVar[bool] = False
@@ -111,18 +121,19 @@ class Rsgf:
 
     def __post_init__(self) -> None:
         check_border(self.block, self.border)
+        fraction = self.candidate_fraction
         if self.tolerance is not None and not self.tolerance >= 0:
             raise BadInput(f"tolerance {self.tolerance}; choose 0 px or more, or leave it out")
-        if self.among is not None and not 0 <= self.among <= 1:
-            raise BadInput(f"among {self.among}; choose from 0 to 1, or leave it out")
-        for name, value in (("tolerance", self.tolerance), ("among", self.among)):
+        if fraction is not None and not 0 <= fraction <= 1:
+            raise BadInput(f"candidate_fraction {fraction}; choose from 0 to 1, or leave it out")
+        for name, value in (("tolerance", self.tolerance), ("candidate_fraction", fraction)):
             if value is not None and self.search != "lattice":
                 raise BadInput(
-                    f"{name} {value} with search {self.search!r}, which looks at every place; "
+                    f"{name} {value} has no effect with search {self.search!r}; "
                     f"choose search 'lattice', or leave {name} out"
                 )
-        if not 0 <= self.deform <= FARTHEST_DEFORM:
-            raise BadInput(f"deform {self.deform}; choose from 0 to {FARTHEST_DEFORM:g} px")
+        if not 0 <= self.deform <= MAX_DEFORM:
+            raise BadInput(f"deform {self.deform}; choose from 0 to {MAX_DEFORM:g} px")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`Rsgf`.
@@ -130,30 +141,241 @@ class Rsgf:
         Raises
         ------
         Refused
-            When the sample does not hold a block with its borders, or no such patch equal to one of the output's.
+            If the sample does not hold a block with its borders, or no patch equal to one of the output's.
         """
-        room = room_with_border(task.sample.shape, self.block, self.border)
-        found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, self._finder())
-        canvas = Canvas(Patches(task.sample), BlockGrid(task.shape, self.block, self.border), self.seam)
-        filling = Filling(task, found.lattice, canvas, self._rules(found.lattice))
-        filling.sample_placed(room)
-        filling.fill_gaps()
-        image, source = canvas.finished()
+        grid = BlockGrid(task.shape, self.block, self.border)
+        grid.search_shape(task.sample.shape)
+        found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, self._detector())
+        filler = GapFiller(self, task, found.lattice)
+        filler.place_blocks()
+        filler.fill_gaps()
+        image, source = filler.canvas.output()
         task.progress(1.0)
         return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=self._note(found))
 
-    def _finder(self) -> Detector:
+    def _detector(self) -> Detector:
         return Consensus() if self.finder == "consensus" else Gncc()
-
-    def _rules(self, lattice: Lattice | None) -> Rules:
-        reach = 0.0
-        if lattice is not None:
-            tolerance = min(3.0, NEAR * lattice.s) if self.tolerance is None else self.tolerance
-            reach = min(tolerance, math.hypot(*lattice.reduced().t2))
-        among = _BETTER_HALF if self.among is None else self.among
-        return Rules(self.match, self.search, reach, self.subpixel, self.deform, among, self.spread)
 
     def _note(self, found: FoundLattice) -> str:
         if found.lattice or self.search == "stochastic":
             return ""
-        return f"stochastic mode, every position a candidate: no lattice found ({found.reason})"
+        return f"stochastic mode, every position is a candidate: no lattice found ({found.reason})"
+
+
+class GapFiller:
+    """One synthesis by :class:`Rsgf`: chooses the patch of each block and puts it on a canvas.
+
+    Parameters
+    ----------
+    method
+        The parameters.
+    task
+        The sample, the shape of the output, and the randomness.
+    lattice
+        Makes places equal. None: all places are equal.
+    """
+
+    def __init__(self, method: Rsgf, task: Task, lattice: Lattice | None) -> None:
+        self.method, self.task, self.lattice = method, task, lattice
+        self.grid = BlockGrid(task.shape, method.block, method.border)
+        self.canvas = BlockCanvas(Patches(task.sample), self.grid, method.seam)
+        self.matcher = FrameMatcher(task.sample, method.block, method.match)
+        self.sampler = PlaceSampler(task.rng, method.block, method.prefer_unused)
+
+    @cached_property
+    def tolerance(self) -> float:
+        """How far a gap's patch may lie from an equal place, px along x and along y."""
+        if self.lattice is None:
+            return 0.0
+        default = min(3.0, TOLERANCE * self.lattice.s)
+        tolerance = default if self.method.tolerance is None else self.method.tolerance
+        return min(tolerance, math.hypot(*self._reduced.t2))
+
+    def place_blocks(self) -> None:
+        """Section 4.1: fill every second block with a random patch from the places equal to it."""
+        shape = self.grid.search_shape(self.task.sample.shape)
+        equal_places = None if self.lattice is None else EqualPlaces(self.lattice, shape)
+        for row, column in self.grid.placed():
+            place = self._draw_place(row, column, equal_places, shape) + self.grid.border
+            self.canvas.place_block(row, column, place)
+        self.canvas.extend_placed()
+
+    def fill_gaps(self) -> None:
+        """Section 4.2: fill the gaps with the patches that agree best with the borders around."""
+        gaps = list(self.grid.gaps())
+        for done, (row, column) in enumerate(gaps):
+            place, equal = self._match_border(row, column)
+            if self.method.subpixel:
+                place = self._refine_place(row, column, place, equal)
+            self.canvas.fill_gap(row, column, place, self._deformation(row, column, place))
+            self.task.progress((done + 1) / len(gaps))
+
+    def _draw_place(self, row: int, column: int, equal_places: EqualPlaces | None, shape: SearchShape) -> Points:
+        """Draw the (x, y) of a block with its borders; without a lattice from anywhere."""
+        if equal_places is None:
+            trials = _STOCHASTIC_TRIALS if self.method.prefer_unused else 1
+            return self.sampler.draw(self.task.rng.integers(shape[::-1], size=(trials, 2)))
+        border = self.grid.border
+        equal = equal_places.find(self._corner(row, column) - border)
+        candidates: NDArray[Any] = (
+            _places_inside(round_places(equal), shape) if self.method.subpixel else nearest_pixels(equal, shape)
+        )
+        self._require_candidates(candidates, row, column, self.grid.block + 2 * border)
+        return self.sampler.draw(candidates + border) - border
+
+    def _match_border(self, row: int, column: int) -> tuple[Points, Points | None]:
+        """Return the whole-pixel (x, y) of a patch that agrees well with the border of a gap.
+
+        Also return the nearest place that the lattice makes equal to the gap's, if the search uses the lattice.
+        """
+        hole = self.grid.border_of(row, column).hole
+        template = np.rint(self.canvas.image[self.canvas.window(row, column)] * 255).astype(np.float32)
+        if self.lattice is None or self.method.search != "lattice":
+            ratings = self.matcher.rate_everywhere(template, hole)
+            return self.sampler.draw(np.argwhere(ratings == ratings.max())[:, ::-1]), None
+        equal = self._keep_off_edge(self._gap_places.find(self._corner(row, column)))
+        candidates = nearby_pixels(equal, self._gap_places.margin, self.matcher.search_shape)
+        self._require_candidates(candidates, row, column, self.grid.block)
+        ratings = self.matcher.rate(template, hole, candidates)
+        best = self.sampler.draw(self._best_candidates(candidates, ratings, equal))
+        return best, np.asarray(equal[np.abs(equal - best).max(1).argmin()])
+
+    def _best_candidates(self, candidates: Pixels, ratings: NDArray[np.float64], equal: Points) -> Pixels:
+        fraction = 0.5 if self.method.candidate_fraction is None else self.method.candidate_fraction
+        if not fraction:
+            return np.asarray(candidates[ratings == ratings.max()])
+        return best_places(candidates, ratings, self._reduced, equal[0], fraction)
+
+    def _keep_off_edge(self, equal: Points) -> Points:
+        """Return the places a border's width inside the sample, if seams are cut and two such places exist.
+
+        There a gap's patch reaches beyond the gap on all sides, so that seams can run around elements.
+        """
+        border = self.grid.border
+        low, high = border, np.array(self.matcher.search_shape[::-1]) - 1 - border
+        inner = equal[((equal >= low) & (equal <= high)).all(1)]
+        return inner if len(inner) > 1 and self.method.seam != "blend" else equal
+
+    def _refine_place(self, row: int, column: int, best: Points, equal: Points | None) -> Points:
+        """Return the real-valued place nearby at which the patch agrees best with the border, within the tolerance.
+
+        The search starts from the equal place if that is less than a pixel away.
+        """
+        block, last = self.grid.block, np.array(self.matcher.search_shape[::-1]) - 0.5
+        box, tolerance = (0, block, 0, block), self.tolerance
+        weight = self.canvas.overlap_mask(row, column, box).astype(np.float64)
+        old = self.canvas.image[self.canvas.window(row, column)]
+
+        def cut(place: Points) -> Image:
+            return self.canvas.cut_patch(np.clip(place, -0.5, last), box)[0]
+
+        start = equal if equal is not None and np.abs(equal - best).max() < 1 else best
+        place = align_patch(cut, start, old, weight, steps=1)
+        if equal is not None:
+            place = equal + np.clip(place - equal, -tolerance, tolerance)
+        return np.asarray(np.clip(round_places(place), -0.5, last))
+
+    def _deformation(self, row: int, column: int, place: Points) -> Map | None:
+        if not self.method.deform:
+            return None
+        canvas = self.canvas
+        box = canvas.patch_box(row, column, place)
+        overlap = canvas.overlap_mask(row, column, box)
+        return fit_deformation(
+            lambda field: canvas.cut_patch(place, box, field)[0],
+            canvas.image[canvas.window(row, column, box)],
+            overlap.astype(np.float64),
+            _fade(overlap, self.grid.border),
+            self.method.deform,
+        )
+
+    @cached_property
+    def _reduced(self) -> Lattice:
+        assert self.lattice is not None
+        return self.lattice.reduced()
+
+    @cached_property
+    def _gap_places(self) -> EqualPlaces:
+        assert self.lattice is not None
+        return EqualPlaces(self.lattice, self.matcher.search_shape, max(self.tolerance, 0.5))
+
+    def _corner(self, row: int, column: int) -> Points:
+        return np.array([column, row], np.float64) * self.grid.block
+
+    def _require_candidates(self, candidates: NDArray[Any], row: int, column: int, side: int) -> None:
+        if len(candidates):
+            return
+        height, width, _ = self.task.sample.shape
+        x, y = (int(value) for value in self._corner(row, column))
+        raise Refused(
+            f"the {width}x{height} px sample has no complete patch of {side}x{side} px that the lattice makes equal to "
+            f"the output's at ({x}, {y}): the tile is too large for the sample; choose a smaller block"
+        )
+
+
+def _places_inside(places: Points, shape: SearchShape) -> Points:
+    """Return the places inside the search shape; if there are none, all places, moved to its edge."""
+    last = np.array(shape[::-1]) - 1
+    inside = ((places >= 0) & (places <= last)).all(1)
+    return places[inside] if inside.any() else np.clip(places, 0, last)
+
+
+def _fade(overlap: Mask, border: int) -> Map:
+    """Return the share of the displacement that a pixel takes: 0 in the hole, 1 at a border's width from it."""
+    return np.asarray(np.minimum(ndimage.distance_transform_edt(overlap) / border, 1.0))
+
+
+class PlaceSampler:
+    """Draws places in a sample for square patches.
+
+    Parameters
+    ----------
+    rng
+        The randomness.
+    block
+        Side of the patches in px.
+    prefer_unused
+        Prefer the places that the latest patches overlap least. The first draw is uniform in any case.
+    """
+
+    def __init__(self, rng: np.random.Generator, block: int, prefer_unused: bool) -> None:
+        self.rng, self.block, self.prefer_unused = rng, block, prefer_unused
+        self._latest: deque[Points] = deque(maxlen=REMEMBERED)
+
+    def draw(self, candidates: NDArray[Any]) -> Points:
+        """Return one of the candidates ``(n, 2)``, n at least 1, and remember it: O(n)."""
+        if self.prefer_unused and self._latest:
+            counts = self.overlap_counts(candidates)
+            candidates = candidates[counts <= counts.min() + _OVERLAP_SLACK]
+        place = np.asarray(candidates[self.rng.integers(len(candidates))], np.float64)
+        self._latest.append(place)
+        return place
+
+    def overlap_counts(self, places: NDArray[Any]) -> NDArray[np.float64]:
+        """Return for each place the overlap of its patch with the latest ones, in patch areas, summed."""
+        distances = np.abs(places[:, np.newaxis] - np.array(self._latest).reshape(-1, 2))
+        return np.asarray(np.maximum(1 - distances / self.block, 0).prod(-1).sum(-1))
+
+
+def best_places(
+    candidates: Pixels, ratings: NDArray[np.float64], lattice: Lattice, equal: Points, fraction: float
+) -> Pixels:
+    """Return the best candidate near each of the best equal places.
+
+    Parameters
+    ----------
+    candidates, ratings
+        ``(n, 2)`` and ``(n,)``: several places around each equal place, and how good each is; higher is better.
+    lattice, equal
+        The lattice, its basis reduced, and (x, y) of one of the equal places. Candidates belong to the same equal place
+        if they round to the same lattice point.
+    fraction
+        Fraction of the equal places to keep, in [0, 1], at least one, and all that tie with the last one.
+    """
+    cells = np.rint(lattice.to_cell(candidates) - lattice.to_cell(equal)).astype(np.int64)
+    cells -= cells.min(0)
+    place = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)[1]
+    top = np.full(place.max() + 1, -np.inf)
+    np.maximum.at(top, place, ratings)
+    last = np.sort(top)[::-1][max(int(np.ceil(fraction * len(top))) - 1, 0)]
+    return np.asarray(candidates[(ratings == top[place]) & (ratings >= last)])

@@ -1,4 +1,4 @@
-"""A cheat: random patches without a lattice."""
+"""Baseline: random patches without a lattice."""
 
 from __future__ import annotations
 
@@ -9,24 +9,23 @@ import numpy as np
 
 from nrbench.plugins.forms import Kind, Synthesis, Task
 
-from .gap_filling.blocks import BlockGrid
+from .gap_filling.blocks import BlockGrid, check_border
 from .gap_filling.canvas import compose
-from .gap_filling.size_checks import check_border, room_with_border
 from .sampling.patches import Patches
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Patches from anywhere in the sample, side by side, blended at their borders: keeps randomness, loses the lattice.
+    """Random patches of the sample side by side, blended at their borders: keeps randomness, loses the lattice.
 
-    On textures without a lattice it is no cheat.
+    This baseline is a valid method for textures without a lattice.
 
     Parameters
     ----------
     block
         Side of a block in px.
     border
-        Width in px of the border over which neighbours are blended, at most half a block.
+        Width in px of the border over which neighbors are blended, at most half a block.
     """
 
     block: int = 32
@@ -46,11 +45,11 @@ class Scatter:
         Raises
         ------
         Refused
-            When the sample does not hold a block with its borders.
+            If the sample does not hold a block with its borders.
         """
-        room = room_with_border(task.sample.shape, self.block, self.border)
         grid = BlockGrid(task.shape, self.block, self.border)
-        places = task.rng.integers((room[1], room[0]), size=(*grid.counts, 2)) + self.border
+        rows, columns = grid.search_shape(task.sample.shape)
+        places = task.rng.integers((columns, rows), size=(*grid.counts, 2)) + self.border
         image, source = compose(Patches(task.sample), grid, places.astype(np.float64))
         task.progress(1.0)
         return Synthesis(image, source=source)

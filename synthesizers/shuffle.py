@@ -15,7 +15,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
 
 from .baselines.voronoi_cell import OFFSET, edge_points, half_extent, whole_cell_centers
-from .sampling.splines import resampled
+from .sampling.patches import resample
 
 _STEPS = 24
 """Number of places of the cell, along each vector, that are tried for the cuts."""
@@ -62,7 +62,7 @@ class Shuffle:
             u, v = np.moveaxis(np.rint(tiles.to_cell(pixels - away)).astype(np.intp) - low, -1, 0)
             return np.asarray(places[chosen[u, v]] + away)
 
-        image, source = resampled(task, points)
+        image, source = resample(task, points)
         return Synthesis(image, lattice, source, detection_seconds=seconds)
 
 

@@ -12,7 +12,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
 
 from .baselines.voronoi_cell import half_extent, half_extents
-from .sampling.splines import resampled
+from .sampling.patches import resample
 
 _CANDIDATES = 300
 """Number of lattice vectors tried for each side of the crop: those nearest to the sample's sides."""
@@ -48,7 +48,7 @@ class Supertile:
         lattice, seconds = require_lattice(task, Gncc(), "there is nothing to repeat")
         cell = largest_supercell(lattice, task.sample.shape)
         middle = (np.array(task.sample.shape[1::-1]) - 1) / 2
-        image, source = resampled(task, lambda pixels: middle + cell.wrap(pixels - middle))
+        image, source = resample(task, lambda pixels: middle + cell.wrap(pixels - middle))
         count = round(cell.area / lattice.area)
         return Synthesis(image, lattice, source, detection_seconds=seconds, note=f"repeats {count} tiles")
 

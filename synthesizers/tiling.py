@@ -16,8 +16,7 @@ from nrbench.plugins.forms import Kind, Synthesis, Task, require_lattice
 
 from .baselines.voronoi_cell import OFFSET, half_extent, whole_cell_centers
 from .sampling.equal_places import EqualPlaces, pixel_grid
-from .sampling.patches import Patches, snapped
-from .sampling.splines import resampled
+from .sampling.patches import Patches, resample, round_places
 
 _MARGIN = 8
 """px of the mean image around its tile, so that splines in the tile do not depend on the image's end."""
@@ -68,7 +67,7 @@ class Tiling:
         typical = self.tile == "typical"
         center = _typical_center(task.sample, lattice, centers) if typical else task.rng.choice(centers)
         middle = center + OFFSET
-        image, source = resampled(task, lambda pixels: middle + lattice.wrap(pixels - middle))
+        image, source = resample(task, lambda pixels: middle + lattice.wrap(pixels - middle))
         return Synthesis(image, lattice, source, detection_seconds=seconds)
 
 
@@ -79,7 +78,7 @@ def _repeat_mean(task: Task, lattice: Lattice) -> Image:
     corner = center - around
     mean = _mean_window(task.sample, lattice, corner, (int(2 * around[1] + 1), int(2 * around[0] + 1)))
     middle = center + OFFSET
-    image, _ = resampled(replace(task, sample=mean), lambda pixels: middle - corner + lattice.wrap(pixels - middle))
+    image, _ = resample(replace(task, sample=mean), lambda pixels: middle - corner + lattice.wrap(pixels - middle))
     return image
 
 
@@ -101,7 +100,7 @@ def _mean_window(sample: Image, lattice: Lattice, corner: Points, shape: tuple[i
     size, last = np.array(shape[::-1]), np.array(sample.shape[1::-1]) - 0.5
     room = sample.shape[0] + shape[0] - 1, sample.shape[1] + shape[1] - 1
     patches = Patches(sample)
-    for place in snapped(EqualPlaces(lattice, room).of(corner + size - 1) - size + 1):
+    for place in round_places(EqualPlaces(lattice, room).find(corner + size - 1) - size + 1):
         left, top = np.maximum(np.ceil(-0.5 - place), 0).astype(int)
         right, bottom = np.minimum(np.floor(last - place).astype(int) + 1, size)
         if left < right and top < bottom:

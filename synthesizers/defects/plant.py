@@ -14,7 +14,7 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Again, Refused, Shape
 
-from ..sampling.equal_places import equivalent_positions, pixel_grid
+from ..sampling.equal_places import EqualPlaces, pixel_grid
 
 Field = NDArray[np.intp]
 """``(H, W, 2)``: how far, (x, y) whole px, the content at each pixel has moved."""
@@ -455,7 +455,7 @@ def _source(site: Site, halves: _Halves, corner: NDArray[np.intp]) -> NDArray[np
     x0, y0, x1, y1 = halves.source
     room = (y1 - y0 - halves.height + 1, x1 - x0 - halves.width + 1)
     at: Vector = (float(corner[0] - x0), float(corner[1] - y0))
-    places = equivalent_positions(site.lattice, at, room)
+    places = EqualPlaces(site.lattice, room).find(at)
     if not len(places):
         return None
     pixels = np.floor(places + 0.5)

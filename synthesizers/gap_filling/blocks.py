@@ -1,7 +1,8 @@
-"""Square blocks that fill an output in a chess-like fashion, and the wedge-shaped borders between them.
+"""Divide an output into square blocks like a chess-board, and describe the border inside each gap.
 
-Every other block (a *placed* one) lends the gaps beside it a border: the part of its patch that reaches beyond its
-square, into the gap. Where two borders meet in a corner of the gap, the diagonal divides them: they are wedges.
+Every other block is *placed* first; the others are *gaps*. The patch of a placed block reaches beyond its square and
+shows a border in the gaps beside it. Where two borders meet in a corner of a gap, the diagonal divides them, so that
+each has the shape of a wedge.
 """
 
 from __future__ import annotations
@@ -13,19 +14,36 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .matching import Hole
+from nrbench.errors import BadInput
+from nrbench.plugins.forms import Refused
 
+from ..sampling.equal_places import SearchShape, search_shape
+
+Box = tuple[int, int, int, int]
+"""(y0, y1, x0, x1), half-open, px."""
 Sides = tuple[bool, bool, bool, bool]
-"""Which neighbours a block has: left, top, right, bottom."""
+"""Which neighbors a block has: left, top, right, bottom."""
 STEPS = ((-1, 0), (0, -1), (1, 0), (0, 1))
-"""(x, y) from a block to each neighbour, in blocks."""
+"""(x, y) from a block to each neighbor, in blocks."""
 OWN = 4
-"""The layer of the gap's own patch; 0 to 3 are the neighbours'."""
+"""The layer of a gap's own patch; 0 to 3 are the neighbors'."""
+
+
+def check_border(block: int, border: int) -> None:
+    """Raise :class:`BadInput` unless ``border`` is from 1 px to half a block."""
+    if not 1 <= border <= block // 2:
+        raise BadInput(f"border {border} with block {block}; choose a border from 1 to half a block")
+
+
+def box_slices(box: Box, top: int = 0, left: int = 0) -> tuple[slice, slice]:
+    """Return the rows and columns of a box whose (0, 0) lies at row ``top`` and column ``left``."""
+    y0, y1, x0, x1 = box
+    return slice(top + y0, top + y1), slice(left + x0, left + x1)
 
 
 @dataclass(frozen=True)
 class BlockGrid:
-    """The division of an output into blocks; those at the right and bottom may reach beyond it.
+    """The blocks of an output. Those at the right and at the bottom may reach beyond it.
 
     Parameters
     ----------
@@ -34,7 +52,7 @@ class BlockGrid:
     block
         Side of a block in px.
     border
-        Width in px of what a placed block's patch shows beyond its square; at most half a block.
+        Width in px of what the patch of a placed block shows beyond its square, at most half a block.
     """
 
     shape: tuple[int, int]
@@ -48,37 +66,59 @@ class BlockGrid:
         return -(-height // self.block), -(-width // self.block)
 
     def placed(self) -> Iterator[tuple[int, int]]:
-        """Yield (row, column) of the blocks that are sampled."""
-        return self._chess(0)
+        """Yield (row, column) of the placed blocks."""
+        return self._alternate(0)
 
     def gaps(self) -> Iterator[tuple[int, int]]:
-        """Yield (row, column) of the blocks that are filled in afterwards."""
-        return self._chess(1)
+        """Yield (row, column) of the gaps."""
+        return self._alternate(1)
 
-    def _chess(self, parity: int) -> Iterator[tuple[int, int]]:
+    def _alternate(self, parity: int) -> Iterator[tuple[int, int]]:
         rows, columns = self.counts
         return ((i, j) for i in range(rows) for j in range(columns) if (i + j) % 2 == parity)
 
     def sides(self, row: int, column: int) -> Sides:
-        """Return which neighbours the block has."""
+        """Return which neighbors the block has."""
         rows, columns = self.counts
         return column > 0, row > 0, column < columns - 1, row < rows - 1
 
+    def border_of(self, row: int, column: int) -> GapBorder:
+        """Return the border of a gap."""
+        return gap_border(self.block, self.border, self.sides(row, column))
+
+    def search_shape(self, sample_shape: tuple[int, ...]) -> SearchShape:
+        """Return the rows and columns of places at which a block and its borders lie inside a sample.
+
+        Raises
+        ------
+        Refused
+            If there are none.
+        """
+        height, width = sample_shape[:2]
+        side = self.block + 2 * self.border
+        if side > min(height, width):
+            raise Refused(
+                f"the sample is {width}x{height} px, a block with its borders {side}x{side} px; "
+                f"choose block + 2 border <= {min(height, width)}"
+            )
+        return search_shape(side, (height, width))
+
 
 @dataclass(frozen=True, eq=False)
-class Wedges:
-    """The border inside a gap, pixel by pixel; n pixels, those less than ``border`` px from a neighbour.
+class GapBorder:
+    """The border inside a gap: its n pixels are less than ``border`` px from a neighbor.
 
     Parameters
     ----------
     pixels
-        ``(n, 2)``: their (x, y) in the gap.
+        ``(n, 2)``: (x, y) in the gap.
     owner
-        ``(n,)``: the side whose wedge the pixel lies in: the nearest one.
+        ``(n,)``: the side in whose wedge the pixel lies, which is the nearest one.
     layers
-        ``(3, n)``: what is blended there: the gap's own patch, and the neighbour beside and the one above or below.
+        ``(3, n)``: the layers blended at the pixel: the gap's own patch, the neighbor to the left or right, and the one
+        above or below.
     weights
-        ``float32 (3, n)``: how much of each; they sum to 1.
+        ``float32 (3, n)``: weights of these layers; they sum to 1.
     hole
         The rest of the gap.
     owners
@@ -89,17 +129,17 @@ class Wedges:
     owner: NDArray[np.int64]
     layers: NDArray[np.int64]
     weights: NDArray[np.float32]
-    hole: Hole
+    hole: Box
     owners: NDArray[np.int64]
 
 
 @lru_cache(maxsize=256)
-def wedges(block: int, border: int, sides: Sides) -> Wedges:
-    """Return the border of a gap that has neighbours at ``sides``.
+def gap_border(block: int, border: int, sides: Sides) -> GapBorder:
+    """Return the border of a gap that has neighbors at ``sides``.
 
-    A gap's own patch fades in linearly, from its edge to the border's inner edge. The rest is the neighbour's whose
-    wedge it is; across the diagonal between two wedges one passes smoothly into the other, and at the gap's edge each
-    neighbour is whole, so that no block's own square is touched.
+    The gap's own patch fades in linearly from the gap's edge to the border's inner edge. The rest of the weight goes to
+    the neighbor in whose wedge the pixel lies, with a smooth passage across the diagonal between two wedges. At the
+    gap's edge the neighbor has all the weight, so that the squares of placed blocks stay as they are.
     """
     depths = _depths(block, border, sides)
     rows, columns = np.nonzero(depths.min(0) < 1)
@@ -109,18 +149,19 @@ def wedges(block: int, border: int, sides: Sides) -> Wedges:
     layers, weights = np.stack([np.full_like(beside, OWN), beside, above]), _weights(p, q)
     owners = np.full((block, block), OWN)
     owners[rows, columns] = np.where(p <= q, beside, above)
-    return Wedges(
+    left, top, right, bottom = (border if side else 0 for side in sides)
+    return GapBorder(
         pixels=np.stack([columns, rows], -1),
         owner=owners[rows, columns],
         layers=np.where(weights > 0, layers, OWN),
         weights=weights,
-        hole=_hole(block, border, sides),
+        hole=(top, block - bottom, left, block - right),
         owners=owners,
     )
 
 
 def _depths(block: int, border: int, sides: Sides) -> NDArray[np.float64]:
-    """Distance of each pixel from each side, as a share of the border, at most 1: ``(4, block, block)``."""
+    """Return the distance of each pixel from each side over the border's width, at most 1: ``(4, block, block)``."""
     depth = np.minimum((np.arange(block) + 0.5) / border, 1)
     across, down = np.broadcast_to(depth, (block, block)), np.broadcast_to(depth[:, np.newaxis], (block, block))
     depths = np.stack([across, down, across[:, ::-1], down[::-1]])
@@ -132,8 +173,3 @@ def _weights(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float
     beside, above = 1 / p - 1, 1 / q - 1
     share = beside / (beside + above)
     return np.stack([own, (1 - own) * share, (1 - own) * (1 - share)]).astype(np.float32)
-
-
-def _hole(block: int, border: int, sides: Sides) -> Hole:
-    left, top, right, bottom = (border if side else 0 for side in sides)
-    return top, block - bottom, left, block - right

@@ -1,12 +1,11 @@
-"""The output that blocks make: patches laid side by side, and gap patches joined to them by blending or along seams."""
+"""Compose an output of blocks: place patches side by side, and join gap patches by blending or along seams."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,90 +15,74 @@ from nrbench.lattice.geometry import Points
 
 from ..sampling.equal_places import pixel_grid
 from ..sampling.patches import Patches, Source
-from ..seams.minimum_cut import Links, Mask
-from .blocks import OWN, STEPS, BlockGrid, wedges
-from .seam_cut import Box, Joint, box_slices, dynamic_joint, graphcut_joint, visible_links
+from ..seams.dynamic_seam import dynamic_seam
+from ..seams.minimum_cut import Links, Mask, cut_overlap, seam_links
+from .blocks import OWN, STEPS, BlockGrid, Box, Sides, box_slices
 
-Seam = Literal["blend", "dynamic", "graphcut"]
+SeamMethod = Literal["blend", "dynamic", "graphcut"]
 Places = NDArray[np.float64]
 """``float64 (rows, columns, 2)``: the real-valued (x, y) in the sample of every block's first pixel."""
 Map = NDArray[np.float64]
+"""``float64 (h, w)`` or ``(h, w, 2)``: one value or one (x, y) per pixel."""
 Layers = tuple[Image, Source]
-"""``(5, block, block, C)`` and ``(5, block, block, 3)``: what each neighbour's patch, continued, shows in a gap, 0
-where it does not reach; the last is the gap's own."""
+"""``(5, block, block, C)`` and ``(5, block, block, 3)``: what the patch of each neighbor shows in a gap, 0 where it
+does not reach. The last layer is the gap's own patch."""
 
 
-@dataclass(frozen=True, eq=False)
-class Canvas:
-    """An output in the making.
+class BlockCanvas:
+    """An output under construction.
 
-    First every placed block is laid, then :meth:`continue_placed` shows their borders in the gaps, then every gap is
-    filled. With ``"blend"`` a gap's patch stays inside the gap and fades in linearly over the border. With seams it is
-    laid over half of each block around, too, as far as the sample shows it, so that a seam has room to run around what
-    lies there, and over the corners, where placed blocks meet.
+    First place every block that is not a gap with :meth:`place_block`, then show their borders in the gaps with
+    :meth:`extend_placed`, then fill every gap with :meth:`fill_gap`. With ``"blend"`` the patch of a gap stays inside
+    the gap and fades in linearly over the border. With seams the patch also covers half of each block around, as far as
+    the sample shows it, so that a seam can run around elements there, and around the corners where placed blocks meet.
 
     Parameters
     ----------
     patches
-        Of the sample.
+        The patches of the sample.
     grid
         The blocks.
     seam
-        ``"blend"``: linear blending; ``"dynamic"``: cut along the four minimum-error seams that dynamic programming
-        finds; ``"graphcut"``: along the least visible seam of all, an exact minimum cut of the squared differences over
+        ``"blend"``: linear blending. ``"dynamic"``: cut along four minimum-error seams, found by dynamic programming.
+        ``"graphcut"``: cut along the least visible closed seam, an exact minimum cut of the squared differences over
         the gradients.
+
+    Attributes
+    ----------
+    places
+        See :data:`Places`.
+    image, source, known
+        The output in whole blocks, ``(rows * block, columns * block, C)``, its source map, and where it is known.
     """
 
-    patches: Patches
-    grid: BlockGrid
-    seam: Seam = "blend"
-    places: Places = field(init=False)
+    def __init__(self, patches: Patches, grid: BlockGrid, seam: SeamMethod = "blend") -> None:
+        rows, columns = grid.counts
+        height, width = rows * grid.block, columns * grid.block
+        self.patches, self.grid, self.seam = patches, grid, seam
+        self.places: Places = np.zeros((rows, columns, 2))
+        self.image: Image = np.zeros((height, width, patches.sample.shape[2]), np.float32)
+        self.source: Source = np.ones((height, width, 3), np.float32)
+        self.known: Mask = np.zeros((height, width), np.bool_)
+        # What the seams of the image cost, for graph cuts.
+        self._seams = Links(np.zeros((height, width - 1), np.float32), np.zeros((height - 1, width), np.float32))
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "places", np.zeros((*self.grid.counts, 2)))
-
-    @cached_property
-    def image(self) -> Image:
-        """``(rows * block, columns * block, C)``."""
-        return np.zeros((*self._shape, self.patches.sample.shape[2]), np.float32)
-
-    @cached_property
-    def source(self) -> Source:
-        """The source map, as large as the image."""
-        return np.ones((*self._shape, 3), np.float32)
-
-    @cached_property
-    def known(self) -> Mask:
-        """Where the image shows something already."""
-        return np.zeros(self._shape, np.bool_)
-
-    @cached_property
-    def _seams(self) -> Links:
-        """What the seams cost that the image has: kept for graph cuts."""
-        height, width = self._shape
-        return Links(np.zeros((height, width - 1), np.float32), np.zeros((height - 1, width), np.float32))
-
-    @property
-    def _shape(self) -> tuple[int, int]:
-        rows, columns = self.grid.counts
-        return rows * self.grid.block, columns * self.grid.block
-
-    def finished(self) -> tuple[Image, Source]:
-        """Return the output and its source map: (x, y) of the largest weight and that weight."""
+    def output(self) -> tuple[Image, Source]:
+        """Return the output and its source map: the (x, y) that has the largest weight, and that weight."""
         height, width = self.grid.shape
         return self.image[:height, :width], self.source[:height, :width]
 
-    def lay(self, row: int, column: int, place: Points) -> None:
-        """Lay a placed block's square; its border must lie in the sample, too."""
+    def place_block(self, row: int, column: int, place: Points) -> None:
+        """Place a block. Its borders must lie inside the sample, too."""
         self.places[row, column] = place
         window, block = self.window(row, column), self.grid.block
         self.image[window], self.source[window] = self.patches.cut(place, (block, block))
         self.known[window] = True
 
-    def continue_placed(self) -> None:
+    def extend_placed(self) -> None:
         """Show, in the border of every gap, the patches of the placed blocks around, each in its wedge."""
         for row, column in self.grid.gaps():
-            border = wedges(self.grid.block, self.grid.border, self.grid.sides(row, column))
+            border = self.grid.border_of(row, column)
             image, source = self._layers(row, column)
             x, y = border.pixels.T
             window = self.window(row, column)
@@ -107,10 +90,10 @@ class Canvas:
             self.source[window][y, x] = source[border.owner, y, x]
             self.known[window][y, x] = True
             if self.seam == "graphcut":
-                self._remember_corners(row, column, image)
+                self._record_corner_seams(row, column, image)
 
-    def fill(self, row: int, column: int, place: Points, field: Map | None = None) -> None:
-        """Fill a gap with a patch, joined to what is there.
+    def fill_gap(self, row: int, column: int, place: Points, field: Map | None = None) -> None:
+        """Fill a gap with a patch, and join it to what is known around.
 
         Parameters
         ----------
@@ -119,22 +102,22 @@ class Canvas:
         place
             (x, y) in the sample of the gap's first pixel.
         field
-            How far each pixel of the patch is displaced, ``(h, w, 2)`` over :meth:`extent`; None: not at all.
+            Displacement of each pixel of the patch, ``(h, w, 2)`` over :meth:`patch_box`, or None.
         """
         self.places[row, column] = place
-        box = self.extent(row, column, place)
-        patch = self.patch(place, box, field)
+        box = self.patch_box(row, column, place)
+        patch = self.cut_patch(place, box, field)
         if self.seam == "blend":
             self._blend(row, column, patch)
         else:
-            self._join(row, column, box, patch)
+            self._cut(row, column, box, patch)
         self.known[self.window(row, column)] = True
 
-    def extent(self, row: int, column: int, place: Points) -> Box:
-        """Return what a gap's patch may show, px from its first pixel: as much as the sample holds of it."""
+    def patch_box(self, row: int, column: int, place: Points) -> Box:
+        """Return the largest box, px from the gap's first pixel, that a gap's patch may show and the sample holds."""
         block = self.grid.block
         reach = 0 if self.seam == "blend" else block // 2
-        left, top, right, bottom = (reach if there else 0 for there in self.grid.sides(row, column))
+        left, top, right, bottom = (reach if side else 0 for side in self.grid.sides(row, column))
         height, width = self.patches.sample.shape[:2]
         x, y = (float(value) for value in place)
         return (
@@ -149,24 +132,24 @@ class Canvas:
         block = self.grid.block
         return box_slices(box or (0, block, 0, block), row * block, column * block)
 
-    def overlap(self, row: int, column: int, box: Box) -> Mask:
-        """Return where a gap's patch over ``box`` meets what is known: in its border and beyond."""
-        inside = self.known[self.window(row, column, box)].copy()
-        hole = wedges(self.grid.block, self.grid.border, self.grid.sides(row, column)).hole
-        inside[box_slices(hole, -box[0], -box[2])] = False
-        return inside
+    def overlap_mask(self, row: int, column: int, box: Box) -> Mask:
+        """Return where a gap's patch over ``box`` overlaps what is known, outside the hole."""
+        mask = self.known[self.window(row, column, box)].copy()
+        mask[box_slices(self.grid.border_of(row, column).hole, -box[0], -box[2])] = False
+        return mask
 
-    def patch(self, place: Points, box: Box, field: Map | None = None) -> tuple[Image, Source]:
-        """Return what a patch shows over a box, and its source map."""
+    def cut_patch(self, place: Points, box: Box, field: Map | None = None) -> tuple[Image, Source]:
+        """Return what the patch at a place shows over a box, and its source map."""
         y0, y1, x0, x1 = box
         first = np.add(place, (x0, y0))
         if field is None:
             return self.patches.cut(first, (y1 - y0, x1 - x0))
         points = first + pixel_grid(x1 - x0, y1 - y0) + field
-        return self.patches.at(np.clip(points, -0.5, np.array(self.patches.sample.shape[1::-1]) - 0.5))
+        last = np.array(self.patches.sample.shape[1::-1]) - 0.5
+        return self.patches.read_with_source(np.clip(points, -0.5, last))
 
-    def _strips(self, row: int, column: int) -> Iterator[tuple[int, Box]]:
-        """Yield each side that has a neighbour, and the part of the gap that its patch, continued, shows."""
+    def _neighbor_strips(self, row: int, column: int) -> Iterator[tuple[int, Box]]:
+        """Yield each side that has a neighbor, and the strip of the gap that the neighbor's patch shows."""
         block, border = self.grid.block, self.grid.border
         far = block - border
         strips = ((0, block, 0, border), (0, border, 0, block), (0, block, far, block), (far, block, 0, block))
@@ -176,15 +159,15 @@ class Canvas:
         block = self.grid.block
         image = np.zeros((5, block, block, self.image.shape[2]), np.float32)
         source = np.ones((5, block, block, 3), np.float32)
-        for side, box in self._strips(row, column):
+        for side, box in self._neighbor_strips(row, column):
             dx, dy = STEPS[side]
             origin = self.places[row + dy, column + dx] - (block * dx, block * dy)
             part = box_slices(box)
-            image[side][part], source[side][part] = self.patch(origin, box)
+            image[side][part], source[side][part] = self.cut_patch(origin, box)
         return image, source
 
     def _blend(self, row: int, column: int, patch: tuple[Image, Source]) -> None:
-        border = wedges(self.grid.block, self.grid.border, self.grid.sides(row, column))
+        border = self.grid.border_of(row, column)
         layers, sources = self._layers(row, column)
         layers[OWN], sources[OWN] = patch
         x, y = border.pixels.T
@@ -196,54 +179,176 @@ class Canvas:
         source[y, x] = sources[border.layers[main, every], y, x]
         source[y, x, 2] *= border.weights[main, every]
 
-    def _join(self, row: int, column: int, box: Box, patch: tuple[Image, Source]) -> None:
-        grid, window = self.grid, self.window(row, column, box)
-        sides = grid.sides(row, column)
-        hole = wedges(grid.block, grid.border, sides).hole
-        joint = Joint(self.image[window], patch[0], self.known[window], box, hole, sides)
-        new = dynamic_joint(joint) if self.seam == "dynamic" else graphcut_joint(joint, _inside(self._seams, window))
+    def _cut(self, row: int, column: int, box: Box, patch: tuple[Image, Source]) -> None:
+        window = self.window(row, column, box)
+        sides, hole = self.grid.sides(row, column), self.grid.border_of(row, column).hole
+        overlap = PatchOverlap(self.image[window], patch[0], self.known[window], box, hole, sides)
+        seams = _links_inside(self._seams, window)
+        new = cut_dynamic(overlap) if self.seam == "dynamic" else cut_graph(overlap, seams)
         np.copyto(self.image[window], patch[0], where=new[..., np.newaxis])
         np.copyto(self.source[window], patch[1], where=new[..., np.newaxis])
 
-    def _remember_corners(self, row: int, column: int, layers: Image) -> None:
-        """Note what it costs that in a gap's corners the borders of two neighbours meet."""
+    def _record_corner_seams(self, row: int, column: int, layers: Image) -> None:
+        """Record the costs of the seams in a gap's corners, where the borders of two neighbors meet."""
         half = self.grid.block // 2
         beside = np.concatenate([layers[0][:, :half], layers[2][:, half:]], 1)
         above = np.concatenate([layers[1][:half], layers[3][half:]], 0)
         costs = visible_links(beside, above)
-        owners = wedges(self.grid.block, self.grid.border, self.grid.sides(row, column)).owners
-        kept = _inside(self._seams, self.window(row, column))
-        kept.across[...] = _between_layers(owners[:, 1:], owners[:, :-1], costs.across)
-        kept.down[...] = _between_layers(owners[1:], owners[:-1], costs.down)
+        owners = self.grid.border_of(row, column).owners
+        seams = _links_inside(self._seams, self.window(row, column))
+        seams.across[...] = _costs_between_neighbors(owners[:, 1:], owners[:, :-1], costs.across)
+        seams.down[...] = _costs_between_neighbors(owners[1:], owners[:-1], costs.down)
 
 
-def _between_layers(one: NDArray[np.int64], other: NDArray[np.int64], cost: Map) -> Map:
-    """Return the cost where the one pixel is of a neighbour beside and the other of one above or below, else 0."""
+def _costs_between_neighbors(one: NDArray[np.int64], other: NDArray[np.int64], cost: Map) -> Map:
+    """Return the cost where one owner is to the left or right and the other one above or below, else 0."""
     return np.where((one != other) & (one % 2 != other % 2) & (one != OWN) & (other != OWN), cost, 0.0)
 
 
-def _inside(links: Links, window: tuple[slice, slice]) -> Links:
-    """Return the links inside a window of pixels, a view."""
+def _links_inside(links: Links, window: tuple[slice, slice]) -> Links:
+    """Return the links inside a window of pixels, as views."""
     rows, columns = window
     across = links.across[rows, columns.start : columns.stop - 1]
     return Links(across, links.down[rows.start : rows.stop - 1, columns])
 
 
 def compose(patches: Patches, grid: BlockGrid, places: Places) -> tuple[Image, Source]:
-    """Return the output that patches at given places make when they are blended, and its source map.
+    """Compose an output of patches at given places, blended at their borders.
 
     Parameters
     ----------
     patches
-        Of the sample.
+        The patches of the sample.
     grid
         The blocks.
     places
-        ``(rows, columns, 2)``: see :data:`Places`; placed blocks have their borders inside the sample, too.
+        See :data:`Places`. The borders of placed blocks must lie inside the sample, too.
+
+    Returns
+    -------
+    image, source
+        The output and its source map.
     """
-    canvas = Canvas(patches, grid)
+    canvas = BlockCanvas(patches, grid)
     for row, column in grid.placed():
-        canvas.lay(row, column, places[row, column])
+        canvas.place_block(row, column, places[row, column])
     for row, column in grid.gaps():
-        canvas.fill(row, column, places[row, column])
-    return canvas.finished()
+        canvas.fill_gap(row, column, places[row, column])
+    return canvas.output()
+
+
+@dataclass(frozen=True, eq=False)
+class PatchOverlap:
+    """A gap's patch over the picture that it is joined to.
+
+    Parameters
+    ----------
+    old, new
+        ``(h, w, C)``: the picture and the patch, over ``box``.
+    known
+        ``bool (h, w)``: where the old picture is known. It is unknown in the hole, and in gaps that are still empty. A
+        seam there cannot be judged and counts as the most visible one.
+    box
+        What both show, px from the gap's first pixel.
+    hole
+        The part of the gap where nothing old is known.
+    sides
+        Where the gap has neighbors. The other sides are edges of the output.
+    """
+
+    old: Image
+    new: Image
+    known: Mask
+    box: Box
+    hole: Box
+    sides: Sides
+
+    @property
+    def inner(self) -> Box:
+        """The pixels that must be new: the hole, px from the box's first pixel, and at least 2 px wide if possible.
+
+        A small block at the sample's edge has a hole of less than 2 px. The box's edge beside a neighbor stays old.
+        """
+        y0, y1, x0, x1 = self.hole
+        left, top, right, bottom = self.sides
+        return (
+            *_widen(y0 - self.box[0], y1 - self.box[0], int(top), self.old.shape[0] - bottom),
+            *_widen(x0 - self.box[2], x1 - self.box[2], int(left), self.old.shape[1] - right),
+        )
+
+    def depth(self, side: int) -> int:
+        """Return the distance from the box's edge to the inner pixels, px."""
+        y0, y1, x0, x1 = self.inner
+        height, width = self.old.shape[:2]
+        return (x0, y0, width - x1, height - y1)[side]
+
+    def fixed_new(self) -> Mask:
+        """Return the pixels that must be new."""
+        mask = np.zeros(self.old.shape[:2], np.bool_)
+        mask[box_slices(self.inner)] = True
+        return mask
+
+    def fixed_old(self) -> Mask:
+        """Return the pixels that must stay old: those at the box's edge, on the sides that have neighbors."""
+        mask = np.zeros(self.old.shape[:2], np.bool_)
+        for edge, there in zip((mask[:, 0], mask[0], mask[:, -1], mask[-1]), self.sides, strict=True):
+            edge |= there
+        return mask
+
+
+def _widen(start: int, stop: int, first: int, last: int) -> tuple[int, int]:
+    """Return a range of less than 2 px lengthened by one at both ends, but not beyond ``first`` and ``last``."""
+    return (start, stop) if stop - start >= 2 else (max(start - 1, first), min(stop + 1, last))
+
+
+def cut_dynamic(overlap: PatchOverlap) -> Mask:
+    """Return where the new picture is shown if every side is cut by itself.
+
+    Along each side that has a neighbor this is the seam of least squared difference between the box's edge and the hole
+    (Efros and Freeman 2001, section 2.1). What lies beyond all seams is new.
+    """
+    error = ((overlap.old - overlap.new).astype(np.float64) ** 2).sum(-1)
+    error[~overlap.known] = error.max()
+    mask = np.ones(error.shape, np.bool_)
+    for side, there in enumerate(overlap.sides):
+        if there:
+            surface, shown = _turn_to_left(error, side), _turn_to_left(mask, side)
+            width = overlap.depth(side)
+            shown[:, :width] &= np.arange(width) >= dynamic_seam(surface[:, :width])[:, np.newaxis]
+    return mask
+
+
+def _turn_to_left(plane: NDArray[Any], side: int) -> NDArray[Any]:
+    """Return a view of a plane in which a side is on the left."""
+    plane = plane if side % 2 == 0 else plane.T
+    return plane if side < 2 else plane[:, ::-1]
+
+
+def cut_graph(overlap: PatchOverlap, seams: Links) -> Mask:
+    """Return where the new picture is shown if the seam is the least visible closed one around the hole.
+
+    Parameters
+    ----------
+    overlap
+        The patch and the picture.
+    seams
+        The costs of the old picture's seams over the box. They are changed in place to those of the joined picture.
+    """
+    links = visible_links(np.where(overlap.known[..., np.newaxis], overlap.old, overlap.new), overlap.new)
+    highest = max(float(cost.max(initial=0)) for cost in links)
+    np.copyto(links.across, highest, where=~(overlap.known[:, 1:] & overlap.known[:, :-1]))
+    np.copyto(links.down, highest, where=~(overlap.known[1:] & overlap.known[:-1]))
+    new = cut_overlap(links, overlap.fixed_old(), overlap.fixed_new(), seams)
+    ends = ((new[:, 1:], new[:, :-1]), (new[1:], new[:-1]))
+    for seam, cost, (one, other) in zip(seams, links, ends, strict=True):
+        np.copyto(seam, np.where(one != other, cost, 0), where=one | other)
+    return new
+
+
+def visible_links(old: Image, new: Image) -> Links:
+    """Compute how visible a seam is between adjacent pixels: squared differences over gradients.
+
+    With plain differences (equation 1) the shortest seam often crosses bricks of nearly one color and leaves them
+    two-toned. Divided by gradients, it follows their outlines; squared, it avoids large differences.
+    """
+    return seam_links(old, new, normalized=True, power=2.0)

@@ -1,76 +1,80 @@
-"""Where in an image a frame (a border around a hole) fits best.
+"""Find where a patch agrees best with what surrounds it: at whole pixels, between pixels, and deformed.
 
-Everything is computed on whole numbers (8-bit pixels), so that the sums are exact: the direct and the Fourier way agree
-to the last bit, and equally good positions tie exactly.
+:class:`FrameMatcher` compares 8-bit whole numbers, so that its sums are exact: direct summation and the Fourier domain
+give the same bits, and equally good places tie. It is our own for that reason, and for speed: the masked
+cross-correlation of scikit-image takes 16 times as long for a frame of 40 x 40 px in 128 x 128 px of three channels,
+OpenCV's masked ``matchTemplate`` sums in float32, and both compute every place, where the few near a lattice suffice.
+
+:func:`align_patch` and :func:`fit_deformation` take steps of Lucas and Kanade (1981). A step moves each point by the
+least-squares solution of ``gradient . move = old - new``, so that nothing moves where both pictures agree.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import cached_property
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage
 
 from nrbench.imaging.box_sums import boxes_of, integral
 from nrbench.imaging.convert import Image, to_bytes
+from nrbench.lattice.geometry import Points
 
+from ..sampling.equal_places import search_shape
+from .blocks import Box
 from .matching_kernels import LONGEST_RUN, correlate_at
 
 Match = Literal["ncc", "color"]
-Hole = tuple[int, int, int, int]
-"""(y0, y1, x0, x1), half-open: the rows and columns of a template that do not count."""
 Array = NDArray[np.float64]
+DAMPING: Final = 1e-4
+"""Added to the mean squared gradient, in squared values (0 to 1) per px: noise of a gray level moves nothing."""
 
 
-@dataclass(frozen=True, eq=False)
 class FrameMatcher:
-    """Rates every place of an image against a square frame.
+    """Rates every place of an image against a square frame, which is a template without a rectangular hole.
 
     Parameters
     ----------
     image
-        Where to look; its pixels count as the 8-bit values that they round to.
+        ``(H, W, C)``. Its pixels count as the 8-bit values that they round to.
     size
-        Side of the square template in px.
+        Side of the template in px.
     match
-        ``"ncc"``: generalized normalized cross-correlation, the channels weighted by their standard deviations (RSGF,
-        eqs. 4 and 6 to 8), 0 where a standard deviation is 0; ``"color"``: negated sum of squared color differences
+        ``"ncc"``: generalized normalized cross-correlation with channels weighted by their standard deviations (RSGF,
+        eqs. 4 and 6 to 8), 0 if a standard deviation is 0. ``"color"``: negated sum of squared color differences
         (RSGF, eq. 10).
+
+    Attributes
+    ----------
+    search_shape
+        Rows and columns of places at which the template lies inside the image.
     """
 
-    image: Image
-    size: int
-    match: Match = "color"
+    def __init__(self, image: Image, size: int, match: Match = "color") -> None:
+        self.values = to_bytes(image).astype(np.float32)
+        self.size, self.match = size, match
+        self.search_shape = search_shape(size, (image.shape[0], image.shape[1]))
+        self._frame_statistics: dict[Box, tuple[Array, Array]] = {}
 
-    @cached_property
-    def values(self) -> NDArray[np.float32]:
-        """The image as whole numbers from 0 to 255."""
-        return to_bytes(self.image).astype(np.float32)
-
-    @property
-    def room(self) -> tuple[int, int]:
-        """Rows and columns of places where the template lies wholly inside."""
-        return self.values.shape[0] - self.size + 1, self.values.shape[1] - self.size + 1
-
-    def at(self, template: NDArray[np.float32], hole: Hole, positions: NDArray[np.int64]) -> Array:
+    def rate(self, template: NDArray[np.float32], hole: Box, positions: NDArray[np.int64]) -> Array:
         """Rate some places, by direct summation.
 
         Parameters
         ----------
         template
-            ``(size, size, C)`` of whole numbers from 0 to 255.
+            ``(size, size, C)``: whole numbers from 0 to 255.
         hole
-            The part of it that does not count.
+            The part of the template that does not count.
         positions
-            ``(n, 2)``: (x, y) of the template's first pixel, within :attr:`room`.
+            ``(n, 2)``: (x, y) of the template's first pixel, within :attr:`search_shape`.
 
         Returns
         -------
         Array
-            ``(n,)``: the higher, the better.
+            ``(n,)``: higher is better.
         """
         channels = template.shape[2]
         products = correlate_at(
@@ -80,23 +84,23 @@ class FrameMatcher:
             np.ascontiguousarray(positions * (channels, 1)),
         )
         sums, spread = (table[positions[:, 1], positions[:, 0]] for table in self._statistics(hole))
-        return self._rate(products, sums, spread, template, hole)
+        return self._ratings(products, sums, spread, template, hole)
 
-    def everywhere(self, template: NDArray[np.float32], hole: Hole) -> Array:
-        """Rate every place, in the Fourier domain: an array of shape :attr:`room`; parameters as in :meth:`at`."""
-        framed = np.where(_outside(hole, self.size)[..., np.newaxis], template, 0).astype(np.float64)
-        spectrum = fft.rfft2(framed, self._fast_shape, axes=(0, 1)).conj()
+    def rate_everywhere(self, template: NDArray[np.float32], hole: Box) -> Array:
+        """Rate every place, in the Fourier domain: an array of :attr:`search_shape`. Parameters as in :meth:`rate`."""
+        frame = np.where(_frame_mask(hole, self.size)[..., np.newaxis], template, 0).astype(np.float64)
+        spectrum = fft.rfft2(frame, self._fast_shape, axes=(0, 1)).conj()
         products = fft.irfft2((self._spectrum * spectrum).sum(-1), self._fast_shape)
-        rows, columns = self.room
-        return self._rate(np.rint(products[:rows, :columns]), *self._statistics(hole), template, hole)
+        rows, columns = self.search_shape
+        return self._ratings(np.rint(products[:rows, :columns]), *self._statistics(hole), template, hole)
 
-    def _rate(self, products: Array, sums: Array, spread: Array, template: NDArray[np.float32], hole: Hole) -> Array:
-        """Make ratings of sums of products ``(...)``: equation 10 multiplied out, or equation 4."""
-        inside = template[_outside(hole, self.size)].astype(np.float64)
-        own, own_spread = self._summary(inside.sum(0), (inside**2).sum(0), len(inside))
+    def _ratings(self, products: Array, sums: Array, spread: Array, template: NDArray[np.float32], hole: Box) -> Array:
+        """Compute ratings from sums of products ``(...)``: equation 10 expanded, or equation 4."""
+        values = template[_frame_mask(hole, self.size)].astype(np.float64)
+        own_sums, own_spread = self._summary(values.sum(0), (values**2).sum(0), len(values))
         if self.match == "color":
             return np.asarray(2 * products - spread - own_spread)
-        covariance, both = len(inside) * products - sums @ own, spread @ own_spread
+        covariance, both = len(values) * products - sums @ own_sums, spread @ own_spread
         return np.asarray(np.divide(covariance, both, out=np.zeros_like(covariance), where=both > 0))
 
     def _summary(self, sums: Array, squares: Array, n: int) -> tuple[Array, Array]:
@@ -119,40 +123,118 @@ class FrameMatcher:
         values = self.values.astype(np.float64)
         return integral(values), integral(values**2)
 
-    @cached_property
-    def _known(self) -> dict[Hole, tuple[Array, Array]]:
-        return {}
-
-    def _statistics(self, hole: Hole) -> tuple[Array, Array]:
+    def _statistics(self, hole: Box) -> tuple[Array, Array]:
         """Return the summary of what lies under the frame at every place: sums over the square less over the hole."""
-        if hole not in self._known:
+        if hole not in self._frame_statistics:
             square = (0, self.size, 0, self.size)
-            sums, squares = (self._box(table, square) - self._box(table, hole) for table in self._integrals)
-            self._known[hole] = self._summary(sums, squares, int(_outside(hole, self.size).sum()))
-        return self._known[hole]
+            sums, squares = (self._box_sums(table, square) - self._box_sums(table, hole) for table in self._integrals)
+            self._frame_statistics[hole] = self._summary(sums, squares, int(_frame_mask(hole, self.size).sum()))
+        return self._frame_statistics[hole]
 
-    def _box(self, table: Array, box: Hole) -> Array:
-        rows, columns = self.room
+    def _box_sums(self, table: Array, box: Box) -> Array:
+        rows, columns = self.search_shape
         y0, y1, x0, x1 = box
-        under = table[y0 : y1 + rows, x0 : x1 + columns]
-        return boxes_of(under, (y1 - y0, x1 - x0))
+        return boxes_of(table[y0 : y1 + rows, x0 : x1 + columns], (y1 - y0, x1 - x0))
 
-    def _runs(self, hole: Hole, channels: int) -> NDArray[np.int64]:
-        """Return the template's rows less the hole, cut to what the kernel sums exactly."""
+    def _runs(self, hole: Box, channels: int) -> NDArray[np.int64]:
+        """Return the template's rows without the hole, in parts that the kernel sums exactly."""
         y0, y1, x0, x1 = hole
-        whole, beside = [(0, self.size)], [(0, x0), (x1, self.size)]
+        full, beside = [(0, self.size)], [(0, x0), (x1, self.size)]
         return np.array(
             [
                 (row, start, min(start + LONGEST_RUN, stop * channels))
                 for row in range(self.size)
-                for first, stop in (beside if y0 <= row < y1 else whole)
+                for first, stop in (beside if y0 <= row < y1 else full)
                 for start in range(first * channels, stop * channels, LONGEST_RUN)
             ],
             np.int64,
         ).reshape(-1, 3)
 
 
-def _outside(hole: Hole, size: int) -> NDArray[np.bool_]:
+def _frame_mask(hole: Box, size: int) -> NDArray[np.bool_]:
     frame = np.ones((size, size), bool)
     frame[hole[0] : hole[1], hole[2] : hole[3]] = False
     return frame
+
+
+def align_patch(cut: Callable[[Points], Image], place: Points, old: Image, weight: Array, steps: int = 2) -> Points:
+    """Find the place near a given one at which a patch agrees best with its surroundings.
+
+    Parameters
+    ----------
+    cut
+        Returns the patch at a place (x, y): ``(h, w, C)``.
+    place
+        The start, at most about a pixel away.
+    old
+        ``(h, w, C)``: the surroundings.
+    weight
+        ``(h, w)``, not negative: 0 where the surroundings are not known.
+    steps
+        Number of steps. Each moves by at most half a pixel along x and along y.
+
+    Returns
+    -------
+    Points
+        (x, y).
+    """
+    for _ in range(steps):
+        tensor, slope = _gradient_products(old, cut(place))
+        total = max(float(weight.sum()), 1e-12)
+        (xx, xy, yy), (ex, ey) = ([float((weight * part).sum()) / total for part in parts] for parts in (tensor, slope))
+        matrix = np.array([[xx + DAMPING, xy], [xy, yy + DAMPING]])
+        place = place + np.clip(np.linalg.solve(matrix, [ex, ey]), -0.5, 0.5)
+    return place
+
+
+def fit_deformation(
+    warp: Callable[[Array], Image], old: Image, weight: Array, fade: Array, limit: float, steps: int = 3
+) -> Array:
+    """Compute the smooth field of displacements with which a patch agrees best with its surroundings.
+
+    Parameters
+    ----------
+    warp
+        Returns the patch under a displacement of each pixel, ``(h, w, 2)``.
+    old, weight
+        As in :func:`align_patch`.
+    fade
+        ``(h, w)`` in [0, 1]: share of the displacement that a pixel takes.
+    limit
+        Largest displacement, px.
+    steps
+        Number of steps.
+
+    Returns
+    -------
+    Array
+        ``(h, w, 2)`` (x, y) px, smoothed by a Gaussian of 0.08 of the patch's longer side, at least 2 px.
+    """
+    sigma = max(2.0, 0.08 * max(old.shape[:2]))
+    smooth_weight = np.maximum(ndimage.gaussian_filter(weight, sigma), 1e-6)
+    field = np.zeros((*old.shape[:2], 2))
+    for _ in range(steps):
+        tensor, slope = _gradient_products(old, warp(field))
+        xx, xy, yy, ex, ey = (
+            ndimage.gaussian_filter(weight * part, sigma) / smooth_weight for part in (*tensor, *slope)
+        )
+        xx, yy = xx + DAMPING, yy + DAMPING
+        determinant = xx * yy - xy**2
+        step = np.stack([yy * ex - xy * ey, xx * ey - xy * ex], -1) / determinant[..., np.newaxis]
+        field = _limit_length(field + fade[..., np.newaxis] * step, fade * limit)
+    return field
+
+
+def _gradient_products(old: Image, new: Image) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+    """Return each pixel's products of gradients (xx, xy, yy), and of gradient and difference (x, y)."""
+    y, x = (np.asarray(part, np.float64) for part in np.gradient(new, axis=(0, 1)))
+    difference = (old - new).astype(np.float64)
+    xx, xy, yy, ex, ey = (
+        np.einsum("ijk,ijk->ij", *two) for two in ((x, x), (x, y), (y, y), (x, difference), (y, difference))
+    )
+    return (xx, xy, yy), (ex, ey)
+
+
+def _limit_length(field: Array, limit: Array) -> Array:
+    length = np.maximum(np.hypot(field[..., 0], field[..., 1]), 1e-12)
+    return np.asarray(field * np.minimum(1.0, limit / length)[..., np.newaxis])

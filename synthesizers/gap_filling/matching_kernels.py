@@ -1,4 +1,4 @@
-"""The compiled loop of border matching."""
+"""The compiled loop of frame matching."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nrbench.jit import kernel
 
 LONGEST_RUN = 256
-"""Products of 8-bit values whose sum float32 still holds exactly: 256 * 255^2 < 2^24."""
+"""Number of products of 8-bit values whose sum is exact in float32: 256 * 255^2 < 2^24."""
 
 
 @kernel("float64[::1](float32[:, ::1], float32[:, ::1], int64[:, ::1], int64[:, ::1])")
@@ -18,17 +18,17 @@ def correlate_at(
     runs: NDArray[np.int64],
     positions: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Return the sum of products of a template and the image under it, for each position.
+    """Compute the sum of products of a template and the image under it, for each position.
 
     Parameters
     ----------
     image, template
         Rows of whole numbers from 0 to 255.
     runs
-        ``(k, 3)``: the parts of the template that count: row, first column, last column + 1; at most
+        ``(k, 3)``: row, first column and last column + 1 of each part of the template that counts, at most
         :data:`LONGEST_RUN` long.
     positions
-        ``(n, 2)``: (column, row) of the template's first value in the image, wholly inside.
+        ``(n, 2)``: (column, row) of the template's first value in the image. The template must lie inside.
 
     Returns
     -------

@@ -48,7 +48,7 @@ class Patchwork:
     normalized
         False: a change from patch A to B between pixels s and t costs ``|A(s) - B(s)| + |A(t) - B(t)|``, Euclidean over
         the features (equation 1). True: its square over the gradients of both at both pixels along the link (section
-        5 with the squares of :func:`~nrbench.synthesizers.gap_filling.seam_cut.visible_links`). That is no metric: an old seam that
+        5 with the squares of :func:`~nrbench.synthesizers.gap_filling.canvas.visible_links`). That is no metric: an old seam that
         costs more than two new ones counts as those two while it is weighed: the cut is not always the least, but never
         costs more than what was there.
     wrap

@@ -20,7 +20,7 @@ from nrbench.plugins.forms import Refused, Shape
 
 from ..sampling.equal_places import pixel_grid
 from ..sampling.patches import Patches
-from ..sampling.two_periods import WHOLE, require_two_periods
+from ..sampling.two_periods import PERIOD_SLACK, require_two_periods
 
 EXACT = 1e-6
 """Share of s that a rectangle may miss a period by, whatever the tolerance: the effect of rounding."""
@@ -108,7 +108,7 @@ def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, 
         )
     periods = _orient(rectangle.numbers @ lattice.matrix)
     lengths = np.hypot(*periods.T)
-    columns, rows = (int(length + WHOLE) for length in lengths)
+    columns, rows = (int(length + PERIOD_SLACK) for length in lengths)
     if min(rows, columns) < _LEAST_SIDE:
         raise Refused(f"the lattice repeats every {lengths.min():.2f} px: a tile of less than 2 px shows nothing")
     steps = periods / (np.array([[columns], [rows]]) if scale_down else lengths[:, np.newaxis])
@@ -119,7 +119,7 @@ def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, 
 def _find_rectangle(lattice: Lattice, shape: tuple[int, ...], tolerance: float) -> Rectangle | None:
     """Return the upright rectangle, or a turned one that is much smaller, at the first level at which one fits."""
     limit = math.hypot(*shape[:2])
-    room = np.array(shape[1::-1]) + WHOLE
+    room = np.array(shape[1::-1]) + PERIOD_SLACK
     for level in _LEVELS:
         reach = level * tolerance * lattice.s
         candidates = (

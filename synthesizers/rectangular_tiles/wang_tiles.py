@@ -19,7 +19,7 @@ from nrbench.plugins.forms import Refused
 
 from ..sampling.equal_places import pixel_grid
 from ..sampling.patches import Patches
-from ..seams.corner_seam import corner_seam
+from ..seams.dynamic_seam import corner_seam
 from .tile_frame import TileFrame
 
 _CANDIDATES = 16

@@ -1,4 +1,4 @@
-"""Places in a sample that the lattice calls equal to a place in the output."""
+"""Find the places in a sample that a lattice makes equal to a place in the output."""
 
 from __future__ import annotations
 
@@ -9,53 +9,51 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nrbench.lattice.geometry import Lattice, Points, Vector, integers_within
+from nrbench.lattice.geometry import Lattice, Points, integers_within
 
-Positions = NDArray[np.int64]
-"""``int64 (n, 2)``: (x, y) of a patch's first pixel."""
-Room = tuple[int, int]
-"""Rows and columns of whole-pixel places that a patch may take in a sample."""
+Pixels = NDArray[np.int64]
+"""``int64 (n, 2)``: whole-pixel (x, y) of a patch's first pixel."""
+SearchShape = tuple[int, int]
+"""Rows and columns of the whole-pixel places at which a patch lies inside a sample."""
 
 
-def room_for(size: int, shape: tuple[int, int]) -> Room:
-    """Return the room of a square patch of ``size`` px in a sample of ``shape`` (not positive: it does not fit)."""
+def search_shape(size: int, shape: tuple[int, int]) -> SearchShape:
+    """Return the search shape of a square patch of ``size`` px in a sample of ``shape``, not positive if none fits."""
     return shape[0] - size + 1, shape[1] - size + 1
-
-
-def equivalent_positions(lattice: Lattice, position: Vector, room: Room, margin: float = 0.0) -> Points:
-    """Return all places ``position + a t1 + b t2`` (a, b whole) that round into the room: see :class:`EqualPlaces`."""
-    return EqualPlaces(lattice, room, margin).of(position)
 
 
 @dataclass(frozen=True)
 class EqualPlaces:
-    """Which places ``position + a t1 + b t2`` (a, b whole) round into the room of a patch.
+    """Finds the places ``position + a t1 + b t2`` (a, b integers) at which a patch lies inside a sample.
 
-    The places are real-valued: rounding them once, at the end, misplaces by half a pixel at most, wherever the output
-    lies; rounding the vectors would let the error grow with a and b.
+    Places are real-valued. Rounding a place misplaces it by at most half a pixel anywhere in the output; with rounded
+    lattice vectors the error would grow with a and b.
 
     Parameters
     ----------
     lattice
-        Its origin does not matter.
-    room
-        Of the patch, see :func:`room_for`.
+        Its origin has no effect.
+    search_shape
+        See :func:`search_shape`. A place counts if it rounds to one of these whole-pixel places.
     margin
-        Also take places as far as this, px, outside the room.
+        Distance in px by which a place may also lie outside.
+
+    Examples
+    --------
+    >>> EqualPlaces(Lattice((30, 0), (0, 24)), (25, 60)).find((95, 200)).tolist()
+    [[5.0, 8.0], [35.0, 8.0]]
     """
 
     lattice: Lattice
-    room: Room
+    search_shape: SearchShape
     margin: float = 0.0
 
-    def of(self, position: ArrayLike) -> Points:
-        """Return the places equal to a patch's (x, y) px in the output, ``(n, 2)``, row by row, possibly none.
-
-        They are those of the basis cell, moved by vectors listed once: the cost is that of looking at these.
-        """
+    def find(self, position: ArrayLike) -> Points:
+        """Return the places equal to a patch's (x, y) px in the output, ``(n, 2)``, row by row, possibly none."""
+        # The lattice vectors that can lead into the sample are listed once: a call only moves and filters them.
         at = np.asarray(position, np.float64)
         places = at - np.floor(at @ self._inverse) @ self._basis + self._steps
-        low, high = -0.5 - self.margin, np.array(self.room[::-1]) - 0.5 + self.margin
+        low, high = -0.5 - self.margin, np.array(self.search_shape[::-1]) - 0.5 + self.margin
         places = places[((places >= low) & (places < high)).all(1)]
         return np.asarray(places[np.lexsort(places.round(6).T)])
 
@@ -69,9 +67,10 @@ class EqualPlaces:
 
     @cached_property
     def _steps(self) -> Points:
-        """All lattice vectors that take a point of the basis cell, whose corner is 0, to one of the room."""
+        """All lattice vectors from a point of the cell with corner 0 to a place inside the sample."""
         corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)]) @ self._basis
-        low, high = -0.5 - self.margin - corners.max(0), np.array(self.room[::-1]) - 0.5 + self.margin - corners.min(0)
+        last = np.array(self.search_shape[::-1]) - 0.5
+        low, high = -0.5 - self.margin - corners.max(0), last + self.margin - corners.min(0)
         return np.asarray(integers_within(self._basis, low, high) @ self._basis)
 
 
@@ -81,29 +80,30 @@ def pixel_grid(width: int, height: int, left: int = 0, top: int = 0) -> NDArray[
     return np.stack([x + left, y + top], -1)
 
 
-def nearest_pixels(positions: Points, room: Room) -> Positions:
-    """Return places rounded to whole pixels, halves up; each once, row by row, whatever the lattice's basis."""
-    return _once(_round(positions), room)
+def nearest_pixels(positions: Points, search_shape: SearchShape) -> Pixels:
+    """Return places rounded to whole pixels, halves up, each once, row by row."""
+    return _unique(_round(positions), search_shape)
 
 
-def around(positions: Points, tolerance: float, room: Room) -> Positions:
-    """Return the whole-pixel places within ``tolerance`` px of any of ``positions``, along x and y, inside the room.
+def nearby_pixels(positions: Points, tolerance: float, search_shape: SearchShape) -> Pixels:
+    """Return the whole-pixel places within ``tolerance`` px of any of ``positions``, along x and along y.
 
-    Each once, row by row. The nearest pixel always counts, however small the tolerance (RSGF, section 4.2: 3 px).
+    Each place occurs once, row by row. The nearest pixel always counts, however small the tolerance is (RSGF, section
+    4.2: 3 px).
     """
     reach = max(tolerance, 0.5) + 1e-9
     steps = np.arange(-math.floor(reach + 0.5), math.floor(reach + 0.5) + 1)
     offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
     near = _round(positions)[:, np.newaxis] + offsets
     close = (np.abs(near - positions[:, np.newaxis]) <= reach).all(-1)
-    inside = ((near >= 0) & (near < room[::-1])).all(-1)
-    return _once(near[close & inside], room)
+    inside = ((near >= 0) & (near < search_shape[::-1])).all(-1)
+    return _unique(near[close & inside], search_shape)
 
 
-def _round(positions: Points) -> Positions:
+def _round(positions: Points) -> Pixels:
     return np.floor(positions + 0.5).astype(np.int64)
 
 
-def _once(positions: Positions, room: Room) -> Positions:
-    index = np.unique(positions[:, 1] * room[1] + positions[:, 0])
-    return np.stack([index % room[1], index // room[1]], -1)
+def _unique(positions: Pixels, search_shape: SearchShape) -> Pixels:
+    index = np.unique(positions[:, 1] * search_shape[1] + positions[:, 0])
+    return np.stack([index % search_shape[1], index // search_shape[1]], -1)

@@ -1,7 +1,8 @@
-"""Patches of a sample at real-valued places, interpolated without visible blur."""
+"""Read a sample at real-valued places by spline interpolation, and record where each pixel comes from."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Final
@@ -13,30 +14,40 @@ from scipy.interpolate import BSpline
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
+from nrbench.plugins.forms import Task
 
+from .equal_places import pixel_grid
 from .quintic_kernels import PAD, quintic_at
 
-SPLINE: Final = 5
-"""Order of the interpolating B-spline: at half a pixel it still shows 0.93 of a wave of 3 px."""
-FINEST: Final = 1 / 64
-"""px; places are rounded to this, so that whole pixels are told from rounding errors, and copied."""
+ORDER: Final = 5
+"""Order of the interpolating B-spline. Half a pixel aside it keeps 0.93 of the height of a wave of 3 px."""
+PLACE_STEP: Final = 1 / 64
+"""px to which places are rounded, so that a place within a rounding error of a whole pixel is copied."""
 Source = NDArray[np.float32]
 """``float32 (h, w, 3)``: nearest pixel (x, y) of the sample and its bilinear weight, 1 where a pixel is copied."""
+_BAND = 1 << 18
+"""Pixels resampled at a time."""
 
 
-def snapped(places: Points) -> Points:
-    """Return places rounded to :data:`FINEST`."""
-    return np.rint(np.asarray(places) / FINEST) * FINEST
+def round_places(places: Points) -> Points:
+    """Return places rounded to multiples of :data:`PLACE_STEP`."""
+    return np.rint(np.asarray(places) / PLACE_STEP) * PLACE_STEP
 
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """Cuts patches out of a sample.
+    """Reads a sample between its pixels, with B-splines of order 5, mirrored at the edges.
 
     Parameters
     ----------
     sample
         ``(H, W, C)``.
+
+    Examples
+    --------
+    >>> image, source = Patches(np.eye(8, dtype=np.float32)[..., np.newaxis]).cut(np.array([2.0, 1.0]), (2, 2))
+    >>> image[..., 0].tolist(), source[0, 0].tolist()
+    ([[0.0, 0.0], [1.0, 0.0]], [2.0, 1.0, 1.0])
     """
 
     sample: Image
@@ -44,7 +55,7 @@ class Patches:
     @cached_property
     def _spline(self) -> NDArray[np.float64]:
         planes = [
-            ndimage.spline_filter(plane, SPLINE, np.float64, "mirror") for plane in np.moveaxis(self.sample, -1, 0)
+            ndimage.spline_filter(plane, ORDER, np.float64, "mirror") for plane in np.moveaxis(self.sample, -1, 0)
         ]
         return np.pad(np.stack(planes, -1), ((PAD, PAD), (PAD, PAD), (0, 0)), "reflect")
 
@@ -53,33 +64,33 @@ class Patches:
         return self._spline.astype(np.float32)
 
     def cut(self, place: Points, shape: tuple[int, int]) -> tuple[Image, Source]:
-        """Return a patch, and where its pixels come from.
+        """Return the patch at a place, and where its pixels come from.
 
-        Whole-pixel places give copies; between pixels a B-spline of order 5 interpolates, mirrored at the edges. The
-        fraction is the same all over a patch, so rows and columns are interpolated one after the other: O(h w).
+        Whole-pixel places give copies. Between pixels the fraction is the same all over the patch, so rows and columns
+        are interpolated one after the other: O(h w).
 
         Parameters
         ----------
         place
-            (x, y) in the sample of the patch's first pixel; all its pixels from -0.5 to half a pixel beyond the last.
+            (x, y) in the sample of the patch's first pixel. All pixels must lie at most half a pixel outside.
         shape
             Height and width in px.
         """
-        (x, y), (height, width) = snapped(place), shape
+        (x, y), (height, width) = round_places(place), shape
         column, row = int(np.floor(x)), int(np.floor(y))
         fraction = float(x - column), float(y - row)
         if fraction == (0.0, 0.0):
             patch = self.sample[row : row + height, column : column + width]
         else:
-            patch = np.clip(self._between(row, column, shape, fraction), 0, 1)
+            patch = np.clip(self._interpolate(row, column, shape, fraction), 0, 1)
         return patch, self._source(float(x), float(y), shape)
 
-    def _between(self, row: int, column: int, shape: tuple[int, int], fraction: tuple[float, float]) -> Image:
+    def _interpolate(self, row: int, column: int, shape: tuple[int, int], fraction: tuple[float, float]) -> Image:
         height, width = shape
         first = row + PAD - 2, column + PAD - 2
         window = self._coefficients[first[0] : first[0] + height + 5, first[1] : first[1] + width + 5]
-        down = _mixed(window, _taps(fraction[1]), height)
-        return _mixed(down.swapaxes(0, 1), _taps(fraction[0]), width).swapaxes(0, 1)
+        down = _weighted_rows(window, _spline_weights(fraction[1]), height)
+        return _weighted_rows(down.swapaxes(0, 1), _spline_weights(fraction[0]), width).swapaxes(0, 1)
 
     def _source(self, x: float, y: float, shape: tuple[int, int]) -> Source:
         height, width = shape
@@ -92,15 +103,12 @@ class Patches:
         return source
 
     def read(self, points: Points) -> Image:
-        """Return the values, clipped to [0, 1], at points (x, y) of the sample: ``(..., 2)`` to ``(..., C)``."""
-        found = quintic_at(self._spline, np.ascontiguousarray(points, np.float64).reshape(-1, 2))
-        return np.asarray(np.clip(found, 0, 1)).reshape(*points.shape[:-1], self.sample.shape[2])
+        """Return the values at points (x, y) of the sample, ``(..., 2)``, clipped to [0, 1]: ``(..., C)``."""
+        values = quintic_at(self._spline, np.ascontiguousarray(points, np.float64).reshape(-1, 2))
+        return np.asarray(np.clip(values, 0, 1)).reshape(*points.shape[:-1], self.sample.shape[2])
 
-    def at(self, points: Points) -> tuple[Image, Source]:
-        """Return the pixels that show points (x, y) of the sample, ``(h, w, 2)``, and where they come from.
-
-        As :meth:`cut` does, but each point is interpolated by itself.
-        """
+    def read_with_source(self, points: Points) -> tuple[Image, Source]:
+        """Return the values at points (x, y) of the sample, ``(h, w, 2)``, and where they come from, as :meth:`cut`."""
         nearest = np.clip(np.rint(points), 0, np.array(self.sample.shape[1::-1]) - 1)
         weight = np.clip(1 - np.abs(points - nearest), 0, 1).prod(-1, keepdims=True)
         x, y = np.moveaxis(nearest.astype(np.intp), -1, 0)
@@ -108,16 +116,46 @@ class Patches:
         return image, np.concatenate([nearest, weight], -1).astype(np.float32)
 
 
-def _mixed(window: Image, taps: tuple[np.float32, ...], count: int) -> Image:
-    """Return ``count`` rows, each the sum of six rows of the window, weighted."""
-    total = taps[0] * window[:count]
-    for k, tap in enumerate(taps[1:], 1):
-        total += tap * window[k : k + count]
+def _weighted_rows(window: Image, weights: tuple[np.float32, ...], count: int) -> Image:
+    """Return ``count`` rows, each the weighted sum of six consecutive rows of the window."""
+    total = weights[0] * window[:count]
+    for k, weight in enumerate(weights[1:], 1):
+        total += weight * window[k : k + count]
     return np.asarray(total)
 
 
 @lru_cache(maxsize=256)
-def _taps(fraction: float) -> tuple[np.float32, ...]:
+def _spline_weights(fraction: float) -> tuple[np.float32, ...]:
     """Return the weights of the six coefficients from 2 before to 3 after a pixel, ``fraction`` px after it."""
-    element = BSpline.basis_element(np.arange(SPLINE + 2) - (SPLINE + 1) / 2, extrapolate=False)
-    return tuple(np.float32(tap) for tap in np.nan_to_num(element(fraction - np.arange(-2, 4))))
+    element = BSpline.basis_element(np.arange(ORDER + 2) - (ORDER + 1) / 2, extrapolate=False)
+    return tuple(np.float32(weight) for weight in np.nan_to_num(element(fraction - np.arange(-2, 4))))
+
+
+def resample(task: Task, points: Callable[[Points], Points], patches: Patches | None = None) -> tuple[Image, Source]:
+    """Compute the output whose pixels show given points of the sample, and its source map.
+
+    Parameters
+    ----------
+    task
+        The sample, and the shape of the output.
+    points
+        Maps pixels (x, y) of the output, ``(h, W, 2)``, to points (x, y) of the sample.
+    patches
+        The sample's patches, if they exist already.
+
+    Returns
+    -------
+    image, source
+        ``(H, W, C)`` in [0, 1]; ``(H, W, 3)``: see :data:`Source`.
+    """
+    height, width = task.shape
+    patches = Patches(task.sample) if patches is None else patches
+    image = np.empty((height, width, task.sample.shape[2]), np.float32)
+    source = np.empty((height, width, 3), np.float32)
+    rows = max(1, _BAND // width)
+    for top in range(0, height, rows):
+        band = slice(top, top + rows)
+        pixels = pixel_grid(width, min(rows, height - top), top=top).astype(np.float64)
+        image[band], source[band] = patches.read_with_source(points(pixels))
+        task.progress(min(1.0, (top + rows) / height))
+    return image, source

@@ -1,1 +1,1 @@
-"""TODO nrbench.synthesizers.seams."""
+"""Seams between overlapping pictures: exact minimum cuts and dynamic programming."""

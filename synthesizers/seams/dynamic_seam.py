@@ -1,9 +1,4 @@
-"""Minimum-error seams by dynamic programming (Efros and Freeman 2001, section 2.1).
-
-Two patches that overlap are joined along the line on which they differ least. Here the line runs from top to bottom,
-between an old side (left) and a new side (right); for a seam from left to right, hand over the transpose and transpose
-the mask.
-"""
+"""Minimum-error seams by dynamic programming (Efros and Freeman 2001, section 2.1)."""
 
 from __future__ import annotations
 
@@ -14,27 +9,34 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 
-from .dynamic_seam_kernels import cheapest_path
+from .seam_kernels import cheapest_path
 
 
 def dynamic_seam(error: NDArray[Any]) -> NDArray[np.int64]:
-    """Return the seam with the least sum of errors, one column a row.
+    """Compute the seam from top to bottom with the least sum of errors.
+
+    For a seam from left to right, pass the transpose of the error surface.
 
     Parameters
     ----------
     error
-        ``(h, w)``: how much the two patches differ at each pixel of their overlap; infinity forbids a pixel.
+        ``(h, w)``: difference of the two patches at each pixel of their overlap. Infinity forbids a pixel.
 
     Returns
     -------
     NDArray
-        ``(h,)``: for each row the first column, 0 to w - 1, that belongs to the new side; neighbouring rows differ by
-        at most 1. Of equal seams always the same one is taken. O(h w).
+        ``(h,)``: for each row the first column, 0 to w - 1, that belongs to the patch on the right. Columns of adjacent
+        rows differ by at most 1. Ties are always broken in the same order. O(h w).
 
     Raises
     ------
     BadInput
-        When the surface is not two-dimensional, is empty, or holds NaN.
+        If the surface is not two-dimensional, is empty, or contains NaN.
+
+    Examples
+    --------
+    >>> dynamic_seam(np.array([[1, 0, 1], [1, 1, 0], [1, 0, 1]]))
+    array([1, 2, 1])
     """
     surface = np.ascontiguousarray(error, np.float64)
     if surface.ndim != 2 or not surface.size or np.isnan(surface).any():
@@ -45,30 +47,34 @@ def dynamic_seam(error: NDArray[Any]) -> NDArray[np.int64]:
     return cheapest_path(surface)
 
 
-def seam_mask(path: NDArray[np.int64], width: int, feather: float = 0.0) -> NDArray[np.float32]:
-    """Return the new side's weight at each pixel of the overlap.
+def corner_seam(difference: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
+    """Compute the cheapest cut between two pieces that overlap in a quarter of a tile.
+
+    The cut runs from the first pixel to the last. It is a staircase that moves right or down at each pixel, so that
+    every pixel lies on one side. It keeps off the edges of the quarter, except near its two ends. In coordinates
+    (x + y, x - y) the cut is a seam from top to bottom whose columns change by 1.
 
     Parameters
     ----------
-    path
-        ``(h,)``: for each row the first column that belongs to the new side.
-    width
-        Columns of the overlap.
-    feather
-        Width in px of the linear ramp from the old side to the new one, centred on the border between the two; 0 cuts.
+    difference
+        ``(h, w)``, both at least 3: difference of the two pieces at each pixel.
 
     Returns
     -------
-    NDArray
-        ``float32 (h, width)`` in [0, 1]: 0 is the old side, 1 the new one, at least 0.5 from ``path`` on.
-
-    Raises
-    ------
-    BadInput
-        When the feather is negative.
+    taken
+        ``bool (h, w)``: the pixels of the horizontal piece. In each column these are the pixels above the cut and the
+        first one on it.
+    cost
+        Sum of ``difference`` along the cut.
     """
-    if not feather >= 0:
-        raise BadInput(f"feather {feather} px; choose 0 (a sharp cut) or more")
-    beyond = np.arange(width) + 0.5 - path[:, np.newaxis]
-    ramp = beyond / feather + 0.5 if feather else beyond > 0
-    return np.clip(ramp, 0, 1).astype(np.float32)
+    rows, columns = difference.shape
+    y, x = np.indices(difference.shape)
+    free = ((x > 0) | (y < 2)) & ((y > 0) | (x < 2)) & ((x < columns - 1) | (y > rows - 3))
+    free &= (y < rows - 1) | (x > columns - 3)
+    surface = np.full((rows + columns - 1, rows + columns - 1), np.inf)
+    along, aside = np.asarray(x + y), np.asarray(x - y + rows - 1)
+    surface[along[free], aside[free]] = difference[free]
+    path, step = dynamic_seam(surface), np.arange(rows + columns - 1)
+    cut_x, cut_y = (step + path - rows + 1) // 2, (step - path + rows - 1) // 2
+    first = np.take(cut_y, np.searchsorted(cut_x, np.arange(columns)))
+    return y <= first, float(difference[cut_y, cut_x].sum())

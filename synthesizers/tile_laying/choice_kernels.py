@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nrbench.jit import kernel
 
-from ..seams.dynamic_seam_kernels import cheapest_path
+from ..seams.seam_kernels import cheapest_path
 from .tile_kernels import product_sums
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from nrbench.jit import kernel
 
-from ..seams.minimum_cut_kernels import SOURCE, grow_trees, link_costs
+from ..seams.seam_kernels import SOURCE, grow_trees, link_costs
 
 _OUTSIDE, _FRESH, _KEPT, _FREE = 0, 1, 2, 3
 """What a pixel of the tile's box is: not the tile's; where nothing stands; the tile's outermost; free to choose."""
@@ -101,7 +101,7 @@ def graph(
     down: NDArray[np.float64],
     seams: NDArray[np.float32],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the capacities and terminals of a box's graph, see :func:`~nrbench.synthesizers.seams.minimum_cut_kernels.grow_trees`.
+    """Return the capacities and terminals of a box's graph, see :func:`~nrbench.synthesizers.seams.seam_kernels.grow_trees`.
 
     Old seams count as in :func:`~nrbench.synthesizers.seams.minimum_cut.cut_overlap`.
     """

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.synthesizers.gap_filling.blocks import OWN, BlockGrid, Sides, wedges
+from nrbench.synthesizers.gap_filling.blocks import OWN, BlockGrid, Sides, gap_border
 from nrbench.synthesizers.gap_filling.canvas import compose
 from nrbench.synthesizers.sampling.patches import Patches
 
@@ -27,7 +27,7 @@ def test_blocks_alternate_like_a_chess_board() -> None:
 @given(sides)
 def test_the_border_is_what_lies_near_a_neighbour(there: Sides) -> None:
     """Border and hole part the gap: border pixels are less than 10 px from a neighbour's block."""
-    border = wedges(40, 10, there)
+    border = gap_border(40, 10, there)
     rows, columns = np.indices((40, 40))
     distances = np.stack([columns, rows, 39 - columns, 39 - rows])
     near = (distances[np.array(there)] < 10).any(0) if any(there) else np.zeros((40, 40), bool)
@@ -43,7 +43,7 @@ def test_the_border_is_what_lies_near_a_neighbour(there: Sides) -> None:
 @given(sides)
 def test_each_wedge_belongs_to_the_nearest_neighbour(there: Sides) -> None:
     """The owner of a border pixel is the nearest side that has a neighbour: the corners' diagonals divide."""
-    border = wedges(40, 10, there)
+    border = gap_border(40, 10, there)
     distances = np.stack(
         [border.pixels[:, 0], border.pixels[:, 1], 39 - border.pixels[:, 0], 39 - border.pixels[:, 1]]
     ).astype(float)
@@ -53,7 +53,7 @@ def test_each_wedge_belongs_to_the_nearest_neighbour(there: Sides) -> None:
 
 def test_the_four_wedges_are_equal_trapezoids() -> None:
     """Around a full gap each neighbour owns as much of the border, but for the pixels on the diagonals."""
-    border = wedges(40, 10, ALL)
+    border = gap_border(40, 10, ALL)
     counts = np.bincount(border.owner, minlength=4)
     assert counts.sum() == 40**2 - 20**2
     np.testing.assert_allclose(counts, 300, atol=20)
@@ -62,7 +62,7 @@ def test_the_four_wedges_are_equal_trapezoids() -> None:
 @given(sides)
 def test_weights_sum_to_one_and_draw_on_neighbours_that_are_there(there: Sides) -> None:
     """Blending is a partition of unity over the gap's own patch and existing neighbours."""
-    border = wedges(24, 7, there)
+    border = gap_border(24, 7, there)
     np.testing.assert_allclose(border.weights.sum(0), 1, atol=1e-6)
     assert (border.weights >= 0).all()
     used = np.unique(border.layers[border.weights > 0])
@@ -71,14 +71,14 @@ def test_weights_sum_to_one_and_draw_on_neighbours_that_are_there(there: Sides) 
 
 def test_the_gaps_own_patch_fades_in_linearly() -> None:
     """Along the middle of a side the alpha rises by one tenth a pixel over a 10 px border."""
-    border = wedges(40, 10, ALL)
+    border = gap_border(40, 10, ALL)
     middle = (border.pixels[:, 1] == 20) & (border.pixels[:, 0] < 10)
     np.testing.assert_allclose(border.weights[0, middle], (np.arange(10) + 0.5) / 10, atol=1e-6)
 
 
 def test_at_the_gaps_edge_each_neighbour_is_nearly_whole() -> None:
     """No edge of a placed block shows: the pixel inside the gap is at least 9/10 its neighbour's, corners aside."""
-    border = wedges(40, 10, ALL)
+    border = gap_border(40, 10, ALL)
     edge = (border.pixels[:, 0] == 0) & (border.pixels[:, 1] >= 10) & (border.pixels[:, 1] < 30)
     assert (border.weights[1, edge] > 0.9).all()
     assert (border.layers[1, edge] == 0).all()

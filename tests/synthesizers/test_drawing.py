@@ -4,7 +4,7 @@ import numpy as np
 from scipy import stats
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesizers.gap_filling.patch_sampling import REMEMBERED, Drawing, best_places
+from nrbench.synthesizers.rsgf import REMEMBERED, PlaceSampler, best_places
 
 
 def grid(count: int, step: int) -> np.ndarray:
@@ -16,8 +16,8 @@ def test_patches_that_do_not_overlap_are_used_in_turn() -> None:
     """Of nine places apart none comes back before all have been drawn, in an order that chance decides."""
     places, orders = grid(3, 10), set()
     for seed in range(5):
-        drawing = Drawing(np.random.default_rng(seed), 10, spread=True)
-        rounds = [[tuple(drawing.one_of(places)) for _ in places] for _ in range(REMEMBERED // 9)]
+        sampler = PlaceSampler(np.random.default_rng(seed), 10, prefer_unused=True)
+        rounds = [[tuple(sampler.draw(places)) for _ in places] for _ in range(REMEMBERED // 9)]
         assert all(len(set(drawn)) == 9 for drawn in rounds)
         orders |= {tuple(drawn) for drawn in rounds}
     assert len(orders) > 30
@@ -26,9 +26,9 @@ def test_patches_that_do_not_overlap_are_used_in_turn() -> None:
 def test_the_first_draw_is_uniform_and_all_are_without_spreading() -> None:
     """Each place comes equally often: in first draws, and in all draws where they are not spread."""
     places = grid(3, 4)
-    first = [Drawing(np.random.default_rng(k), 10, spread=True).one_of(places) for k in range(1800)]
-    drawing = Drawing(np.random.default_rng(0), 10, spread=False)
-    later = [drawing.one_of(places) for _ in range(1800)]
+    first = [PlaceSampler(np.random.default_rng(k), 10, prefer_unused=True).draw(places) for k in range(1800)]
+    sampler = PlaceSampler(np.random.default_rng(0), 10, prefer_unused=False)
+    later = [sampler.draw(places) for _ in range(1800)]
     for drawn in (first, later):
         counts = np.unique(np.array(drawn), axis=0, return_counts=True)[1]
         assert len(counts) == 9
@@ -37,18 +37,18 @@ def test_the_first_draw_is_uniform_and_all_are_without_spreading() -> None:
 
 def test_a_place_is_shown_by_patches_that_overlap_it_in_part() -> None:
     """A patch counts whole for its own place, a quarter for one half a patch aside both ways, nothing for one apart."""
-    drawing = Drawing(np.random.default_rng(0), 10, spread=True)
-    drawing.one_of(np.array([[20, 20]]))
-    np.testing.assert_allclose(drawing.shown(np.array([[20, 20], [25, 15], [30, 20]])), [1, 0.25, 0])
+    sampler = PlaceSampler(np.random.default_rng(0), 10, prefer_unused=True)
+    sampler.draw(np.array([[20, 20]]))
+    np.testing.assert_allclose(sampler.overlap_counts(np.array([[20, 20], [25, 15], [30, 20]])), [1, 0.25, 0])
 
 
 def test_what_was_laid_long_ago_counts_no_more() -> None:
     """After as many patches elsewhere as are remembered a place is as good as new."""
-    drawing = Drawing(np.random.default_rng(0), 10, spread=True)
-    drawing.one_of(np.array([[0, 0]]))
+    sampler = PlaceSampler(np.random.default_rng(0), 10, prefer_unused=True)
+    sampler.draw(np.array([[0, 0]]))
     for _ in range(REMEMBERED):
-        drawing.one_of(np.array([[50, 50]]))
-    assert drawing.shown(np.array([[0, 0]])) == 0
+        sampler.draw(np.array([[50, 50]]))
+    assert sampler.overlap_counts(np.array([[0, 0]])) == 0
 
 
 def test_of_each_place_the_best_candidate_and_of_places_the_best_share() -> None:

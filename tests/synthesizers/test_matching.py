@@ -3,10 +3,11 @@ import pytest
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, quantize, to_bytes
-from nrbench.synthesizers.gap_filling.matching import FrameMatcher, Hole, Match
+from nrbench.synthesizers.gap_filling.blocks import Box
+from nrbench.synthesizers.gap_filling.matching import FrameMatcher, Match
 
 SIZE = 9
-HOLES: list[Hole] = [(3, 6, 3, 6), (0, 6, 3, 9), (2, 2, 4, 4)]
+HOLES: list[Box] = [(3, 6, 3, 6), (0, 6, 3, 9), (2, 2, 4, 4)]
 
 
 def noise(shape: tuple[int, int], channels: int, seed: int = 0) -> Image:
@@ -19,14 +20,14 @@ def cut(image: Image, x: int, y: int) -> NDArray[np.float32]:
     return to_bytes(image)[y : y + SIZE, x : x + SIZE].astype(np.float32)
 
 
-def counted(patch: NDArray[np.float32], hole: Hole) -> NDArray[np.float64]:
+def counted(patch: NDArray[np.float32], hole: Box) -> NDArray[np.float64]:
     """Return the pixels of a patch outside the hole, by naive loops: (n, C)."""
     y0, y1, x0, x1 = hole
     rows = range(SIZE)
     return np.array([patch[y, x] for y in rows for x in rows if not (y0 <= y < y1 and x0 <= x < x1)], np.float64)
 
 
-def naive(patch: NDArray[np.float32], template: NDArray[np.float32], hole: Hole, match: Match) -> float:
+def naive(patch: NDArray[np.float32], template: NDArray[np.float32], hole: Box, match: Match) -> float:
     """Rate by equation 10 (negated), or equations 3 and 6, as they stand."""
     f, g = counted(patch, hole), counted(template, hole)
     if match == "color":
@@ -40,24 +41,24 @@ def naive(patch: NDArray[np.float32], template: NDArray[np.float32], hole: Hole,
 @pytest.mark.parametrize("match", ["ncc", "color"])
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("hole", HOLES)
-def test_ratings_equal_brute_force(match: Match, channels: int, hole: Hole) -> None:
+def test_ratings_equal_brute_force(match: Match, channels: int, hole: Box) -> None:
     """Both matches, direct and in the Fourier domain, equal naive loops at every place."""
     image, other = noise((21, 17), channels), noise((21, 17), channels, seed=1)
     matcher = FrameMatcher(image, SIZE, match)
     template = cut(other, 3, 5)
-    rows, columns = matcher.room
+    rows, columns = matcher.search_shape
     expected = [[naive(cut(image, x, y), template, hole, match) for x in range(columns)] for y in range(rows)]
     positions = np.argwhere(np.ones((rows, columns)))[:, ::-1]
-    direct = matcher.at(template, hole, positions).reshape(rows, columns)
+    direct = matcher.rate(template, hole, positions).reshape(rows, columns)
     np.testing.assert_allclose(direct, expected, rtol=1e-12, atol=1e-12)
-    np.testing.assert_array_equal(direct, matcher.everywhere(template, hole))
+    np.testing.assert_array_equal(direct, matcher.rate_everywhere(template, hole))
 
 
 @pytest.mark.parametrize("match", ["ncc", "color"])
 def test_the_place_a_template_was_cut_from_is_best(match: Match) -> None:
     """A template cut from the image rates its own place highest, perfectly."""
     image = noise((40, 40), 3)
-    ratings = FrameMatcher(image, SIZE, match).everywhere(cut(image, 13, 22), (3, 6, 3, 6))
+    ratings = FrameMatcher(image, SIZE, match).rate_everywhere(cut(image, 13, 22), (3, 6, 3, 6))
     assert np.unravel_index(ratings.argmax(), ratings.shape) == (22, 13)
     assert ratings.max() == pytest.approx(1 if match == "ncc" else 0, abs=1e-12)
 
@@ -68,8 +69,8 @@ def test_ncc_ignores_brightness_and_contrast_and_color_does_not() -> None:
     image = quantize(np.rint(image * 100) * 2 / 255)
     template = cut(image, 4, 6) / 2
     here = np.array([[4, 6]])
-    assert FrameMatcher(image, SIZE, "ncc").at(template, (3, 6, 3, 6), here)[0] == pytest.approx(1)
-    assert FrameMatcher(image, SIZE, "color").at(template, (3, 6, 3, 6), here)[0] < 0
+    assert FrameMatcher(image, SIZE, "ncc").rate(template, (3, 6, 3, 6), here)[0] == pytest.approx(1)
+    assert FrameMatcher(image, SIZE, "color").rate(template, (3, 6, 3, 6), here)[0] < 0
 
 
 def test_what_lies_in_the_hole_does_not_count() -> None:
@@ -81,14 +82,14 @@ def test_what_lies_in_the_hole_does_not_count() -> None:
     for match in ("ncc", "color"):
         matcher = FrameMatcher(image, SIZE, match)  # type: ignore[arg-type]
         np.testing.assert_array_equal(
-            matcher.everywhere(template, (3, 6, 3, 6)), matcher.everywhere(changed, (3, 6, 3, 6))
+            matcher.rate_everywhere(template, (3, 6, 3, 6)), matcher.rate_everywhere(changed, (3, 6, 3, 6))
         )
 
 
 def test_a_flat_border_rates_zero_by_ncc() -> None:
     """Where nothing varies there is no correlation, and no warning."""
     image = np.full((20, 20, 1), 0.4, np.float32)
-    assert not FrameMatcher(image, SIZE, "ncc").everywhere(cut(image, 0, 0), (3, 6, 3, 6)).any()
+    assert not FrameMatcher(image, SIZE, "ncc").rate_everywhere(cut(image, 0, 0), (3, 6, 3, 6)).any()
 
 
 def test_runs_too_long_for_float32_are_summed_exactly() -> None:
@@ -96,4 +97,4 @@ def test_runs_too_long_for_float32_are_summed_exactly() -> None:
     image = np.ones((410, 410, 3), np.float32)
     matcher = FrameMatcher(image, 400, "color")
     template = np.full((400, 400, 3), 255, np.float32)
-    assert matcher.at(template, (10, 390, 10, 390), np.array([[3, 5]]))[0] == 0
+    assert matcher.rate(template, (10, 390, 10, 390), np.array([[3, 5]]))[0] == 0

@@ -14,11 +14,11 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Task
 from nrbench.running.phases import checked_synthesis
-from nrbench.synthesizers.gap_filling.canvas import Seam
+from nrbench.synthesizers.gap_filling.canvas import SeamMethod
 from nrbench.synthesizers.rsgf import Rsgf
 
-SEAMS = get_args(Seam)
-PAPER = Rsgf(seam="blend", subpixel=False, among=0.0, spread=False)
+SEAMS = get_args(SeamMethod)
+PAPER = Rsgf(seam="blend", subpixel=False, candidate_fraction=0.0, prefer_unused=False)
 SMALL = replace(PAPER, block=8, border=2)
 
 
@@ -107,7 +107,7 @@ def test_every_parameter_changes_something() -> None:
     changes: list[dict[str, Any]] = [
         {"block": 36}, {"border": 8}, {"match": "ncc"}, {"search": "everywhere"}, {"search": "stochastic"},
         {"tolerance": 0.0}, {"subpixel": False}, {"seam": "blend"}, {"seam": "dynamic"}, {"deform": 1.0},
-        {"among": 0.0}, {"among": 1.0}, {"spread": False},
+        {"candidate_fraction": 0.0}, {"candidate_fraction": 1.0}, {"prefer_unused": False},
     ]  # fmt: skip
     for change in changes:
         assert (synthesize(Rsgf(**change), sample, (128, 128), FRACTIONAL).image != base).any(), change
@@ -177,7 +177,8 @@ def test_a_lattice_too_large_for_the_sample_is_refused() -> None:
     [
         {"border": 0}, {"border": 21}, {"block": 1}, {"tolerance": -1.0}, {"deform": -1.0}, {"deform": 3.5},
         {"deform": math.nan}, {"tolerance": 3.0, "search": "everywhere"}, {"tolerance": 3.0, "search": "stochastic"},
-        {"among": -0.1}, {"among": 1.5}, {"among": math.nan}, {"among": 0.5, "search": "everywhere"},
+        {"candidate_fraction": -0.1}, {"candidate_fraction": 1.5}, {"candidate_fraction": math.nan},
+        {"candidate_fraction": 0.5, "search": "everywhere"},
     ],
 )  # fmt: skip
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:

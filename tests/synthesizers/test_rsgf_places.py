@@ -14,26 +14,22 @@ from synthesis_cases import FRACTIONAL, noise, places, synthesize
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
-from nrbench.synthesizers.gap_filling.blocks import BlockGrid
-from nrbench.synthesizers.gap_filling.canvas import Canvas, Seam
-from nrbench.synthesizers.gap_filling.gap_filling import Filling, Rules
-from nrbench.synthesizers.rsgf import Rsgf
-from nrbench.synthesizers.sampling.equal_places import room_for
-from nrbench.synthesizers.sampling.patches import FINEST, Patches
+from nrbench.synthesizers.gap_filling.canvas import Places, SeamMethod
+from nrbench.synthesizers.rsgf import GapFiller, Rsgf
+from nrbench.synthesizers.sampling.patches import PLACE_STEP
 
-SEAMS = get_args(Seam)
-PAPER = Rsgf(seam="blend", subpixel=False, tolerance=3.0, among=0.0, spread=False)
+SEAMS = get_args(SeamMethod)
+PAPER = Rsgf(seam="blend", subpixel=False, tolerance=3.0, candidate_fraction=0.0, prefer_unused=False)
 SMALL = replace(PAPER, block=8, border=2, tolerance=None)
 
 
-def filled(sample: Image, shape: tuple[int, int], lattice: Lattice, reach: float = 1.5, seed: int = 1) -> Canvas:
-    """Fill an output with sub-pixel patches of 8 px, as the method does, and return what tells their places."""
-    canvas = Canvas(Patches(sample), BlockGrid(shape, 8, 2))
-    task = Task(sample, shape, lattice, np.random.default_rng(seed))
-    filling = Filling(task, lattice, canvas, Rules("color", "lattice", reach, True, 0.0))
-    filling.sample_placed(room_for(12, (sample.shape[0], sample.shape[1])))
-    filling.fill_gaps()
-    return canvas
+def fill(sample: Image, shape: tuple[int, int], lattice: Lattice, tolerance: float = 1.5, seed: int = 1) -> Places:
+    """Fill an output with sub-pixel patches of 8 px, and return their places."""
+    method = replace(SMALL, subpixel=True, tolerance=tolerance)
+    filler = GapFiller(method, Task(sample, shape, lattice, np.random.default_rng(seed)), lattice)
+    filler.place_blocks()
+    filler.fill_gaps()
+    return filler.found
 
 
 @pytest.mark.parametrize("method", [Rsgf(), PAPER])
@@ -61,13 +57,13 @@ def test_a_fractional_lattice_does_not_drift() -> None:
 @pytest.mark.parametrize("reach", [0.0, 0.3, 1.5])
 def test_sub_pixel_places_are_those_of_the_lattice(reach: float) -> None:
     """Over 400 px placed patches lie on the real-valued lattice, gaps' within the tolerance of it, however small."""
-    canvas = filled(noise(60, 60), (400, 400), FRACTIONAL, reach)
-    rows, columns = np.indices(canvas.places.shape[:2])
-    misplaced = np.abs(FRACTIONAL.wrap(canvas.places - 8 * np.stack([columns, rows], -1))).max(-1)
+    found = fill(noise(60, 60), (400, 400), FRACTIONAL, reach)
+    rows, columns = np.indices(found.shape[:2])
+    misplaced = np.abs(FRACTIONAL.wrap(found - 8 * np.stack([columns, rows], -1))).max(-1)
     placed = (rows + columns) % 2 == 0
-    assert misplaced[placed].max() <= FINEST
-    assert misplaced[~placed].max() <= reach + FINEST
-    assert reach == 0 or misplaced[~placed].max() > 2 * FINEST
+    assert misplaced[placed].max() <= PLACE_STEP
+    assert misplaced[~placed].max() <= reach + PLACE_STEP
+    assert reach == 0 or misplaced[~placed].max() > 2 * PLACE_STEP
 
 
 def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
@@ -107,7 +103,7 @@ def test_the_random_choice_is_uniform_over_the_candidates() -> None:
 def test_so_it_is_at_sub_pixel_places() -> None:
     """Each real-valued place that shows a whole patch is drawn equally often."""
     sample = noise(60, 60, 1)
-    drawn = [tuple(filled(sample, (8, 8), FRACTIONAL, seed=k).places[0, 0].tolist()) for k in range(2000)]
+    drawn = [tuple(fill(sample, (8, 8), FRACTIONAL, seed=k)[0, 0].tolist()) for k in range(2000)]
     inside = FRACTIONAL.points((60, 60))
     inside = inside[((inside >= 2) & (inside <= 50)).all(1)]
     counts = [drawn.count(place) for place in set(drawn)]
@@ -117,7 +113,7 @@ def test_so_it_is_at_sub_pixel_places() -> None:
 
 def test_in_stochastic_mode_every_place_is_drawn_equally_often() -> None:
     """As if v1 = (1, 0), v2 = (0, 1): a lattice that is given counts for nothing, and none is used."""
-    method, sample = replace(SMALL, search="stochastic", among=None), noise(24, 24, 1)
+    method, sample = replace(SMALL, search="stochastic", candidate_fraction=None), noise(24, 24, 1)
     drawn = [synthesize(method, sample, (8, 8), Lattice((11, 2), (-3, 13)), k) for k in range(4000)]
     assert all(made.lattice is None and not made.note for made in drawn)
     at = np.array([places(made, 8)[0, 0] for made in drawn])
@@ -164,8 +160,8 @@ def naive_rating(patch: NDArray[np.float64], border: NDArray[np.float64], match:
 def test_gaps_take_the_best_of_the_patches_allowed(match: Any, search: Any, tolerance: float | None) -> None:
     """By brute force over a border composed naively of wedges, no allowed patch matches a gap better."""
     sample, lattice = noise(40, 44), Lattice((9.3, 1.2), (-2.1, 10.4))
-    among = 0.0 if search == "lattice" else None
-    method = replace(SMALL, match=match, search=search, tolerance=tolerance, among=among)
+    fraction = 0.0 if search == "lattice" else None
+    method = replace(SMALL, match=match, search=search, tolerance=tolerance, candidate_fraction=fraction)
     found = places(synthesize(method, sample, (24, 32), lattice), 8)
     for row, column in [(i, j) for i, j in np.ndindex(3, 4) if (i + j) % 2]:
         border = naive_border(sample, found, row, column)

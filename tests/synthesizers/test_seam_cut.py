@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 from nrbench.imaging.convert import Image
-from nrbench.synthesizers.gap_filling.seam_cut import Joint, dynamic_joint, graphcut_joint, visible_links
+from nrbench.synthesizers.gap_filling.canvas import PatchOverlap, cut_dynamic, cut_graph, visible_links
 from nrbench.synthesizers.seams.minimum_cut import Links, Mask
 
 ALL = (True, True, True, True)
 
 
-def joint(old: Image, new: Image, sides: tuple[bool, bool, bool, bool] = ALL, depth: int = 16) -> Joint:
+def joint(old: Image, new: Image, sides: tuple[bool, bool, bool, bool] = ALL, depth: int = 16) -> PatchOverlap:
     """Lay a patch over a gap of 24 px, 8 px of border inside it and 8 px beyond on the sides that have neighbours."""
     height, width = old.shape[:2]
     left, top, right, bottom = (depth if there else 0 for there in sides)
@@ -16,7 +16,7 @@ def joint(old: Image, new: Image, sides: tuple[bool, bool, bool, bool] = ALL, de
     known[top : height - bottom, left : width - right] = False
     box = (-8 if sides[1] else 0, 24 + (8 if sides[3] else 0), -8 if sides[0] else 0, 24 + (8 if sides[2] else 0))
     hole = (8 if sides[1] else 0, 16 if sides[3] else 24, 8 if sides[0] else 0, 16 if sides[2] else 24)
-    return Joint(old, new, known, box, hole, sides)
+    return PatchOverlap(old, new, known, box, hole, sides)
 
 
 def nothing(shape: tuple[int, ...]) -> Links:
@@ -24,7 +24,7 @@ def nothing(shape: tuple[int, ...]) -> Links:
     return Links(np.zeros((shape[0], shape[1] - 1)), np.zeros((shape[0] - 1, shape[1])))
 
 
-def cost(one: Joint, mask: Mask) -> float:
+def cost(one: PatchOverlap, mask: Mask) -> float:
     """Return how visible a joint's seam is."""
     links = visible_links(one.old, one.new)
     across, down = mask[:, 1:] != mask[:, :-1], mask[1:] != mask[:-1]
@@ -41,7 +41,7 @@ def test_the_hole_is_new_and_the_edge_beside_a_neighbour_old(kind: str, sides: t
     height, width = 24 + 8 * (sides[1] + sides[3]), 24 + 8 * (sides[0] + sides[2])
     old, new = np.random.default_rng(0).random((2, height, width, 3)).astype(np.float32)
     one = joint(old, new, sides)
-    mask = dynamic_joint(one) if kind == "dynamic" else graphcut_joint(one, nothing(old.shape))
+    mask = cut_dynamic(one) if kind == "dynamic" else cut_graph(one, nothing(old.shape))
     assert mask[~one.known].all()
     if kind == "graphcut":
         assert not mask[one.fixed_old()].any()
@@ -53,8 +53,8 @@ def test_a_graph_cut_is_never_more_visible_than_four_seams(seed: int) -> None:
     """The least of all closed seams costs no more than the one that dynamic programming puts together."""
     old, new = np.random.default_rng(seed).random((2, 40, 40, 3)).astype(np.float32)
     one = joint(old, new)
-    four = dynamic_joint(one) & ~one.fixed_old()
-    assert cost(one, graphcut_joint(one, nothing(old.shape))) <= cost(one, four) + 1e-9
+    four = cut_dynamic(one) & ~one.fixed_old()
+    assert cost(one, cut_graph(one, nothing(old.shape))) <= cost(one, four) + 1e-9
 
 
 def bricks(rng: np.random.Generator) -> Image:
@@ -74,7 +74,7 @@ def test_a_graph_cut_runs_around_bricks() -> None:
     for _ in range(5):
         old, new = bricks(rng), bricks(rng)
         one = joint(old, new)
-        mask = graphcut_joint(one, nothing(old.shape))
+        mask = cut_graph(one, nothing(old.shape))
         y, x = np.indices((40, 40))
         row = y // 8
         brick = row * 10 + (x + 6 * (row % 2)) // 12
@@ -89,7 +89,7 @@ def test_seams_are_remembered_and_forgotten() -> None:
     one, seams = joint(old, new), nothing(old.shape)
     seams.across[20, 19] = 5.0
     seams.across[1, 1] = 3.0
-    mask = graphcut_joint(one, seams)
+    mask = cut_graph(one, seams)
     changes = mask[:, 1:] != mask[:, :-1]
     assert seams.across[20, 19] == 0
     assert (seams.across[changes] > 0).all()

@@ -5,11 +5,11 @@ from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
 from nrbench.synthesizers.sampling.equal_places import (
-    around,
-    equivalent_positions,
+    EqualPlaces,
+    nearby_pixels,
     nearest_pixels,
     pixel_grid,
-    room_for,
+    search_shape,
 )
 
 coordinate = st.floats(-3000, 3000)
@@ -17,13 +17,13 @@ coordinate = st.floats(-3000, 3000)
 
 def test_room_counts_the_places_wholly_inside() -> None:
     """A 60 px patch has 69 places along 128 px, and none where it does not fit."""
-    assert room_for(60, (128, 100)) == (69, 41)
-    assert min(room_for(60, (128, 50))) < 1
+    assert search_shape(60, (128, 100)) == (69, 41)
+    assert min(search_shape(60, (128, 50))) < 1
 
 
 def test_all_equal_places_are_found_and_no_others() -> None:
     """On an upright whole-pixel lattice the candidates are the places of equal remainder."""
-    places = nearest_pixels(equivalent_positions(Lattice((30, 0), (0, 24)), (95.0, 200.0), (69, 69)), (69, 69))
+    places = nearest_pixels(EqualPlaces(Lattice((30, 0), (0, 24)), (69, 69)).find((95.0, 200.0)), (69, 69))
     assert sorted(map(tuple, places.tolist())) == [(x, y) for x in (5, 35, 65) for y in (8, 32, 56)]
 
 
@@ -32,7 +32,7 @@ def test_places_are_equal_by_the_lattice_and_round_into_the_room(x: float, y: fl
     """Any real-valued, rotated lattice: each place differs by a lattice vector, is inside, and none is missing."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     lattice = Lattice((21.37 * c, 21.37 * s), (-18.81 * s, 18.81 * c))
-    places = equivalent_positions(lattice, (x, y), (69, 89))
+    places = EqualPlaces(lattice, (69, 89)).find((x, y))
     np.testing.assert_allclose(lattice.wrap(places - (x, y)), 0, atol=1e-8)
     pixels = nearest_pixels(places, (69, 89))
     assert len(pixels) == len(places)
@@ -45,8 +45,8 @@ def test_around_equals_brute_force(x: float, y: float, tolerance: float) -> None
     """The places around are those within the tolerance along x and y, each once, the nearest pixel always."""
     lattice = Lattice((7.3, 1.1), (-2.2, 6.1))
     room = (19, 23)
-    centres = equivalent_positions(lattice, (x, y), room, max(tolerance, 0.5))
-    found = around(centres, tolerance, room)
+    centres = EqualPlaces(lattice, room, max(tolerance, 0.5)).find((x, y))
+    found = nearby_pixels(centres, tolerance, room)
     rows, columns = np.indices(room)
     everywhere = np.stack([columns, rows], -1).reshape(-1, 1, 2)
     near = (np.abs(everywhere - centres) <= max(tolerance, 0.5) + 1e-9).all(-1).any(1)

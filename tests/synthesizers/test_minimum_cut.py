@@ -7,13 +7,12 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
+from nrbench.imaging.convert import Image
 from nrbench.synthesizers.seams.minimum_cut import (
     Links,
     Mask,
     Weights,
     cut_overlap,
-    cut_value,
-    graphcut_seam,
     minimum_cut,
     seam_links,
 )
@@ -35,6 +34,13 @@ def problem(shape: tuple[int, int], seed: int, largest: int = 20, dense: float =
     tied = rng.random(shape)
     source[tied < hard], sink[tied > 1 - hard] = np.inf, np.inf
     return Links(weights(height, width - 1), weights(height - 1, width)), source, sink
+
+
+def cut_value(mask: Mask, links: Links, source: Weights, sink: Weights) -> float:
+    """Return the cost of a labeling."""
+    across, down = mask[:, 1:] != mask[:, :-1], mask[1:] != mask[:-1]
+    terminals = float(source[~mask].sum() + sink[mask].sum())
+    return terminals + float(links.across[across].sum() + links.down[down].sum())
 
 
 def flow(links: Links, source: Weights, sink: Weights) -> int:
@@ -102,9 +108,9 @@ def test_real_valued_weights_are_cut_as_well() -> None:
     ("change", "hint"),
     [
         (lambda a, d, s, t: (a[:, :-1], d, s, t), "do not fit a grid of 3 x 4"),
-        (lambda a, d, s, t: (a - 1, d, s, t), "at least 0"),
-        (lambda a, d, s, t: (a, d, s * np.nan, t), "at least 0"),
-        (lambda a, d, s, t: (a + np.inf, d, s, t), "links are finite"),
+        (lambda a, d, s, t: (a - 1, d, s, t), "must be at least 0"),
+        (lambda a, d, s, t: (a, d, s * np.nan, t), "must be at least 0"),
+        (lambda a, d, s, t: (a + np.inf, d, s, t), "links must be finite"),
         (lambda a, d, s, t: (a, d, s + np.inf, t + np.inf), "cannot be True and False"),
     ],
 )
@@ -115,6 +121,11 @@ def test_weights_that_mean_nothing_are_refused(change: object, hint: str) -> Non
     )
     with pytest.raises(ValueError, match=hint):
         minimum_cut(Links(across, down), source, sink)
+
+
+def graphcut_seam(old: Image, new: Image, fixed_old: Mask, fixed_new: Mask, normalized: bool = False) -> Mask:
+    """Return where the least visible seam shows the new picture."""
+    return cut_overlap(seam_links(old, new, normalized), fixed_old, fixed_new)
 
 
 def pictures(shape: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray, Mask, Mask]:  # type: ignore[type-arg]

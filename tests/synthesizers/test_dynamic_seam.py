@@ -1,3 +1,5 @@
+"""Claims about seams found by dynamic programming, from side to side and from corner to corner."""
+
 import itertools
 
 import numpy as np
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
-from nrbench.synthesizers.seams.dynamic_seam import dynamic_seam, seam_mask
+from nrbench.synthesizers.seams.dynamic_seam import corner_seam, dynamic_seam
 
 sizes = st.tuples(st.integers(1, 5), st.integers(1, 5))
 seeds = st.integers(0, 10_000)
@@ -62,27 +64,6 @@ def test_forbidden_pixels_are_avoided() -> None:
     assert dynamic_seam(error)[4] == 5
 
 
-@patient
-@given(sizes, seeds)
-def test_a_cut_gives_each_pixel_to_one_side(shape: tuple[int, int], seed: int) -> None:
-    """Without feather the mask is 1 from the path's column on, and 0 before it."""
-    path = dynamic_seam(np.random.default_rng(seed).random(shape))
-    mask = seam_mask(path, shape[1])
-    np.testing.assert_array_equal(mask, np.arange(shape[1]) >= path[:, np.newaxis])
-
-
-@patient
-@given(sizes, seeds, st.floats(0.5, 6))
-def test_a_feather_is_a_ramp_centred_on_the_cut(shape: tuple[int, int], seed: int, feather: float) -> None:
-    """Feathered weights rise by 1 / feather a px where they are between 0 and 1, and pass 0.5 at the cut."""
-    path = dynamic_seam(np.random.default_rng(seed).random(shape))
-    mask = seam_mask(path, shape[1], feather)
-    np.testing.assert_array_equal(mask >= 0.5, seam_mask(path, shape[1]) == 1)
-    rise = np.diff(mask, axis=1)
-    assert (rise >= 0).all()
-    assert (rise <= 1 / feather + 1e-6).all()
-
-
 @pytest.mark.parametrize("error", [np.zeros((0, 3)), np.zeros((3, 0)), np.zeros(4), np.full((2, 2), np.nan)])
 def test_no_seam_without_a_surface(error: NDArray[np.float64]) -> None:
     """Empty, one-dimensional and NaN surfaces are refused, with what to give."""
@@ -90,7 +71,49 @@ def test_no_seam_without_a_surface(error: NDArray[np.float64]) -> None:
         dynamic_seam(error)
 
 
-def test_a_negative_feather_is_refused() -> None:
-    """The error says what to choose."""
-    with pytest.raises(BadInput, match="choose 0"):
-        seam_mask(np.zeros(3, np.int64), 4, -1)
+def staircases(rows: int, columns: int) -> list[list[tuple[int, int]]]:
+    """List all ways right and down from the first pixel to the last that leave the edges to their owners."""
+    found = []
+    for downs in itertools.combinations(range(rows + columns - 2), rows - 1):
+        way = [(0, 0)]
+        for step in range(rows + columns - 2):
+            y, x = way[-1]
+            way.append((y + 1, x) if step in downs else (y, x + 1))
+        if all(
+            (x > 0 or y < 2)
+            and (y > 0 or x < 2)
+            and (x < columns - 1 or y > rows - 3)
+            and (y < rows - 1 or x > columns - 3)
+            for y, x in way
+        ):
+            found.append(way)
+    return found
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(3, 6), st.integers(3, 6), st.integers(0, 999))
+def test_no_staircase_is_cheaper(rows: int, columns: int, seed: int) -> None:
+    """Of all ways tried one by one none has a smaller sum."""
+    difference = np.random.default_rng(seed).random((rows, columns))
+    costs = [sum(difference[place] for place in way) for way in staircases(rows, columns)]
+    assert corner_seam(difference)[1] == pytest.approx(min(costs))
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (3, 9), (12, 5), (20, 20)])
+def test_edges_stay_with_their_owners(shape: tuple[int, int]) -> None:
+    """The horizontal piece takes the whole first row, none of the first column below it; both reach the middle."""
+    for seed in range(20):
+        taken, _ = corner_seam(np.random.default_rng(seed).random(shape))
+        assert taken[0].all() and not taken[1:, 0].any()
+        assert taken[:-2, -1].all() and not taken[-1, :-2].any()
+
+
+def test_the_cut_follows_where_nothing_differs() -> None:
+    """Along a planted way of no difference the cut costs nothing, and parts the pixels above from those below."""
+    difference = np.ones((8, 11))
+    way = [(0, 0), (0, 1), (1, 1), (2, 1), (3, 1), (3, 2), *[(3, x) for x in range(3, 9)]]
+    way += [(4, 8), (5, 8), (6, 8), (6, 9), (6, 10), (7, 10)]
+    difference[tuple(np.array(way).T)] = 0
+    taken, cost = corner_seam(difference)
+    assert cost == 0
+    assert taken[:3, 2:].all() and not taken[4:, :8].any()
