@@ -29,7 +29,7 @@ def fill(sample: Image, shape: tuple[int, int], lattice: Lattice, tolerance: flo
     filler = GapFiller(method, Task(sample, shape, lattice, np.random.default_rng(seed)), lattice)
     filler.place_blocks()
     filler.fill_gaps()
-    return filler.found
+    return filler.canvas.places
 
 
 @pytest.mark.parametrize("method", [Rsgf(), PAPER])
