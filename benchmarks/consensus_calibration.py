@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from nrbench import plugins
-from nrbench.detectors.agreement.confidence import WEIGHTS
-from nrbench.detectors.consensus import Consensus
+from nrbench.detectors.consensus import WEIGHTS, Consensus
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.comparison import lattice_error
 from nrbench.plugins.forms import NoLatticeFound, Texture

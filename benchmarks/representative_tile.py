@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.detectors.rectangular_periods.ssd import ssdn
-from nrbench.detectors.ssdn import Ssdn
+from nrbench.detectors.ssdn import Ssdn, ssdn
 from nrbench.imaging.convert import Image, quantize
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice

@@ -13,8 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from nrbench import Lattice, Run
+from nrbench.imaging.drawing import draw_lattice
 from nrbench.imaging.files import read_image
-from nrbench.imaging.overlay import overlay
 from nrbench.runs.records import CellRecord
 
 TEXTURES = ("brick-mild", "weave-middle", "hexagon-middle-rotated")
@@ -48,7 +48,7 @@ def main() -> None:
     for row, texture in zip(axes, TEXTURES, strict=True):
         first = records[texture, *COLUMNS[0]]
         truth = Lattice.from_dict(first.lattice_truth or {})
-        row[0].imshow(overlay(read_image(first.folder / "sample.png"), truth), interpolation="nearest")
+        row[0].imshow(draw_lattice(read_image(first.folder / "sample.png"), truth), interpolation="nearest")
         row[0].set_xlabel(f"sample and lattice\nregular share {first.regular_share:.2f}")
         for axis, column in zip(row[1:], COLUMNS, strict=True):
             record = records[texture, *column]

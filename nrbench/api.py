@@ -14,7 +14,7 @@ import numpy as np
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, as_image, like_input, quantize
+from nrbench.imaging.convert import Image, as_image, match_ndim, quantize
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Detection, Observation, Refused, Score, Shape, Synthesis, Task, Texture, Value
 from nrbench.running.phases import checked_synthesis, failure_reason, score_observation
@@ -135,7 +135,7 @@ def synthesize(
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
     synthesis = checked_synthesis(plugin.synthesize(task), sample, task.shape)
-    return dataclasses.replace(synthesis, image=like_input(synthesis.image, image))
+    return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, image))
 
 
 def _checked_shape(shape: Shape) -> Shape:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, like_sample
+from nrbench.imaging.convert import Image, match_channels
 from nrbench.imaging.files import read_image, write_image
 from nrbench.plugins.forms import Synthesis, Task
 
@@ -116,4 +116,4 @@ def _read(output: Path, program: str, sample: Image) -> Image:
         image = read_image(output)
     except BadInput as error:
         raise RuntimeError(f"{program} wrote an unusable {{output}}: {error}") from error
-    return like_sample(image, sample)
+    return match_channels(image, sample)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, like_sample
+from nrbench.imaging.convert import Image, match_channels
 from nrbench.imaging.files import read_image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.streams import pixels_hash
@@ -48,10 +48,10 @@ class Precomputed:
         folder = self._folder()
         named = folder / name_for(task.sample, task.shape)
         if named.exists():
-            return Synthesis(like_sample(read_image(named), task.sample))
+            return Synthesis(match_channels(read_image(named), task.sample))
         for output in _listed(folder, task.sample):
             if output.shape[:2] == task.shape:
-                return Synthesis(like_sample(output, task.sample))
+                return Synthesis(match_channels(output, task.sample))
         raise Refused(f"no {named}, and no row of index.csv with this sample and an output of that size")
 
     def fingerprint(self) -> str:

@@ -201,21 +201,20 @@ def _answer_of(image: Image, name: str) -> _Answer:
 
 def _draw_comparison(image: Image, answers: Sequence[_Answer], output: Path) -> None:
     """Write a sheet with one captioned picture a detector."""
-    from nrbench.imaging.contact_sheet import contact_sheet
+    from nrbench.imaging.drawing import contact_sheet, draw_lattice
     from nrbench.imaging.files import write_image
-    from nrbench.imaging.overlay import overlay
 
-    pictures = [image if answer.lattice is None else overlay(image, answer.lattice) for answer in answers]
+    pictures = [image if answer.lattice is None else draw_lattice(image, answer.lattice) for answer in answers]
     letters = max(32, image.shape[1] // 6)
     write_image(output, contact_sheet(pictures, [answer.caption(letters) for answer in answers], columns=3))
 
 
 def _draw_lattice(image: Image, lattice: Lattice, output: Path | None) -> None:
+    from nrbench.imaging.drawing import draw_lattice
     from nrbench.imaging.files import write_image
-    from nrbench.imaging.overlay import overlay
 
     if output is not None:
-        write_image(output, overlay(image, lattice))
+        write_image(output, draw_lattice(image, lattice))
 
 
 def _draw_diagnostics(diagnostics: Mapping[str, Any], title: str, output: Path | None) -> None:

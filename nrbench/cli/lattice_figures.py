@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.overlay import COLOR, overlay
+from nrbench.imaging.drawing import COLOR, draw_lattice
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Curve, Surface
 
@@ -182,7 +182,7 @@ class Picker:
     def _show(self) -> None:
         title = KEYS if self.lattice else f"{len(self._points) + 1} of 3: {self._problem}{STEPS[len(self._points)]}"
         self._axes.set_title(title, fontsize=10)
-        drawn = overlay(self._image, self.lattice) if self.lattice else self._image
+        drawn = draw_lattice(self._image, self.lattice) if self.lattice else self._image
         self._picture.set_data(np.repeat(drawn, 3, axis=2) if drawn.shape[2] == 1 else drawn)
         order = [1, 0, 2] if len(self._points) == 3 else range(len(self._points))
         self._marks.set_data(*np.reshape([self._points[i] for i in order], (-1, 2)).T)

@@ -1,1 +1,1 @@
-"""TODO nrbench.detectors."""
+"""Lattice detectors, one in each file."""

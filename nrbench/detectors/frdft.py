@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.detectors.chance.surrogates import chance, upper_limit
+from nrbench.detectors.autocorrelation.surrogates import measure_surrogates
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points, Vector
@@ -17,7 +17,6 @@ from nrbench.spectra.harmonic_groups import FINALISTS, Basis, collect_peaks, fin
 from nrbench.spectra.spectrum import Spectrum
 from nrbench.spectra.wave_fit import FrequencyFit, fit_frequencies
 from nrbench.spectra.wave_search import QUICK, THOROUGH, Effort, WaveDetection, find_waves
-from nrbench.streams import pixels_hash, stream
 
 WINDOW = 1024
 """px a side: of larger images the middle is analyzed, which bounds time and memory."""
@@ -154,8 +153,8 @@ class Frdft:
         """Return a detection with the evidence of the copies; raise if it is a grating or no better than chance."""
         longest = float(abs(detection.lattice.matrix).max())
         part, _ = _middle(image, max(TESTED, min(round(PERIODS * longest), WINDOW)))
-        copies = chance(part, self._quick_surplus, stream("detection", pixels_hash(part)), self.surrogates)
-        evidence, limit = self._quick_surplus(part), upper_limit(copies, self.false_alarms)
+        copies, limit = measure_surrogates(part, part, self._quick_surplus, self.surrogates, self.false_alarms)
+        evidence = self._quick_surplus(part)
         more = {"tested_surplus": evidence, "surrogate_surplus": copies, "limit": limit}
         detection = Detection(detection.lattice, detection.confidence, {**detection.diagnostics, **more})
         if evidence <= limit:

@@ -1,4 +1,4 @@
-"""RSGF's lattice detector: generalized normalized autocorrelation, and the pair of its peaks that explains most."""
+"""The lattice detector of RSGF: the pair of autocorrelation peaks at whose multiples the image repeats best."""
 
 from __future__ import annotations
 
@@ -8,25 +8,39 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.goodness_kernels import best_pair
-from nrbench.detectors.autocorrelation.peaks import UNIT, dilated, find_peaks, quantized, subpixel
-from nrbench.detectors.autocorrelation.refinement import fit_multiples, fit_pair
-from nrbench.detectors.autocorrelation.relief import find_ridge, without_stripes
-from nrbench.detectors.chance.excerpt import excerpt
-from nrbench.detectors.chance.surrogates import chance, upper_limit
+from nrbench.detectors.autocorrelation.pair_kernels import best_pair
+from nrbench.detectors.autocorrelation.peak_kernels import highest_ridge
+from nrbench.detectors.autocorrelation.peaks import (
+    UNIT,
+    dilate,
+    find_peaks,
+    fit_multiples,
+    fit_pair,
+    quantize_correlation,
+    subpixel,
+)
+from nrbench.detectors.autocorrelation.surrogates import crop_for_test, measure_surrogates
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
-from nrbench.lattice.geometry import Lattice, Points
+from nrbench.imaging.fold import fold
+from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
-from nrbench.streams import pixels_hash, stream
 
 JOINED = 0.5
-"""Below this relief a ridge joins the peaks enough for a grating alone to explain much of their height."""
+"""Below this relief a ridge joins the peaks, and a grating alone may explain much of their height."""
+LINES = 4
+"""Lines per pixel when stripes are removed. With fewer, the edges of stripes leave steps, which form a lattice."""
+FURTHEST = 512
+"""px; largest lag of the folded autocorrelation, or ..."""
+PERIODS = 6
+"""... so many of the longer generating vector, if that is more."""
+
+_check = checker("gncc")
 
 
 class Pair(NamedTuple):
-    """The best pair of candidates: its goodness, its vectors as rows (x, y) px, how many multiples count; and all."""
+    """The best pair of candidates: goodness, vectors as rows (x, y) px, number of multiples; and all candidates."""
 
     goodness: float
     vectors: Points
@@ -38,15 +52,15 @@ class Pair(NamedTuple):
 class Gncc:
     """Generalized normalized autocorrelation: the pair of peaks at whose multiples the image repeats best.
 
-    Every pair of candidate vectors is rated by its goodness: the correlations at the pair's multiples a v1 + b v2 on
-    the right half-plane are summed, the sum (0 where negative) is raised to ``alpha`` and divided by the number of
-    multiples. With equal mean more multiples win, that is the smaller tile. A multiple counts where the image and its
-    shifted copy overlap in a rectangle that, laid on the tile's bounding box, covers ``overlap`` of it: by area, so
-    that a sliver never counts, however long. A vector without any multiple that counts rules its pair out.
+    Every pair of candidate vectors is rated by its goodness. The correlations at the pair's multiples a v1 + b v2 on
+    the right half-plane are summed, the sum (0 if negative) is raised to ``alpha`` and divided by the number of
+    multiples. For equal means the pair with more multiples wins, that is, the smaller tile. A multiple is valid if the
+    overlap of the image and its shifted copy, laid on the tile's bounding box, covers ``overlap`` of its area; a narrow
+    strip is never valid, however long it is. A pair is discarded if one of its vectors has no valid multiple.
 
-    The paper's own choice, ``gncc:subpixel=false,tolerance=0,prominence=0,reject=none``, takes vectors at whole pixels.
-    Unless the periods are whole numbers, their multiples then miss the peaks, and supercells that happen to lie near
-    whole pixels win. The defaults mend that.
+    The choice of the paper is ``gncc:subpixel=false,tolerance=0,prominence=0,reject=none``. It takes vectors at whole
+    pixels. Unless the periods are whole numbers, their multiples miss the peaks, and supercells that happen to lie near
+    whole pixels win. The defaults avoid this.
 
     The confidence is the mean correlation at the multiples: the share of the image's variance that repeats.
 
@@ -55,25 +69,26 @@ class Gncc:
     alpha
         Exponent of the sum, at least 1.
     overlap
-        Least share in (0, 1] of the tile's bounding box that a multiple's overlap must cover.
+        Share in (0, 1] of the tile's bounding box that the overlap at a multiple must cover.
     subpixel
-        Fit candidates, and at last the pair, to the peaks at their multiples, to fractions of a pixel.
+        Fit the candidates, and finally the pair, to the peaks at their multiples, with sub-pixel precision.
     tolerance
-        Around each multiple the highest correlation within this many px (a square) counts: textures whose geometry
-        varies have broken peaks.
+        The highest correlation within this distance, px (a square), of each multiple counts: textures of varying
+        geometry have broken peaks.
     prominence
-        A candidate peak stands above the highest pass to a higher one by this share of the highest candidate: bumps of
-        noise along a ridge do not.
+        A candidate peak stands above the highest pass to a higher peak by at least this share of the highest peak's
+        correlation. Bumps of noise along a ridge do not.
     peaks
-        Only so many candidates, the shortest, are paired.
+        Number of candidates, the shortest, that are paired.
     reject
-        ``"none"``: answer wherever two candidates exist. ``"surrogate"``: no lattice where the goodness does not exceed
-        what the best pairs of phase-randomized copies of the image reach. Where a ridge joins the lattice's peaks, the
-        test is made on the image less its mean along the ridge, so that a grating is none.
+        ``"none"``: return a lattice if there are two candidates. ``"surrogate"``: report no lattice if the goodness
+        does not exceed what the best pairs of phase-randomized copies of the image reach. If a ridge joins the peaks of
+        the lattice, the mean along the ridge is removed from the image before the test, so that a grating is no
+        lattice.
     surrogates
         Number of phase-randomized copies.
     false_alarms
-        Probability at which a phase-randomized copy would be taken for a lattice.
+        Probability that a phase-randomized copy is accepted as a lattice.
     """
 
     alpha: float = 1.12
@@ -107,17 +122,17 @@ class Gncc:
         _check(0 < self.false_alarms < 1, f"false_alarms is {self.false_alarms}; give a probability, e.g. 0.01")
 
     def detect(self, image: Image) -> Detection:
-        """Return the lattice of ``image``; its origin is (0, 0), the method finds no phase.
+        """Return the lattice of ``image``; its origin is (0, 0), for the method finds no phase.
 
         Diagnostics: ``correlation`` (right half, with the candidates and the pair), ``goodness``, ``multiples`` (their
-        number); where tested, ``relief``, ``tested_goodness`` (that of the pair, less stripes), ``surrogate_goodness``
-        and ``limit``.
+        number); with ``"surrogate"`` also ``relief``, ``tested_goodness`` (of the pair, without stripes),
+        ``surrogate_goodness`` and ``limit``.
 
         Raises
         ------
         NoLatticeFound
-            Where the image is constant, too few peaks stand out, or, unless ``reject`` is ``"none"``, the best pair is
-            no better than chance or a grating.
+            If the image is constant, if too few peaks are prominent, or, unless ``reject`` is ``"none"``, if the best
+            pair is no better than chance or is a grating.
         """
         if np.ptp(image, (0, 1)).max() == 0:
             raise NoLatticeFound("the image is constant: it has no texture")
@@ -125,11 +140,11 @@ class Gncc:
         best = self._search(gamma)
         if best is None:
             raise NoLatticeFound("no two peaks of the autocorrelation could generate a lattice that the image holds")
-        found = self._detection(gamma, best)
-        return found if self.reject == "none" else self._tested(image, found, best)
+        detection = self._detection(gamma, best)
+        return detection if self.reject == "none" else self._compare_with_surrogates(image, detection, best)
 
     def _reach(self, gamma: Correlation) -> tuple[int, int]:
-        """Return the largest lags at which a vector can itself count as a multiple, whatever its tile."""
+        """Return the largest lags at which a vector can itself be a valid multiple, whatever its tile."""
         width, height = gamma.shape[1], gamma.shape[0] // 2 + 1
         return min(int(width / (1 + self.overlap)), width - 4), min(int(height / (1 + self.overlap)), height - 4)
 
@@ -146,13 +161,18 @@ class Gncc:
         return np.asarray(vectors[np.argsort((vectors**2).sum(1), kind="stable")])
 
     def _search(self, gamma: Correlation) -> Pair | None:
-        """Return the pair of candidates of the highest goodness; None where no pair has any."""
-        surface, candidates = quantized(dilated(gamma, self.tolerance)), self._candidates(gamma)
-        best = best_pair(surface, candidates, UNIT, self.alpha, self.overlap)
+        """Return the pair of candidates of the highest goodness; None if no pair has a positive goodness."""
+        candidates = self._candidates(gamma)
+        best = self._rate(gamma, candidates)
         return Pair(float(best[0]), best[1:5].reshape(2, 2), int(best[5]), candidates) if best[0] > 0 else None
 
+    def _rate(self, gamma: Correlation, candidates: Points) -> NDArray[np.float64]:
+        """Return goodness, vectors and number of multiples of the best pair, ``(6,)``."""
+        surface = quantize_correlation(dilate(gamma, self.tolerance))
+        return best_pair(surface, candidates, UNIT, self.alpha, self.overlap)
+
     def _detection(self, gamma: Correlation, best: Pair) -> Detection:
-        """Return the lattice of the best pair, fitted, with what led to it."""
+        """Return the lattice of the best pair, fitted, with its diagnostics."""
         first, second = fit_pair(gamma, best.vectors, self._reach(gamma)) if self.subpixel else best.vectors
         lattice = Lattice.from_basis((first, second)).reduced()
         mean = (best.goodness * best.multiples) ** (1 / self.alpha) / best.multiples
@@ -160,33 +180,97 @@ class Gncc:
         diagnostics = {"correlation": surface, "goodness": best.goodness, "multiples": best.multiples}
         return Detection(lattice, min(mean, 1.0), diagnostics)
 
-    def _tested(self, image: Image, found: Detection, best: Pair) -> Detection:
-        """Return what was found, with what it was compared with, unless it is a grating or chance."""
-        gamma, rng = found.diagnostics["correlation"].values, stream("detection", pixels_hash(image))
-        ridge, part = find_ridge(gamma, found.lattice, self._reach(gamma)), excerpt(image, found.lattice)
+    def _compare_with_surrogates(self, image: Image, detection: Detection, best: Pair) -> Detection:
+        """Return the detection with the goodness of phase-randomized copies; raise if it is no better."""
+        gamma = detection.diagnostics["correlation"].values
+        ridge, part = find_ridge(gamma, detection.lattice, self._reach(gamma)), crop_for_test(image, detection.lattice)
         joined, kind = ridge.relief < JOINED, "lattice"
         if joined:
-            part, kind = without_stripes(part, ridge.direction), "lattice but for stripes along one direction"
-        whole = not joined and part.shape == image.shape
-        reached = best.goodness if whole else self._goodness(half_autocorrelation(part), best.vectors)
-        copies = chance(part, self._best_goodness, rng, self.surrogates)
-        limit = upper_limit(copies, self.false_alarms)
-        more = {"relief": ridge.relief, "tested_goodness": reached, "surrogate_goodness": copies, "limit": limit}
-        found = replace(found, diagnostics={**found.diagnostics, **more})
-        if reached <= limit:
+            part, kind = remove_stripes(part, ridge.direction), "lattice but for stripes along one direction"
+        unchanged = not joined and part.shape == image.shape
+        goodness = best.goodness if unchanged else float(self._rate(half_autocorrelation(part), best.vectors)[0])
+        copies, limit = measure_surrogates(image, part, self._best_goodness, self.surrogates, self.false_alarms)
+        diagnostics = {
+            "relief": ridge.relief,
+            "tested_goodness": goodness,
+            "surrogate_goodness": copies,
+            "limit": limit,
+        }
+        detection = replace(detection, diagnostics={**detection.diagnostics, **diagnostics})
+        if goodness <= limit:
             raise NoLatticeFound(
-                f"the best {kind} (goodness {reached:.2f}) is no better than chance ({limit:.2f})", found
+                f"the best {kind} (goodness {goodness:.2f}) is no better than chance ({limit:.2f})", detection
             )
-        return found
-
-    def _goodness(self, gamma: Correlation, vectors: Points) -> float:
-        """Return the goodness of one pair."""
-        return float(best_pair(quantized(dilated(gamma, self.tolerance)), vectors, UNIT, self.alpha, self.overlap)[0])
+        return detection
 
     def _best_goodness(self, image: NDArray[np.float32]) -> float:
-        """Return the goodness of an image's best pair; 0 where it has none."""
+        """Return the goodness of an image's best pair; 0 if it has none."""
         best = self._search(half_autocorrelation(image))
         return best.goodness if best else 0.0
 
 
-_check = checker("gncc")
+@dataclass(frozen=True)
+class Ridge:
+    """The ridge of an autocorrelation that joins the peaks of a lattice.
+
+    Parameters
+    ----------
+    relief
+        The share of the peaks' height by which they stand above the ridge: near 0 for a grating, whose peaks are one
+        ridge; about 1 if nothing joins them; more if the ridge runs through negative correlations.
+    direction
+        The lattice vector (x, y) px along which it runs.
+    """
+
+    relief: float
+    direction: Vector
+
+
+def find_ridge(gamma: Correlation, lattice: Lattice, reach: tuple[int, int]) -> Ridge:
+    """Return the highest ridge of the autocorrelation folded by a lattice, without the surroundings of lag 0.
+
+    Parameters
+    ----------
+    gamma
+        The right half of an autocorrelation, ``(2H-1, W)``.
+    lattice
+        Its generating vectors; the origin does not matter.
+    reach
+        Largest lag along x and y, px; bounded by :data:`FURTHEST` or :data:`PERIODS`.
+    """
+    longest = float(np.abs(lattice.reduced().matrix).max())
+    x_end, y_end = (min(end, max(FURTHEST, round(PERIODS * longest))) for end in reach)
+    middle = gamma.shape[0] // 2
+    right = gamma[middle - y_end : middle + y_end + 1, : x_end + 1]
+    around = np.concatenate([right[::-1, :0:-1], right], 1)
+    centered = Lattice(lattice.t1, lattice.t2, (x_end, y_end)).reduced()
+    y, x = np.indices(around.shape)
+    lags = np.stack([x - x_end, y - y_end], -1).astype(np.float64)
+    others = np.asarray((np.abs(centered.wrap(lags) - lags) >= 0.5).any(-1))
+    tile = fold(around[..., np.newaxis], centered, others).values[..., 0]
+    level, *steps = highest_ridge(tile, np.argsort(-tile.ravel(), kind="stable"))
+    direction = steps @ centered.matrix
+    top = float(tile[0, 0])
+    return Ridge(1 - float(level) / top if top > 0 else 0.0, (float(direction[0]), float(direction[1])))
+
+
+def remove_stripes(image: Image, direction: Vector) -> NDArray[np.float32]:
+    """Subtract from an image its mean along each line of a direction, ``(H, W, C)``, any range.
+
+    Parameters
+    ----------
+    image
+        :data:`~nrbench.imaging.convert.Image`.
+    direction
+        (x, y), any length above 0. Each pixel is shared between the two lines that it lies between.
+    """
+    y, x = np.indices(image.shape[:2])
+    across = (y * direction[0] - x * direction[1]).ravel() / np.hypot(*direction) * LINES
+    across -= across.min()
+    line, share = np.floor(across).astype(np.intp), across % 1.0
+    lines, shares = np.concatenate([line, line + 1]), np.concatenate([1 - share, share])
+    counts = np.maximum(np.bincount(lines, shares), 1e-9)
+    pixels = image.reshape(-1, image.shape[2])
+    means = np.stack([np.bincount(lines, shares * np.tile(channel, 2)) / counts for channel in pixels.T], -1)
+    stripes = (1 - share[:, np.newaxis]) * means[line] + share[:, np.newaxis] * means[line + 1]
+    return np.asarray(image - stripes.reshape(image.shape), np.float32)

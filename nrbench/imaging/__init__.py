@@ -1,1 +1,1 @@
-"""Numeric kernels on images, shared by lattice detectors, methods and metrics."""
+"""Image operations that several areas share: conversion, files, drawing, correlation, and folding into tiles."""

@@ -1,4 +1,4 @@
-"""The door: what users hold becomes the one image form that everything inside works on."""
+"""Convert images of users to float32 ``(H, W, C)``, round them to 8 bits, and crop them."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ Image = NDArray[np.float32]
 """``float32 (H, W, C)`` in [0, 1], C is 1 or 3, sRGB values as stored."""
 
 MIN_SIDE = 8
+"""px; the smallest side of an input."""
 _INTEGER_PEAK = {np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}
 
 
 def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Image:
-    """Convert what scikit-image users hold to an :data:`Image`.
+    """Convert an image as scikit-image holds it to an :data:`Image`.
 
     Parameters
     ----------
     array
         uint8, uint16 or float in [0, 1]; ``(H, W)``, ``(H, W, 1)`` or ``(H, W, 3)``.
     where
-        How an error names the input.
+        The name of the input in error messages.
     smallest
         Least number of px a side.
 
@@ -37,11 +38,18 @@ def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Imag
     ------
     BadInput
         For any other dtype or shape, alpha, NaN or infinity, values outside [0, 1], or too small a side.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench.imaging.convert import as_image
+    >>> as_image(np.full((16, 24), 255, np.uint8)).shape
+    (16, 24, 1)
     """
     pixels = np.asarray(array)
     pixels = pixels[..., np.newaxis] if pixels.ndim == 2 else pixels
     _check_shape(pixels, where, smallest)
-    return _to_unit(pixels, where)
+    return _scale_to_unit(pixels, where)
 
 
 def _check_shape(pixels: NDArray[Any], where: str, smallest: int) -> None:
@@ -53,7 +61,7 @@ def _check_shape(pixels: NDArray[Any], where: str, smallest: int) -> None:
         raise BadInput(f"{where}: {pixels.shape[1]}x{pixels.shape[0]} px; at least {smallest} px a side are needed")
 
 
-def _to_unit(pixels: NDArray[Any], where: str) -> Image:
+def _scale_to_unit(pixels: NDArray[Any], where: str) -> Image:
     peak = _INTEGER_PEAK.get(pixels.dtype)
     if peak is not None:
         return np.asarray(pixels / np.float32(peak), np.float32)
@@ -68,18 +76,27 @@ def _to_unit(pixels: NDArray[Any], where: str) -> Image:
 
 
 def to_bytes(image: Image) -> NDArray[np.uint8]:
-    """Return the pixels as a PNG holds them: uint8, rounded, clipped to [0, 1] first."""
+    """Clip an image to [0, 1] and round it to uint8, as a PNG file stores it."""
     return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
 def quantize(image: Image) -> Image:
-    """Round to 8 bits: the float32 image that the PNG of ``image`` reads back as (any size)."""
+    """Round an image of any size to 8 bits: return the float32 image that its PNG file holds."""
     return np.asarray(to_bytes(image) / np.float32(255), np.float32)
 
 
-def like_input(image: Image, array: Any) -> NDArray[np.float32]:
-    """Give ``image`` the channel layout of what the user passed: ``(H, W)`` in, ``(H, W)`` out."""
+def match_ndim(image: Image, array: Any) -> NDArray[np.float32]:
+    """Return ``image`` as ``(H, W)`` if ``array``, the image that the user passed, is ``(H, W)``."""
     return image[..., 0] if np.ndim(array) == 2 else image
+
+
+def match_channels(image: Image, sample: Image) -> Image:
+    """Return ``image`` with one channel if ``sample`` has one and the channels of ``image`` are equal.
+
+    Many programs write a gray picture in color.
+    """
+    same = sample.shape[2] == 1 and np.array_equal(image, np.broadcast_to(image[..., :1], image.shape))
+    return image[..., :1] if same else image
 
 
 def gray(image: Image) -> NDArray[np.float32]:
@@ -89,7 +106,7 @@ def gray(image: Image) -> NDArray[np.float32]:
     return np.asarray(image @ np.array([0.299, 0.587, 0.114], np.float32), np.float32)
 
 
-def like_sample(image: Image, sample: Image) -> Image:
-    """Return one channel where a program wrote a gray picture in color though the sample is gray."""
-    same = sample.shape[2] == 1 and np.array_equal(image, np.broadcast_to(image[..., :1], image.shape))
-    return image[..., :1] if same else image
+def crop_middle(image: Image, side: int) -> Image:
+    """Return the middle of an image, at most ``side`` px a side."""
+    top, left = (max(n - side, 0) // 2 for n in image.shape[:2])
+    return image[top : top + side, left : left + side]

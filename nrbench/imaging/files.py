@@ -1,4 +1,4 @@
-"""Pictures in files: whatever form they have, one image form comes in; PNG goes out."""
+"""Read image files of any common format, and write PNG files."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ _VIA = {"1": "L", "P": "RGB", "CMYK": "RGB", "YCbCr": "RGB", "LAB": "RGB", "HSV"
 
 
 def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
-    """Read a picture: PNG, JPEG, TIFF or whatever else Pillow reads; of several frames the first.
+    """Read an image file: PNG, JPEG, TIFF or any other format of Pillow; of several frames the first.
 
     Parameters
     ----------
     path
-        8 bits gray, color or palette; 16 bits gray; an EXIF rotation is applied, a broken EXIF block is passed over.
+        8-bit gray, color or palette, or 16-bit gray. An EXIF rotation is applied; a broken EXIF block is ignored.
     smallest
-        Least number of px a side: an input needs some structure, an output may be a line.
+        Least number of px a side; an input must have some structure, an output may be one pixel wide.
 
     Returns
     -------
     Image
-        One channel for gray pictures, three for color and palette.
+        One channel for gray files, three for color and palette.
 
     Raises
     ------
     BadInput
-        When there is no such file, it is no picture, has transparency, or a side under 8 px.
+        If there is no such file, or it is no image, has transparency, or is smaller than ``smallest``.
     """
     where = f"picture {path}"
     _check_file(Path(path), where)
     try:
-        # Opened here, because Pillow maps some TIFF files that it opens itself, and garbles those that lie sideways.
+        # The file is opened here because Pillow maps some TIFF files that it opens itself and garbles the rotated ones.
         with warnings.catch_warnings(action="ignore"), Path(path).open("rb") as file, PIL.Image.open(file) as opened:
             return as_image(_pixels(PIL.ImageOps.exif_transpose(opened), where), where, smallest)
     except PIL.UnidentifiedImageError:
@@ -76,21 +76,21 @@ def _pixels(picture: PIL.Image.Image, where: str) -> NDArray[Any]:
 
 
 def _sixteen_bits(pixels: NDArray[Any], where: str) -> NDArray[np.uint16]:
-    """Return gray values of more than 8 bits, which some formats hold in 32."""
+    """Return gray values of more than 8 bits, which some formats store in 32 bits."""
     if pixels.min() < 0 or pixels.max() > 65535:
         raise BadInput(f"{where}: has gray values outside 0 to 65535; save it with 8 or 16 bits a channel")
     return pixels.astype(np.uint16)
 
 
 def write_image(path: str | Path, image: Image) -> Path:
-    """Write a PNG of 8 bits a channel, marked as sRGB; a reader never sees half a file.
+    """Write a PNG file of 8 bits a channel, marked as sRGB, in one step: no reader sees an incomplete file.
 
     Parameters
     ----------
     path
-        Where to; its name must end in ``.png``. An existing file is replaced.
+        The path; its name must end in ``.png``. An existing file is replaced.
     image
-        float32 ``(H, W, C)`` in [0, 1]; rounded to 8 bits, values outside clipped.
+        float32 ``(H, W, C)`` in [0, 1]; rounded to 8 bits; values outside are clipped.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def write_image(path: str | Path, image: Image) -> Path:
     Raises
     ------
     BadInput
-        For another ending, or a folder that is missing or cannot be written.
+        If the name ends otherwise, or the folder is missing or cannot be written.
     """
     target = Path(path)
     if target.suffix.lower() != ".png":

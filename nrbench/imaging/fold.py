@@ -1,4 +1,4 @@
-"""Folding an image by a lattice into its mean tile, and unfolding a tile into a periodic image."""
+"""Fold an image by a lattice into its mean tile, unfold a tile into a periodic image, and cut out single tiles."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.fold_kernels import read, share_out
-from nrbench.imaging.spline_kernels import spline_coefficients, spline_windows
+from nrbench.imaging.fold_kernels import accumulate_pixels, interpolate_tile, spline_coefficients, spline_windows
 from nrbench.lattice.geometry import Lattice, Points
 
 Values = NDArray[np.float32]
-"""``float32 (H, W, C)``: like an image, but of any range (a square, a difference)."""
+"""``float32 (H, W, C)``: like an image, but with any range (a square, a difference)."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +22,11 @@ class Tile:
     Parameters
     ----------
     values
-        ``float32 (V, U, C)``: value at (u, v) = (column / U, row / V) of the cell; it wraps round.
+        ``float32 (V, U, C)``: value at (u, v) = (column / U, row / V) of the cell; borders are periodic.
     counts
-        ``float64 (V, U)``: how many pixels (bilinear shares) each value is the mean of; 0 where it was filled in.
+        ``float64 (V, U)``: sum of bilinear weights of the pixels behind each value; 0 if the value was filled in.
     lattice
-        Whose cell it is.
+        The lattice of the cell.
     """
 
     values: Values
@@ -37,70 +36,72 @@ class Tile:
     def unfold(self, shape: tuple[int, int], offset: tuple[float, float] = (0.0, 0.0)) -> Values:
         """Return the periodic image of ``shape`` (height, width), its content moved by ``offset`` (x, y) px.
 
-        Values between the samples are bilinear.
+        Values between the samples are interpolated bilinearly.
         """
         return sample_tile(self.values, cell_coordinates(self.lattice.shifted(offset), shape))
 
 
 def cell_coordinates(lattice: Lattice, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the cell coordinates (u, v) of every pixel centre, as ``(H, W, 2)``."""
+    """Return the cell coordinates (u, v) of every pixel center, as ``(H, W, 2)``."""
     height, width = shape
     across = lattice.to_cell(np.stack([np.arange(width), np.zeros(width)], -1))
     down = np.arange(height)[:, np.newaxis] * (lattice.to_cell((0.0, 1.0)) - lattice.to_cell((0.0, 0.0)))
-    found = np.empty((height, width, 2))
+    uv = np.empty((height, width, 2))
     for axis in (0, 1):
-        np.add(across[:, axis], down[:, axis, np.newaxis], out=found[..., axis])
-    return found
+        np.add(across[:, axis], down[:, axis, np.newaxis], out=uv[..., axis])
+    return uv
 
 
 def tile_grid(lattice: Lattice) -> tuple[int, int]:
-    """Return the samples along v and u that a tile needs at about one a pixel."""
+    """Return the numbers of samples along v and u for about one sample per pixel."""
     return max(math.ceil(math.hypot(*lattice.t2)), 1), max(math.ceil(math.hypot(*lattice.t1)), 1)
 
 
 def fold(
     image: Values, lattice: Lattice, mask: NDArray[np.bool_] | None = None, grid: tuple[int, int] | None = None
 ) -> Tile:
-    """Return the mean tile: the mean over all cells of the image, each pixel shared among its four neighbors.
+    """Return the mean tile: the mean over all cells of the image; each pixel contributes to the four nearest samples.
 
     Parameters
     ----------
     image
         ``(H, W, C)``, any range.
     lattice
-        The cells; a reduced basis samples the cell most evenly.
+        Its basis spans the cells; a reduced basis samples the cell most evenly.
     mask
-        ``bool (H, W)``: the pixels to use; None: all.
+        ``bool (H, W)``: the pixels to use; all by default.
     grid
-        Samples along v and u; None: about one a pixel.
+        Samples along v and u; about one per pixel by default.
 
     Returns
     -------
     Tile
-        Samples that no pixel reached hold the mean of those that some did.
+        Samples without any pixel get the mean of the others.
     """
     uv = cell_coordinates(lattice, image.shape[:2]).reshape(-1, 2)
     pixels = np.asarray(image, np.float32).reshape(-1, image.shape[2])
     if mask is not None:
         uv, pixels = uv[mask.ravel()], pixels[mask.ravel()]
     rows, columns = grid or tile_grid(lattice)
-    shared = share_out(np.require(pixels, requirements=("C", "W")), uv, rows, columns)
-    counts = shared[:, 0]
-    values = shared[:, 1:] / np.maximum(counts, 1e-12)[:, np.newaxis]
+    sums = accumulate_pixels(np.require(pixels, requirements=("C", "W")), uv, rows, columns)
+    counts = sums[:, 0]
+    values = sums[:, 1:] / np.maximum(counts, 1e-12)[:, np.newaxis]
     values[counts <= 1e-9] = values[counts > 1e-9].mean(0)
     return Tile(values.reshape(rows, columns, -1).astype(np.float32), counts.reshape(rows, columns), lattice)
 
 
 def sample_tile(values: Values, uv: NDArray[np.float64]) -> Values:
-    """Return the tile's values at cell coordinates ``uv`` of shape ``(..., 2)``, bilinear, as ``(..., C)``."""
-    found = read(np.require(values, np.float32, ("C", "W")), np.require(uv.reshape(-1, 2), requirements=("C", "W")))
-    return found.reshape(*uv.shape[:-1], values.shape[-1])
+    """Return the bilinear values of a tile at cell coordinates ``uv`` of shape ``(..., 2)``, as ``(..., C)``."""
+    sampled = interpolate_tile(
+        np.require(values, np.float32, ("C", "W")), np.require(uv.reshape(-1, 2), requirements=("C", "W"))
+    )
+    return sampled.reshape(*uv.shape[:-1], values.shape[-1])
 
 
 def cut_tiles(
     image: Values, lattice: Lattice, middles: Points, grid: tuple[int, int] | None = None
 ) -> tuple[Values, NDArray[np.bool_]]:
-    """Return the image's cells around ``middles`` (x, y), each resampled on the grid of a tile by cubic splines.
+    """Return the image's cells around ``middles`` (x, y), resampled on a tile's grid by cubic splines.
 
     Parameters
     ----------
@@ -111,14 +112,14 @@ def cut_tiles(
     middles
         ``(n, 2)`` px, real-valued.
     grid
-        Samples (V, U); None: what the lattice needs. Tiles that are to be compared share one.
+        Samples (V, U); by default :func:`tile_grid` of the lattice. Tiles that are compared need the same grid.
 
     Returns
     -------
     tiles
-        ``(m, V, U, C)``, for those m cells that lie within the image.
+        ``(m, V, U, C)``, for the m cells that lie within the image.
     inside
-        ``bool (n,)``: which they are.
+        ``bool (n,)``: True for these cells.
     """
     rows, columns = grid or tile_grid(lattice)
     v, u = np.meshgrid((np.arange(rows) + 0.5) / rows - 0.5, (np.arange(columns) + 0.5) / columns - 0.5, indexing="ij")

@@ -1,4 +1,4 @@
-"""The sub-pixel place of a peak: the vertex of the parabola through three samples."""
+"""Find the sub-pixel position of a peak: the vertex of the parabola through three samples."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ def find_vertex(
     before, middle, after
         The samples at -1, 0 and 1; arrays of one shape, or numbers.
     climb
-        Where the middle sample is no maximum: False returns 0, True returns half a step towards the higher neighbor.
+        If the middle sample is no maximum, return half a step towards the higher neighbor instead of 0.
 
     Returns
     -------
     offset
-        The place of the vertex, in [-0.5, 0.5] steps from the middle sample.
+        The position of the vertex, in [-0.5, 0.5] steps from the middle sample.
     rise
-        How far the parabola at that place lies above the middle sample.
+        The height of the parabola at this position above the middle sample.
 
     Examples
     --------

@@ -1,1 +1,1 @@
-"""Geometry of two-dimensional lattices, and the detectors that recover one from an image."""
+"""Geometry of two-dimensional lattices, and the comparison of an estimated lattice with the true one."""

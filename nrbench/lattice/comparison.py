@@ -1,4 +1,4 @@
-"""How far an estimated lattice is from the true one."""
+"""Compare an estimated lattice with the true one."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from nrbench.lattice.geometry import Lattice, Points
 Relation = Literal["exact", "supercell", "subcell", "wrong"]
 
 CHANCE_RADIUS = 0.1
-"""A vector counts as a lattice point only within this many s of one, so that a fine lattice (of which any vector is
-nearly a multiple) is no match by chance: for two random vectors the odds are below 0.2 %."""
+"""A vector matches a lattice point only within this distance, in s. Otherwise a fine lattice, of which any vector is
+nearly a multiple, would match by chance. For two random vectors the probability is below 0.2 %."""
 
 
 @dataclass(frozen=True)
 class LatticeError:
-    """The comparison of an estimate with the truth; origins are left out.
+    """The comparison of an estimated lattice with the true one; origins are ignored.
 
     Parameters
     ----------
     relation
-        ``exact``: the same lattice; ``supercell``: the estimate's cell is k true cells; ``subcell``: the true cell is k
-        of the estimate's; ``wrong``: none of these.
+        ``exact``: the same lattice; ``supercell``: a cell of the estimate holds k true cells; ``subcell``: a true cell
+        holds k cells of the estimate; ``wrong``: none of these.
     k
-        Cells in a cell: 1 where exact, 0 where wrong.
+        Number of cells in a cell: 1 if exact, 0 if wrong.
     vector
-        The largest error, px, of the reduced vectors of the truth as the estimate would have them: its basis after
-        the integer change of basis that matches best (in a supercell, fractions of its vectors). There are two of them,
-        or three where the second has an equal (rhombic, hexagonal).
+        The largest error, px, of the estimate's vectors that match the reduced vectors of the truth: its basis after
+        the integer change of basis that matches best (for a supercell, fractions of its vectors). There are two
+        vectors, or three if a third one is as short as the second (rhombic, hexagonal).
     angle
-        The largest angle, degrees in [0, 180], between those vectors and the true ones.
+        The largest angle, degrees in [0, 180], between these vectors and the true ones.
     area_ratio
         Area of the estimate's cell over that of the true cell.
     drift
-        px that the two lattices, matched at one corner of the picture, are apart at the opposite corner (the worse
-        of the two diagonals).
+        Distance, px, of the two lattices at one corner of the image if they are matched at the opposite corner (the
+        larger of the two diagonals).
     """
 
     relation: Relation
@@ -55,7 +55,7 @@ class LatticeError:
 
     @property
     def index(self) -> float | None:
-        """Cells of the truth in a cell of the estimate: 1, k, or 1/k; None where wrong."""
+        """Number of true cells in a cell of the estimate: 1, k, or 1/k; None if wrong."""
         return {"exact": 1.0, "supercell": float(self.k), "subcell": 1 / max(self.k, 1)}.get(self.relation)
 
 
@@ -64,35 +64,41 @@ def lattice_error(
 ) -> LatticeError:
     """Compare an estimated lattice with the true one.
 
-    The relation is mutual: where the estimate is a supercell of the truth, the truth is a subcell of the estimate.
+    If the estimate is a supercell of the truth, then the truth is a subcell of the estimate.
 
     Parameters
     ----------
     estimate, truth
         The two lattices; neither basis nor origin matters.
     shape
-        (height, width) in px of the picture over which ``drift`` accumulates.
+        (height, width) in px of the image over which ``drift`` accumulates.
     tolerance
-        The largest error, px, of the finer one's reduced vectors that still counts as the same lattice (or as a
-        supercell, a subcell). On small lattices it is also bounded: no reduced vector of the coarser one may be further
-        than :data:`CHANCE_RADIUS` times the smaller s from a point of the finer one.
+        Largest error, px, of the reduced vectors of the finer lattice for any relation but ``wrong``. On small lattices
+        a second bound holds: each reduced vector of the coarser lattice lies within :data:`CHANCE_RADIUS` times the
+        smaller s of a point of the finer one.
     share
-        Counts too: an error up to this share of the smaller s, where that is more than ``tolerance``. A lattice
-        measured by hand on a photograph is known to about 1.5 px or 4 % of s, whichever is larger.
+        The tolerance is at least this share of the smaller s. A lattice measured by hand on a photograph is known to
+        about 1.5 px or 4 % of s, whichever is larger.
 
     Returns
     -------
     LatticeError
-        Where the relation is ``wrong``, the numbers compare the two reduced bases, matched vector by vector.
+        If the relation is ``wrong``, the numbers compare the two reduced bases vector by vector.
+
+    Examples
+    --------
+    >>> from nrbench.lattice.comparison import lattice_error
+    >>> from nrbench.lattice.geometry import Lattice
+    >>> lattice_error(Lattice((40.0, 0.0), (0.0, 12.0)), Lattice((20.0, 0.0), (0.0, 12.0)), (128, 128)).label
+    'supercell 2'
     """
-    found, true = estimate.canonical().matrix, truth.canonical().matrix
-    allowed = max(tolerance, share * min(np.hypot(*found[0]), np.hypot(*true[0])))
-    nested = _nested(found, true, allowed)
-    k, matched = nested or (0, _nearest_basis(found, true))
-    wanted, had = _equals(true) @ true, _equals(true) @ matched
+    basis, true = estimate.canonical().matrix, truth.canonical().matrix
+    allowed = max(tolerance, share * min(np.hypot(*basis[0]), np.hypot(*true[0])))
+    k, matched = _match_nested(basis, true, allowed) or (0, _nearest_basis(basis, true))
+    vectors, true_vectors = _shortest_combinations(true) @ matched, _shortest_combinations(true) @ true
     ratio = estimate.area / truth.area
-    drift = _drift(matched, true, shape)
-    return LatticeError(_relation(k, ratio), k, _longest(had - wanted), _angle(had, wanted), ratio, drift)
+    error, angle = _longest(vectors - true_vectors), _angle(vectors, true_vectors)
+    return LatticeError(_relation(k, ratio), k, error, angle, ratio, _drift(matched, true, shape))
 
 
 def _relation(k: int, ratio: float) -> Relation:
@@ -101,39 +107,39 @@ def _relation(k: int, ratio: float) -> Relation:
     return "supercell" if ratio > 1 else "subcell"
 
 
-def _nested(found: Points, true: Points, tolerance: float) -> tuple[int, Points] | None:
-    """Return k and the true basis as ``found`` has it, where one lattice holds the other; else None."""
-    finer = abs(np.linalg.det(found)) < abs(np.linalg.det(true))
-    fine, coarse = (found, true) if finer else (true, found)
+def _match_nested(basis: Points, true: Points, tolerance: float) -> tuple[int, Points] | None:
+    """Return k and the estimate of the true basis if one lattice contains the other, else None."""
+    finer = abs(np.linalg.det(basis)) < abs(np.linalg.det(true))
+    fine, coarse = (basis, true) if finer else (true, basis)
     change = np.rint(coarse @ np.linalg.inv(fine))
     k = round(abs(float(np.linalg.det(change))))
     off = coarse - change @ fine
-    apart = _longest(_equals(coarse) @ off)
+    apart = _longest(_shortest_combinations(coarse) @ off)
     if k == 0 or apart > CHANCE_RADIUS * min(np.hypot(*fine[0]), np.hypot(*coarse[0])):
         return None
-    error = _longest(_equals(fine) @ np.linalg.solve(change, off))
+    error = _longest(_shortest_combinations(fine) @ np.linalg.solve(change, off))
     if max(error, apart if k == 1 else 0.0) > tolerance:
         return None
-    return k, np.asarray(change @ found if finer else np.linalg.solve(change, found), np.float64)
+    return k, np.asarray(change @ basis if finer else np.linalg.solve(change, basis), np.float64)
 
 
-def _equals(basis: Points) -> Points:
-    """Return the integers of a canonical basis's vectors, ``(2, 2)``, and of a third as short as the second: (3, 2)."""
+def _shortest_combinations(basis: Points) -> Points:
+    """Return the combinations of a canonical basis that are as short as its vectors: ``(2, 2)`` or ``(3, 2)``."""
     a, b = basis
     third = np.array([-1.0, 1.0])
     tied = (b - a) @ (b - a) <= b @ b * (1 + 1e-9)
     return np.vstack([np.eye(2), third]) if tied else np.eye(2)
 
 
-def _nearest_basis(found: Points, true: Points) -> Points:
-    """Return the basis of ``found``, among those near its reduced one, whose vectors are nearest to ``true``.
+def _nearest_basis(basis: Points, true: Points) -> Points:
+    """Return the basis of the same lattice, among those near ``basis``, whose vectors are nearest to ``true``.
 
-    Of bases equally near by the longest error, that of the least sum of squares; of those, the one of the greatest
-    components: what is returned does not depend on the order of the candidates.
+    Of bases with equal longest error the one of the least sum of squares is chosen, and of these the one with the
+    greatest components, so that the result does not depend on the order of the candidates.
     """
     changes = np.array(list(itertools.product((-1, 0, 1), repeat=4)), np.float64).reshape(-1, 2, 2)
-    bases = changes[np.abs(np.abs(np.linalg.det(changes)) - 1) < 0.5] @ found
-    squares = ((_equals(true) @ (bases - true)) ** 2).sum(2)
+    bases = changes[np.abs(np.abs(np.linalg.det(changes)) - 1) < 0.5] @ basis
+    squares = ((_shortest_combinations(true) @ (bases - true)) ** 2).sum(2)
     nearness = np.stack([squares.sum(1), squares.max(1)]) / squares.max()
     keys = np.vstack([-bases.reshape(-1, 4).T / np.abs(bases).max(), nearness])
     return np.asarray(bases[np.lexsort(np.round(keys, 10))[0]])

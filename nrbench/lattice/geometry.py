@@ -1,4 +1,4 @@
-"""The lattice: two generating vectors and an origin."""
+"""Two-dimensional lattices: bases, cell coordinates, points in a region, and lattices contained in one another."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class Lattice:
     t1, t2
         Generating vectors (x, y) in px, x right, y down; real-valued, not parallel.
     origin
-        One lattice point (x, y) in px, pixel centres at integers.
+        One lattice point (x, y) in px, pixel centers at integers.
 
     Raises
     ------
     BadInput
-        When a vector is zero, not finite, or parallel to the other.
+        If a vector is zero, not finite, or parallel to the other.
     """
 
     t1: Vector
@@ -73,21 +73,22 @@ class Lattice:
         return math.hypot(*self.reduced().t1)
 
     @property
-    def packing_radius(self) -> float:
-        """Half of s, px: what lies within it of a lattice point is nearer to that point than to any other."""
-        return self.s / 2
-
-    @property
     def covering_radius(self) -> float:
-        """How far from the nearest lattice point one can be, px: a reduced triangle's circumradius."""
+        """Largest distance of a position from the nearest lattice point, px: circumradius of the reduced triangle."""
         a, b = self.reduced().matrix
         return float(np.hypot(*a) * np.hypot(*b) * np.hypot(*(b - a))) / (2 * self.area)
 
     def reduced(self) -> Lattice:
         """Return the same lattice in a Lagrange-Gauss basis: t1 shortest, t2 next, angle in [60, 90] degrees.
 
-        Where vectors are equally short (square, rhombic, hexagonal) several bases are reduced, and which one is
-        returned depends on the basis given; see :meth:`canonical`.
+        If several vectors are equally short (square, rhombic, hexagonal), several bases are reduced, and the basis that
+        is returned depends on the given one; see :meth:`canonical`.
+
+        Examples
+        --------
+        >>> from nrbench.lattice.geometry import Lattice
+        >>> Lattice((30.0, 1.0), (90.0, 15.0)).reduced()
+        Lattice(t1=(0.0, 12.0), t2=(30.0, 1.0), origin=(0.0, 0.0))
         """
         a, b = shortest_pair(self.matrix)
         a, b = _acute(_right(a), _right(b))
@@ -96,10 +97,11 @@ class Lattice:
     def canonical(self) -> Lattice:
         """Return the same lattice in the one reduced basis that depends on the lattice alone.
 
-        Of vectors equally short, to 1e-9 of their squares, the first is taken that one meets turning from right (x)
-        towards down (y). t1 points that way, into [0, 180) degrees, and so does t2 unless the angle would be obtuse.
+        Of equally short vectors (to 1e-9 of their squares) the one with the smallest angle is chosen, measured from
+        right (x) towards down (y). The angle of t1 is in [0, 180) degrees, and so is that of t2 unless the angle
+        between them would be obtuse.
         """
-        a, b = _settled(*shortest_pair(self.matrix))
+        a, b = _break_ties(*shortest_pair(self.matrix))
         a, b = _acute(_down(a), _down(b))
         return Lattice.from_basis((a, b), self.origin)
 
@@ -107,7 +109,7 @@ class Lattice:
         """Return the reciprocal lattice, in cycles per px: vectors d_i with ``d_i . t_j`` = 1 where i = j, else 0.
 
         Its points are the frequencies that a texture of this lattice can have. The dual of the dual is the lattice
-        (with the origin at (0, 0), for frequencies have none), that of a supercell a finer dual.
+        itself, with the origin at (0, 0). The dual of a supercell is finer than the dual of the lattice.
         """
         return Lattice.from_basis(self._inverse.T)
 
@@ -122,9 +124,8 @@ class Lattice:
         Parameters
         ----------
         tolerance
-            How far the tip of a reduced vector may be off, as a fraction of that vector's length. Where that allows
-            both, the longer vector stands above an end of the shorter one (rectangular) or above its middle (rhombic),
-            whichever is nearer.
+            Largest move of the tip of a reduced vector, as a fraction of its length. If the lattice can become both
+            rectangular and rhombic, the class that needs the smaller move is returned.
         """
         a, b = self.reduced().matrix
         short, long = float(np.hypot(*a)), float(np.hypot(*b))
@@ -137,15 +138,15 @@ class Lattice:
         return "rhombic" if equal or half else "parallelogram"
 
     def is_equivalent(self, other: Lattice, tolerance: float = 1e-6) -> bool:
-        """Return whether both bases generate the same lattice, whatever the origins.
+        """Return whether both bases generate the same lattice; origins are ignored.
 
         Parameters
         ----------
         other
             The lattice compared with.
         tolerance
-            How far, px, either of its reduced vectors may lie from the integer combination of this lattice's vectors
-            that matches it (an integer matrix of determinant +-1).
+            Largest distance, px, of either of its reduced vectors from the integer combination of this lattice's
+            vectors that matches it (an integer matrix of determinant +-1).
         """
         mine, theirs = self.reduced().matrix, other.reduced().matrix
         change = np.rint(theirs @ np.linalg.inv(mine))
@@ -163,9 +164,9 @@ class Lattice:
     def wrap(self, displacement: ArrayLike) -> Points:
         """Return each displacement (x, y) modulo the lattice, as the representative nearest to zero.
 
-        The result lies in the Voronoi cell, not in the parallelogram: in a reduced basis the nearest lattice point is
-        one of the four around. Of representatives equally near, to 1e-7 s, the rightmost is taken, then the lowest, so
-        that the result depends on the lattice alone. Shape ``(..., 2)``, px.
+        The result, ``(..., 2)`` px, lies in the Voronoi cell. In a reduced basis the nearest lattice point is one of
+        the four corners of the cell that holds the displacement. Of equally near representatives (to 1e-7 s) the
+        rightmost is returned, then the lowest, so that the result depends on the lattice alone.
         """
         d, basis = np.asarray(displacement, np.float64), self.reduced().matrix
         first, snap = np.floor(d @ np.linalg.inv(basis)), 1e-7 * np.hypot(*basis[0])
@@ -180,7 +181,7 @@ class Lattice:
     def points(self, shape: tuple[int, int], margin: float = 0.0) -> Points:
         """Return all lattice points (x, y) within ``margin`` px of an image of ``shape``, as ``(n, 2)``.
 
-        Sorted by their cell coordinates. Time grows with their number, whatever the basis.
+        They are sorted by cell coordinates. Time grows with their number and does not depend on the basis.
         """
         height, width = shape
         low, high = -0.5 - margin, np.array([width, height]) - 0.5 + margin
@@ -188,7 +189,7 @@ class Lattice:
         return xy[((xy >= low) & (xy < high)).all(1)]
 
     def cell_numbers(self, low: ArrayLike, high: ArrayLike) -> NDArray[np.int64]:
-        """Return the whole cell coordinates (u, v) of all lattice points in a box, and of some just outside.
+        """Return the integer cell coordinates (u, v) of all lattice points in a box, and of some just outside.
 
         ``int64 (n, 2)``, sorted; ``low`` and ``high`` are the box's corners (x, y), px.
         """
@@ -198,7 +199,7 @@ class Lattice:
         return np.asarray(found[np.lexsort((found[:, 1], found[:, 0]))])
 
     def shifted(self, offset: ArrayLike) -> Lattice:
-        """Return the lattice moved by ``offset`` (x, y) px: that of an image cropped at ``-offset``."""
+        """Return the lattice moved by ``offset`` (x, y) px: the lattice of an image cropped at ``-offset``."""
         return Lattice.from_basis(self.matrix, np.add(self.origin, offset))
 
     def as_dict(self) -> dict[str, list[float]]:
@@ -207,7 +208,7 @@ class Lattice:
 
     @classmethod
     def from_basis(cls, basis: ArrayLike, origin: ArrayLike = (0.0, 0.0)) -> Lattice:
-        """Build a lattice of arrays: ``basis`` is ``(2, 2)``, rows t1 and t2 (x, y) px; ``origin`` (x, y) px."""
+        """Return a lattice from arrays: ``basis`` is ``(2, 2)``, rows t1 and t2 (x, y) px; ``origin`` (x, y) px."""
         (x1, y1), (x2, y2) = np.asarray(basis, np.float64)
         x, y = np.asarray(origin, np.float64)
         return cls((x1, y1), (x2, y2), (x, y))
@@ -219,7 +220,7 @@ class Lattice:
 
     @classmethod
     def parse(cls, text: str) -> Lattice:
-        """Read ``"x1,y1,x2,y2"``, the command line's form."""
+        """Return a lattice from ``"x1,y1,x2,y2"``, the format of the command line."""
         try:
             x1, y1, x2, y2 = (float(part) for part in text.split(","))
         except ValueError:
@@ -267,12 +268,12 @@ def reduce_pairs(a: Points, b: Points) -> tuple[Points, Points]:
 
 
 def _acute(a: Points, b: Points) -> tuple[Points, Points]:
-    """Return a, and the one of +-b that makes no obtuse angle with it (b where both are right)."""
+    """Return a, and the one of +-b at no obtuse angle to a (b if both angles are right)."""
     return a, b if a @ b >= 0 or abs(a @ b) < 1e-9 * (a @ a) else -b
 
 
-def _settled(a: Points, b: Points) -> tuple[Points, Points]:
-    """Return the first of the equally short vectors, and the first of the equally short ones beside it."""
+def _break_ties(a: Points, b: Points) -> tuple[Points, Points]:
+    """Return the shortest vector and the next one; of equally short vectors, those with the smallest angles."""
     third = b - a if a @ b >= 0 else b + a
     short, long = (square * (1 + 1e-9) for square in sorted((a @ a, b @ b)))
     near = sorted((v for v in (a, b, third) if v @ v <= long), key=_turn)
@@ -298,7 +299,7 @@ def _vector(value: Any, name: str) -> Vector:
 
 
 def _down(vector: Points) -> Points:
-    """Return the one of +-vector whose angle from right towards down is in [0, pi), rounding aside."""
+    """Return the one of +-vector whose angle from right towards down is in [0, pi), up to rounding."""
     return vector if abs(math.atan2(vector[1], vector[0]) - _turn(vector)) < 1 else -vector
 
 
@@ -307,36 +308,60 @@ def _right(vector: Points) -> Points:
     return vector if (vector[0], vector[1]) > (0, 0) else -vector
 
 
+def hermite_matrices(index: int) -> Integers:
+    """Return all integer matrices of a determinant in Hermite normal form, as ``int64 (n, 2, 2)``.
+
+    ``H @ basis`` are the bases of the coarser lattices of this index (supercells), ``H @ basis / index`` those of the
+    finer ones (subcells), each lattice once: a finer lattice, enlarged ``index`` times, is a coarser one. n is the sum
+    of the divisors of ``index``: 3 for 2, 4 for 3, 6 for 5.
+
+    Parameters
+    ----------
+    index
+        Ratio of the cell areas, 1 or more.
+
+    Examples
+    --------
+    >>> from nrbench.lattice.geometry import hermite_matrices
+    >>> hermite_matrices(2).tolist()
+    [[[2, 0], [0, 1]], [[1, 0], [0, 2]], [[1, 1], [0, 2]]]
+    """
+    if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or index < 1:
+        raise BadInput(f"lattice: index is {index!r}; give a whole number of cells, 1 or more")
+    divisors = [d for d in range(1, int(index) + 1) if index % d == 0]
+    return np.array([((index // d, b), (0, d)) for d in divisors for b in range(d)], np.int64)
+
+
 def integers_within(basis: ArrayLike, low: ArrayLike, high: ArrayLike) -> Integers:
     """Return the integers (i, j) whose points ``i a + j b`` lie in a box, and a few that lie just outside.
 
     Parameters
     ----------
     basis
-        ``(2, 2)``, rows a and b (x, y); reduced, or the rows are many and nearly empty.
+        ``(2, 2)``, rows a and b (x, y). It should be reduced; otherwise there are many rows with few points each.
     low, high
         Corners (x, y) of the box.
 
     Returns
     -------
     Integers
-        ``int64 (n, 2)``, each once. Points within 1e-6 of a step of the border may be in it: test the points, not the
-        integers. Time and memory grow with the rows that the box meets and the points in it, not with the square of
-        its longer side.
+        ``int64 (n, 2)``, each once. They may include points outside within 1e-6 of a step of the border: test the
+        points. Time and memory grow with the number of rows that cross the box and of points in it, not with the square
+        of its longer side.
     """
     (a, b), (lower, upper) = np.asarray(basis, np.float64), np.array([low, high], np.float64)
     corners = np.array([(x, y) for x in (lower[0], upper[0]) for y in (lower[1], upper[1])])
     rows = (corners @ np.linalg.inv([a, b]))[:, 1]
     j = np.arange(np.ceil(rows.min() - 1e-6), np.floor(rows.max() + 1e-6) + 1)
-    first, last = _clipped(a, j[:, np.newaxis] * b, lower, upper)
+    first, last = _clip_rows(a, j[:, np.newaxis] * b, lower, upper)
     first, last = np.ceil(first - 1e-6), np.floor(last + 1e-6)
-    return _spelled(first.astype(np.int64), np.maximum(last - first + 1, 0).astype(np.int64), j.astype(np.int64))
+    return _list_rows(first.astype(np.int64), np.maximum(last - first + 1, 0).astype(np.int64), j.astype(np.int64))
 
 
-def _clipped(
+def _clip_rows(
     a: NDArray[np.float64], starts: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the range of i at which each line ``start + i a`` is in the box; below its start where it never is."""
+    """Return the first and last i at which each line ``start + i a`` is in the box; last < first if it never is."""
     first, last = np.full(len(starts), -np.inf), np.full(len(starts), np.inf)
     length = float(np.hypot(*a))
     for axis in (0, 1):
@@ -351,7 +376,7 @@ def _clipped(
     return np.where(missed, 0.0, first), np.where(missed, -1.0, last)
 
 
-def _spelled(first: Integers, counts: Integers, j: Integers) -> Integers:
+def _list_rows(first: Integers, counts: Integers, j: Integers) -> Integers:
     """Return ``(i, j)`` for ``counts`` values of i from ``first`` on, row by row."""
     before = np.repeat(np.cumsum(counts) - counts, counts)
     return np.stack([np.repeat(first, counts) + np.arange(len(before)) - before, np.repeat(j, counts)], 1)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.spatial import cKDTree
 
-from nrbench.lattice.geometry import reduce_pairs, shortest_pair
-from nrbench.lattice.sublattices import hermite_matrices
+from nrbench.lattice.geometry import hermite_matrices, reduce_pairs, shortest_pair
 from nrbench.spectra.spectrum import Array, Spectrum
 from nrbench.spectra.wave_fit import Waves
 from nrbench.spectra.wave_search import WaveDetection

@@ -15,8 +15,8 @@ from typing import Any
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.imaging.contact_sheet import contact_sheet
 from nrbench.imaging.convert import Image
+from nrbench.imaging.drawing import contact_sheet
 from nrbench.imaging.files import read_image, write_image
 from nrbench.imaging.truth import TRUTH_FIELDS, TRUTH_FILE, TruthTable, write_table
 from nrbench.plugins.forms import Texture

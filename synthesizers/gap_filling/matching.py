@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from nrbench.imaging.box_sums import boxes_of, integral
+from nrbench.imaging.box_sums import box_sums_from, integral_image
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.lattice.geometry import Points
 
@@ -121,7 +121,7 @@ class FrameMatcher:
     @cached_property
     def _integrals(self) -> tuple[Array, Array]:
         values = self.values.astype(np.float64)
-        return integral(values), integral(values**2)
+        return integral_image(values), integral_image(values**2)
 
     def _statistics(self, hole: Box) -> tuple[Array, Array]:
         """Return the summary of what lies under the frame at every place: sums over the square less over the hole."""
@@ -134,7 +134,7 @@ class FrameMatcher:
     def _box_sums(self, table: Array, box: Box) -> Array:
         rows, columns = self.search_shape
         y0, y1, x0, x1 = box
-        return boxes_of(table[y0 : y1 + rows, x0 : x1 + columns], (y1 - y0, x1 - x0))
+        return box_sums_from(table[y0 : y1 + rows, x0 : x1 + columns], (y1 - y0, x1 - x0))
 
     def _runs(self, hole: Box, channels: int) -> NDArray[np.int64]:
         """Return the template's rows without the hole, in parts that the kernel sums exactly."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from nrbench.imaging.box_sums import boxes_of, integral
+from nrbench.imaging.box_sums import box_sums_from, integral_image
 
 from ..seams.minimum_cut import Mask
 
@@ -80,7 +80,7 @@ class Translations:
             product += np.einsum("chw,chw->hw", spectra, self._transformed(-2 * values))
             total += float((values.astype(np.int64) ** 2).sum())
             if layer.known is None:
-                total += boxes_of(table, (height, width))
+                total += box_sums_from(table, (height, width))
             else:
                 product += squares * self._transformed(layer.known[..., np.newaxis])[0]
         products = fft.irfft(fft.ifft(product.conj(), axis=0)[:rows], self._fast_shape[1], axis=1)
@@ -97,7 +97,7 @@ class Translations:
         squares = [(layer.astype(np.int64) ** 2).sum(-1, keepdims=True) for layer in self.layers]
         spectra = [self._transformed(layer).conj() for layer in self.layers]
         sums = [self._transformed(each)[0].conj() for each in squares]
-        return spectra, sums, [integral(each[..., 0]) for each in squares]
+        return spectra, sums, [integral_image(each[..., 0]) for each in squares]
 
     @cached_property
     def _fast_shape(self) -> tuple[int, int]:

@@ -9,7 +9,7 @@ import pytest
 from scipy import ndimage
 
 from nrbench import texture
-from nrbench.detectors.agreement.views import shrunk, views
+from nrbench.detectors.agreement.likeness import shrink, views
 from nrbench.detectors.consensus import Consensus
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
@@ -160,7 +160,7 @@ def test_views_cover_detail_and_whole() -> None:
     np.testing.assert_array_equal(seen[0].image, image[380:1020, 980:1620])
     assert seen[-1].image.shape == (175, 325, 1)
     assert max(max(one.image.shape) for one in seen) <= 640
-    np.testing.assert_allclose(shrunk(image, 2)[5, 7], image[10:12, 14:16].mean((0, 1)), rtol=1e-6)
+    np.testing.assert_allclose(shrink(image, 2)[5, 7], image[10:12, 14:16].mean((0, 1)), rtol=1e-6)
 
 
 def test_a_quarter_turn_turns_the_lattice() -> None:
@@ -194,9 +194,9 @@ def test_confidence_tells_right_from_wrong() -> None:
 @pytest.mark.parametrize(
     ("parameters", "told"),
     [
-        ({"loss": 1.0}, "loss is 1.0; give a share"),
+        ({"max_loss": 1.0}, "max_loss is 1.0; give a share"),
         ({"relief": -0.1}, "relief is -0.1; give a share"),
-        ({"chance": -1}, "chance is -1; give 0 or more"),
+        ({"tile_allowance": -1}, "tile_allowance is -1; give 0 or more"),
         ({"peaks": 1}, "peaks is 1; give at least 2"),
         ({"reject": "maybe"}, "give none, bartlett or surrogate"),
         ({"false_alarms": 0}, "give a probability"),

@@ -4,9 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.api import texture
-from nrbench.detectors.autocorrelation.dominance_kernels import rate_pairs
-from nrbench.detectors.autocorrelation.regions import dominance
-from nrbench.detectors.dominance import Dominance
+from nrbench.detectors.autocorrelation.pair_kernels import count_hits
+from nrbench.detectors.dominance import Dominance, dominance_radii
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.comparison import lattice_error
@@ -23,7 +22,7 @@ def test_a_region_ends_at_the_nearest_higher_peak(count: int, seed: int) -> None
     """The radius is the distance to the nearest higher peak, mirror images and lag 0 among them: by brute force."""
     rng = np.random.default_rng(seed)
     lags, values = rng.uniform(-50, 50, (count, 2)), rng.permutation(count) / count
-    for i, radius in enumerate(dominance(lags, values)):
+    for i, radius in enumerate(dominance_radii(lags, values)):
         higher = lags[values > values[i]]
         others = np.concatenate([higher, -higher, np.zeros((1, 2))])
         assert radius == pytest.approx(np.hypot(*(others - lags[i]).T).min())
@@ -87,7 +86,7 @@ def test_hits_and_points_are_counted(a: float, b: float, angle: float, turn: flo
     ).reduced()
     rng, reach = np.random.default_rng(seed), np.array([60.3, 47.7])
     peaks = rng.uniform((0, -48), (60, 48), (400, 2))
-    row = rate_pairs(peaks, np.ones(400, np.int64), lattice.matrix, reach, 0.15, 10**6)[0]
+    row = count_hits(peaks, np.ones(400, np.int64), lattice.matrix, reach, 0.15, 10**6)[0]
     every = lattice.from_cell(lattice.cell_numbers((-61, -48), (61, 48)))
     points = ((np.abs(every) <= reach).all(1).sum() - 1) // 2
     hits = np.hypot(*lattice.wrap(peaks[(np.abs(peaks) <= reach).all(1)][:points]).T) <= max(0.15 * lattice.s, 1)

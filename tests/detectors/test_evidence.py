@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.detectors.agreement.evidence import PAD, REACH, Evidence
-from nrbench.detectors.agreement.evidence_kernels import between, rate_pairs
+from nrbench.detectors.agreement.evidence_kernels import between
+from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
 from nrbench.imaging.correlation import half_autocorrelation
 from nrbench.lattice.geometry import Lattice
 
@@ -100,7 +101,7 @@ def test_fit_finds_the_vectors(offsets: tuple[float, ...]) -> None:
     np.testing.assert_allclose(fitted, expected, atol=0.01)
 
 
-def test_foretold_is_what_leave_one_out_explains(rng: np.random.Generator) -> None:
+def test_the_explained_variance_is_that_of_leave_one_out(rng: np.random.Generator) -> None:
     """Predicting each tile by the mean of all others explains the share that ``foretold`` says."""
     tile, tiles = rng.normal(size=(16, 16)), 64
     stack = tile + 0.8 * rng.normal(size=(tiles, 16, 16))
@@ -108,7 +109,7 @@ def test_foretold_is_what_leave_one_out_explains(rng: np.random.Generator) -> No
     others = (stack.sum(0) - stack) / (tiles - 1)
     explained = 1 - ((stack - others) ** 2).mean() / stack.var()
     seen = Evidence(half_autocorrelation(image))
-    assert seen.foretold(16 * np.eye(2)) == pytest.approx(explained, abs=0.02)
+    assert seen.explained_variance_loo(16 * np.eye(2)) == pytest.approx(explained, abs=0.02)
 
 
 def test_sigmas_are_standard_deviations(rng: np.random.Generator) -> None:
@@ -131,7 +132,7 @@ def test_pairs_are_rated_by_their_multiples(rng: np.random.Generator) -> None:
     """The compiled rating of a pair equals the mean, weighted by overlap, of the surface at its whole multiples."""
     surface = rng.integers(-1000, 1000, (79, 50)).astype(np.int32)
     pair = np.array([[7.0, 2.0], [-3.0, 9.0]])
-    (x1, y1, x2, y2, rated), *rest = rate_pairs(surface, pair, 1000.0, REACH)
+    (x1, y1, x2, y2, rated), *rest = mean_correlations(surface, pair, 1000.0, REACH)
     assert not rest
     assert (x1, y1, x2, y2) == (7, 2, -3, 9)
     numbers = [(a, b) for b in range(20) for a in range(-20, 21) if b > 0 or a > 0]

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.detectors.autocorrelation.goodness_kernels import best_pair
+from nrbench.detectors.autocorrelation.pair_kernels import best_pair
 from nrbench.detectors.gncc import Gncc
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nrbench.detectors.autocorrelation.peaks import climb, dilated, find_peaks, subpixel, values_at
+from nrbench.detectors.autocorrelation.peaks import climb, dilate, find_peaks, subpixel, values_at
 
 SHAPE = (60, 60)
 
@@ -86,5 +86,5 @@ def test_dilation_sees_both_half_planes() -> None:
     right[20:, 0] = right[18::-1, 0]
     whole = np.concatenate([right[::-1, :0:-1], right], 1)
     expected = max(whole[y, x] for y in (29, 30, 31) for x in (18, 19, 20))
-    assert dilated(right, 1)[30, 0] == expected
-    assert dilated(right, 0) is right
+    assert dilate(right, 1)[30, 0] == expected
+    assert dilate(right, 0) is right

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from nrbench.detectors.autocorrelation.refinement import fit_multiples, fit_pair
+from nrbench.detectors.autocorrelation.peaks import fit_multiples, fit_pair
 
 TRUE = np.array([[17.37, 3.62], [-4.18, 14.71]])
 REACH = (150, 150)

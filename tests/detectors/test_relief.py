@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from nrbench.detectors.autocorrelation.relief import find_ridge, without_stripes
-from nrbench.detectors.autocorrelation.topography_kernels import highest_ridge
+from nrbench.detectors.autocorrelation.peak_kernels import highest_ridge
+from nrbench.detectors.gncc import find_ridge, remove_stripes
 from nrbench.imaging.correlation import half_autocorrelation
 from nrbench.lattice.geometry import Lattice
 
@@ -40,8 +40,8 @@ def test_stripes_are_taken_out(angle: float) -> None:
     """Less than 1 % of a grating's variance remains; of stripes across it, more than 95 %."""
     image = stripes(angle)
     along = (-math.sin(angle), math.cos(angle))
-    assert without_stripes(image, along).var() < 0.01 * image.var()
-    assert without_stripes(image, (math.cos(angle), math.sin(angle))).var() > 0.95 * image.var()
+    assert remove_stripes(image, along).var() < 0.01 * image.var()
+    assert remove_stripes(image, (math.cos(angle), math.sin(angle))).var() > 0.95 * image.var()
 
 
 def test_the_highest_ridge_of_a_known_tile() -> None:

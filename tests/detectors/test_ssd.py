@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from nrbench.detectors.rectangular_periods.ssd import shift_ssdn, ssdn
+from nrbench.detectors.ssdn import shift_ssdn, ssdn
 
 
 @pytest.mark.parametrize("axis", [0, 1])

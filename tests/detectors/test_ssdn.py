@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 
 from nrbench.api import texture
-from nrbench.detectors.chance.excerpt import SIDE, excerpt
-from nrbench.detectors.rectangular_periods.periods import find_period
-from nrbench.detectors.rectangular_periods.rectangle_kernels import inner_relief
-from nrbench.detectors.ssdn import Ssdn
+from nrbench.detectors.autocorrelation.peak_kernels import inner_relief
+from nrbench.detectors.autocorrelation.surrogates import SIDE, crop_for_test
+from nrbench.detectors.ssdn import Ssdn, find_period
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.comparison import lattice_error
@@ -128,8 +127,8 @@ def test_tiny_images_are_refused_in_words(shape: tuple[int, int]) -> None:
 def test_large_images_are_tested_by_their_middle() -> None:
     """The excerpt is no smaller than SIDE, and no larger where the lattice is fine."""
     image = np.zeros((2000, 300, 1), np.float32)
-    assert excerpt(image, Lattice((20.0, 0.0), (0.0, 30.0))).shape == (SIDE, 300, 1)
-    assert excerpt(image, Lattice((20.0, 0.0), (0.0, 90.0))).shape == (900, 300, 1)
+    assert crop_for_test(image, Lattice((20.0, 0.0), (0.0, 30.0))).shape == (SIDE, 300, 1)
+    assert crop_for_test(image, Lattice((20.0, 0.0), (0.0, 90.0))).shape == (900, 300, 1)
 
 
 def test_it_is_a_detector_and_repeats() -> None:

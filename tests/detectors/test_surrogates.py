@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from nrbench.detectors.chance.surrogates import phase_randomized, upper_limit
+from nrbench.detectors.autocorrelation.surrogates import phase_randomized, upper_limit
 
 
 def test_the_spectrum_is_kept_and_the_channels_with_it() -> None:

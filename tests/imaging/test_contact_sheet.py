@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nrbench.imaging.contact_sheet import contact_sheet
+from nrbench.imaging.drawing import contact_sheet
 
 
 def test_every_picture_is_there() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import as_image, like_input, quantize, to_bytes
+from nrbench.imaging.convert import as_image, match_ndim, quantize, to_bytes
 
 GRAY = np.random.default_rng(0).random((9, 12))
 REFUSED = {
@@ -34,7 +34,7 @@ def test_every_form_is_the_same_image(peak: int | None) -> None:
     image = as_image(held)
     assert image.shape == (9, 12, 1) and image.dtype == np.float32
     np.testing.assert_allclose(image[..., 0] * 255, eight, atol=1e-4)
-    assert like_input(image, held).shape == (9, 12)
+    assert match_ndim(image, held).shape == (9, 12)
 
 
 def test_rounding_is_what_the_png_holds() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from nrbench.imaging.spline_kernels import PAD, spline_coefficients, spline_windows
+from nrbench.imaging.fold_kernels import PAD, spline_coefficients, spline_windows
 
 
 @pytest.mark.parametrize("shape", [(16, 40, 1), (61, 17, 3)])

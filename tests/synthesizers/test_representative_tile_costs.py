@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nrbench.detectors.rectangular_periods.ssd import ssdn
+from nrbench.detectors.ssdn import ssdn
 from nrbench.imaging.box_sums import box_sums
 from nrbench.synthesizers.representative_tile import Costs, Mask, Size, Values, continuity, resemblance
 

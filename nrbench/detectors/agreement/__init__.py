@@ -1,1 +1,1 @@
-"""TODO nrbench.detectors.agreement."""
+"""How well an image agrees with itself when shifted by a lattice's vectors, and the search for the best lattice."""

@@ -1,4 +1,4 @@
-"""How well an image agrees with itself when it is shifted by a lattice, and the lattice that it agrees with best."""
+"""The autocorrelation of an image as a smooth surface: how well the image agrees with itself at a lattice's vectors."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from nrbench.imaging.correlation import Correlation
 from nrbench.lattice.geometry import Lattice, Points, integers_within
 
 REACH = 0.75
-"""Lags up to this share of the image's sides are compared: beyond, too little overlaps."""
+"""Lags up to this share of the image's sides are compared; beyond, too little overlaps."""
 PAD = 4
 """Columns mirrored to the left of lag 0, for the spline."""
 NEARBY = 0.25
-"""Lags up to this share of the image's sides tell the grain of a texture."""
+"""The grain of a texture is computed from lags up to this share of the image's sides."""
 GROWTH = 1.7
-"""By how much a fit reaches further out at each step."""
+"""Factor by which the radius of a fit grows at each step."""
 STEPS = 14
-"""Steps of a fit: enough to cross a hundred cells and to settle."""
-LOST = 0.2
-"""A fit that moves a vector by more than this share of the shorter one has followed another peak."""
+"""Steps of a fit: enough to cross a hundred cells and to converge."""
+MAX_SHIFT = 0.2
+"""A fit is rejected if it moves a vector by more than this share of the shorter vector: it has followed other peaks."""
 
 
 class Agreement(NamedTuple):
-    """The correlations at a set of lags: their mean (-1 where there are none), variance and number."""
+    """The correlations at a set of lags: their mean (-1 if there are none), variance and number."""
 
     mean: float
     variance: float
@@ -38,7 +38,7 @@ class Agreement(NamedTuple):
 
 @dataclass(frozen=True)
 class Evidence:
-    """The autocorrelation of an image as a smooth surface.
+    """The autocorrelation of an image as a cubic spline surface.
 
     Parameters
     ----------
@@ -60,13 +60,16 @@ class Evidence:
 
     def jets(self, lags: Points) -> NDArray[np.float64]:
         """Return value, gradient and second derivatives (xx, yy, xy) at lags ``(n, 2)``, as ``(n, 6)``."""
-        turned = np.where(lags[:, :1] < 0, -lags, lags)
-        found = jets(self._spline, turned + np.array([PAD, self.shape[0] - 1.0]))
-        found[:, 1:3] *= np.where(lags[:, :1] < 0, -1, 1)
-        return found
+        on_right = np.where(lags[:, :1] < 0, -lags, lags)
+        surface = jets(self._spline, on_right + np.array([PAD, self.shape[0] - 1.0]))
+        surface[:, 1:3] *= np.where(lags[:, :1] < 0, -1, 1)
+        return surface
 
     def multiples(self, basis: Points, reach: float = REACH) -> NDArray[np.int64]:
-        """Return the integers (a, b), ``(n, 2)``, whose a t1 + b t2 lie within reach, one of each +- pair, not 0."""
+        """Return the integers (a, b), ``(n, 2)``, of all lattice points a t1 + b t2 within reach.
+
+        Lag 0 is left out; of each pair of opposite points one is returned.
+        """
         height, width = self.shape
         end = np.array([reach * (width - 1), reach * (height - 1)])
         numbers = integers_within(basis, -end, end)
@@ -78,19 +81,19 @@ class Evidence:
         height, width = self.shape
         return np.asarray((width - np.abs(lags[:, 0])) * (height - np.abs(lags[:, 1])))
 
-    def agreement(self, basis: Points, but: Points | None = None) -> Agreement:
+    def agreement(self, basis: Points, coarser: Points | None = None) -> Agreement:
         """Return the correlation at a basis's multiples, each weighted by the overlap of the image with its copy.
 
         Parameters
         ----------
         basis
             Rows (x, y) px.
-        but
-            A coarser lattice's basis, whose multiples are left out.
+        coarser
+            The basis of a coarser lattice, whose points are left out.
         """
         height, width = self.shape
         end = REACH * np.array([width - 1.0, height - 1.0])
-        cells = np.zeros((2, 2)) if but is None else np.asarray(np.linalg.inv(but), np.float64)
+        cells = np.zeros((2, 2)) if coarser is None else np.asarray(np.linalg.inv(coarser), np.float64)
         mean, variance, count = between(self._spline, np.ascontiguousarray(basis), cells, end, PAD)
         return Agreement(mean, variance, int(count))
 
@@ -98,11 +101,12 @@ class Evidence:
         """Return the mean correlation at all multiples of a basis: the share of the variance that repeats."""
         return self.agreement(basis).mean
 
-    def foretold(self, basis: Points) -> float:
-        """Return the share of the variance that is explained where each tile is predicted from all others.
+    def explained_variance_loo(self, basis: Points) -> float:
+        """Return the share of the variance that is explained if each tile is predicted by all others (leave one out).
 
         With n tiles of which the share rho repeats, the mean of the n - 1 others explains rho - (1 - rho) / (n - 1).
-        The mean correlation at all multiples is that rho without the bias of a fold, in which a tile predicts itself.
+        The mean correlation at all multiples estimates rho without the bias of a mean tile, to which each tile
+        contributes itself. Return -1 if the image holds no more than two tiles.
         """
         rho, tiles = float(self.repeated(basis)), self.tiles(basis)
         return rho - (1 - rho) / (tiles - 1) if tiles > 2 else -1.0
@@ -118,10 +122,10 @@ class Evidence:
     def sigmas(self, basis: Points) -> float:
         """Return the mean correlation at a basis's multiples, in units of a spread like that of Bartlett's formula.
 
-        The correlation of one random field at a far lag has the variance grain / overlap; the mean over lags further
-        apart than a grain, weighted by overlap, has grain / (sum of overlaps). Here it is an index on that scale, no
-        significance: the surface is a mean of several fields' correlations, and a lattice's own peaks add to the grain.
-        What noise reaches is measured by ``benchmarks/consensus_calibration.py``.
+        The correlation of a random field at a far lag has the variance grain / overlap. The mean over lags further
+        apart than a grain, weighted by overlap, has the variance grain / (sum of overlaps). The result is an index on
+        this scale, not a significance: the surface is a mean of several fields' correlations, and a lattice's own peaks
+        add to the grain. ``benchmarks/consensus_calibration.py`` measures which values noise reaches.
         """
         lags = self.multiples(basis) @ basis
         total = float(self.overlaps(lags).sum())
@@ -132,24 +136,25 @@ class Evidence:
         return float(self.shape[0] * self.shape[1] / abs(np.linalg.det(basis)))
 
     def fit(self, basis: Points) -> Points:
-        """Return the basis at whose multiples the mean correlation is highest, near the given one, reduced.
+        """Return the reduced basis near the given one at whose multiples the mean correlation is highest.
 
-        Newton's method on all multiples at once, from the nearest outward: a far multiple tells more, but only to a
-        basis that is precise already. What strays (:data:`LOST`) is returned as it was.
+        Newton's method on all multiples at once, from the nearest outward: a far multiple determines the basis more
+        precisely, but can be identified only if the basis is already precise. If a vector moves too far
+        (:data:`MAX_SHIFT`), the given basis is returned, reduced.
         """
         numbers, fitted = self.multiples(basis), basis
         far = REACH * float(np.hypot(*self.shape))
         radius = float(np.hypot(*basis.T).max())
         for _ in range(STEPS):
             radius = min(radius * GROWTH, far)
-            step = self._step(numbers, fitted, radius)
+            step = self._newton_step(numbers, fitted, radius)
             fitted = fitted + step
             if radius >= far and np.abs(step).max() * len(numbers) ** 0.5 < 1e-3:
                 break
-        strayed = np.hypot(*(fitted - basis).T).max() > LOST * np.hypot(*basis.T).min()
-        return reduced(basis if strayed else fitted)
+        too_far = np.hypot(*(fitted - basis).T).max() > MAX_SHIFT * np.hypot(*basis.T).min()
+        return reduce_basis(basis if too_far else fitted)
 
-    def _step(self, numbers: NDArray[np.int64], basis: Points, radius: float) -> Points:
+    def _newton_step(self, numbers: NDArray[np.int64], basis: Points, radius: float) -> Points:
         """Return Newton's step for the basis, ``(2, 2)``; no multiple in use moves by more than a pixel."""
         height, width = self.shape
         lags = numbers @ basis
@@ -169,6 +174,6 @@ class Evidence:
         return np.asarray(step / max(1.0, float(np.abs(n @ step).max())))
 
 
-def reduced(basis: Points) -> Points:
+def reduce_basis(basis: Points) -> Points:
     """Return the Lagrange-Gauss basis of the same lattice, rows (x, y) px."""
     return Lattice.from_basis(basis).reduced().matrix

@@ -1,29 +1,33 @@
-"""The compiled loops of the consensus search: a spline surface read at lags, and every pair of candidates rated."""
+"""Compiled loops that read the spline surface of an autocorrelation at lags."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.detectors.agreement.rows import row_ends
+from nrbench.detectors.autocorrelation.pair_kernels import row_ends
 from nrbench.jit import kernel
 
 
 @kernel("float64[:, ::1](float64[:, ::1], float64[:, ::1])")
 def jets(spline: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a cubic spline surface's value and derivatives at real-valued places.
+    """Return the value and the derivatives of a cubic spline surface at real-valued positions.
 
     Parameters
     ----------
     spline
-        ``(H, W)``: B-spline coefficients, one a sample.
+        ``(H, W)``: B-spline coefficients, one for each sample.
     at
         ``(n, 2)``: (x, y) in samples, at least 1 from the first and 3 from the last along each axis.
 
     Returns
     -------
     NDArray
-        ``(n, 6)``: value, its derivatives by x, by y, by x twice, by y twice, by x and y.
+        ``(n, 6)``: value, and the derivatives by x, y, xx, yy and xy.
+
+    Notes
+    -----
+    :func:`scipy.ndimage.map_coordinates` gives the value only; Newton's method needs the derivatives.
     """
     out = np.zeros((at.shape[0], 6))
     weight, slope, bend = np.zeros((2, 4)), np.zeros((2, 4)), np.zeros((2, 4))
@@ -62,26 +66,25 @@ def between(
     end: NDArray[np.float64],
     pad: int,
 ) -> NDArray[np.float64]:
-    """Return mean and variance of an autocorrelation at a lattice's multiples that are none of a coarser lattice.
+    """Return mean and variance of an autocorrelation at the points of a lattice that a coarser lattice does not have.
 
     Parameters
     ----------
     spline
-        ``(2H-1, pad + W)``: B-spline coefficients of its right half, with ``pad`` columns mirrored to the left.
+        ``(2H-1, pad + W)``: B-spline coefficients of the right half, with ``pad`` mirrored columns on the left.
     finer
-        ``(2, 2)``, rows (x, y) px.
+        ``(2, 2)``, rows (x, y) px: the basis of the lattice.
     coarser
-        ``(2, 2)``: the cell coordinates' matrix (the inverse of the coarser lattice's rows); all zeros: skip nothing
-        but lag 0.
+        ``(2, 2)``: the inverse of the coarser lattice's basis. If all entries are zero, only lag 0 is left out.
     end
-        Largest lag (x, y), px; each lag counts by the area in which image and shifted copy overlap.
+        Largest lag (x, y), px. Each lag is weighted by the area in which image and shifted image overlap.
     pad
-        Mirrored columns.
+        Number of mirrored columns.
 
     Returns
     -------
     NDArray
-        ``(3,)``: mean, variance and number of lags; -1, 0, 0 where there are none.
+        ``(3,)``: mean, variance and number of lags; -1, 0, 0 if there is no lag.
     """
     height, width = (spline.shape[0] + 1) // 2, spline.shape[1] - pad
     skips = np.abs(coarser).max() > 0
@@ -130,71 +133,3 @@ def between(
         return np.array((-1.0, 0.0, 0.0))
     mean = total / weights
     return np.array((mean, max(squares / weights - mean * mean, 0.0), float(count)))
-
-
-@kernel("float64[:, ::1](int32[:, ::1], float64[:, ::1], float64, float64)")
-def rate_pairs(
-    surface: NDArray[np.int32], candidates: NDArray[np.float64], unit: float, reach: float
-) -> NDArray[np.float64]:
-    """Return the likeness at the multiples of every pair of candidates.
-
-    Parameters
-    ----------
-    surface
-        ``(2H-1, W)``: autocorrelation of an image ``(H, W)`` in whole multiples of 1 / ``unit``, lag (dx, dy) at
-        ``[H-1+dy, dx]``.
-    candidates
-        ``(n, 2)``: vectors (x, y) px in ascending length.
-    unit
-        What 1 is in ``surface``.
-    reach
-        Lags up to this share of the image's sides count, each by the area of its overlap.
-
-    Returns
-    -------
-    NDArray
-        ``(m, 5)``: x1, y1, x2, y2 of the pair, half reduced (the second vector less its rounded share of the first),
-        and the mean correlation; pairs whose cell is thin, under 8 px^2, or over 2/7 of the image are left out.
-
-    Notes
-    -----
-    Time is the number of pairs times the number of their cells in the image.
-    """
-    height, width = (surface.shape[0] + 1) // 2, surface.shape[1]
-    end_x, end_y = reach * (width - 1), reach * (height - 1)
-    n = candidates.shape[0]
-    out = np.zeros((n * (n - 1) // 2, 5))
-    m = 0
-    for i in range(n):
-        x1, y1 = candidates[i]
-        square = x1 * x1 + y1 * y1
-        for j in range(i + 1, n):
-            x2, y2 = candidates[j]
-            times = np.rint((x2 * x1 + y2 * y1) / square)
-            x2, y2 = x2 - times * x1, y2 - times * y1
-            area = abs(x1 * y2 - x2 * y1)
-            long = max(square, x2 * x2 + y2 * y2)
-            if area < 8 or area > height * width / 3.5 or area * area < 0.01 * long * square:
-                continue
-            if x2 * x2 + y2 * y2 < 0.81 * square:
-                continue
-            rows = int((end_y * abs(x1) + end_x * abs(y1)) / area)
-            total, weights = 0.0, 0.0
-            for b in range(rows + 1):
-                first, last = row_ends(x1, y1, x2, y2, b, end_x, end_y)
-                for a in range(first, last + 1):
-                    if b == 0 and a <= 0:
-                        continue
-                    x, y = a * x1 + b * x2, a * y1 + b * y2
-                    if abs(x) > end_x or abs(y) > end_y:
-                        continue
-                    if x < 0:
-                        x, y = -x, -y
-                    weight = (height - abs(y)) * (width - x)
-                    total += weight * surface[int(np.rint(y)) + height - 1, int(np.rint(x))]
-                    weights += weight
-            if weights > 0:
-                out[m, 0], out[m, 1], out[m, 2], out[m, 3] = x1, y1, x2, y2
-                out[m, 4] = total / (weights * unit)
-                m += 1
-    return out[:m].copy()

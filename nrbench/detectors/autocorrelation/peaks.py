@@ -1,4 +1,4 @@
-"""Peaks of an autocorrelation: which there are, and where they lie to a fraction of a pixel."""
+"""Peaks of an autocorrelation, and generating vectors fitted to the peaks at their multiples."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.topography_kernels import prominences
+from nrbench.detectors.autocorrelation.peak_kernels import prominences
 from nrbench.imaging.correlation import Correlation
 from nrbench.imaging.parabola import find_vertex
 from nrbench.lattice.geometry import Points
@@ -17,7 +17,11 @@ Lags = NDArray[np.int64]
 """``int64 (n, 2)``: displacements (dx, dy) in whole px."""
 
 UNIT = 1 << 24
-"""Correlations enter compiled loops as whole multiples of 1 / UNIT, so that no order of summing changes a bit."""
+"""Compiled loops get correlations as integer multiples of 1 / UNIT: sums of integers do not depend on their order."""
+NEAR = 1.5
+"""A peak belongs to a multiple if it lies within this distance, px along x and y, of the expected position."""
+MAX_SHIFT = 0.25
+"""A fit is rejected if it moves a vector by more than this share of its length: it has followed other peaks."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +33,9 @@ class Peaks:
     lags
         ``(n, 2)``: dx > 0, or dx = 0 and dy > 0.
     values
-        ``(n,)``: the correlation there.
+        ``(n,)``: the correlation at the lags.
     prominences
-        ``(n,)``: how far each stands above the highest pass to a higher one.
+        ``(n,)``: the height of each peak above the highest pass to a higher peak.
     """
 
     lags: Lags
@@ -40,17 +44,17 @@ class Peaks:
 
 
 def find_peaks(gamma: Correlation, reach: tuple[int, int]) -> Peaks:
-    """Return the positive local maxima (eight neighbors) at lags with dx <= reach[0], abs(dy) <= reach[1].
+    """Return the positive local maxima (eight neighbors) at lags with dx <= reach[0] and abs(dy) <= reach[1].
 
     Parameters
     ----------
     gamma
         The right half of an autocorrelation, ``(2H-1, W)``.
     reach
-        px, at most W - 2 and H - 2; higher ground beyond it by more than a pixel is not looked at.
+        px, at most W - 2 and H - 2. Prominences depend on the lags up to one pixel beyond it.
     """
     middle, (x_end, y_end) = gamma.shape[0] // 2, reach
-    surface = quantized(gamma[middle - y_end - 1 : middle + y_end + 2, : x_end + 2])
+    surface = quantize_correlation(gamma[middle - y_end - 1 : middle + y_end + 2, : x_end + 2])
     order = np.argsort(-surface.ravel(), kind="stable")
     heights = prominences(surface, order)
     y, x = np.nonzero((heights > 0) & (surface > 0))
@@ -60,12 +64,12 @@ def find_peaks(gamma: Correlation, reach: tuple[int, int]) -> Peaks:
     return Peaks(lags[inside], surface[y, x] / UNIT, heights[y, x] / UNIT)
 
 
-def quantized(gamma: Correlation) -> NDArray[np.int32]:
-    """Return the correlation in whole multiples of 1 / :data:`UNIT`."""
+def quantize_correlation(gamma: Correlation) -> NDArray[np.int32]:
+    """Return the correlation in integer multiples of 1 / :data:`UNIT`."""
     return np.ascontiguousarray(np.rint(gamma * UNIT), np.int32)
 
 
-def dilated(gamma: Correlation, radius: int) -> Correlation:
+def dilate(gamma: Correlation, radius: int) -> Correlation:
     """Return the highest correlation within ``radius`` px (a square) of each lag, right half, ``(2H-1, W)``."""
     if radius == 0:
         return gamma
@@ -81,9 +85,9 @@ def values_at(gamma: Correlation, lags: Lags) -> NDArray[np.float64]:
 
 
 def climb(gamma: Correlation, points: Points) -> tuple[Points, NDArray[np.float64]]:
-    """Return the highest place within a pixel of each point ``(n, 2)``, to a fraction of a pixel, and its correlation.
+    """Return the sub-pixel position and the correlation of the highest lag within a pixel of each point ``(n, 2)``.
 
-    The nine lags around the nearest whole one are compared; the fraction is :func:`subpixel`'s.
+    The nine lags around the nearest whole lag are compared; :func:`subpixel` adds the fraction.
     """
     steps = np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)])
     around = np.rint(points).astype(np.int64)[:, np.newaxis] + steps
@@ -96,9 +100,79 @@ def climb(gamma: Correlation, points: Points) -> tuple[Points, NDArray[np.float6
 def subpixel(gamma: Correlation, lags: Lags) -> Points:
     """Return the vertices of the parabolas, one along x and one along y, through lags ``(n, 2)`` and their neighbors.
 
-    Lags that are no maximum along x (or y) stay where they are along x (or y).
+    A lag that is no maximum along an axis is not moved along that axis.
     """
     offsets = []
     for step in np.eye(2, dtype=np.int64):
         offsets.append(find_vertex(*(values_at(gamma, lags + k * step) for k in (-1, 0, 1)))[0])
     return np.asarray(lags + np.stack(offsets, 1))
+
+
+def fit_multiples(gamma: Correlation, vectors: Points, reach: tuple[int, int]) -> Points:
+    """Fit each vector to the peaks near its own multiples.
+
+    A peak at the k-th multiple determines the vector k times more precisely than the peak at the vector itself, but it
+    can be identified only if the vector is already precise. So the fit proceeds outward, one multiple at a time, until
+    there is no peak near the next multiple or ``reach`` ends. A vector that the fit moves too far (:data:`MAX_SHIFT`)
+    is returned unchanged.
+
+    Parameters
+    ----------
+    gamma
+        The right half of an autocorrelation, ``(2H-1, W)``.
+    vectors
+        ``(n, 2)``, (x, y) px, at peaks.
+    reach
+        Largest lag along x and y, px.
+    """
+    lengths, fitted, live = np.hypot(*vectors.T), vectors.copy(), np.arange(len(vectors))
+    products, squares = vectors.copy(), np.ones(len(vectors))
+    for k in range(2, int(np.hypot(*reach) / lengths.min(initial=np.inf)) + 1):
+        live = live[(np.abs(k * fitted[live]) <= reach).all(1)]
+        peaks, _ = climb(gamma, k * fitted[live])
+        near = (np.abs(peaks - k * fitted[live]) <= NEAR).all(1)
+        live, peaks = live[near], peaks[near]
+        products[live] += k * peaks
+        squares[live] += k * k
+        fitted[live] = products[live] / squares[live, np.newaxis]
+    too_far = np.hypot(*(fitted - vectors).T) > lengths * MAX_SHIFT
+    return np.where(too_far[:, np.newaxis], vectors, fitted)
+
+
+def fit_pair(gamma: Correlation, pair: Points, reach: tuple[int, int]) -> Points:
+    """Fit two generating vectors to the peaks near all their multiples within ``reach``.
+
+    Least squares, each peak weighted by its correlation, over a disk whose radius doubles; see :func:`fit_multiples`.
+    If the fit moves a vector too far (:data:`MAX_SHIFT`), ``pair`` is returned.
+
+    Parameters
+    ----------
+    gamma
+        The right half of an autocorrelation, ``(2H-1, W)``.
+    pair
+        ``(2, 2)``, rows (x, y) px.
+    reach
+        Largest lag along x and y, px.
+    """
+    lengths = np.hypot(*pair.T)
+    n = int(2 * np.hypot(*reach) / lengths.min()) + 1
+    numbers = np.stack(np.meshgrid(np.arange(-n, n + 1), np.arange(n + 1)), -1).reshape(-1, 2)
+    numbers = numbers[(numbers[:, 1] > 0) | (numbers[:, 0] > 0)]
+    distance = np.hypot(*(numbers @ pair).T)
+    fitted, radius = pair, 0.75 * lengths.max()
+    while radius <= np.hypot(*reach):
+        radius *= 2
+        chosen = numbers[distance <= radius]
+        chosen = chosen[(np.abs(chosen @ fitted) <= reach).all(1)]
+        fitted = _fit_least_squares(gamma, chosen, fitted)
+    return fitted if np.hypot(*(fitted - pair).T).max() <= lengths.min() * MAX_SHIFT else pair
+
+
+def _fit_least_squares(gamma: Correlation, numbers: Points, pair: Points) -> Points:
+    """Return the pair whose multiples ``numbers`` lie nearest to peaks; ``pair`` if too few peaks are near."""
+    peaks, values = climb(gamma, numbers @ pair)
+    use = (np.abs(peaks - numbers @ pair) <= NEAR).all(1) & (values > 0)
+    weights = np.sqrt(values[use])[:, np.newaxis]
+    if np.linalg.matrix_rank(numbers[use] * weights) < 2:
+        return pair
+    return np.asarray(np.linalg.lstsq(numbers[use] * weights, peaks[use] * weights)[0])

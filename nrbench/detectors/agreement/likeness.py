@@ -1,0 +1,124 @@
+"""Compute the likeness of an image to its shifted self: the autocorrelation of its colors, slopes and edges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+from scipy import ndimage
+
+from nrbench.imaging.convert import Image, crop_middle
+from nrbench.imaging.correlation import Correlation, half_autocorrelation
+from nrbench.imaging.fold import Values
+from nrbench.lattice.geometry import Points
+
+LIGHTING = 3
+"""Cosines of up to so many half waves across the image are lighting, not texture."""
+FINE = 0.7
+"""Standard deviation, px, of the Gaussian that smooths the image before its slopes are computed."""
+NEIGHBORHOOD = 1 / 6
+"""Standard deviation, in shorter sides of the image, of the Gaussian window over which contrast is normalized."""
+SIDE = 640
+"""px; an image up to this side is analyzed in one view."""
+MIN_SIDE = 24
+"""px; no view is shrunk below this side."""
+MIN_PERIOD = 12.0
+"""px; an image is shrunk only so far that the shorter generating vector keeps this length."""
+
+
+class Likeness(NamedTuple):
+    """Right halves of autocorrelations, ``(2H-1, W)`` each.
+
+    Parameters
+    ----------
+    pooled
+        The mean of those of colors, slopes and edges.
+    colors
+        That of the colors alone; only the colors are linear in the pixels.
+    """
+
+    pooled: Correlation
+    colors: Correlation
+
+
+def compute_likeness(image: Image) -> Likeness:
+    """Compute the likeness of an image to its shifted self at each lag.
+
+    Colors distinguish tiles that differ in hue only, slopes show the joints of a wall whose bricks all differ in color,
+    and edges show joints of either sign.
+    """
+    slopes = _slopes(image)
+    edges = _without_lighting(np.sqrt(np.hypot(slopes[..., :1], slopes[..., 1:])))
+    surfaces = [half_autocorrelation(values) for values in (_without_lighting(image), slopes, edges)]
+    return Likeness(np.asarray(np.mean(surfaces, 0), np.float32), surfaces[0])
+
+
+def _without_lighting(values: Values) -> Values:
+    """Return values ``(H, W, C)`` without their slowest cosines (:data:`LIGHTING`)."""
+    waves = scipy.fft.dctn(values, axes=(0, 1), norm="ortho")
+    rows, columns = np.ogrid[: LIGHTING + 1, : LIGHTING + 1]
+    slow = waves[: LIGHTING + 1, : LIGHTING + 1]
+    slow[(rows**2 + columns**2 <= LIGHTING**2)[: slow.shape[0], : slow.shape[1]]] = 0
+    return np.asarray(scipy.fft.idctn(waves, axes=(0, 1), norm="ortho"), np.float32)
+
+
+def _slopes(image: Image) -> Values:
+    """Return the slopes of the luminance along x and y over their local root mean square, ``(H, W, 2)``.
+
+    Contrast that fades across the image counts the same everywhere; flat regions stay flat.
+    """
+    smooth = ndimage.gaussian_filter(image.mean(2), FINE)
+    pair = np.stack([ndimage.sobel(smooth, 1), ndimage.sobel(smooth, 0)], -1)
+    power = (pair**2).sum(-1)
+    nearby = ndimage.gaussian_filter(power, NEIGHBORHOOD * min(power.shape), truncate=2)
+    return np.asarray(pair / np.sqrt(nearby + 1e-3 * power.mean() + 1e-12)[..., np.newaxis], np.float32)
+
+
+class View(NamedTuple):
+    """A part of an image, shrunk.
+
+    Parameters
+    ----------
+    image
+        Each pixel is the mean of ``factor`` x ``factor`` pixels of the original.
+    factor
+        A power of 2.
+    """
+
+    image: Image
+    factor: int
+
+
+def views(image: Image) -> Iterator[View]:
+    """Yield views of at most :data:`SIDE` px a side, from the middle at full detail to the whole image.
+
+    Each view covers twice the side of the one before at half its detail. Whatever the period, one of the views shows
+    many periods and resolves them well.
+    """
+    factor = 1
+    while True:
+        yield make_view(image, factor, SIDE)
+        if max(image.shape[:2]) <= factor * SIDE or min(image.shape[:2]) < 2 * factor * MIN_SIDE:
+            return
+        factor *= 2
+
+
+def make_view(image: Image, factor: int, side: int) -> View:
+    """Return the middle of an image, shrunk by a factor to at most ``side`` px a side."""
+    return View(shrink(crop_middle(image, factor * side), factor), factor)
+
+
+def shrink(image: Image, factor: int) -> Image:
+    """Return the means of blocks of ``factor`` x ``factor`` px; incomplete blocks at the borders are dropped."""
+    if factor == 1:
+        return image
+    height, width = (n // factor for n in image.shape[:2])
+    blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
+    return np.asarray(blocks.mean((1, 3)), np.float32)
+
+
+def max_factor(basis: Points) -> int:
+    """Return the largest factor by which an image with these generating vectors may be shrunk (:data:`MIN_PERIOD`)."""
+    return 1 << max(0, int(np.log2(max(np.hypot(*basis.T).min() / MIN_PERIOD, 1))))

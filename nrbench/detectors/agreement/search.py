@@ -1,0 +1,225 @@
+"""The search for lattices: pairs of autocorrelation peaks propose lattices, which are replaced by finer ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from nrbench.detectors.agreement.evidence import Agreement, Evidence, reduce_basis
+from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
+from nrbench.detectors.autocorrelation.peaks import (
+    UNIT,
+    dilate,
+    find_peaks,
+    fit_multiples,
+    quantize_correlation,
+    subpixel,
+)
+from nrbench.lattice.geometry import Points, hermite_matrices
+
+FURTHEST = 0.55
+"""Candidates lie within this share of the image's sides; further ones have no multiple that would confirm them."""
+RATED = 0.6
+"""Multiples within this share of the sides are rated."""
+SHORTEST = 2.6
+"""px; shorter vectors lie within one period of any sampled pattern."""
+INDICES = (2, 3, 5, 7, 11, 13)
+"""Finer lattices of these indices are tried; other indices are reached in several steps."""
+DEPTH = 8
+"""Largest number of steps from coarser to finer lattices: an index of 2^8 is beyond any candidate."""
+MOST = 60
+"""Largest number of lattices visited from one start: along a long ridge there would be no end."""
+BRANCHES = 4
+"""Largest number of finer lattices that are followed from one lattice, the likeliest first."""
+APART = 0.4
+"""A finer lattice stands out if it rises by this share from what the other finer lattices add to the coarse mean."""
+FEW = 10.0
+"""With this number of vectors the scatter is known half as well, and twice as many standard deviations are allowed."""
+NEARLY = 0.03
+"""A finer lattice that misses the limit by no more than this is fitted and rated again."""
+
+
+def propose_lattices(evidence: Evidence, peaks: int, count: int) -> list[Points]:
+    """Return the fitted ``(2, 2)`` bases of the best pairs of peaks, the best first, each lattice once.
+
+    A pair is rated by its :meth:`Evidence.explained_variance_loo`, with the highest correlation within one pixel of
+    each multiple. This is accurate enough to select the pairs that are fitted.
+
+    Parameters
+    ----------
+    evidence
+        The image's autocorrelation.
+    peaks
+        Number of peaks, the most prominent, that are paired.
+    count
+        Number of pairs that are fitted.
+    """
+    vectors = find_candidates(evidence, peaks)
+    if len(vectors) < 2:
+        return []
+    rated = mean_correlations(quantize_correlation(dilate(evidence.gamma, 1)), vectors, float(UNIT), RATED)
+    pairs, repeated = rated[:, :4].reshape(-1, 2, 2), rated[:, 4]
+    tiles = evidence.shape[0] * evidence.shape[1] / np.abs(np.linalg.det(pairs))
+    explained = repeated - (1 - repeated) / (tiles - 1)
+    bases: dict[bytes, Points] = {}
+    seen: set[bytes] = set()
+    for number in np.argsort(-explained, kind="stable"):
+        if explained[number] <= 0 or len(bases) == count:
+            break
+        basis = reduce_basis(pairs[number])
+        if _key(basis, 1.0) not in seen:
+            seen.add(_key(basis, 1.0))
+            fitted = evidence.fit(basis)
+            bases.setdefault(_key(fitted, 0.5), fitted)
+    return list(bases.values())
+
+
+def find_candidates(evidence: Evidence, count: int) -> Points:
+    """Return the most prominent peaks, fitted to their own multiples, ``(n, 2)`` px in ascending length."""
+    gamma, (height, width) = evidence.gamma, evidence.shape
+    reach = min(int(FURTHEST * width), width - 4), min(int(FURTHEST * height), height - 4)
+    if min(reach) < 1:
+        return np.zeros((0, 2))
+    peaks = find_peaks(gamma, reach)
+    order = np.argsort(-peaks.prominences, kind="stable")[:count]
+    vectors = fit_multiples(gamma, subpixel(gamma, peaks.lags[order]), reach)
+    lengths = np.hypot(*vectors.T)
+    order = np.argsort(lengths, kind="stable")
+    return np.ascontiguousarray(vectors[order[lengths[order] >= SHORTEST]])
+
+
+def _key(basis: Points, grain: float) -> bytes:
+    return np.rint(basis / grain).astype(np.int64).tobytes()
+
+
+def finer_bases(basis: Points) -> list[Points]:
+    """Return the reduced bases of all finer lattices of :data:`INDICES`, in that order."""
+    return [reduce_basis(matrix @ basis / index) for index in INDICES for matrix in hermite_matrices(index)]
+
+
+def highest_between(evidence: Evidence, basis: Points) -> float:
+    """Return the highest mean correlation at the vectors that a finer lattice of :data:`INDICES` would add."""
+    return max(evidence.agreement(finer, basis).mean for finer in finer_bases(basis))
+
+
+class StableLattice(NamedTuple):
+    """A lattice that no finer lattice replaces.
+
+    Parameters
+    ----------
+    basis
+        Rows (x, y) px, reduced.
+    repeated
+        The mean correlation at its multiples.
+    between
+        The highest mean correlation at the vectors that a finer lattice would add.
+    """
+
+    basis: Points
+    repeated: float
+    between: float
+
+    @property
+    def relief(self) -> float:
+        """The share of ``repeated`` by which ``between`` is lower; above 1 if ``between`` is negative."""
+        return 1 - self.between / self.repeated
+
+
+Finer = tuple[Agreement, Points]
+"""A finer lattice: the agreement at the vectors that it adds, and its basis."""
+
+
+@dataclass
+class SublatticeSearch:
+    """The rule by which a finer lattice replaces a coarser one.
+
+    Parameters
+    ----------
+    evidence
+        The image's autocorrelation.
+    max_loss
+        A finer lattice replaces a coarser one if the correlation at the vectors that it adds is lower by no more than
+        this share. Differences from tile to tile cost nothing, for they also occur between the coarser tiles.
+    tile_allowance
+        The loss may be larger by this number divided by the number of tiles: few tiles agree by chance.
+    scatter
+        A finer lattice also replaces a coarser one if the correlation at the vectors that it adds is lower by no more
+        than this number of standard deviations of the correlations at single vectors, and if it stands out from what
+        finer lattices of other indices add (:data:`APART`). Where a few long threads or rows happen to match, a
+        supercell selects the best of widely scattered vectors; tiles that truly alternate separate its vectors from all
+        others.
+    relief
+        A lattice is stable if the correlation at its multiples exceeds the correlation at the vectors that any finer
+        lattice adds by this share. Otherwise its multiples lie on a ridge, as in stripes, and any other vector along
+        the ridge would do as well.
+    """
+
+    evidence: Evidence
+    max_loss: float
+    tile_allowance: float
+    scatter: float
+    relief: float
+    _visited: dict[bytes, StableLattice | None] = field(default_factory=dict, init=False)
+
+    def find_finest(self, basis: Points) -> StableLattice | None:
+        """Return the finest stable lattice reached from this one; None if no lattice is stable."""
+        return self._visit(basis, 0, len(self._visited) + MOST)
+
+    def _visit(self, basis: Points, depth: int, most: int) -> StableLattice | None:
+        key = _key(basis, 0.5)
+        if key not in self._visited and len(self._visited) < most:
+            self._visited[key] = None
+            self._visited[key] = self._descend(basis, depth, most)
+        return self._visited.get(key)
+
+    def _descend(self, basis: Points, depth: int, most: int) -> StableLattice | None:
+        own = self.evidence.agreement(basis)
+        rated = self._rate_finer(basis, own)
+        if depth < DEPTH:
+            for _, candidate in self._replacements(rated, basis, own)[:BRANCHES]:
+                below = self._visit(candidate, depth + 1, most)
+                if below is not None:
+                    return below
+        highest = max(agreement.mean for agreement, _ in rated)
+        if own.mean <= 0 or own.mean - highest < self.relief * own.mean:
+            return None
+        fitted = self.evidence.fit(basis)
+        return StableLattice(fitted, self.evidence.repeated(fitted), highest_between(self.evidence, fitted))
+
+    def _rate_finer(self, basis: Points, own: Agreement) -> list[Finer]:
+        """Return all finer lattices; those that agree nearly well enough are fitted."""
+        limit = self._limit(basis, own) - NEARLY
+        rated = []
+        for candidate in finer_bases(basis):
+            added = self.evidence.agreement(candidate, basis)
+            if added.mean >= limit and np.hypot(*candidate[0]) >= SHORTEST:
+                fitted = self.evidence.fit(candidate)
+                better = self.evidence.agreement(fitted, basis)
+                if better.mean > added.mean:
+                    added, candidate = better, fitted
+            rated.append((added, candidate))
+        return rated
+
+    def _limit(self, basis: Points, own: Agreement) -> float:
+        return own.mean * (1 - self.max_loss - self.tile_allowance / self.evidence.tiles(basis))
+
+    def _replacements(self, rated: list[Finer], basis: Points, own: Agreement) -> list[Finer]:
+        """Return the finer lattices that may replace the coarser one, the likeliest first."""
+        limit = self._limit(basis, own)
+        usual = self._usual_mean(rated)
+        replacements = []
+        for added, candidate in rated:
+            spread = np.sqrt((own.variance + added.variance) / 2)
+            above, below = added.mean - usual, own.mean - added.mean
+            near = above > APART * (above + below) and below <= self.scatter * spread * (1 + FEW / max(own.lags, 1))
+            if (added.mean >= limit or near) and np.hypot(*candidate[0]) >= SHORTEST:
+                replacements.append((added, candidate))
+        return sorted(replacements, key=lambda finer: -finer[0].mean)
+
+    def _usual_mean(self, rated: list[Finer]) -> float:
+        """Return the median over the indices of the highest mean; along a ridge it is the same for every index."""
+        sizes = np.cumsum([len(hermite_matrices(index)) for index in INDICES])[:-1]
+        means = np.array([added.mean for added, _ in rated])
+        return float(np.median([part.max() for part in np.split(means, sizes)]))

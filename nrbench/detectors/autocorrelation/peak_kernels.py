@@ -1,0 +1,239 @@
+"""Compiled loops on the peaks and ridges of a surface: prominence, region of dominance, and ridges between peaks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.jit import kernel
+
+
+@kernel("int64(int64[::1], int64)")
+def root(parent: NDArray[np.int64], node: int) -> int:
+    """Return the root of a node's tree in a union-find forest, and halve the path to it.
+
+    ``parent`` holds the parent of each node; a root is its own parent. Amortized O(log n).
+    """
+    while parent[node] != node:
+        parent[node] = parent[parent[node]]
+        node = parent[node]
+    return node
+
+
+@kernel("int32[:, ::1](int32[:, ::1], int64[::1])")
+def prominences(surface: NDArray[np.int32], order: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Return the prominence of each peak: its height above the highest pass to a higher peak.
+
+    Pixels are added from the highest to the lowest; the regions that they form are joined in a union-find forest.
+
+    Parameters
+    ----------
+    surface
+        ``(2h+1, w)``: the right half of a surface that is symmetric about its origin at ``[h, 0]``.
+    order
+        Flat indices of the pixels, from the highest to the lowest.
+
+    Returns
+    -------
+    NDArray
+        ``(2h+1, w)``: 0 where there is no peak, and in the first column above the origin, which repeats the pixels
+        below the origin. The prominence of the highest peak is its height above the lowest pixel. Adjacent pixels of
+        equal height form one peak.
+
+    Notes
+    -----
+    scikit-image and scipy have no prominence of two-dimensional peaks. This one also respects the symmetry.
+    """
+    rows, columns = surface.shape
+    middle = rows // 2
+    height = surface.ravel()
+    parent = np.full(height.size, -1, np.int64)
+    found = np.zeros(height.size, np.int32)
+    highest = -1
+    for pixel in order:
+        y, x = pixel // columns, pixel % columns
+        # The first column holds its pixels twice, above and below the origin. Those above are skipped.
+        if x == 0 and y < middle:
+            continue
+        highest = pixel if highest < 0 else highest
+        parent[pixel] = pixel
+        for step in range(9):
+            near_y, near_x = y + step // 3 - 1, x + step % 3 - 1
+            if near_x < 0 or (near_x == 0 and near_y < middle):
+                near_y, near_x = rows - 1 - near_y, -near_x
+            if near_x >= columns or near_y < 0 or near_y >= rows:
+                continue
+            near = near_y * columns + near_x
+            if parent[near] < 0:
+                continue
+            # The root of a region is its peak: the pixel that was added first.
+            one, other = root(parent, pixel), root(parent, near)
+            if one == other:
+                continue
+            if height[one] < height[other] or (height[one] == height[other] and one == pixel):
+                one, other = other, one
+            found[other] = height[other] - height[pixel]
+            parent[other] = one
+    found[highest] = height[highest] - height[order[-1]]
+    return found.reshape(surface.shape)
+
+
+@kernel("float64[::1](float32[:, ::1], int64[::1])")
+def highest_ridge(tile: NDArray[np.float32], order: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the ridge that joins the peaks of a periodic surface: of all paths, the one whose lowest point is highest.
+
+    Parameters
+    ----------
+    tile
+        One cell of the surface, ``(V, U)``, with periodic borders; its peak is at ``[0, 0]``.
+    order
+        Flat indices of the pixels, from the highest to the lowest.
+
+    Returns
+    -------
+    NDArray
+        ``(3,)``: the lowest height of the ridge, and the numbers of tiles along x and y between the peaks that it
+        joins.
+    """
+    rows, columns = tile.shape
+    height = tile.ravel()
+    parent = np.full(tile.size, -1, np.int64)
+    # The shift from each pixel to its parent, and from each region to the copy of itself that it touches, in tiles.
+    across, down = np.zeros(tile.size, np.int64), np.zeros(tile.size, np.int64)
+    met_x, met_y = np.zeros(tile.size, np.int64), np.zeros(tile.size, np.int64)
+    for pixel in order:
+        parent[pixel] = pixel
+        y, x = pixel // columns, pixel % columns
+        for step in range(9):
+            near_y, near_x = y + step // 3 - 1, x + step % 3 - 1
+            near = near_y % rows * columns + near_x % columns
+            if parent[near] < 0 or step == 4:
+                continue
+            shift_x, shift_y = near_x // columns, near_y // rows
+            one, other = pixel, near
+            while parent[one] != one:
+                shift_x, shift_y = shift_x - across[one], shift_y - down[one]
+                one = parent[one]
+            while parent[other] != other:
+                shift_x, shift_y = shift_x + across[other], shift_y + down[other]
+                other = parent[other]
+            if one != other:
+                parent[other], across[other], down[other] = one, -shift_x, -shift_y
+                shift_x, shift_y = met_x[other], met_y[other]
+            if met_x[one] == 0 and met_y[one] == 0:
+                met_x[one], met_y[one] = shift_x, shift_y
+        if parent[0] >= 0:
+            first = 0
+            while parent[first] != first:
+                first = parent[first]
+            if met_x[first] != 0 or met_y[first] != 0:
+                return np.array((float(height[pixel]), float(met_x[first]), float(met_y[first])))
+    return np.array((float(height[order[-1]]), 1.0, 0.0))
+
+
+@kernel("float64(int32[:, ::1], boolean[:, ::1], int64[::1])")
+def inner_relief(tile: NDArray[np.int32], inside: NDArray[np.bool_], order: NDArray[np.int64]) -> float:
+    """Return the relief of the most prominent inner peak of a periodic tile, relative to that of the corner peak.
+
+    The relief of the inner peak is its height above the highest pass to the corner peak. It is divided by the height of
+    the corner peak above the same pass.
+
+    Parameters
+    ----------
+    tile
+        One rectangle of a surface, ``(H, W)``, with periodic borders.
+    inside
+        ``(H, W)``: the pixels that are not near a corner. The corner peak is the highest of the other pixels.
+    order
+        Flat indices of the pixels, from the highest to the lowest.
+
+    Returns
+    -------
+    float
+        The largest ratio over all inner peaks; 0 if there is no inner peak, infinite if the corners have no peak.
+
+    Notes
+    -----
+    Pixels are added from the highest to the lowest, as in :func:`prominences`; O(n log n).
+    """
+    rows, columns = tile.shape
+    height, inner = tile.ravel(), inside.ravel()
+    parent = np.full(tile.size, -1, np.int64)
+    peak = np.full(tile.size, -1, np.int64)
+    corner, relief = -1, 0.0
+    for pixel in order:
+        parent[pixel] = pixel
+        if inner[pixel]:
+            peak[pixel] = pixel
+        elif corner < 0:
+            corner = pixel
+        y, x = pixel // columns, pixel % columns
+        for step in range(9):
+            near = (y + step // 3 - 1) % rows * columns + (x + step % 3 - 1) % columns
+            if parent[near] < 0:
+                continue
+            one, other = root(parent, pixel), root(parent, near)
+            if one == other:
+                continue
+            top = root(parent, corner) if corner >= 0 else corner
+            if one == top:
+                one, other = other, one
+            if other == top:
+                if peak[one] >= 0:
+                    if height[corner] == height[pixel]:
+                        return np.inf if height[peak[one]] > height[pixel] else relief
+                    relief = max(relief, (height[peak[one]] - height[pixel]) / (height[corner] - height[pixel]))
+            elif peak[one] >= 0 and (peak[other] < 0 or height[peak[one]] > height[peak[other]]):
+                peak[other] = peak[one]
+            parent[one] = other
+    return relief
+
+
+@kernel("float64[::1](float64[:, ::1])")
+def region_radii(ranked: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distance of each peak from the nearest higher peak, px, ``(n,)``.
+
+    Parameters
+    ----------
+    ranked
+        ``(n, 2)``: lags (x, y), the highest peak first. Each peak has a mirror image; lag 0 is the highest peak of all.
+
+    Notes
+    -----
+    Peaks enter a grid that has as many boxes as there are peaks, the highest first. For each peak the rings of boxes
+    around its own box are searched until the nearest peak is known: O(n log n) for evenly spread peaks.
+    """
+    n = ranked.shape[0]
+    radii = np.empty(n)
+    if n == 0:
+        return radii
+    x_end, y_end = np.abs(ranked[:, 0]).max(), np.abs(ranked[:, 1]).max()
+    box = max(np.sqrt(2 * x_end * y_end / n), max(x_end, y_end) / n, 1e-6)
+    columns, rows = int(2 * x_end / box) + 1, int(2 * y_end / box) + 1
+    first = np.full((rows, columns), -1, np.int64)
+    following = np.full(2 * n, -1, np.int64)
+    for i in range(n):
+        x, y = ranked[i, 0], ranked[i, 1]
+        column, row = int((x + x_end) / box), int((y + y_end) / box)
+        nearest = x * x + y * y
+        ring = 0
+        while ring <= 1 or (ring - 1) * box * (ring - 1) * box <= nearest:
+            for r in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
+                step = 1 if abs(r - row) == ring else max(2 * ring, 1)
+                for c in range(column - ring, column + ring + 1, step):
+                    if c < 0 or c >= columns:
+                        continue
+                    k = first[r, c]
+                    while k >= 0:
+                        sign = 1 - 2 * (k % 2)
+                        dx, dy = x - sign * ranked[k // 2, 0], y - sign * ranked[k // 2, 1]
+                        nearest = min(nearest, dx * dx + dy * dy)
+                        k = following[k]
+            ring += 1
+        radii[i] = np.sqrt(nearest)
+        for half in range(2):
+            sign = 1 - 2 * half
+            c, r = int((sign * x + x_end) / box), int((sign * y + y_end) / box)
+            following[2 * i + half] = first[r, c]
+            first[r, c] = 2 * i + half
+    return radii

@@ -1,0 +1,93 @@
+"""Make surrogates, random images with the autocorrelation of an image, to measure what a detector finds by chance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from nrbench.imaging.convert import Image, crop_middle
+from nrbench.lattice.geometry import Lattice
+from nrbench.streams import pixels_hash, stream
+
+EULER_GAMMA = 0.5772156649015329
+SIDE = 512
+"""px; smallest side to which an image is cropped."""
+PERIODS = 10.0
+"""So many periods a side decide whether there is a lattice; more would only take time."""
+
+
+def crop_for_test(image: Image, lattice: Lattice) -> Image:
+    """Return the middle of an image: a side is :data:`PERIODS` of the longer generating vector, or :data:`SIDE` px.
+
+    Phase-randomized copies of a 4096 x 4096 image take minutes; those of its middle take seconds.
+    """
+    longest = float(abs(lattice.reduced().matrix).max())
+    return crop_middle(image, max(SIDE, round(PERIODS * longest)))
+
+
+def phase_randomized(image: NDArray[np.float32], rng: np.random.Generator, count: int) -> Iterator[NDArray[np.float32]]:
+    """Yield Gaussian textures ``(H, W, C)`` with the spectrum of an image, mean 0 and any range.
+
+    The same random phases are added to all channels, which preserves the correlations between channels. The spectrum is
+    that of the image on a torus of twice its size, and one quarter of the torus is returned. On a torus of the image's
+    own size a lattice that is commensurate with the image would survive any change of phases, and opposite borders
+    would match.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``, any range.
+    rng
+        Source of the phases.
+    count
+        Number of textures.
+    """
+    height, width = image.shape[:2]
+    torus = [scipy.fft.next_fast_len(2 * n, real=True) for n in (height, width)]
+    spectra = scipy.fft.rfft2(np.moveaxis(image - image.mean((0, 1)), 2, 0), torus)
+    for _ in range(count):
+        noise = scipy.fft.rfft2(rng.standard_normal(torus, np.float32))
+        turns = noise / np.sqrt(np.maximum(noise.real**2 + noise.imag**2, np.float32(1e-12)))
+        planes = scipy.fft.irfft2(spectra * turns, torus, overwrite_x=True)[:, :height, :width]
+        yield np.ascontiguousarray(np.moveaxis(planes, 0, 2))
+
+
+def measure_surrogates(
+    image: Image,
+    part: NDArray[np.float32],
+    statistic: Callable[[NDArray[np.float32]], float],
+    count: int,
+    false_alarms: float,
+) -> tuple[NDArray[np.float64], float]:
+    """Return a detector's statistic for phase-randomized copies, and the limit above which a value is no chance.
+
+    Parameters
+    ----------
+    image
+        The image whose lattice is sought; its pixels seed the random phases.
+    part
+        The part of it that is copied, ``(H, W, C)``, any range.
+    statistic
+        Rates an image.
+    count
+        Number of copies.
+    false_alarms
+        Probability that a further copy exceeds the limit.
+    """
+    rng = stream("detection", pixels_hash(image))
+    values = np.array([statistic(copy) for copy in phase_randomized(part, rng, count)])
+    return values, upper_limit(values, false_alarms)
+
+
+def upper_limit(values: NDArray[np.float64], false_alarms: float) -> float:
+    """Return the limit that a further value exceeds with probability ``false_alarms``; each value is a maximum of many.
+
+    The limit is a quantile of the Gumbel distribution with the mean and the standard deviation of ``values``. The best
+    of many candidates follows it more closely than a normal distribution, and its tail needs no hundreds of values.
+    """
+    standard = (-math.log(-math.log(1 - false_alarms)) - EULER_GAMMA) * math.sqrt(6) / math.pi
+    return float(values.mean() + standard * values.std(ddof=1))

@@ -1,1 +1,0 @@
-"""TODO nrbench.detectors.rectangular_periods."""
