@@ -156,7 +156,7 @@ def test_the_covering_radius_is_that_of_the_deepest_hole(lattice: Lattice) -> No
     u, v = np.mgrid[0:1:0.02, 0:1:0.02]  # type: ignore[misc]
     away = np.hypot(*np.moveaxis(lattice.wrap(np.stack([u, v], -1) @ lattice.reduced().matrix), -1, 0))
     assert lattice.covering_radius * 0.93 < away.max() <= lattice.covering_radius * (1 + 1e-9)
-    near = np.array([lattice.packing_radius * 0.99, 0.0])
+    near = np.array([lattice.s / 2 * 0.99, 0.0])
     np.testing.assert_allclose(lattice.wrap(near), near, atol=1e-9)
 
 
