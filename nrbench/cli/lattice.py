@@ -203,6 +203,7 @@ def _draw_comparison(image: Image, answers: Sequence[_Answer], output: Path) -> 
     """Write a sheet with one captioned picture a detector."""
     from nrbench.imaging.drawing import contact_sheet, draw_lattice
     from nrbench.imaging.files import write_image
+
     pictures = [image if answer.lattice is None else draw_lattice(image, answer.lattice) for answer in answers]
     letters = max(32, image.shape[1] // 6)
     write_image(output, contact_sheet(pictures, [answer.caption(letters) for answer in answers], columns=3))
