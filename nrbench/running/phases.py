@@ -73,7 +73,7 @@ def synthesize(folder: Path, send: Send) -> None:
     where = CellFolder(folder)
     cell = _read_cell(where)
     try:
-        send({**_synthesize(where, cell)})
+        send(cast("Message", _synthesize(where, cell)))
     except Refused as refusal:
         send({"status": "refused", "message": refusal.reason})
     except InvalidOutput as invalid:
