@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -14,7 +14,9 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
+from nrbench.metrics.verdict import examination
 from nrbench.metrics.verdict.examination import examine
+from nrbench.metrics.verdict.reference import KnownLattice, Reference, make_reference
 from nrbench.metrics.verdict.verdict import Verdict
 from nrbench.plugins.forms import Observation, Shape, Task, Texture
 from nrbench.streams import stream
@@ -72,6 +74,22 @@ def make_case(name: str) -> Case:
     """Return the case of a model."""
     texture = MODELS[name].render((128, 128), np.random.default_rng(5))
     return Case(MODELS[name], replace(texture, image=quantize(texture.image)))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def references() -> Iterator[None]:
+    """Compute the reference of each texture once, because it does not depend on the output."""
+    kept: dict[tuple[int, int, KnownLattice], tuple[Observation, Reference]] = {}
+
+    def make_once(observation: Observation, known: KnownLattice) -> Reference:
+        key = (id(observation.sample), id(getattr(observation.again, "__self__", observation.again)), known)
+        if key not in kept:
+            kept[key] = observation, make_reference(observation, known)
+        return kept[key][1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(examination, "make_reference", make_once)
+        yield
 
 
 @pytest.fixture
