@@ -19,7 +19,7 @@ from .ncc.periodic import tile_box
 from .residual_tiles.tiles import offset_noise, squared_gradient
 from .verdict.examination import examine
 from .verdict.exponential_tail import ExponentialTail
-from .verdict.reference import FIRST_DRAW
+from .verdict.reference import FIRST_DRAW, Reference
 from .verdict.verdict import Verdict
 from .whole_elements.composite_tiles import (
     Discriminant,
@@ -63,7 +63,6 @@ _DIM = 0.5
 _MARK = np.array((0.9, 0.1, 0.1), np.float32)
 _WORST, _SIDE, _GAP = 8, 96, 4
 """Tiles in the picture of the worst tiles, their height and the gap between them, px."""
-_References = list[tuple[Cutter, slice]]
 
 
 @dataclass(frozen=True)
@@ -179,13 +178,25 @@ class BrokenTiles:
 
 
 @dataclass(frozen=True)
+class _Learned:
+    """What the references show at one place of the cell.
+
+    Two discriminants, each with the mean evidence of whole tiles, and the evidence of whole and of composite tiles over
+    that mean.
+    """
+
+    discriminants: list[tuple[Discriminant, float]]
+    whole: Levels
+    composite: Levels
+
+
+@dataclass(frozen=True)
 class _Evidence:
-    """Middles (x, y) px of the output's windows at one place of the cell, and evidence of three kinds of windows."""
+    """Middles (x, y) px and evidence of the output's windows at one place of the cell, and what was learned there."""
 
     middles: Points
     output: Levels
-    whole: Levels
-    composite: Levels
+    learned: _Learned
 
 
 def find_broken(verdict: Verdict, sample: Image, again: Again | None) -> BrokenTiles | str:
@@ -195,65 +206,73 @@ def find_broken(verdict: Verdict, sample: Image, again: Again | None) -> BrokenT
     """
     if verdict.lack_of_power:
         return f"undecided: {verdict.lack_of_power}"
-    halves = _references(verdict, sample, again)
     output = Cutter.following(verdict.output, offset_noise(verdict.references))
-    places = find_element_places([cutter for half in halves for cutter, _ in half])
+    places, learned = learn_references(verdict.reference, sample, again, output.lattice)
     evidence = []
-    for place in places:
-        one = _measure_evidence(output, halves, place, verdict)
+    for place, one in zip(places, learned, strict=True):
         if isinstance(one, str):
             return one
-        evidence.append(one)
+        seen = _in_place(output.cut(place), verdict)
+        if len(seen.values) < _LEAST_WINDOWS:
+            return f"undecided: fewer than {_LEAST_WINDOWS} whole tiles in place to compare"
+        evidence.append(_Evidence(seen.middles, _output_evidence(one, departures(seen.values)), one))
     return _count_broken(output.lattice, places[0], evidence)
 
 
-def _references(verdict: Verdict, sample: Image, again: Again | None) -> tuple[_References, _References]:
-    """Return two halves of the references: fresh draws, or every second tile of the sample."""
-    lattice = verdict.reference.lattice
-    if again is None or verdict.reference.source == "sample":
-        cutter = Cutter(sample, lattice)
-        return [(cutter, slice(0, None, 2))], [(cutter, slice(1, None, 2))]
-    side = np.ceil(np.clip(_TILES_A_SIDE * tile_box(lattice), *_SIDES)).astype(int)
-    draws = [again((int(side[1]), int(side[0])), _FIRST_DRAW + k) for k in range(_DRAWS)]
-    cutters = [(Cutter(draw.image, lattice), slice(None)) for draw in draws if draw is not None]
-    return cutters[: len(cutters) // 2], cutters[len(cutters) // 2 :]
+def learn_references(
+    reference: Reference, sample: Image, again: Again | None, lattice: Lattice
+) -> tuple[Points, list[_Learned | str]]:
+    """Return the places of elements in the cell, and what the references show at each, or the reason why nothing.
 
+    The references are fresh draws, or else the sample. Each half of the fresh draws, or every second tile of the
+    sample, is measured by directions learned from the other half.
 
-def _measure_evidence(
-    output: Cutter, halves: tuple[_References, _References], place: Points, verdict: Verdict
-) -> _Evidence | str:
-    """Return the evidence at one place of the cell, or the reason why there is none.
-
-    Each half of the references is measured by directions learned from the other half.
+    Parameters
+    ----------
+    reference
+        The reference of the verdict.
+    sample, again
+        The sample and its fresh draws.
+    lattice
+        The lattice of the output's tiles.
     """
-    seen = _in_place(output.cut(place), verdict)
+    if again is None or reference.source == "sample":
+        cutter = Cutter(sample, reference.lattice)
+        halves = [[(cutter, slice(first, None, 2))] for first in (0, 1)]
+    else:
+        side = np.ceil(np.clip(_TILES_A_SIDE * tile_box(reference.lattice), *_SIDES)).astype(int)
+        draws = [again((int(side[1]), int(side[0])), _FIRST_DRAW + k) for k in range(_DRAWS)]
+        cutters = [(Cutter(draw.image, reference.lattice), slice(None)) for draw in draws if draw is not None]
+        halves = [cutters[: len(cutters) // 2], cutters[len(cutters) // 2 :]]
+    places = find_element_places([cutter for half in halves for cutter, _ in half])
+    return places, [_learn(halves, place, lattice) for place in places]
+
+
+def _learn(halves: list[list[tuple[Cutter, slice]]], place: Points, lattice: Lattice) -> _Learned | str:
     own = [[cutter.cut(place).take(part) for cutter, part in half] for half in halves]
     if min(sum(len(windows.middles) for windows in half) for half in own) < _LEAST_REFERENCES:
         return f"undecided: the references hold fewer than 2 x {_LEAST_REFERENCES} whole tiles"
-    if len(seen.values) < _LEAST_WINDOWS:
-        return f"undecided: fewer than {_LEAST_WINDOWS} whole tiles in place to compare"
     parts = [_whole_tiles([cutter for cutter, _ in half], windows) for half, windows in zip(halves, own, strict=True)]
-    floor = _floor([windows for half in own for windows in half], output.lattice, [part.rows for part in parts])
-    measures, whole, composite = [], [], []
+    floor = _floor([windows for half in own for windows in half], lattice, [part.rows for part in parts])
+    discriminants, whole, composite = [], [], []
     for one, other in (parts, parts[::-1]):
         discriminant = Discriminant.fit(one, other, floor)
         evidence = discriminant.evidence(other.rows)
         level = max(float(evidence.mean()), 1e-9)
-        measures.append((discriminant, level))
+        discriminants.append((discriminant, level))
         whole.append(evidence / level)
         composite.append(discriminant.evidence(compose_tiles(other.rows)) / level)
-    calm = float(np.quantile(np.concatenate(whole), _CALM))
-    shown = _output_evidence(measures, departures(seen.values), calm)
-    return _Evidence(seen.middles, shown, np.concatenate(whole), np.concatenate(composite))
+    return _Learned(discriminants, np.concatenate(whole), np.concatenate(composite))
 
 
-def _output_evidence(measures: list[tuple[Discriminant, float]], rows: Rows, calm_level: float) -> Levels:
+def _output_evidence(learned: _Learned, rows: Rows) -> Levels:
     """Return the evidence of an output's tiles, about the mean of the calm tiles if many tiles are broken.
 
     The cuts of many broken tiles do not quite cancel in the mean of all, and would leave evidence in whole tiles.
     """
+    calm_level = float(np.quantile(learned.whole, _CALM))
     for _ in range(_ROUNDS):
-        evidence = np.mean([discriminant.evidence(rows) / level for discriminant, level in measures], 0)
+        evidence = np.mean([discriminant.evidence(rows) / level for discriminant, level in learned.discriminants], 0)
         calm = evidence <= max(calm_level, float(np.quantile(evidence, _LEAST_CALM)))
         if calm.mean() > _MANY_CALM:
             break
@@ -289,7 +308,8 @@ def _in_place(windows: Windows, verdict: Verdict) -> Windows:
 
 def _count_broken(lattice: Lattice, anchor: Points, evidence: list[_Evidence]) -> BrokenTiles:
     """Return the broken tiles; each counts once, although windows at several places show it."""
-    whole, output = (np.concatenate([getattr(one, name) for one in evidence]) for name in ("whole", "output"))
+    whole = np.concatenate([one.learned.whole for one in evidence])
+    output = np.concatenate([one.output for one in evidence])
     tail = ExponentialTail.fit(whole, _TAIL, overlap=_OVERLAP)
 
     def surprisal(levels: Levels) -> Levels:
@@ -305,7 +325,7 @@ def _count_broken(lattice: Lattice, anchor: Points, evidence: list[_Evidence]) -
         tiles=len(evidence[0].output),
         worst=float(surprisals.max(initial=-np.inf)),
         evidence_p90=float(np.quantile(output, 0.9) / max(float(np.quantile(whole, 0.9)), 1e-9)),
-        detection_power=float((surprisal(evidence[0].composite) > BROKEN_SURPRISAL).mean()),
+        detection_power=float((surprisal(evidence[0].learned.composite) > BROKEN_SURPRISAL).mean()),
     )
 
 

@@ -1,21 +1,40 @@
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
+from nrbench import metrics
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.imaging.convert import quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.integrity import Integrity
+from nrbench.metrics.integrity import Integrity, learn_references
+from nrbench.metrics.verdict.reference import Reference
 from nrbench.metrics.whole_elements.composite_tiles import Discriminant, WholeTiles, compose_tiles
-from nrbench.plugins.forms import Observation, Score, Task, Texture
+from nrbench.plugins.forms import Again, Observation, Score, Task, Texture
 from nrbench.synthesizers.rsgf import Rsgf
 
 from .conftest import MODELS, Case
 
 Cases = Callable[[str], Case]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def learned() -> Iterator[None]:
+    """Learn from the references of each texture once, because they do not depend on the output."""
+    kept: dict[Any, Any] = {}
+
+    def learn_once(reference: Reference, sample: Image, again: Again | None, lattice: Lattice) -> Any:
+        key = id(reference), lattice.t1, lattice.t2
+        if key not in kept:
+            kept[key] = reference, learn_references(reference, sample, again, lattice)
+        return kept[key][1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(metrics.integrity, "learn_references", learn_once)
+        yield
 
 
 def integrity(observation: Observation) -> Score:
