@@ -152,7 +152,7 @@ def test_the_dual_does_not_depend_on_the_basis(lattice: Lattice, change: np.ndar
 
 @given(lattices())
 def test_the_covering_radius_is_that_of_the_deepest_hole(lattice: Lattice) -> None:
-    """No place wraps further than it, some do nearly; within the packing radius a place wraps to itself."""
+    """No place wraps further than it, some do nearly; within half of s a place wraps to itself."""
     u, v = np.mgrid[0:1:0.02, 0:1:0.02]  # type: ignore[misc]
     away = np.hypot(*np.moveaxis(lattice.wrap(np.stack([u, v], -1) @ lattice.reduced().matrix), -1, 0))
     assert lattice.covering_radius * 0.93 < away.max() <= lattice.covering_radius * (1 + 1e-9)

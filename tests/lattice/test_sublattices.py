@@ -7,7 +7,7 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.lattice.comparison import lattice_error
-from nrbench.lattice.geometry import Lattice, hermite_matrices
+from nrbench.lattice.geometry import Lattice, hermite_matrices, shortest_pair
 
 LATTICE = Lattice((27.3, 1.0), (8.0, 12.2), (4.0, 1.0))
 REBASED = Lattice((27.3 + 3 * 8.0, 1.0 + 3 * 12.2), (27.3 + 2 * 8.0, 1.0 + 2 * 12.2), (4.0, 1.0))
@@ -15,12 +15,12 @@ REBASED = Lattice((27.3 + 3 * 8.0, 1.0 + 3 * 12.2), (27.3 + 2 * 8.0, 1.0 + 2 * 1
 
 def coarser(lattice: Lattice, index: int) -> list[Lattice]:
     """Return the supercells of an index."""
-    return [Lattice.from_basis(basis) for basis in hermite_matrices(index) @ lattice.matrix]
+    return [Lattice.from_basis(shortest_pair(basis)) for basis in hermite_matrices(index) @ lattice.matrix]
 
 
 def finer(lattice: Lattice, index: int) -> list[Lattice]:
     """Return the subcells of an index."""
-    return [Lattice.from_basis(basis) for basis in hermite_matrices(index) @ lattice.matrix / index]
+    return [Lattice.from_basis(shortest_pair(basis)) for basis in hermite_matrices(index) @ lattice.matrix / index]
 
 
 @pytest.mark.parametrize("index", [1, 2, 3, 4, 5, 6, 7, 12, 30])
@@ -68,3 +68,8 @@ def test_the_duals_of_the_coarser_are_the_finer_of_the_dual(index: int) -> None:
     duals = [lattice.dual() for lattice in coarser(LATTICE, index)]
     expected = finer(LATTICE.dual(), index)
     assert [sum(one.is_equivalent(other, 1e-10) for other in expected) for one in duals] == [1] * len(expected)
+
+
+def test_long_thin_lattices_have_coarser_ones() -> None:
+    """A lattice of 2 px by 10 000 px has its 30-fold ones, none refused for being nearly parallel."""
+    assert len(coarser(Lattice((2.0, 0.0), (0.3, 1e4)), 30)) == 72

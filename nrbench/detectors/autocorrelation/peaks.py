@@ -104,7 +104,8 @@ def subpixel(gamma: Correlation, lags: Lags) -> Points:
     """
     offsets = []
     for step in np.eye(2, dtype=np.int64):
-        offsets.append(find_vertex(*(values_at(gamma, lags + k * step) for k in (-1, 0, 1)))[0])
+        before, middle, after = (values_at(gamma, lags + k * step) for k in (-1, 0, 1))
+        offsets.append(find_vertex(before, middle, after)[0])
     return np.asarray(lags + np.stack(offsets, 1))
 
 
