@@ -46,7 +46,7 @@ from nrbench.spectra.harmonics import Harmonic, Harmonics, analyze
 from nrbench.spectra.regular_part import HARMONIC, line_floor
 from nrbench.spectra.spectrum import Spectrum
 from nrbench.spectra.wave_fit import FixedWaves, wave_sum
-from nrbench.synthesizers.masks.fftm_mask import Analysis
+from nrbench.synthesizers.masks.texture_mask import MaskParameters
 
 Planes = NDArray[np.float64]
 SIDE, FAR = 128, 8
@@ -112,8 +112,8 @@ def row(model: str, strength: tuple[float, float, float], seed: int, free: bool)
     sample = quantize(texture.image[:SIDE, :SIDE])
     values, ideal = planes(sample), planes(texture.ideal[:SIDE, :SIDE])
     departures = values - ideal
-    mask = Analysis().of(sample)
-    units = median_units(lambda: Analysis().of(sample), 3)
+    mask = MaskParameters().of(sample)
+    units = median_units(lambda: MaskParameters().of(sample), 3)
     held = mean_tile(departures, texture.lattice, (SIDE, SIDE))
     found = 0.0 if mask.lattice is None else mask.lattice.area / texture.lattice.area
     figures = {
@@ -130,7 +130,7 @@ def row(model: str, strength: tuple[float, float, float], seed: int, free: bool)
         "mean tile ": correlation(mean_tile(sample, texture.lattice, whole), texture.ideal),
     }
     if free:
-        figures["free"] = correlation(Analysis(FREE, "free").of(sample).picture(whole), texture.ideal)
+        figures["free"] = correlation(MaskParameters(FREE, "free").of(sample).picture(whole), texture.ideal)
     return figures
 
 
@@ -170,8 +170,8 @@ def threshold_table(seed: int) -> None:
     for threshold in (0.5, 1.0, 2.0, 5.0, 0.0):
         print(f"{threshold or 'automatic':>17}", end="")
         for kind in HARMONICS:
-            mask = Analysis(threshold, kind).of(sample)
-            units = median_units(partial(Analysis(threshold, kind).of, sample), 1)
+            mask = MaskParameters(threshold, kind).of(sample)
+            units = median_units(partial(MaskParameters(threshold, kind).of, sample), 1)
             print(f"{len(mask.harmonics.frequencies):14} {units:6.0f}", end="", flush=True)
         print()
 
@@ -184,7 +184,7 @@ def figure(folder: Path, seed: int) -> None:
     left = np.ones((side, SIDE, 3), np.float32)
     left[:SIDE] = sample
     parts, gap = [left], np.ones((side, 16, 3), np.float32)
-    for analysis in (Analysis(FREE, "free"), Analysis(FREE, "tied"), Analysis()):
+    for analysis in (MaskParameters(FREE, "free"), MaskParameters(FREE, "tied"), MaskParameters()):
         parts += [gap, analysis.of(sample).picture((side, side))]
     folder.mkdir(parents=True, exist_ok=True)
     write_image(folder / "interference.png", np.concatenate(parts, 1))

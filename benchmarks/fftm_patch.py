@@ -19,7 +19,7 @@ from nrbench.imaging.convert import quantize
 from nrbench.jit import load_kernels
 from nrbench.plugins.forms import Task
 from nrbench.synthesizers.fftm_patch import FftmPatch
-from nrbench.synthesizers.masks.fftm_mask import Analysis, TextureMask
+from nrbench.synthesizers.masks.texture_mask import MaskParameters, TextureMask
 from nrbench.synthesizers.patchwork.patchwork import Patchwork
 
 PAPER = FftmPatch(weight=1.0, patch=40, overlap=0.5, reach=0.0, normalized=False)
@@ -42,7 +42,7 @@ def textured(side: int) -> tuple[Task, TextureMask]:
     """Return a task of a square brick sample, and the sample's mask."""
     texture = Brick().render((side, side), np.random.default_rng(0))
     sample = quantize(texture.image)
-    return Task(sample, (256, 256), texture.lattice, np.random.default_rng(1)), Analysis().of(sample)
+    return Task(sample, (256, 256), texture.lattice, np.random.default_rng(1)), MaskParameters().of(sample)
 
 
 def made(method: FftmPatch, sample: int, output: int) -> Patchwork:

@@ -30,7 +30,7 @@ from nrbench.metrics.source import SourceUse
 from nrbench.plugins.forms import Observation, Synthesis, Task, Texture
 from nrbench.synthesizers.ann_pixel import AnnPixel
 from nrbench.synthesizers.fftm_pixel import FftmPixel
-from nrbench.synthesizers.masks.fftm_mask import TextureMask
+from nrbench.synthesizers.masks.texture_mask import TextureMask
 
 FINDS = {
     "exhaustive": FftmPixel(search="exhaustive", coherence=0.0),

@@ -16,11 +16,8 @@ from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.spectra.harmonics import Channels, Harmonic, Signal
 
-from .masks.fftm_mask import Analysis, TextureMask
-from .masks.mask_period import tileable_mask
-from .patchwork.patch_placement import Placement, scan_lines
-from .patchwork.patchwork import Patchwork
-from .patchwork.seam_heat import SeamHeat
+from .masks.texture_mask import MaskParameters, TextureMask, tileable_mask
+from .patchwork.patchwork import PatchPlacer, Patchwork, SeamHeat, scan_lines
 from .patchwork.translations import Features
 
 Judged = Literal["color", "mask"]
@@ -127,8 +124,8 @@ class FftmPatch:
         if self.tileable and self.harmonics == "free":
             raise BadInput("tileable with harmonics 'free', which have no common period; choose harmonics 'tied'")
 
-    def _analysis(self) -> Analysis:
-        return Analysis(self.threshold, self.harmonics, self.signal, self.channels)
+    def _analysis(self) -> MaskParameters:
+        return MaskParameters(self.threshold, self.harmonics, self.signal, self.channels)
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`FftmPatch`. The mask is kept as the extra picture ``mask``.
@@ -168,10 +165,10 @@ class FftmPatch:
         features = colors if self.seam == "color" else np.concatenate([colors, guide[1]], -1)
         reach = round(self.reach * min(size))
         work = Patchwork(task.sample, features, task.shape, self.normalized, self.tileable)
-        self._fill(task, Placement(work, colors, self.randomness, task.rng, guide, reach), size)
+        self._fill(task, PatchPlacer(work, colors, self.randomness, task.rng, guide, reach), size)
         return work
 
-    def _fill(self, task: Task, placement: Placement, size: Shape) -> None:
+    def _fill(self, task: Task, placement: PatchPlacer, size: Shape) -> None:
         rows, columns = (max(1, round(side * (1 - self.overlap))) for side in size)
         windows = list(scan_lines(task.shape, size, (rows, columns), self.tileable))
         steps = len(windows) * (1 + self.refinements)

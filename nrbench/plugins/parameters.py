@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import inspect
 import re
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, get_type_hints
@@ -94,3 +95,15 @@ def nearest(word: str, known: Iterable[str]) -> str:
     if close:
         return f" (did you mean {close[0]!r}?)"
     return f" (known: {', '.join(options)})" if options else " (there are none)"
+
+
+def append_parameters(cls: type[Any], base: type[Any]) -> None:
+    """Append the parameters that a base class documents to the docstring of a class that inherits them.
+
+    Call it in the base's ``__init_subclass__``: the docstring of a plugin is its page, which describes all parameters.
+    """
+    if cls.__doc__ and base.__doc__:
+        shared = inspect.cleandoc(base.__doc__).partition("Parameters\n----------\n")[2]
+        own = inspect.cleandoc(cls.__doc__)
+        heading = "" if "\nParameters\n" in own else "\nParameters\n----------\n"
+        cls.__doc__ = f"{own}\n{heading}{shared}\n"

@@ -1,1 +1,1 @@
-"""TODO nrbench.synthesizers.patchwork."""
+"""Patch-based synthesis: patches matched to an output and cut into it, for the method fftm-patch."""

@@ -1,96 +1,100 @@
-"""An output in the making, of patches of a sample that are cut into it along the least visible seams.
+"""Patch-based synthesis: an output of patches of a sample, cut into it along the least visible seams.
 
-Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts), section 3.
+Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts), sections 3, 4.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import Image
 
 from ..sampling.patches import Source
 from ..seams.minimum_cut import Links, Mask, minimum_cut
 from .patchwork_kernels import FIRST, SECOND, STAY, UNIT, link_choices
-from .translations import Features
+from .translations import Features, Layer, Translations, draw_translation
 
 Window = tuple[int, int, int, int]
 """(y0, y1, x0, x1), half-open: rows and columns of the output."""
 Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
-Seams = NDArray[np.int64]
-"""``int64 (2, H, W)``: what the links to the right, and to below, of each pixel cost; 0 inside a patch."""
+
+BLOCKS_PER_SIDE = 6
+"""The search for the worst window steps by this part of the window's shorter side."""
 
 
-@dataclass(frozen=True, eq=False)
 class Patchwork:
-    """An output in the making.
+    """An output of patches, empty at first.
 
-    Every pixel is a copy, so that the map of sources tells all: which patch a pixel is from, what that patch,
-    continued, would show beside it, and so what every seam costs. Laying a patch finds the part of it to show for which
-    all seams together, old and new, cost least. That is the paper's graph with its seam nodes (section 3.1): what seams
-    cost is a metric on patches (equation 1), and then each choice between old and new is a cut without further nodes,
-    the move of Boykov, Veksler and Zabih 2001 (Fast approximate energy minimization via graph cuts). Nothing ties the
-    rim of a patch: outside the window, old pixels are neighbours as any.
+    Every pixel is a copy, so that the map of sources determines everything: which patch a pixel is from, what that
+    patch, continued, would show beside it, and so the cost of every seam. Laying a patch finds the part of it to show
+    for which all seams together, old and new, cost least. That is the paper's graph with its seam nodes (section 3.1):
+    the cost of seams is a metric on patches (equation 1), and then each choice between old and new is a cut without
+    further nodes, the move of Boykov, Veksler and Zabih 2001 (Fast approximate energy minimization via graph cuts). The
+    rim of a patch is not constrained: outside the window, old pixels are ordinary neighbors.
 
     Parameters
     ----------
     sample
         ``(H, W, C)``.
     features
-        ``int32 (H, W, F)``: what seams are judged by, in gray levels: the sample's colors, or more than them.
+        ``int32 (H, W, F)``: the values by which seams are judged, in gray levels: the sample's colors, or more.
     shape
         (height, width) of the output, px.
     normalized
         False: a change from patch A to B between pixels s and t costs ``|A(s) - B(s)| + |A(t) - B(t)|``, Euclidean over
-        the features (equation 1). True: its square over the gradients of both at both pixels along the link (section
-        5 with the squares of :func:`~nrbench.synthesizers.gap_filling.canvas.visible_links`). That is no metric: an old seam that
-        costs more than two new ones counts as those two while it is weighed: the cut is not always the least, but never
-        costs more than what was there.
+        the features (equation 1). True: the square of that sum over the gradients of both patches at both pixels along
+        the link (after section 5). That is no metric: an old seam that costs more than two new ones counts as those two
+        in the cut, which is then not always the least, but never costs more than the seams before.
     wrap
         Whether the output's edges meet their opposites.
+
+    Attributes
+    ----------
+    origin
+        ``int64 (H, W, 2)``: the (x, y) in the sample of each known pixel.
+    known
+        ``bool (H, W)``: where the output has been synthesized.
+    seams
+        ``int64 (2, H, W)``: the costs of the links to the right of, and below, each pixel, in 1 / :data:`UNIT` gray
+        levels; 0 inside a patch.
     """
 
-    sample: Image
-    features: Features
-    shape: tuple[int, int]
-    normalized: bool = False
-    wrap: bool = False
-
-    @cached_property
-    def origin(self) -> NDArray[np.int64]:
-        """``int64 (H, W, 2)``: the (x, y) in the sample of each known pixel."""
-        return np.zeros((*self.shape, 2), np.int64)
-
-    @cached_property
-    def known(self) -> Mask:
-        """Where the output shows something already."""
-        return np.zeros(self.shape, np.bool_)
-
-    @cached_property
-    def seams(self) -> Seams:
-        """What the output's seams cost, parts of a gray level."""
-        return np.zeros((2, *self.shape), np.int64)
+    def __init__(
+        self, sample: Image, features: Features, shape: tuple[int, int], normalized: bool = False, wrap: bool = False
+    ) -> None:
+        self.sample, self.features, self.shape = sample, features, shape
+        self.normalized, self.wrap = normalized, wrap
+        self.origin = np.zeros((*shape, 2), np.int64)
+        self.known = np.zeros(shape, np.bool_)
+        self.seams = np.zeros((2, *shape), np.int64)
+        values = features.astype(np.float64)
+        gradients = [
+            np.gradient(values, axis=axis) if values.shape[axis] > 1 else np.zeros_like(values) for axis in (1, 0)
+        ]
+        lengths = [np.rint(UNIT * np.sqrt((gradient**2).sum(-1))) for gradient in gradients]
+        self._slopes = np.stack(lengths).astype(np.int32)
 
     @property
     def cost(self) -> float:
-        """What all seams cost, gray levels."""
+        """The cost of all seams, gray levels."""
         return float(self.seams.sum() / UNIT)
 
-    def finished(self) -> tuple[Image, Source]:
+    def result(self) -> tuple[Image, Source]:
         """Return the output and its source map."""
         source = np.ones((*self.shape, 3), np.float32)
         source[..., :2] = self.origin
-        return self.shown(self.sample, (0, self.shape[0], 0, self.shape[1])), source
+        return self.read(self.sample, (0, self.shape[0], 0, self.shape[1])), source
 
-    def shown(self, sample: NDArray[Any], window: Window) -> NDArray[Any]:
-        """Return what a window shows of anything as large as the sample, ``(H, W, ...)``; any value where unknown."""
+    def read(self, values: NDArray[Any], window: Window) -> NDArray[Any]:
+        """Return the values, given for the sample's pixels, in a window, ``(h, w, ...)``; any value where unknown."""
         x, y = np.moveaxis(self.origin[self.pixels(window)], -1, 0)
-        return np.asarray(sample[y, x])
+        return np.asarray(values[y, x])
 
     def pixels(self, window: Window) -> Pixels:
         """Return the rows and columns of a window, for indexing; they wrap where the output does."""
@@ -99,43 +103,39 @@ class Patchwork:
         return rows[:, np.newaxis], columns[np.newaxis]
 
     def lay(self, window: Window, place: tuple[int, int], reach: int = 0) -> int:
-        """Cut a patch into a window: all of it where nothing was, else what makes the seams cost least.
+        """Cut a patch into a window: all of it where nothing is known, else the part for which the seams cost least.
 
         Parameters
         ----------
         window
-            Inside the output; where it wraps, beyond its edges, too, but two px less than it high and wide.
+            Inside the output; where it wraps, also beyond its edges, but two px less than it high and wide.
         place
-            (x, y) in the sample of what the patch has in the window's first pixel; the window wholly inside.
+            (x, y) in the sample of the window's first pixel; the window lies wholly inside the sample.
         reach
-            How far, px, the patch may give pixels beyond the window as well, where something is known and the sample
-            holds it: room for the seams.
+            How far, px, the patch may also replace known pixels beyond the window, as far as the sample goes.
 
         Returns
         -------
         int
-            How many pixels are new.
+            The number of new pixels.
         """
-        around, ring = self._around(self._reached(window, place, reach))
+        around, ring = self._add_ring(self._extend(window, place, reach))
         pixels = self.pixels(around)
         known, origin = np.ascontiguousarray(self.known[pixels]), np.ascontiguousarray(self.origin[pixels])
         forced = np.zeros_like(known)
         forced[_within(window, around)] = ~known[_within(window, around)]
         x, y = place[0] + around[2] - window[2], place[1] + around[0] - window[0]
         choices = link_choices(self.features, self._slopes, self.normalized, origin, known, x, y)
-        new = least_seams(choices, (ring | ~known) & ~forced, forced)
-        self._show(pixels, new, (x, y))
-        kept = np.stack([_kept(choices[axis], new, axis) for axis in (0, 1)])
-        self.seams[:, pixels[0], pixels[1]] = np.where(_links_of(ring), kept, self.seams[:, pixels[0], pixels[1]])
-        return int(new.sum())
-
-    def _show(self, pixels: Pixels, new: Mask, place: tuple[int, int]) -> None:
+        new = cut_least_seams(choices, (ring | ~known) & ~forced, forced)
         rows, columns = np.nonzero(new)
         at = pixels[0][rows, 0], pixels[1][0, columns]
-        self.origin[at] = np.stack([columns + place[0], rows + place[1]], -1)
+        self.origin[at] = np.stack([columns + x, rows + y], -1)
         self.known[at] = True
+        costs = np.stack([_link_costs(choices[axis], new, axis) for axis in (0, 1)])
+        self.seams[:, pixels[0], pixels[1]] = np.where(_links_of(ring), costs, self.seams[:, pixels[0], pixels[1]])
+        return int(new.sum())
 
-    def _around(self, window: Window) -> tuple[Window, Mask]:
+    def _add_ring(self, window: Window) -> tuple[Window, Mask]:
         """Return a window with the ring of pixels around it, and that ring."""
         y0, y1, x0, x1 = window
         if self.wrap:
@@ -146,8 +146,8 @@ class Patchwork:
         ring[_within(window, around)] = False
         return around, ring
 
-    def _reached(self, window: Window, place: tuple[int, int], reach: int) -> Window:
-        """Return a window made larger on all sides, as far as sample and output go."""
+    def _extend(self, window: Window, place: tuple[int, int], reach: int) -> Window:
+        """Return a window extended on all sides, as far as sample and output go."""
         ends: list[int] = []
         for axis in (0, 1):
             start, stop, first = window[2 * axis], window[2 * axis + 1], window[2 * axis] - place[1 - axis]
@@ -159,15 +159,6 @@ class Patchwork:
                 ends += [max(start - reach, first, 0), min(stop + reach, last, side)]
         return ends[0], ends[1], ends[2], ends[3]
 
-    @cached_property
-    def _slopes(self) -> Features:
-        """``int32 (2, H, W)``: the gradient of the sample's features along x and y, in the unit of costs."""
-        values = self.features.astype(np.float64)
-        slopes = [
-            np.gradient(values, axis=axis) if values.shape[axis] > 1 else np.zeros_like(values) for axis in (1, 0)
-        ]
-        return np.stack([np.rint(UNIT * np.sqrt((slope**2).sum(-1))) for slope in slopes]).astype(np.int32)
-
 
 def _within(window: Window, around: Window) -> tuple[slice, slice]:
     """Return the rows and columns of a window in one around it."""
@@ -175,22 +166,22 @@ def _within(window: Window, around: Window) -> tuple[slice, slice]:
     return slice(y0 - around[0], y1 - around[0]), slice(x0 - around[2], x1 - around[2])
 
 
-def least_seams(choices: NDArray[np.int64], fixed_old: Mask, fixed_new: Mask) -> Mask:
+def cut_least_seams(choices: NDArray[np.int64], fixed_old: Mask, fixed_new: Mask) -> Mask:
     """Return which pixels of a window become new such that its links cost least.
 
     Parameters
     ----------
     choices
-        Of :func:`~nrbench.synthesizers.patchwork.patchwork_kernels.link_choices`.
+        Costs from :func:`~nrbench.synthesizers.patchwork.patchwork_kernels.link_choices`.
     fixed_old, fixed_new
         ``bool (h, w)``: pixels that must stay, or become new.
 
     Notes
     -----
     A link that costs c when both its pixels s and t stay, b when s becomes new, a when t does and 0 when both do is,
-    but for a constant, a link of (a + b - c) / 2 between them, with (b - a - c) / 2 when s becomes new and
-    (a - b - c) / 2 when t does. c counts as a + b where it is more (which with a metric never happens). All is doubled,
-    and stays whole.
+    up to a constant, a link of (a + b - c) / 2 between them, with (b - a - c) / 2 when s becomes new and
+    (a - b - c) / 2 when t does. c counts as a + b where it is more (which with a metric never happens). All costs are
+    doubled, and stay integers.
     """
     stay, second, first = np.moveaxis(choices.astype(np.float64), 1, 0)
     stay = np.minimum(stay, first + second)
@@ -203,8 +194,8 @@ def least_seams(choices: NDArray[np.int64], fixed_old: Mask, fixed_new: Mask) ->
     return minimum_cut(Links(links[0, :, :-1], links[1, :-1]), source, sink)
 
 
-def _kept(choices: NDArray[np.int64], new: Mask, axis: int) -> NDArray[np.int64]:
-    """Return what the links of one axis cost once pixels are new."""
+def _link_costs(choices: NDArray[np.int64], new: Mask, axis: int) -> NDArray[np.int64]:
+    """Return the costs of the links of one axis once pixels are new."""
     there = np.roll(new, -1, 1 - axis)
     one = np.where(new, choices[FIRST], choices[SECOND])
     return np.where(new & there, 0, np.where(new | there, one, choices[STAY]))
@@ -217,3 +208,138 @@ def _links_of(ring: Mask) -> Mask:
     links[0, :, :-1] |= inside[:, 1:]
     links[1, :-1] |= inside[1:]
     return links
+
+
+class SeamHeat:
+    """The costs of an output's seams, summed over blocks; they are halved with each try to improve them.
+
+    Blocks keep the search for the worst window cheap: a step costs O(H W / q^2) for blocks of q px, and only the blocks
+    that a new patch changes are summed again.
+
+    Parameters
+    ----------
+    work
+        The output.
+    size
+        (height, width) px of the windows that are compared, not larger than the output.
+
+    Attributes
+    ----------
+    block
+        Side of a block, px.
+    costs
+        ``float64 (rows, columns)``: the cost of each block's seams.
+    tries
+        ``int64 (rows, columns)``: how often each block has been tried.
+    """
+
+    def __init__(self, work: Patchwork, size: tuple[int, int]) -> None:
+        self.work, self.size = work, size
+        self.block = max(1, min(size) // BLOCKS_PER_SIDE)
+        self.costs = self._sum_blocks(self._blocks(0, work.shape[0], 0), self._blocks(0, work.shape[1], 1))
+        self.tries = np.zeros(self.costs.shape, np.int64)
+
+    def _sum_blocks(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the cost of the seams in each block of some rows and columns of blocks, in rising order."""
+        y, x = ((numbers[:, np.newaxis] * self.block + np.arange(self.block)).ravel() for numbers in (rows, columns))
+        y, x = y[y < self.work.shape[0]], x[x < self.work.shape[1]]
+        seams = self.work.seams[:, y[:, np.newaxis], x].sum(0)
+        by_rows = np.add.reduceat(seams, np.searchsorted(y, rows * self.block), 0)
+        return np.add.reduceat(by_rows, np.searchsorted(x, columns * self.block), 1).astype(np.float64)
+
+    def find_worst(self) -> Window:
+        """Return the window whose seams cost most, each block's cost halved with each try."""
+        heat = self.costs * 0.5 ** np.minimum(self.tries, 50)
+        height, width = (min(-(-side // self.block), most) for side, most in zip(self.size, heat.shape, strict=True))
+        if self.work.wrap:
+            heat = np.pad(heat, ((0, height - 1), (0, width - 1)), "wrap")
+        sums = box_sums(heat, (height, width))
+        y, x = (self.block * k for k in divmod(int(sums.argmax()), sums.shape[1]))
+        if not self.work.wrap:
+            y, x = min(y, self.work.shape[0] - self.size[0]), min(x, self.work.shape[1] - self.size[1])
+        return y, y + self.size[0], x, x + self.size[1]
+
+    def update(self, window: Window, reach: int = 0) -> None:
+        """Count a try to improve a window, and sum the blocks with pixels up to ``reach`` px from it again."""
+        y0, y1, x0, x1 = window
+        rows, columns = self._blocks(y0 - 1 - reach, y1 + reach, 0), self._blocks(x0 - 1 - reach, x1 + reach, 1)
+        self.costs[np.ix_(rows, columns)] = self._sum_blocks(rows, columns)
+        self.tries[np.ix_(self._blocks(*window[:2], 0), self._blocks(*window[2:], 1))] += 1
+
+    def _blocks(self, start: int, stop: int, axis: int) -> NDArray[np.int64]:
+        """Return the blocks of the pixels from ``start`` up to ``stop`` along an axis."""
+        side = self.work.shape[axis]
+        pixels = np.arange(start, stop) % side if self.work.wrap else np.arange(max(start, 0), min(stop, side))
+        return np.unique(pixels // self.block)
+
+
+class PatchPlacer:
+    """Covers windows of an output with patches that match what is known there (sub-patch matching, section 4).
+
+    Parameters
+    ----------
+    work
+        The output.
+    colors
+        ``int32 (H, W, C)``: the values by which the sample's pixels are matched.
+    randomness
+        The paper's k: places are drawn with a probability proportional to exp(-cost / (k sigma^2)), the cost being the
+        mean squared difference of the window's pixels, sigma the standard deviation of the sample's colors, channels
+        summed in both. 0: one of the best.
+    rng
+        The generator that draws places.
+    guide
+        The values that every pixel of the output should have, known or not, and the same of the sample's pixels: two
+        ``int32 (H, W, M)``, of the output and of the sample; None: no guide.
+    reach
+        How far, px, beyond a window its patch may replace pixels as well: see :meth:`Patchwork.lay`.
+    """
+
+    def __init__(
+        self,
+        work: Patchwork,
+        colors: Features,
+        randomness: float,
+        rng: np.random.Generator,
+        guide: tuple[Features, Features] | None = None,
+        reach: int = 0,
+    ) -> None:
+        self.work, self.colors, self.randomness, self.rng = work, colors, randomness, rng
+        self.guide, self.reach = guide, reach
+        self._translations = Translations((colors,) if guide is None else (colors, guide[1]))
+
+    def cover(self, window: Window) -> int:
+        """Lay a patch into a window, and return the number of new pixels; 0 if nothing would be better."""
+        pixels = self.work.pixels(window)
+        known = self.work.known[pixels]
+        layers = [Layer(self.work.read(self.colors, window), None if known.all() else known)]
+        if self.guide is not None:
+            layers.append(Layer(self.guide[0][pixels]))
+        costs = self._translations.rate(layers)
+        scale = self.randomness * self._variance * known.size
+        return self.work.lay(window, draw_translation(costs, scale, self.rng), self.reach)
+
+    def improve(self, heat: SeamHeat) -> int:
+        """Cover the window whose seams are worst again, and return the number of new pixels."""
+        window = heat.find_worst()
+        new = self.cover(window)
+        heat.update(window, self.reach)
+        return new
+
+    @cached_property
+    def _variance(self) -> float:
+        """The sample's variance, channels summed; in integers, so that it is the same on every machine."""
+        values = self.colors.reshape(-1, self.colors.shape[2]).astype(np.int64)
+        count, squares = len(values), int((values**2).sum())
+        return (count * squares - sum(int(total) ** 2 for total in values.sum(0))) / count**2
+
+
+def scan_lines(shape: tuple[int, int], size: tuple[int, int], step: tuple[int, int], wrap: bool) -> Iterator[Window]:
+    """Yield windows of a size that cover an output, line by line, each ``step`` (rows, columns) after the last.
+
+    The last window of a line, and the last line, are cropped at the output's edge; where it wraps, they go beyond.
+    """
+    for top in range(0, shape[0] if wrap else max(shape[0] - size[0] + step[0], 1), step[0]):
+        for left in range(0, shape[1] if wrap else max(shape[1] - size[1] + step[1], 1), step[1]):
+            bottom, right = top + size[0], left + size[1]
+            yield top, bottom if wrap else min(bottom, shape[0]), left, right if wrap else min(right, shape[1])

@@ -105,7 +105,7 @@ class Translations:
         return fft.next_fast_len(height, real=True), fft.next_fast_len(width, real=True)
 
 
-def drawn(costs: Costs, scale: float, rng: np.random.Generator) -> tuple[int, int]:
+def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tuple[int, int]:
     """Draw a place, (x, y) px: with a probability proportional to exp(-cost / scale).
 
     Parameters
@@ -115,7 +115,7 @@ def drawn(costs: Costs, scale: float, rng: np.random.Generator) -> tuple[int, in
     scale
         In the costs' unit: the paper's k sigma^2 (section 4), times the window's pixels. 0: one of the best.
     rng
-        One number is drawn from it.
+        One number is draw_translation from it.
     """
     above = costs - costs.min()
     weights = np.exp(-above / scale) if scale > 0 else (above == 0).astype(np.float64)

@@ -1,1 +1,1 @@
-"""TODO nrbench.synthesizers.pixel_growing."""
+"""Pixel-based synthesis: outputs grown pixel by pixel, for the methods fftm-pixel and ann-pixel."""

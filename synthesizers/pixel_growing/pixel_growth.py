@@ -10,15 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.errors import checker
-from nrbench.imaging.convert import Image
+from nrbench.imaging.convert import Image, to_bytes
 from nrbench.plugins.forms import Refused, SourceMap, Task
+from nrbench.plugins.parameters import append_parameters
 
-from .kdtree import KdTree
-from .neighborhoods import Integers, Layers, Neighborhood
-from .pixel_growth_kernels import CanvasArrays, QueryArrays, StockArrays, grow
-from .projection import Projection
+from .neighbor_search import Integers, KdTree, Projection
+from .pixel_growing_kernels import CanvasArrays, QueryArrays, StockArrays, grow
 
 Search = Literal["ann", "exhaustive", "k-coherence"]
+Layers = NDArray[np.uint8]
+"""``uint8 (L, H, W, C)``: the texture, and (L = 2) its mask."""
 
 BAND = 8
 """Rows that are synthesized between two reports of progress."""
@@ -26,21 +27,40 @@ SIMILAR = 4
 LEAF = 8
 
 
-@dataclass(frozen=True)
-class Rules:
-    """How sources are chosen.
+@dataclass(frozen=True, kw_only=True)
+class SearchParameters:
+    """The parameters of the search for sources, shared by all pixel-based methods: they inherit from this class.
+
+    The descriptions below are appended to the page of each method.
 
     Parameters
     ----------
-    search, coherence, eps, dimensions, similar
-        See :class:`~nrbench.synthesizers.fftm_pixel.FftmPixel`.
+    search
+        ``"ann"``: k-d tree, exact with ``eps`` 0. ``"exhaustive"``: every candidate. ``"k-coherence"``: the candidates
+        are, for each pixel synthesized in the window, the continuation of its source and the pixels most similar to
+        that in the sample (Tong et al. 2002).
+    coherence
+        The continuation of a neighbor's source is preferred if its distance is at most so many times the best's: 1 or
+        more; 0: it has no advantage.
+    eps
+        A source may be (1 + eps) times as far as the nearest: 0 or more, only for search ``ann``. The continuation of a
+        neighbor's source may be farther by both factors.
+    dimensions
+        Number of principal components that are compared; 0, or as many as there are values: all values.
+    similar
+        Number of similar pixels, 1 to 64, only for search ``k-coherence``. None: 4.
     """
 
-    search: Search
-    coherence: float
-    eps: float
-    dimensions: int
-    similar: int | None
+    search: Search = "ann"
+    coherence: float = 2.5
+    eps: float = 0.0
+    dimensions: int = 16
+    similar: int | None = None
+
+    def __init_subclass__(cls) -> None:
+        """Complete a method's page."""
+        super().__init_subclass__()
+        append_parameters(cls, SearchParameters)
 
     def __post_init__(self) -> None:
         _check(
@@ -59,6 +79,98 @@ class Rules:
         _check(self.similar is None or 1 <= self.similar <= 64, f"similar {self.similar}; choose from 1 to 64")
 
 
+_check = checker("pixels")
+
+
+@dataclass(frozen=True, eq=False)
+class Neighborhood:
+    """The offsets around a pixel that are compared, in the texture and in its mask.
+
+    Parameters
+    ----------
+    taps
+        ``int64 (t, 3)``: (x, y, layer): 0 is the texture, 1 the mask.
+    """
+
+    taps: Integers
+
+    @classmethod
+    def growing(cls, size: int, masked: bool) -> Neighborhood:
+        """Return the window of ``size`` x ``size`` px from -size//2 on: N_upper in the texture, N_lower in the mask.
+
+        N_upper are the pixels before its own in scan-line order, N_lower its own and those behind (Nicoll et al. 2005,
+        figure 4); without a mask N_upper is all.
+        """
+        x, y = _window(size)
+        lower = (y > 0) | ((y == 0) & (x >= 0))
+        return cls(np.stack([x, y, lower], -1)[masked | ~lower])
+
+    @classmethod
+    def closing(cls, size: int, masked: bool) -> Neighborhood:
+        """Return the window of size//2 px on all sides in the texture, and the pixel itself in the mask."""
+        x, y = _window(size // 2 * 2 + 1)
+        own = (y == 0) & (x == 0)
+        return cls(np.stack([x, y, own], -1)[masked | ~own])
+
+    @classmethod
+    def of_mask(cls, size: int) -> Neighborhood:
+        """Return the whole window, in the mask."""
+        x, y = _window(size)
+        return cls(np.stack([x, y, np.ones_like(x)], -1))
+
+    @property
+    def causes(self) -> Integers:
+        """``(m, 2)``: the offsets (x, y) that are compared in the texture."""
+        return np.ascontiguousarray(self.taps[self.taps[:, 2] == 0, :2])
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """(left, top, right, bottom): how far the offsets reach from the pixel."""
+        (x0, y0), (x1, y1) = self.taps[:, :2].min(0), self.taps[:, :2].max(0)
+        return max(-int(x0), 0), max(-int(y0), 0), max(int(x1), 0), max(int(y1), 0)
+
+    def weights(self, weight: float, channels: int) -> NDArray[np.float64]:
+        """Return the weight of each value's squared difference: 1 in the texture, ``weight`` in the mask."""
+        return np.repeat(np.where(self.taps[:, 2] == 1, weight, 1.0), channels)
+
+    def steps(self, layers: Layers) -> Integers:
+        """Return how far the values lie from a pixel's first one in the flat array, ``(t C,)``."""
+        _, height, width, channels = layers.shape
+        x, y, layer = self.taps.T
+        pixels = (layer * height + y) * width + x
+        return np.asarray((pixels[:, np.newaxis] * channels + np.arange(channels)).ravel())
+
+    def complete(self, shape: tuple[int, int]) -> Integers:
+        """Return the pixels of a (height, width) whose whole neighborhood lies inside, as row * width + column."""
+        (height, width), (left, top, right, bottom) = shape, self.box
+        numbers = np.arange(height * width).reshape(height, width)
+        return numbers[top : max(height - bottom, 0), left : max(width - right, 0)].ravel()
+
+    def vectors(self, layers: Layers, pixels: Integers) -> NDArray[np.uint8]:
+        """Return the neighborhoods of some pixels, ``uint8 (n, t C)``."""
+        values, starts, steps = layers.reshape(-1), pixels * layers.shape[3], self.steps(layers)
+        vectors = np.empty((len(pixels), len(steps)), np.uint8)
+        for column, step in enumerate(steps.tolist()):
+            vectors[:, column] = values[starts + step]
+        return vectors
+
+
+def _window(size: int) -> tuple[Integers, Integers]:
+    y, x = np.indices((size, size)).reshape(2, -1) - size // 2
+    return x, y
+
+
+def stack_layers(*pictures: Image) -> Layers:
+    """Return the texture, and its mask, as layers."""
+    return np.stack([to_bytes(picture) for picture in pictures])
+
+
+def scatter_pixels(layers: Layers, shape: tuple[int, int], rng: np.random.Generator) -> Layers:
+    """Return layers of ``shape`` (height, width) of random pixels of a sample's layers."""
+    colors = layers.reshape(len(layers), -1, layers.shape[3])
+    return np.ascontiguousarray(colors[:, rng.integers(colors.shape[1], size=shape)])
+
+
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """The sample's pixels that may be sources.
@@ -70,14 +182,14 @@ class Candidates:
     ranks
         ``(n,)``: of two that fit equally well the one of lower rank is taken.
     groups
-        ``(n,)``: which may stand for which; None: any for any.
+        ``(n,)``: the group of each; a pixel of the output has candidates of one group. None: one for all.
     """
 
     pixels: Integers
     ranks: Integers
     groups: Integers | None = None
 
-    def stock(self, layers: Layers, neighborhood: Neighborhood, rules: Rules, weight: float) -> Stock:
+    def stock(self, layers: Layers, neighborhood: Neighborhood, rules: SearchParameters, weight: float) -> Stock:
         """Return the candidates ready to be searched, O(n D dimensions + n log n).
 
         Parameters
@@ -85,71 +197,38 @@ class Candidates:
         layers
             The sample, and its mask.
         neighborhood
-            What is compared.
+            The offsets that are compared.
         rules
-            How sources are chosen.
+            How sources are searched.
         weight
-            What the mask's squared differences count.
+            Weight of the mask's squared differences.
         """
         vectors = neighborhood.vectors(layers, self.pixels)
-        projection = Projection.of(vectors, neighborhood.weights(weight, layers.shape[3]), rules.dimensions)
+        projection = Projection.fit(vectors, neighborhood.weights(weight, layers.shape[3]), rules.dimensions)
         points = projection.points(vectors)
         leaf = len(points) if rules.search == "exhaustive" else LEAF
-        tree = KdTree.of(points, self.ranks, self.groups, leaf)
+        tree = KdTree.build(points, self.ranks, self.groups, leaf)
         similar = np.zeros((len(points), 0), np.int64)
         if rules.search == "k-coherence":
-            similar = _similar(tree, points, rules.similar or SIMILAR, self.groups)
+            similar = self._similar_places(tree, points, rules.similar or SIMILAR)
         return Stock(layers, neighborhood, rules, projection, tree, self.pixels, similar)
 
-
-@dataclass(frozen=True, eq=False)
-class Stock:
-    """The sample's neighborhoods, ready to be searched.
-
-    Parameters
-    ----------
-    layers, neighborhood, rules
-        As in :meth:`Candidates.stock`.
-    projection
-        Neighborhood vectors to points.
-    tree
-        Of the points of ``pixels``.
-    pixels
-        ``(n,)``: row * width + column.
-    similar
-        ``(n, k)``: for each place of the tree those that are most like it, -1 where there are fewer.
-    """
-
-    layers: Layers
-    neighborhood: Neighborhood
-    rules: Rules
-    projection: Projection
-    tree: KdTree
-    pixels: Integers
-    similar: Integers
-
-    @cached_property
-    def arrays(self) -> StockArrays:
-        """What kernels see."""
-        _, height, width, channels = self.layers.shape
-        placed = self.pixels[self.tree.order]
-        places = np.full(height * width, -1, np.int64)
-        places[placed] = np.arange(len(placed))
-        return self.layers[0].reshape(-1, channels), placed, places, self.similar, width
-
-    def query(self, layers: Layers) -> QueryArrays:
-        """Return what kernels make a query with, in the layers of an output."""
-        steps, projection = self.neighborhood.steps(layers), self.projection
-        return steps, projection.matrix, projection.shift, projection.bits, self.neighborhood.causes
+    def _similar_places(self, tree: KdTree, points: NDArray[np.int16], k: int) -> Integers:
+        numbers, _ = tree.nearest(points, k + 1, groups=self.groups)
+        own = numbers == np.arange(len(points))[:, np.newaxis]
+        others = np.take_along_axis(numbers, np.argsort(own, 1, kind="stable"), 1)[:, :k]
+        place = np.empty(len(points) + 1, np.int64)
+        place[tree.order], place[-1] = np.arange(len(points)), -1
+        return np.ascontiguousarray(place[others][tree.order])
 
 
-def sources(layers: Layers, neighborhood: Neighborhood, rng: np.random.Generator) -> Candidates:
+def find_candidates(layers: Layers, neighborhood: Neighborhood, rng: np.random.Generator) -> Candidates:
     """Return the pixels of a sample whose neighborhoods are complete, in a random order of preference.
 
     Raises
     ------
     Refused
-        Where there are none.
+        If there are none.
     """
     _, height, width, _ = layers.shape
     pixels = neighborhood.complete((height, width))
@@ -161,19 +240,45 @@ def sources(layers: Layers, neighborhood: Neighborhood, rng: np.random.Generator
     return Candidates(pixels, rng.permutation(len(pixels)))
 
 
-def scattered(layers: Layers, shape: tuple[int, int], rng: np.random.Generator) -> Layers:
-    """Return layers of ``shape`` (height, width) of random pixels of a sample's."""
-    colors = layers.reshape(len(layers), -1, layers.shape[3])
-    return np.ascontiguousarray(colors[:, rng.integers(colors.shape[1], size=shape)])
+@dataclass(frozen=True, eq=False)
+class Stock:
+    """The sample's neighborhoods, ready to be searched.
 
+    Parameters
+    ----------
+    layers, neighborhood, rules
+        As in :meth:`Candidates.stock`.
+    projection
+        From neighborhood vectors to points.
+    tree
+        The tree of the points of ``pixels``.
+    pixels
+        ``(n,)``: row * width + column.
+    similar
+        ``(n, k)``: for each place of the tree the places most like it, -1 where there are fewer.
+    """
 
-def _similar(tree: KdTree, points: NDArray[np.int16], k: int, groups: Integers | None) -> Integers:
-    numbers, _ = tree.nearest(points, k + 1, groups=groups)
-    own = numbers == np.arange(len(points))[:, np.newaxis]
-    others = np.take_along_axis(numbers, np.argsort(own, 1, kind="stable"), 1)[:, :k]
-    place = np.empty(len(points) + 1, np.int64)
-    place[tree.order], place[-1] = np.arange(len(points)), -1
-    return np.ascontiguousarray(place[others][tree.order])
+    layers: Layers
+    neighborhood: Neighborhood
+    rules: SearchParameters
+    projection: Projection
+    tree: KdTree
+    pixels: Integers
+    similar: Integers
+
+    @cached_property
+    def arrays(self) -> StockArrays:
+        """The stock as kernels read it."""
+        _, height, width, channels = self.layers.shape
+        placed = self.pixels[self.tree.order]
+        places = np.full(height * width, -1, np.int64)
+        places[placed] = np.arange(len(placed))
+        return self.layers[0].reshape(-1, channels), placed, places, self.similar, width
+
+    def query(self, layers: Layers) -> QueryArrays:
+        """Return the neighborhood and projection as kernels read them, for the layers of an output."""
+        steps, projection = self.neighborhood.steps(layers), self.projection
+        return steps, projection.matrix, projection.shift, projection.bits, self.neighborhood.causes
 
 
 class Growth:
@@ -184,21 +289,21 @@ class Growth:
     task
         The sample, the output's shape, progress.
     layers
-        ``uint8 (L, P, Q, C)``: what stands for the texture before it is synthesized, and the mask; written.
+        ``uint8 (L, P, Q, C)``: initial values of the texture, overwritten as it is synthesized, and the mask.
     corner
         Rows and columns of the border at the top and left.
     wraps
-        Whether neighborhoods go on at the opposite side: the border repeats what stands there.
+        Whether neighborhoods continue at the opposite side: the border then repeats the pixels there.
     """
 
     def __init__(self, task: Task, layers: Layers, corner: tuple[int, int], wraps: bool = False) -> None:
         self.task, self.layers, self.corner, self.wraps = task, layers, corner, wraps
         self.sources = np.full(layers.shape[1:3], -1, np.int64)
-        self.told = 0.0
+        self.progress = 0.0
 
     @property
     def arrays(self) -> CanvasArrays:
-        """What kernels see."""
+        """The output as kernels read and write it."""
         period = self.task.shape if self.wraps else self.sources.shape
         return self.layers.reshape(-1), self.sources, np.array([*period, *self.corner])
 
@@ -208,11 +313,11 @@ class Growth:
         Parameters
         ----------
         stock
-            What the pixels are taken from.
+            The candidates for sources.
         rows, columns
             Of the output.
         groups
-            ``(height, width)`` of the output: from which group of the stock; None: there is but one.
+            ``(height, width)`` of the output: the group of the stock that each pixel is taken from; None: the only one.
         """
         query, rules = stock.query(self.layers), stock.rules
         for start in range(rows.start, rows.stop, BAND):
@@ -224,15 +329,12 @@ class Growth:
                 self.arrays, stock.arrays, query, stock.tree.arrays, stock.tree.roots, among, box,
                 float(rules.coherence) ** 2, (1.0 + rules.eps) ** 2, rules.search != "k-coherence",
             )  # fmt: skip
-            self.told = max(self.told, float(box[1]) / self.task.shape[0])
-            self.task.progress(self.told)
+            self.progress = max(self.progress, float(box[1]) / self.task.shape[0])
+            self.task.progress(self.progress)
 
-    def finished(self) -> tuple[Image, SourceMap]:
+    def result(self) -> tuple[Image, SourceMap]:
         """Return the output and its source map."""
         (top, left), (height, width) = self.corner, self.task.shape
         image = self.layers[0, top : top + height, left : left + width] / np.float32(255)
         y, x = np.divmod(self.sources[top : top + height, left : left + width], self.task.sample.shape[1])
         return np.asarray(image, np.float32), np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)
-
-
-_check = checker("pixels")

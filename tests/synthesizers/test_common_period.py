@@ -3,7 +3,7 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesizers.masks.common_period import common_period
+from nrbench.synthesizers.masks.texture_mask import common_period
 
 
 def dual(*basis: tuple[float, float]) -> np.ndarray:

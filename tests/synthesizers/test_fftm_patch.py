@@ -11,8 +11,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.running.phases import checked_synthesis, is_picture
 from nrbench.synthesizers.fftm_patch import FftmPatch, automatic_size
-from nrbench.synthesizers.masks.common_period import CommonPeriod
-from nrbench.synthesizers.masks.fftm_mask import Analysis, TextureMask
+from nrbench.synthesizers.masks.texture_mask import CommonPeriod, MaskParameters, TextureMask
 
 WHOLE = Lattice((24, 0), (0, 20))
 
@@ -53,7 +52,7 @@ def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
 
 def waves_of(tile: Image) -> TextureMask:
     """Return the mask of a tile repeated."""
-    return Analysis().of(np.tile(tile, (4, 4, 1)))
+    return MaskParameters().of(np.tile(tile, (4, 4, 1)))
 
 
 def synthesize(
@@ -66,7 +65,7 @@ def synthesize(
     **task: Any,
 ) -> Synthesis:
     """Run the method with a mask that is known."""
-    monkeypatch.setattr(Analysis, "of", lambda *_, **__: mask)
+    monkeypatch.setattr(MaskParameters, "of", lambda *_, **__: mask)
     made = method.synthesize(Task(sample, shape, None, np.random.default_rng(seed), **task))
     return checked_synthesis(made, sample, shape)
 
@@ -144,14 +143,14 @@ def test_threshold_harmonics_and_signal_reach_the_analysis(monkeypatch: pytest.M
     """What the mask is made by is what was asked."""
     asked = []
 
-    def of(self: Analysis, *_: Any, **__: Any) -> Any:
+    def of(self: MaskParameters, *_: Any, **__: Any) -> Any:
         asked.append(self)
         return Tiled(smooth(20, 24))
 
-    monkeypatch.setattr(Analysis, "of", of)
+    monkeypatch.setattr(MaskParameters, "of", of)
     method = FftmPatch(threshold=7.0, harmonics="free", signal="analytic", refinements=0)
     method.synthesize(Task(varied(smooth(20, 24), 48, 48, 0.1), (20, 20), None, np.random.default_rng(0)))
-    assert asked == [Analysis(7.0, "free", "analytic")]
+    assert asked == [MaskParameters(7.0, "free", "analytic")]
 
 
 def test_without_weight_the_mask_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -247,11 +246,11 @@ def test_a_lattice_given_is_handed_to_the_analysis(monkeypatch: pytest.MonkeyPat
     """The mask is made from the lattice that the task holds."""
     asked = []
 
-    def of(_: Analysis, sample: Image, lattice: Lattice | None = None) -> Any:
+    def of(_: MaskParameters, sample: Image, lattice: Lattice | None = None) -> Any:
         asked.append(lattice)
         return Tiled(smooth(20, 24))
 
-    monkeypatch.setattr(Analysis, "of", of)
+    monkeypatch.setattr(MaskParameters, "of", of)
     FftmPatch().synthesize(Task(varied(smooth(20, 24), 48, 48, 0.1), (20, 20), WHOLE, np.random.default_rng(0)))
     assert asked == [WHOLE]
 

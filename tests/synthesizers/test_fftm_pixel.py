@@ -18,7 +18,7 @@ from nrbench.plugins.forms import Observation, Refused, Synthesis, Task
 from nrbench.running.phases import checked_synthesis, is_picture
 from nrbench.spectra.harmonics import Harmonics
 from nrbench.synthesizers.fftm_pixel import FftmPixel
-from nrbench.synthesizers.masks.fftm_mask import TextureMask
+from nrbench.synthesizers.masks.texture_mask import TextureMask
 
 SEARCHES = ("ann", "exhaustive", "k-coherence")
 MATCHES = ("full", "cluster")

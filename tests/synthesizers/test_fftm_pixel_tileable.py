@@ -5,7 +5,7 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.plugins.forms import Refused
 from nrbench.spectra.harmonics import Harmonics
 from nrbench.synthesizers.fftm_pixel import FftmPixel
-from nrbench.synthesizers.masks.fftm_mask import TextureMask
+from nrbench.synthesizers.masks.texture_mask import TextureMask
 
 from .test_fftm_pixel import mask_of, noise, repeated, soft_tile, synthesize
 

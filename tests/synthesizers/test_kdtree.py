@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from nrbench.synthesizers.pixel_growing.kdtree import KdTree
+from nrbench.synthesizers.pixel_growing.neighbor_search import KdTree
 
 
 def drawn(count: int, axes: int, spread: int, seed: int) -> NDArray[np.int16]:

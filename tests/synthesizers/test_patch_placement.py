@@ -4,9 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.imaging.convert import quantize
-from nrbench.synthesizers.patchwork.patch_placement import Placement, scan_lines
-from nrbench.synthesizers.patchwork.patchwork import Patchwork
-from nrbench.synthesizers.patchwork.seam_heat import SeamHeat
+from nrbench.synthesizers.patchwork.patchwork import PatchPlacer, Patchwork, SeamHeat, scan_lines
 from nrbench.synthesizers.patchwork.translations import Features
 
 
@@ -17,12 +15,12 @@ def whole(height: int, width: int, seed: int = 0) -> Features:
 
 def placement(
     colors: Features, shape: tuple[int, int], randomness: float = 0.01, guided: bool = False, wrap: bool = False
-) -> Placement:
+) -> PatchPlacer:
     """Return an empty output, guided by a mask of period 8 both in the sample and beyond, or not."""
     work = Patchwork(quantize((colors / 255).astype(np.float32)), colors, shape, wrap=wrap)
     mask = np.tile(whole(8, 8, 5), (40, 40, 1))
     guide = (mask[: shape[0], : shape[1]], mask[: len(colors), : colors.shape[1]]) if guided else None
-    return Placement(work, colors, randomness, np.random.default_rng(1), guide)
+    return PatchPlacer(work, colors, randomness, np.random.default_rng(1), guide)
 
 
 @settings(max_examples=60, deadline=None)
@@ -50,7 +48,7 @@ def test_where_nothing_is_known_the_guide_alone_places() -> None:
     found = set()
     for seed in range(60):
         made = placement(whole(32, 32), (40, 40), guided=True)
-        Placement(made.work, made.colors, 0.01, np.random.default_rng(seed), made.guide).cover((3, 19, 5, 21))
+        PatchPlacer(made.work, made.colors, 0.01, np.random.default_rng(seed), made.guide).cover((3, 19, 5, 21))
         found.add(tuple(made.work.origin[3, 5]))
     assert found == {(x, y) for x in (5, 13) for y in (3, 11)}
 

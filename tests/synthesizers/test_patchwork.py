@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import quantize
-from nrbench.synthesizers.patchwork.patchwork import Patchwork, Window, least_seams
+from nrbench.synthesizers.patchwork.patchwork import Patchwork, Window, cut_least_seams
 from nrbench.synthesizers.patchwork.patchwork_kernels import UNIT, link_choices
 from nrbench.synthesizers.patchwork.translations import Features
 
@@ -111,7 +111,7 @@ def test_the_cut_is_the_least_of_all_choices(shape: tuple[int, int], some: bool,
 
     every = (np.array(bits, bool).reshape(shape) for bits in itertools.product([0, 1], repeat=shape[0] * shape[1]))
     allowed = [new for new in every if new[~known].all()]
-    found = least_seams(choices, np.zeros(shape, bool), ~known)
+    found = cut_least_seams(choices, np.zeros(shape, bool), ~known)
     assert found[~known].all()
     # Rounding may leave a triangle inequality short by one part of a gray level on each link.
     assert total(found) <= min(total(new) for new in allowed) + choices.shape[2] * choices.shape[3] * 2

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from nrbench.synthesizers.pixel_growing.projection import Projection
+from nrbench.synthesizers.pixel_growing.neighbor_search import Projection
 
 
 def drawn(count: int, width: int, seed: int) -> NDArray[np.uint8]:

@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nrbench.synthesizers.patchwork.patchwork import Patchwork
-from nrbench.synthesizers.patchwork.seam_heat import SeamHeat
+from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat
 
 
 def output(shape: tuple[int, int], wrap: bool = False) -> Patchwork:

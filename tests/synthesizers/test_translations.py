@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from nrbench.synthesizers.patchwork.translations import Features, Layer, Translations, drawn
+from nrbench.synthesizers.patchwork.translations import Features, Layer, Translations, draw_translation
 
 
 def pixels(rng: np.random.Generator, shape: tuple[int, int], channels: int) -> Features:
@@ -66,13 +66,13 @@ def test_as_many_layers_are_asked_as_the_sample_has() -> None:
 def test_places_are_drawn_by_their_costs() -> None:
     """The share of a place's draws is its exp(-cost / scale) over that of all."""
     costs, rng = np.array([[0.0, 1.0], [2.0, 700.0]]), np.random.default_rng(0)
-    found = [drawn(costs + 5, 2.0, rng) for _ in range(4000)]
+    found = [draw_translation(costs + 5, 2.0, rng) for _ in range(4000)]
     expected = np.exp(-costs / 2) / np.exp(-costs / 2).sum()
     for y, x in np.ndindex(2, 2):
         assert found.count((x, y)) / 4000 == pytest.approx(expected[y, x], abs=0.03)
 
 
 def test_without_randomness_one_of_the_best_is_drawn() -> None:
-    """At scale 0 every best place is drawn, and no other, be costs as large as they like."""
+    """At scale 0 every best place is draw_translation, and no other, be costs as large as they like."""
     costs, rng = np.array([[1e12, 3e9, 3e9], [3e9, 3e9 + 1, 1e15]]), np.random.default_rng(0)
-    assert {drawn(costs, 0.0, rng) for _ in range(100)} == {(1, 0), (2, 0), (0, 1)}
+    assert {draw_translation(costs, 0.0, rng) for _ in range(100)} == {(1, 0), (2, 0), (0, 1)}

@@ -1,0 +1,314 @@
+"""Fractional Fourier texture masks: the regular part of a sample, drawn at any size (Nicoll et al. 2005, section 3)."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from skimage.color import rgb2ypbpr, ypbpr2rgb
+
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image
+from nrbench.lattice.geometry import Lattice, Points, Vector
+from nrbench.plugins.forms import Refused, Shape, Task
+from nrbench.plugins.parameters import append_parameters
+from nrbench.spectra.harmonics import Channels, Harmonic, Harmonics, Signal, analyze
+
+from ..sampling.two_periods import shows_two_periods
+
+FINEST = 2.5
+"""px: of a finer lattice no wave, or one alone, is below Nyquist and clear of it."""
+SLACK = 0.1
+"""Share of s by which the mask may be stretched or sheared over the whole output, so that it repeats."""
+LONGEST = 4096
+"""px: waves longer than that along a side do not vary along it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaskParameters:
+    """The parameters of a mask, shared by all methods that follow one: they inherit from this class.
+
+    The descriptions below are appended to the page of each method.
+
+    Parameters
+    ----------
+    tileable
+        Whether the output continues at its opposite edges (section 4.3). The mask is then fitted to the output's size,
+        which must be a period of the mask up to a tenth of s; other sizes are refused, with the nearest valid ones.
+    threshold
+        Least amplitude of a wave of the mask, units of 1/255; 0: automatic. Tied waves must then stand out of the
+        irregular structure at their frequency; free waves must exceed what noise reaches with probability 0.01. Above a
+        given threshold all free waves are regular, as in the paper. All harmonics of tied waves are then regular if
+        one wave of their group stands out of its surroundings.
+    harmonics
+        ``"tied"``: waves are integer combinations of the fundamentals of regular groups. ``"free"``: each wave is
+        independent (the paper's); such a mask cannot tile.
+    signal
+        How waves are searched: ``"real"``, or ``"analytic"`` (the paper's; where tied, for the waves that propose
+        fundamentals).
+    channels
+        ``"joint"``: a wave has one frequency in all channels. ``"each"``: every channel is analyzed by itself (the
+        paper's), so that the frequencies of one wave may differ.
+    """
+
+    tileable: bool = False
+    threshold: float = 0.0
+    harmonics: Harmonic = "tied"
+    signal: Signal = "real"
+    channels: Channels = "joint"
+
+    def __init_subclass__(cls) -> None:
+        """Complete a method's page."""
+        super().__init_subclass__()
+        append_parameters(cls, MaskParameters)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.threshold < 255:
+            raise BadInput(
+                f"threshold {self.threshold}; choose 0 (automatic) or an amplitude below 255, units of 1/255"
+            )
+        if self.tileable and self.harmonics == "free":
+            raise BadInput("tileable with harmonics 'free', which have no common period; choose harmonics 'tied'")
+
+    def find_mask(self, sample: Image, lattice: Lattice | None = None) -> TextureMask:
+        """Return the mask of a sample; :func:`nrbench.spectra.harmonics.analyze` finds its frequencies.
+
+        Parameters
+        ----------
+        sample
+            ``(H, W, 1 or 3)``.
+        lattice
+            The sample's lattice, right within about 2 %: tied waves then start from its dual, even if it is coarser
+            than necessary. It is ignored if the sample does not show two periods of it, or if it is too fine for
+            pixels. None: the lattice is found.
+
+        Raises
+        ------
+        Refused
+            If no group of waves is regular, or none is above the threshold: there is no regular part.
+        """
+        planes = rgb2ypbpr(sample.astype(np.float64)) if sample.shape[2] == 3 else sample.astype(np.float64)
+        usable = lattice is not None and lattice.s > FINEST and shows_two_periods(lattice, planes.shape)
+        given = lattice.reduced().dual().matrix if lattice is not None and usable else None
+        waves = analyze(planes, self.threshold or None, self.harmonics, self.channels, signal=self.signal, given=given)
+        if not len(waves.frequencies):
+            limit = f" and reaches the threshold of {self.threshold:g}" if self.threshold else ""
+            raise Refused(f"no wave of the sample stands out of its noise{limit}: there is no regular part for a mask")
+        return TextureMask(waves, self.harmonics == "tied")
+
+    def find_mask_of(self, task: Task) -> tuple[TextureMask, float]:
+        """Return the mask of a task's sample, and the seconds that finding its lattice took; raise as `find_mask`."""
+        start = time.perf_counter()
+        mask = self.find_mask(task.sample, task.lattice)
+        return mask, 0.0 if task.lattice else time.perf_counter() - start
+
+    def fit_to_output(self, mask: TextureMask, shape: Shape) -> TextureMask:
+        """Return the mask to draw at the output's (height, width): see :func:`tileable_mask` if it should tile."""
+        return tileable_mask(mask, shape) if self.tileable else mask
+
+
+@dataclass(frozen=True)
+class TextureMask:
+    """A mask (section 3.2).
+
+    Parameters
+    ----------
+    harmonics
+        The waves of the planes: Y, Pb, Pr of color samples (YCbCr without its offsets), else gray.
+    tied
+        Whether they are tied to common fundamentals.
+    """
+
+    harmonics: Harmonics = field(repr=False)
+    tied: bool = True
+
+    def draw(self, shape: Shape, offset: Vector = (0.0, 0.0)) -> Image:
+        """Return the mask in any window, clipped to [0, 1], in the sample's channels (equation 6).
+
+        Parameters
+        ----------
+        shape
+            (height, width) px.
+        offset
+            (x, y) px of the window's first pixel in the sample's coordinates.
+        """
+        planes = self.harmonics.evaluate(shape, offset)
+        colors: NDArray[np.float64] = ypbpr2rgb(planes) if planes.shape[2] == 3 else planes
+        return np.clip(colors, 0, 1).astype(np.float32)
+
+    @property
+    def groups(self) -> tuple[NDArray[np.float64], ...]:
+        """The fundamentals of the groups that have harmonics, ``(1 or 2, 2)`` cycles/px; of all groups if none has.
+
+        The group whose waves have most energy comes first.
+        """
+        several = tuple(fundamentals for fundamentals, count in self._groups_by_energy if count > 1)
+        return several or tuple(fundamentals for fundamentals, _ in self._groups_by_energy)
+
+    @cached_property
+    def _groups_by_energy(self) -> list[tuple[NDArray[np.float64], int]]:
+        """The fundamentals of each group and its number of waves, the group of most energy first."""
+        ends = np.cumsum(self.harmonics.groups)[:-1]
+        fundamentals = np.split(self.harmonics.fundamentals, ends)
+        members = np.stack([block.any(1) for block in np.split(self.harmonics.orders, ends, 1)])
+        order = np.argsort(-(members @ (self.harmonics.amplitudes**2).sum(1)), kind="stable")
+        return [(fundamentals[k], int(members[k].sum())) for k in order]
+
+    @cached_property
+    def lattice(self) -> Lattice | None:
+        """The lattice dual to the strongest group of two fundamentals, or to those of two gratings; else None."""
+        if not self.tied:
+            return None
+        pairs = [group for group in self.groups if len(group) == 2]
+        lone = np.concatenate([group for group, _ in self._groups_by_energy if len(group) == 1] or [np.zeros((0, 2))])
+        pairs += [np.stack([lone[0], other]) for other in lone[1:] if _are_crossed(lone[0], other)]
+        return Lattice.from_basis(np.linalg.inv(pairs[0]).T).reduced() if pairs else None
+
+    def find_period(self, tolerance: float, limit: float = 1024.0) -> CommonPeriod | None:
+        """Return the smallest upright rectangle of whole px that is a period of all groups within ``tolerance`` px.
+
+        None if there is none up to ``limit`` px, or if the waves are free: they have no common period.
+        """
+        return find_common_period(self.groups, tolerance, int(limit)) if self.tied else None
+
+
+def _are_crossed(first: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Return whether two frequencies differ in direction by more than 10 degrees."""
+    area = abs(first[0] * other[1] - first[1] * other[0])
+    return bool(area > 0.17 * np.hypot(*first) * np.hypot(*other))
+
+
+@dataclass(frozen=True)
+class CommonPeriod:
+    """An upright rectangle that is a period of several lattices and stripes at once.
+
+    Parameters
+    ----------
+    size
+        (width, height), whole px.
+    error
+        px: the largest distance of its sides from periods, of the group that fits worst.
+    free
+        For width and height, whether it may be any length, as nothing varies along it (stripes).
+    """
+
+    size: tuple[int, int]
+    error: float
+    free: tuple[bool, bool] = (False, False)
+
+    @property
+    def sides(self) -> Points:
+        """``(2, 2)``: the two sides (x, y), px."""
+        return np.diag(np.array(self.size, np.float64))
+
+
+def find_common_period(
+    groups: Sequence[NDArray[np.float64]], tolerance: float = 0.5, limit: int = 1024
+) -> CommonPeriod | None:
+    """Return the smallest upright rectangle of whole px that is a period of all groups of frequencies.
+
+    Either side is the shortest that is near a period of every group: a lattice vector, or, of stripes, a step from
+    stripe to stripe. The paper (Nicoll et al. 2005, equation 7) divides by the components of the lowest frequency,
+    which may be 0; here a side along which nothing varies is free, and as long as the other.
+
+    Parameters
+    ----------
+    groups
+        The fundamentals of each group, ``(1 or 2, 2)`` cycles/px.
+    tolerance
+        px: how far a side may be from a period of any group; at least 0, and less than half of the shortest one.
+    limit
+        The longest side that is examined, px.
+
+    Returns
+    -------
+    CommonPeriod or None
+        None if there is no group, or no such side within ``limit``.
+
+    Raises
+    ------
+    BadInput
+        If the tolerance would accept any rectangle, or the limit is below 1.
+    """
+    if not limit >= 1:
+        raise BadInput(f"common period: limit is {limit} px; give the longest side allowed, at least 1")
+    shortest = min((1 / float(np.linalg.svd(g)[1][0]) for g in groups), default=np.inf)
+    if not 0 <= tolerance < shortest / 2:
+        raise BadInput(f"common period: tolerance is {tolerance} px; give 0 or more, less than {shortest / 2:.4g} px")
+    if not groups:
+        return None
+    errors = np.stack([np.max([_period_errors(g, axis, int(limit)) for g in groups], 0) for axis in (0, 1)])
+    across, down = (_shortest_side(along, max(tolerance, 1e-6)) for along in errors)
+    if across is None or down is None:
+        return None
+    (width, free_x), (height, free_y) = across, down
+    width = min(width, height) if free_x else width
+    height = min(height, width) if free_y else height
+    error = float(max(errors[0, width - 1], errors[1, height - 1]))
+    return CommonPeriod((width, height), error, (free_x, free_y))
+
+
+def _period_errors(fundamentals: NDArray[np.float64], axis: int, limit: int) -> NDArray[np.float64]:
+    """Return how far each length from 1 to ``limit`` px along an axis is from a period, px, ``(limit,)``."""
+    if len(fundamentals) == 2:
+        basis = Lattice.from_basis(np.linalg.inv(fundamentals).T).reduced().matrix
+        turns = np.outer(np.arange(1, limit + 1), np.linalg.inv(basis)[axis])
+        return np.asarray(np.hypot(*((turns - np.rint(turns)) @ basis).T))
+    turns = np.arange(1, limit + 1) * fundamentals[0, axis]
+    return np.asarray(np.abs(turns - np.rint(turns)) / np.hypot(*fundamentals[0]))
+
+
+def _shortest_side(errors: NDArray[np.float64], tolerance: float) -> tuple[int, bool] | None:
+    """Return the shortest length within the tolerance, past those near 0; or the longest, free."""
+    beyond = np.flatnonzero(errors > tolerance)
+    first = int(beyond[0]) if len(beyond) else len(errors)
+    if first > 2 * tolerance + 1:
+        return first, True
+    within = np.flatnonzero(errors[first:] <= tolerance)
+    return (first + int(within[0]) + 1, False) if len(within) else None
+
+
+def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
+    """Return the mask with its fundamentals fitted to the output: a whole number of waves along each side.
+
+    Equation 7 divides by the components of one frequency pair, which can be 0. Here a side is a period if it is a
+    vector of the mask's lattice (or a period of its stripes) up to :data:`SLACK`, and the lattice is then fitted to it.
+    Further groups of waves are stretched by up to half a period over the whole output.
+
+    Parameters
+    ----------
+    mask
+        A mask of tied harmonics.
+    shape
+        (height, width) px of the output.
+
+    Raises
+    ------
+    Refused
+        If a side is no period; the message names the nearest sizes that are.
+    """
+    height, width = shape
+    fundamentals = mask.groups[0] if mask.lattice is None else mask.lattice.dual().matrix
+    near = [_nearest_period(fundamentals, axis, side) for axis, side in enumerate((width, height))]
+    if near != [width, height]:
+        sides = "x".join("?" if side is None else str(side) for side in near)
+        raise Refused(f"{width}x{height} px is no period of the mask, so that the output cannot tile; nearest: {sides}")
+    harmonics = mask.harmonics
+    fitted = np.rint(harmonics.fundamentals * (width, height)) / (width, height)
+    return replace(mask, harmonics=replace(harmonics, fundamentals=fitted, frequencies=harmonics.orders @ fitted))
+
+
+def _nearest_period(fundamentals: NDArray[np.float64], axis: int, side: int) -> int | None:
+    """Return the length along an axis nearest to ``side`` that is a period; any, where nothing varies along it."""
+    waves = np.abs(fundamentals[:, axis])
+    slack = SLACK * float(np.hypot(*np.linalg.pinv(fundamentals)).min())
+    reach = 1 / waves[waves > 1 / LONGEST].min(initial=1.0)
+    lengths = np.arange(1, math.ceil(2 * max(side, reach)) + 1)
+    fits = _period_errors(fundamentals, axis, len(lengths)) <= slack
+    good = lengths[fits & ((lengths > 2 * slack) | fits.all())]
+    return int(good[np.abs(good - side).argmin()]) if len(good) else None

@@ -1,0 +1,185 @@
+"""Nearest neighborhoods: projection of pixel values to points of few dimensions, and a k-d tree of these points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .pixel_growing_kernels import UNBOUNDED, TreeArrays, build, search_all
+
+Points = NDArray[np.int16]
+"""``int16 (n, d)``. Points and queries are within 32 767 of each other, so that differences fit 16 bits and squared
+distances 31."""
+Integers = NDArray[np.int64]
+Vectors = NDArray[np.uint8]
+"""``uint8 (n, D)``: pixel values, channel by channel."""
+
+FARTHEST = 30000.0
+"""Greatest distance of two points: differences fit 16 bits, squared distances 31."""
+FINEST = 16
+"""The largest number of units of a gray level: finer ones change nothing that 8 bits can show."""
+BLOCK = 1 << 15
+"""Vectors that are processed at a time: memory does not grow with the sample by more than its vectors."""
+LANES = 16
+"""Dimensions are filled up with zeros to a multiple of this, for vector instructions."""
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """A linear mapping of pixel values to points: ``(matrix @ values + shift) >> bits``.
+
+    It is computed in floating point, once, and rounded. All that follows is integer arithmetic, so that no order of
+    summation and no machine changes which neighborhoods are alike. (The last bits of an eigenvector, which differ
+    between linear algebra libraries, are lost in the rounding, except for the rare coefficient halfway between two
+    integers.)
+
+    Parameters
+    ----------
+    matrix
+        ``int16 (d, D)``.
+    shift
+        ``int32 (d,)``: takes the mean of the vectors to 0.
+    bits
+        Binary digits of the matrix behind the point.
+    units
+        Units of a point's coordinates in a gray level.
+    """
+
+    matrix: NDArray[np.int16]
+    shift: NDArray[np.int32]
+    bits: int
+    units: int
+
+    @classmethod
+    def fit(cls, vectors: Vectors, weights: NDArray[np.float64], dimensions: int) -> Projection:
+        """Return the projection on the vectors' principal components.
+
+        Parameters
+        ----------
+        vectors
+            At least one.
+        weights
+            ``(D,)``: weight of each value's squared difference, at least 0.
+        dimensions
+            Number of components; 0, or as many as there are values: all values themselves, weighted.
+        """
+        width, roots = vectors.shape[1], np.sqrt(weights)
+        rows = _components(vectors, roots, dimensions) if 0 < dimensions < width else np.eye(width)
+        weighted = rows * roots
+        norm, units = float(np.sqrt(weights.sum())) * 255, FINEST
+        while units > 1 and norm * units > FARTHEST:
+            units //= 2
+        bits = min(int(np.floor(np.log2(32767 / max(float(np.abs(weighted).max()) * units, 1e-9)))), 15)
+        matrix = np.zeros((_round_up(len(rows)), _round_up(width)), np.int16)
+        matrix[: len(rows), :width] = np.rint(weighted * units * 2.0**bits)
+        total = matrix[:, :width].astype(np.int64) @ vectors.sum(0, dtype=np.int64)
+        return cls(matrix, (-(total // len(vectors))).astype(np.int32), bits, units)
+
+    def points(self, vectors: Vectors) -> Points:
+        """Return the points of some vectors, ``int16 (n, d)``, exactly as compiled loops project them."""
+        matrix = self.matrix[:, : vectors.shape[1]].astype(np.float64)
+        points = np.empty((len(vectors), len(matrix)), np.int16)
+        for start in range(0, len(vectors), BLOCK):
+            products = (vectors[start : start + BLOCK].astype(np.float64) @ matrix.T).astype(np.int64)
+            points[start : start + BLOCK] = (products + self.shift) >> self.bits
+        return points
+
+
+def _components(vectors: Vectors, scales: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Return the strongest principal components of the vectors, each value scaled, ``(count, D)``, orthonormal.
+
+    The second moments are sums of integers, exact in float64.
+    """
+    mean = vectors.sum(0, dtype=np.int64) / len(vectors)
+    moments = np.zeros((vectors.shape[1], vectors.shape[1]))
+    for start in range(0, len(vectors), BLOCK):
+        values = vectors[start : start + BLOCK].astype(np.float64)
+        moments += values.T @ values
+    covariance = moments / len(vectors) - np.outer(mean, mean)
+    _, rows = np.linalg.eigh(covariance * np.outer(scales, scales))
+    strongest = rows.T[::-1][:count]
+    peaks = np.take_along_axis(strongest, np.abs(strongest).argmax(1)[:, np.newaxis], 1)
+    return np.asarray(strongest * np.where(peaks < 0, -1, 1))
+
+
+def _round_up(count: int) -> int:
+    return -(-count // LANES) * LANES
+
+
+@dataclass(frozen=True, eq=False)
+class KdTree:
+    """A k-d tree over each of several groups of integer points.
+
+    scipy's ``cKDTree`` cannot stand in for it: it breaks ties of distance arbitrarily, in floating point, and cannot be
+    searched from inside a compiled loop, where each query depends on the pixels before it.
+
+    Parameters
+    ----------
+    arrays
+        The tree as kernels read it, see :data:`~.pixel_growing_kernels.TreeArrays`.
+    roots
+        ``(g,)``: the root node of each group.
+    order
+        ``(n,)``: the number of the point at each place of the tree.
+    """
+
+    arrays: TreeArrays
+    roots: Integers
+    order: Integers
+
+    @classmethod
+    def build(
+        cls, points: Points, ranks: Integers | None = None, groups: Integers | None = None, leaf: int = 8
+    ) -> KdTree:
+        """Build the tree, O(n d log n).
+
+        Parameters
+        ----------
+        points
+            At least one.
+        ranks
+            ``(n,)``, in [0, 2^32): of points at one distance the one of least rank is the nearest. None: the first.
+        groups
+            ``(n,)``: each point's group, from 0 on, none empty; groups are searched separately. None: one for all.
+        leaf
+            The largest number of points of a leaf; with n the search is exhaustive.
+        """
+        n = len(points)
+        labels = np.zeros(n, np.int64) if groups is None else groups
+        order = np.argsort(labels, kind="stable")
+        bounds = np.concatenate([[0], np.cumsum(np.bincount(labels))])
+        roots = np.zeros(len(bounds) - 1, np.int64)
+        lows, highs = (reduce.reduceat(points[order], bounds[:-1]) for reduce in (np.minimum, np.maximum))
+        nodes = build(points, order, bounds, roots, leaf)
+        placed = (np.arange(n) if ranks is None else ranks)[order]
+        return cls((np.ascontiguousarray(points[order]), placed, nodes, lows, highs), roots, order)
+
+    def nearest(
+        self, queries: Points, k: int = 1, eps: float = 0.0, groups: Integers | None = None
+    ) -> tuple[Integers, Integers]:
+        """Return the k points that are nearest to each query, nearest first.
+
+        Parameters
+        ----------
+        queries
+            ``(q, d)``.
+        k
+            Number of points.
+        eps
+            Each point returned is at most (1 + eps) times as far as the exact one; 0: exact, ties broken by rank.
+        groups
+            ``(q,)``: the group to search. None: the first.
+
+        Returns
+        -------
+        numbers
+            ``(q, k)``: numbers of points; -1 where the group has fewer.
+        distances
+            ``(q, k)``: squared; -1 there.
+        """
+        keys, places = np.full((len(queries), k), UNBOUNDED), np.full((len(queries), k), -1, np.int64)
+        labels = np.zeros(len(queries), np.int64) if groups is None else groups
+        search_all(self.arrays, self.roots, labels, queries, (1.0 + eps) ** 2, keys, places)
+        return np.where(places < 0, -1, self.order[places]), np.where(places < 0, -1, keys >> 32)

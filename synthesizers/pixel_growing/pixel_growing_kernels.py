@@ -1,0 +1,362 @@
+"""The compiled loops of pixel-based synthesis: build and search a k-d tree, grow an output pixel by pixel.
+
+Coordinates are integers of 16 bits, and so are their differences; squared distances fit 32 bits. All sums are exact: no
+order of summation, and no machine, changes which point is nearest.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.jit import kernel
+
+UNBOUNDED = np.int64(2**63 - 1)
+"""A key beyond that of any point."""
+DEEPEST = 160
+"""Rows of a search's stack: two a level, of trees of at most 2^32 points split at their medians."""
+TreeArrays = tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int32], NDArray[np.int16], NDArray[np.int16]]
+"""A k-d tree: ``points (n, d)`` in the tree's order, their ``ranks (n,)``, ``nodes (m, 6)``, and the ``lows`` and
+``highs (g, d)`` of each root's box. A node holds its first point, last point + 1, axis (-1: a leaf), the greatest
+coordinate of its left child along it, the least of its right, and the number of the right child; the left one follows
+it."""
+CanvasArrays = tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]
+"""The output: ``values`` of the canvas' layers, flat, with their border; ``sources (P, Q)``: each pixel's source in the
+sample, -1: none; ``frame``: rows and columns after which the canvas repeats, and the border at its top and left."""
+StockArrays = tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], int]
+"""The sample: its ``colors (h w, C)``; ``pixels (n,)``: the pixel at each place of the tree; ``places (h w,)``: its
+inverse, -1 where the neighborhood is incomplete; ``similar (n, k)``: the places most like each; the sample's width."""
+QueryArrays = tuple[NDArray[np.int64], NDArray[np.int16], NDArray[np.int32], int, NDArray[np.int64]]
+"""A neighborhood: ``steps (D,)`` from a pixel's first value to its neighborhood's; ``matrix``, ``shift``, ``bits`` of the
+projection; ``causes (m, 2)``: the offsets (x, y) whose sources are continued."""
+TREE = "Tuple((int16[:, ::1], int64[::1], int32[:, ::1], int16[:, ::1], int16[:, ::1]))"
+CANVAS = "Tuple((uint8[::1], int64[:, ::1], int64[::1]))"
+STOCK = "Tuple((uint8[:, ::1], int64[::1], int64[::1], int64[:, ::1], int64))"
+QUERY = "Tuple((int64[::1], int16[:, ::1], int32[::1], int64, int64[:, ::1]))"
+
+
+@kernel("void(int16[::1], int64[::1], int64, int64, int64)")
+def split(values: NDArray[np.int16], order: NDArray[np.int64], start: int, stop: int, middle: int) -> None:
+    """Move the values from ``start`` to ``stop`` so that none before ``middle`` exceeds one from there on.
+
+    ``order`` moves along. Hoare's selection, O(stop - start) on average, with equal values shared between both sides.
+    """
+    low, high = start, stop - 1
+    while low < high:
+        pivot = values[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            return
+
+
+@kernel("int64(int16[:, ::1], int64[::1], int64, int64)")
+def widest_axis(points: NDArray[np.int16], order: NDArray[np.int64], start: int, stop: int) -> int:
+    """Return the axis along which points vary most (by the sum of squares about the mean); -1: all are equal."""
+    count, best, axis = np.int64(stop - start), np.int64(0), -1
+    for a in range(points.shape[1]):
+        total, squares = np.int64(0), np.int64(0)
+        for i in range(start, stop):
+            value = np.int64(points[order[i], a])
+            total += value
+            squares += value * value
+        spread = squares - total * total // count
+        if spread > best:
+            best, axis = spread, a
+    return axis
+
+
+@kernel("int32[:, ::1](int16[:, ::1], int64[::1], int64[::1], int64[::1], int64)")
+def build(
+    points: NDArray[np.int16],
+    order: NDArray[np.int64],
+    bounds: NDArray[np.int64],
+    roots: NDArray[np.int64],
+    leaf: int,
+) -> NDArray[np.int32]:
+    """Return the nodes of a tree over each group of points, halved at the median of their widest axis.
+
+    Parameters
+    ----------
+    points
+        ``(n, d)``.
+    order
+        ``(n,)``: numbers of the points, group after group; rearranged into the trees' order.
+    bounds
+        ``(g + 1,)``: the start of each group, and n.
+    roots
+        ``(g,)``, written: each group's root.
+    leaf
+        The largest number of points of a leaf; equal points make one leaf, however many.
+    """
+    nodes = np.empty((2 * order.size + 1, 6), np.int32)
+    values = np.empty(order.size, np.int16)
+    todo = np.empty((DEEPEST, 3), np.int64)
+    count = 0
+    for g in range(roots.size):
+        roots[g] = count
+        todo[0, 0], todo[0, 1], todo[0, 2] = bounds[g], bounds[g + 1], -1
+        top = 1
+        while top > 0:
+            top -= 1
+            start, stop, parent = todo[top, 0], todo[top, 1], todo[top, 2]
+            if parent >= 0:
+                nodes[parent, 5] = count
+            node = nodes[count]
+            node[0], node[1], node[2], node[3], node[4], node[5] = start, stop, -1, 0, 0, -1
+            axis = widest_axis(points, order, start, stop) if stop - start > leaf else -1
+            if axis >= 0:
+                middle = (start + stop) // 2
+                for i in range(start, stop):
+                    values[i] = points[order[i], axis]
+                split(values, order, start, stop, middle)
+                node[2], node[3], node[4] = axis, values[start:middle].max(), values[middle:stop].min()
+                todo[top, 0], todo[top, 1], todo[top, 2] = middle, stop, count
+                todo[top + 1, 0], todo[top + 1, 1], todo[top + 1, 2] = start, middle, -1
+                top += 2
+            count += 1
+    return nodes[:count].copy()
+
+
+@kernel("int32(int16[::1], int16[::1])")
+def squared_distance(one: NDArray[np.int16], other: NDArray[np.int16]) -> np.int32:
+    """Return the squared distance of two points."""
+    total = np.int32(0)
+    for a in range(one.size):
+        difference = np.int16(one[a] - other[a])
+        total = np.int32(total + np.int32(difference) * np.int32(difference))
+    return total
+
+
+@kernel("int64(int16[::1], int16[:, ::1], int64[::1], int64)")
+def key_of(query: NDArray[np.int16], points: NDArray[np.int16], ranks: NDArray[np.int64], place: int) -> np.int64:
+    """Return the key by which points are compared: squared distance times 2^32 plus rank, so that ranks break ties."""
+    return (np.int64(squared_distance(query, points[place])) << 32) + ranks[place]
+
+
+@kernel(f"void({TREE}, int64, int64, int16[::1], float64, int64[::1], int64[::1], int64[:, ::1], int64[::1])")
+def search(
+    tree: TreeArrays,
+    group: int,
+    root: int,
+    query: NDArray[np.int16],
+    shrink: float,
+    keys: NDArray[np.int64],
+    places: NDArray[np.int64],
+    stack: NDArray[np.int64],
+    gaps: NDArray[np.int64],
+) -> None:
+    """Find the points of one group that are nearest to a query, nearer than the known ones.
+
+    Boxes are skipped whose distance shows that they hold nothing nearer (Arya and Mount's incremental distances: one
+    axis changes at each step down). O(log n) where the points' intrinsic dimension is small, O(n) at worst.
+
+    Parameters
+    ----------
+    tree
+        See :data:`TreeArrays`.
+    group, root
+        The numbers of the group's box and of its root node.
+    query
+        ``(d,)``.
+    shrink
+        (1 + eps)^2: boxes are skipped that hold nothing nearer by this factor (squared); 1 is exact.
+    keys
+        ``(k,)``, rising, read and written: see :func:`key_of`.
+    places
+        ``(k,)``, written: places of the points in the tree's order; unchanged where no point is nearer than the key.
+    stack, gaps
+        Buffers: ``(DEEPEST, 4)`` and ``(d,)``.
+    """
+    points, ranks, nodes, lows, highs = tree
+    last = keys.size - 1
+    distance = np.int64(0)
+    for a in range(query.size):
+        beyond = max(np.int64(lows[group, a]) - query[a], np.int64(query[a]) - highs[group, a], np.int64(0))
+        gaps[a] = beyond * beyond
+        distance += gaps[a]
+    stack[0, 0], stack[0, 1], stack[0, 2] = root, distance, -1
+    top = 1
+    while top > 0:
+        top -= 1
+        at, distance, axis = stack[top, 0], stack[top, 1], stack[top, 2]
+        if at < 0:
+            gaps[axis] = distance
+            continue
+        if distance * shrink > keys[last] >> 32:
+            continue
+        if axis >= 0:
+            gaps[axis] = stack[top, 3]
+        while nodes[at, 2] >= 0:
+            axis = np.int64(nodes[at, 2])
+            value = np.int64(query[axis])
+            left, right = nodes[at, 3] - value, nodes[at, 4] - value
+            near, far, cut = (at + 1, np.int64(nodes[at, 5]), right) if left + right > 0 else (
+                np.int64(nodes[at, 5]), at + 1, left
+            )  # fmt: skip
+            farther = distance - gaps[axis] + cut * cut
+            if farther * shrink <= keys[last] >> 32:
+                stack[top, 0], stack[top, 1], stack[top, 2] = -1, gaps[axis], axis
+                stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2], stack[top + 1, 3] = (
+                    far,
+                    farther,
+                    axis,
+                    cut * cut,
+                )
+                top += 2
+            at = near
+        for p in range(nodes[at, 0], nodes[at, 1]):
+            key = key_of(query, points, ranks, p)
+            if key < keys[last]:
+                i = last
+                while i > 0 and keys[i - 1] > key:
+                    keys[i], places[i] = keys[i - 1], places[i - 1]
+                    i -= 1
+                keys[i], places[i] = key, p
+
+
+@kernel(f"void({TREE}, int64[::1], int64[::1], int16[:, ::1], float64, int64[:, ::1], int64[:, ::1])")
+def search_all(
+    tree: TreeArrays,
+    roots: NDArray[np.int64],
+    groups: NDArray[np.int64],
+    queries: NDArray[np.int16],
+    shrink: float,
+    keys: NDArray[np.int64],
+    places: NDArray[np.int64],
+) -> None:
+    """Run :func:`search` for each of ``queries (q, d)`` in its group; keys and places are ``(q, k)``."""
+    stack, gaps = np.empty((DEEPEST, 4), np.int64), np.empty(queries.shape[1], np.int64)
+    for q in range(queries.shape[0]):
+        group = groups[q]
+        search(tree, group, roots[group], queries[q], shrink, keys[q], places[q], stack, gaps)
+
+
+@kernel("void(uint8[::1], int64, int64[::1], int16[:, ::1], int32[::1], int64, int16[::1], int16[::1])")
+def project(
+    values: NDArray[np.uint8],
+    at: int,
+    steps: NDArray[np.int64],
+    matrix: NDArray[np.int16],
+    shift: NDArray[np.int32],
+    bits: int,
+    buffer: NDArray[np.int16],
+    point: NDArray[np.int16],
+) -> None:
+    """Write the point of the neighborhood around the pixel whose first value is ``at``; ``buffer`` takes its values."""
+    for i in range(steps.size):
+        buffer[i] = values[at + steps[i]]
+    for a in range(matrix.shape[0]):
+        row = matrix[a]
+        total = np.int32(0)
+        for i in range(buffer.size):
+            total = np.int32(total + np.int32(row[i]) * np.int32(buffer[i]))
+        point[a] = np.int16((np.int64(total) + shift[a]) >> bits)
+
+
+@kernel(f"void({CANVAS}, int64, int64, int64, uint8[::1])")
+def put(canvas: CanvasArrays, row: int, column: int, source: int, color: NDArray[np.uint8]) -> None:
+    """Write a pixel; if the canvas wraps, also its copies in the border."""
+    values, sources, frame = canvas
+    height, width, channels = sources.shape[0], sources.shape[1], color.size
+    for r in range(row % frame[0], height, frame[0]):
+        for c in range(column % frame[1], width, frame[1]):
+            sources[r, c] = source
+            for k in range(channels):
+                values[(r * width + c) * channels + k] = color[k]
+
+
+@kernel(f"void({CANVAS}, {STOCK}, {QUERY}, {TREE}, int64[::1], int64[:, ::1], int64[::1], float64, float64, boolean)")
+def grow(
+    canvas: CanvasArrays,
+    stock: StockArrays,
+    query: QueryArrays,
+    tree: TreeArrays,
+    roots: NDArray[np.int64],
+    groups: NDArray[np.int64],
+    box: NDArray[np.int64],
+    factor: float,
+    shrink: float,
+    everywhere: bool,
+) -> None:
+    """Synthesize the pixels of a box in scan-line order.
+
+    Parameters
+    ----------
+    canvas, stock, query
+        See :data:`CanvasArrays`, :data:`StockArrays`, :data:`QueryArrays`.
+    tree, roots
+        The sample's neighborhoods, by groups.
+    groups
+        ``(rows, columns)`` of the box: the group of each pixel's source.
+    box
+        (y0, y1, x0, x1) of the output.
+    factor
+        A neighbor's continued source is preferred if its squared distance is at most so many times the best's; 0: it
+        has no advantage.
+    shrink
+        See :func:`search`.
+    everywhere
+        Whether the tree is searched. If not, the candidates are the neighbors' continued sources and the places similar
+        to them; only a pixel without any searches the tree.
+    """
+    values, sources, frame = canvas
+    colors, pixels, places, similar, stride = stock
+    steps, matrix, shift, bits, causes = query
+    points, ranks, nodes = tree[0], tree[1], tree[2]
+    channels, width = colors.shape[1], sources.shape[1]
+    buffer, point = np.zeros(matrix.shape[1], np.int16), np.zeros(matrix.shape[0], np.int16)
+    stack, gaps = np.empty((DEEPEST, 4), np.int64), np.empty(matrix.shape[0], np.int64)
+    keys, best = np.empty(1, np.int64), np.empty(1, np.int64)
+    for y in range(box[0], box[1]):
+        for x in range(box[2], box[3]):
+            row, column = y + frame[2], x + frame[3]
+            project(values, (row * width + column) * channels, steps, matrix, shift, bits, buffer, point)
+            group = groups[y - box[0], x - box[2]]
+            start, stop = nodes[roots[group], 0], nodes[roots[group], 1]
+            nearest, near = UNBOUNDED, np.int64(-1)
+            keys[0], best[0] = UNBOUNDED, -1
+            for m in range(causes.shape[0]):
+                source = sources[row + causes[m, 1], column + causes[m, 0]]
+                if source < 0:
+                    continue
+                source -= causes[m, 1] * stride + causes[m, 0]
+                if source < 0 or source >= places.size:
+                    continue
+                place = places[source]
+                if place < 0:
+                    continue
+                if start <= place < stop:
+                    key = key_of(point, points, ranks, place)
+                    if key < nearest:
+                        nearest, near = key, place
+                if not everywhere:
+                    for j in range(similar.shape[1]):
+                        other = similar[place, j]
+                        if start <= other < stop:
+                            key = key_of(point, points, ranks, other)
+                            if key < keys[0]:
+                                keys[0], best[0] = key, other
+            if everywhere or (near < 0 and best[0] < 0):
+                if factor > 0 and near >= 0:
+                    keys[0] = np.int64(math.ceil((nearest >> 32) / factor)) << 32
+                search(tree, group, roots[group], point, shrink, keys, best, stack, gaps)
+            elif near >= 0 and (nearest < keys[0] or (factor > 0 and (nearest >> 32) <= factor * (keys[0] >> 32))):
+                best[0] = -1
+            chosen = pixels[near if best[0] < 0 else best[0]]
+            put(canvas, row, column, chosen, colors[chosen])
