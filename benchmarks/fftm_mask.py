@@ -112,8 +112,8 @@ def row(model: str, strength: tuple[float, float, float], seed: int, free: bool)
     sample = quantize(texture.image[:SIDE, :SIDE])
     values, ideal = planes(sample), planes(texture.ideal[:SIDE, :SIDE])
     departures = values - ideal
-    mask = MaskParameters().of(sample)
-    units = median_units(lambda: MaskParameters().of(sample), 3)
+    mask = MaskParameters().find_mask(sample)
+    units = median_units(lambda: MaskParameters().find_mask(sample), 3)
     held = mean_tile(departures, texture.lattice, (SIDE, SIDE))
     found = 0.0 if mask.lattice is None else mask.lattice.area / texture.lattice.area
     figures = {
@@ -126,11 +126,13 @@ def row(model: str, strength: tuple[float, float, float], seed: int, free: bool)
         "departures": explained(mask.harmonics, departures),
         "mean tile": 1 - variance(departures - held) / variance(departures),
         "residual": correlation(values - mask.harmonics.evaluate((SIDE, SIDE)), ideal),
-        "at 8x: tied": correlation(mask.picture(whole), texture.ideal),
+        "at 8x: tied": correlation(mask.draw(whole), texture.ideal),
         "mean tile ": correlation(mean_tile(sample, texture.lattice, whole), texture.ideal),
     }
     if free:
-        figures["free"] = correlation(MaskParameters(FREE, "free").of(sample).picture(whole), texture.ideal)
+        figures["free"] = correlation(
+            MaskParameters(threshold=FREE, harmonics="free").find_mask(sample).draw(whole), texture.ideal
+        )
     return figures
 
 
@@ -170,8 +172,8 @@ def threshold_table(seed: int) -> None:
     for threshold in (0.5, 1.0, 2.0, 5.0, 0.0):
         print(f"{threshold or 'automatic':>17}", end="")
         for kind in HARMONICS:
-            mask = MaskParameters(threshold, kind).of(sample)
-            units = median_units(partial(MaskParameters(threshold, kind).of, sample), 1)
+            mask = MaskParameters(threshold=threshold, harmonics=kind).find_mask(sample)
+            units = median_units(partial(MaskParameters(threshold=threshold, harmonics=kind).find_mask, sample), 1)
             print(f"{len(mask.harmonics.frequencies):14} {units:6.0f}", end="", flush=True)
         print()
 
@@ -184,8 +186,12 @@ def figure(folder: Path, seed: int) -> None:
     left = np.ones((side, SIDE, 3), np.float32)
     left[:SIDE] = sample
     parts, gap = [left], np.ones((side, 16, 3), np.float32)
-    for analysis in (MaskParameters(FREE, "free"), MaskParameters(FREE, "tied"), MaskParameters()):
-        parts += [gap, analysis.of(sample).picture((side, side))]
+    for parameters in (
+        MaskParameters(threshold=FREE, harmonics="free"),
+        MaskParameters(threshold=FREE, harmonics="tied"),
+        MaskParameters(),
+    ):
+        parts += [gap, parameters.find_mask(sample).draw((side, side))]
     folder.mkdir(parents=True, exist_ok=True)
     write_image(folder / "interference.png", np.concatenate(parts, 1))
 

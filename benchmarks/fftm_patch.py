@@ -42,14 +42,14 @@ def textured(side: int) -> tuple[Task, TextureMask]:
     """Return a task of a square brick sample, and the sample's mask."""
     texture = Brick().render((side, side), np.random.default_rng(0))
     sample = quantize(texture.image)
-    return Task(sample, (256, 256), texture.lattice, np.random.default_rng(1)), MaskParameters().of(sample)
+    return Task(sample, (256, 256), texture.lattice, np.random.default_rng(1)), MaskParameters().find_mask(sample)
 
 
 def made(method: FftmPatch, sample: int, output: int) -> Patchwork:
     """Return an output of this side from a sample of this side."""
     task, mask = textured(sample)
     shape = (output, output)
-    return method.patchwork(replace(task, shape=shape, rng=np.random.default_rng(1)), mask, mask.picture(shape))
+    return method.lay_patches(replace(task, shape=shape, rng=np.random.default_rng(1)), mask, mask.draw(shape))
 
 
 def units(method: FftmPatch, sample: int, output: int, repeats: int = 7) -> float:
@@ -61,7 +61,7 @@ def units(method: FftmPatch, sample: int, output: int, repeats: int = 7) -> floa
 def quality(method: FftmPatch) -> tuple[float, float]:
     """Return what all seams cost, gray levels a pixel, and how far the output is from its mask, gray levels."""
     work = made(method, 128, 256)
-    apart = work.finished()[0] - textured(128)[1].picture((256, 256))
+    apart = work.result()[0] - textured(128)[1].draw((256, 256))
     return work.cost / 256**2, 255 * float(np.sqrt((apart**2).mean()))
 
 

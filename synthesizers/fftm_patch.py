@@ -1,11 +1,9 @@
-"""Fractional Fourier texture masks, patch by patch."""
+"""Patch-based synthesis guided by a fractional Fourier texture mask (method ``fftm-patch``)."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
-import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -14,77 +12,71 @@ from nrbench.detectors.frdft import Frdft
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
-from nrbench.spectra.harmonics import Channels, Harmonic, Signal
 
-from .masks.texture_mask import MaskParameters, TextureMask, tileable_mask
+from .masks.texture_mask import MaskParameters, TextureMask
 from .patchwork.patchwork import PatchPlacer, Patchwork, SeamHeat, scan_lines
 from .patchwork.translations import Features
 
-Judged = Literal["color", "mask"]
+SeamValues = Literal["color", "mask"]
+
 LEAST_PATCH = 24
-"""px a side of an automatic patch, where the sample is large enough: smaller tiles are taken several at a time."""
-NO_TILE = 40
-"""px a side of an automatic patch where no upright rectangle is a tile (the paper's example of a size, section 5)."""
+"""px: the least side of an automatic patch, if the sample is large enough. A patch holds several smaller tiles."""
+PATCH_WITHOUT_TILE = 40
+"""px: the side of an automatic patch if no upright rectangle is a tile (the example of the paper's section 5)."""
 LARGEST_WEIGHT = 10.0
 HALF_PIXEL = 0.5
-"""px: how far from a period of the mask whole-pixel sides may be."""
+"""px: the largest distance of whole-pixel sides from a period of the mask."""
 
 
 @dataclass(frozen=True)
-class FftmPatch:
-    """Patches that follow the sample's regular part, cut into the output along the least visible seams (section 4.2).
+class FftmPatch(MaskParameters):
+    """Fractional Fourier texture masks, patch-based (Nicoll et al. 2005, sections 4.2 and 4.3).
 
-    The regular part, a sum of waves that is known everywhere, is drawn at the size of the output: the mask. Each pixel
-    is compared by its color and, scaled by the weight, its mask value. Windows of the output are covered line by line,
-    each by a part of the sample: of all translations that cover it, one that matches the colors that are there already
-    and, everywhere, the mask (sub-patch matching, Kwatra et al. 2003, section 4); where nothing is synthesized yet only
-    the mask counts. A minimum cut finds which of the window's pixels it gives. Afterwards the windows whose seams cost
-    most are covered anew, again and again; no such step makes all seams together cost more.
+    The mask is the regular part of the sample, a sum of waves, and is drawn at the output's size
+    (:class:`~nrbench.synthesizers.masks.texture_mask.MaskParameters`). Its frequencies are found by
+    :func:`nrbench.spectra.harmonics.analyze`. Each pixel is described by its color and its mask value, which is
+    multiplied by the weight. The output is divided into overlapping windows, which are covered line by line, each by a
+    part of the sample. All parts of the window's size are compared with the window (sub-patch matching, Kwatra et al.
+    2003, section 4): in color where the output is synthesized already, in the mask everywhere. A minimum cut then finds
+    which pixels of the window are replaced. Afterwards the windows whose seams cost most are covered again; no such
+    step increases the cost of all seams together.
 
-    The paper prints the sum as d_MM + c d_TT, with the weight on the texture, against its own section 4.1; here c
-    scales the mask (and so, squared, its part of the sum), which has no effect at 0. Two things keep elements whole
-    that the paper's patches cut: seams run where the texture is busy, and a patch may reach beyond the window that it
-    matches. ``reach=0, normalized=false`` is the paper's. Where Kwatra et al. force some pixel of each new patch into
-    the output, here a patch that makes nothing better is left out. More reach and more refinements join patches into
-    larger ones: fewer tiles are broken, and more are repeated.
+    The paper prints the compared sum as d_MM + c d_TT, with the weight on the texture, which contradicts its section
+    4.1. Here c multiplies the mask, so that d_MM is multiplied by c squared, and the mask has no effect at 0. Two
+    additions keep elements whole that the paper's patches cut: seams prefer places where the texture varies strongly,
+    and a patch may extend beyond the window that was compared. ``reach=0, normalized=false`` is the paper's method.
+    Kwatra et al. force at least one pixel of each new patch into the output; here a patch that improves nothing is
+    dropped. A larger reach and more refinements join patches into larger ones: fewer tiles are broken, and more are
+    repeated.
 
-    With a lattice given, tied waves start from it.
+    If a lattice is given, the search for the waves starts from it, unless the waves are free; otherwise the lattice is
+    found, too.
 
     Parameters
     ----------
     weight
-        c, the mask's weight beside the colors (the paper: about 1; no effect under 0.1, too large over 5); 0 to 10.
+        c, 0 to 10: the weight of the mask against the colors. (The paper: about 1; below 0.1 the mask has no effect,
+        above 5 it is too strong.)
     patch
-        Side of a patch, px; 0: automatic, from the mask's smallest upright tile: the least number of tiles of 24 px or
-        more a side, 40 px where there is none, and never more than half the sample.
+        Side of a patch, px. 0: automatic, from the smallest upright tile of the mask: a whole number of tiles, the
+        least that is 24 px or more, along each side; 40 px if there is no such tile; at most half the sample.
     overlap
-        Share of a patch, along each side, that lies over patches there already; 0 to 0.9.
+        Share of a patch, along each side, that overlaps earlier patches; 0 to 0.9.
     reach
-        How far, as a share of a patch's shorter side, it may give pixels beyond its window as well, where something is
-        known and seams are better there; 0 to 2. (In Kwatra et al. the whole sample is laid, wherever its match is.)
+        How far a patch may replace known pixels beyond its window, as a share of its shorter side; 0 to 2. (In Kwatra
+        et al. the whole sample is placed.)
     randomness
-        k: a translation is drawn with a probability proportional to exp(-cost / (k sigma^2)) (Kwatra et al., section 4:
-        0.001 to 1), cost being the mean squared difference, sigma^2 the variance of the sample; 0: one of the best.
+        k, 0 or more: the part of the sample is drawn with a probability proportional to exp(-cost / (k sigma^2)). The
+        cost is the mean squared difference, sigma^2 the variance of the sample (Kwatra et al., section 4: k is 0.001 to
+        1). 0: one of the best parts.
     refinements
-        How many times as many windows are covered anew as were covered first.
+        Number of windows that are covered again, as a multiple of the number of windows.
     seam
-        What seams are judged by: ``"mask"``, color and weighted mask (the paper's six dimensions), or ``"color"``.
+        The values that the cost of a seam is computed from: ``"mask"``, color and weighted mask (the paper's six
+        dimensions), or ``"color"``.
     normalized
-        Whether seams prefer to run where the texture is busy: squared differences over gradients (after section 5 of
-        Kwatra et al.), or, False, by differences alone (their equation 1, the paper's).
-    tileable
-        Whether the output's edges continue at their opposites (section 4.3): the mask is fitted to its size, which must
-        be a period of the mask up to a tenth of s; another is refused with the nearest ones that are.
-    threshold
-        Least amplitude of a wave of the mask, units of 1/255; 0: automatic.
-    harmonics
-        ``"tied"``: waves are whole combinations of common fundamentals; ``"free"``: each by itself (the paper's), which
-        cannot tile.
-    signal
-        How waves are searched: ``"real"``, or ``"analytic"`` (the paper's).
-    channels
-        Whether a wave has one frequency in all channels, ``"joint"``, or every channel is analyzed by itself,
-        ``"each"`` (the paper's).
+        Whether the cost of a seam is divided by the gradients along it (section 5 of Kwatra et al.), so that seams
+        prefer places where the texture varies strongly. False: differences alone (their equation 1, the paper's).
     """
 
     weight: float = 2.0
@@ -93,13 +85,8 @@ class FftmPatch:
     reach: float = 1.0
     randomness: float = 0.1
     refinements: int = 1
-    seam: Judged = "mask"
+    seam: SeamValues = "mask"
     normalized: bool = True
-    tileable: bool = False
-    threshold: float = 0.0
-    harmonics: Harmonic = "tied"
-    signal: Signal = "real"
-    channels: Channels = "joint"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -108,7 +95,7 @@ class FftmPatch:
     paper: ClassVar[str] = Frdft.paper
 
     def __post_init__(self) -> None:
-        self._analysis()
+        super().__post_init__()
         if not 0 <= self.weight <= LARGEST_WEIGHT:
             raise BadInput(f"weight {self.weight}; choose from 0 (no mask) to {LARGEST_WEIGHT:g}")
         if self.patch < 0 or self.patch in (1, 2):
@@ -121,74 +108,65 @@ class FftmPatch:
             raise BadInput(f"randomness {self.randomness}; choose 0 (one of the best) or more")
         if self.refinements < 0:
             raise BadInput(f"refinements {self.refinements}; choose 0 or more passes")
-        if self.tileable and self.harmonics == "free":
-            raise BadInput("tileable with harmonics 'free', which have no common period; choose harmonics 'tied'")
-
-    def _analysis(self) -> MaskParameters:
-        return MaskParameters(self.threshold, self.harmonics, self.signal, self.channels)
 
     def synthesize(self, task: Task) -> Synthesis:
-        """Return the synthesis; see :class:`FftmPatch`. The mask is kept as the extra picture ``mask``.
+        """Return the synthesis; see :class:`FftmPatch`. The mask is the extra picture ``mask``.
 
         Raises
         ------
         Refused
-            When the sample has no regular part or is smaller than the patch, or the output cannot be tiled.
+            If the sample has no regular part or is smaller than the patch, or the output cannot be tiled.
         """
-        start = time.perf_counter()
-        mask = self._analysis().of(task.sample, task.lattice)
-        seconds = 0.0 if task.lattice else time.perf_counter() - start
-        return dataclasses.replace(self.follow(task, mask), detection_seconds=seconds)
+        mask, seconds = self.find_mask_of(task)
+        return replace(self.follow(task, mask), detection_seconds=seconds)
 
     def follow(self, task: Task, mask: TextureMask) -> Synthesis:
-        """Return the synthesis that a mask of the task's sample guides, and raise as :meth:`synthesize` does."""
-        drawn = (tileable_mask(mask, task.shape) if self.tileable else mask).picture(task.shape)
-        image, source = self.patchwork(task, mask, drawn).finished()
+        """Return the synthesis guided by a mask of the task's sample, and raise as :meth:`synthesize` does."""
+        output_mask = self.fit_to_output(mask, task.shape).draw(task.shape)
+        image, source = self.lay_patches(task, mask, output_mask).result()
         task.progress(1.0)
-        return Synthesis(image, mask.lattice, source, {"mask": drawn})
+        return Synthesis(image, mask.lattice, source, {"mask": output_mask})
 
-    def patchwork(self, task: Task, mask: TextureMask, drawn: Image) -> Patchwork:
-        """Return the output, covered window by window, then improved; raise as :meth:`synthesize` does.
+    def lay_patches(self, task: Task, mask: TextureMask, output_mask: Image) -> Patchwork:
+        """Return the output after all windows are covered and refined; raise as :meth:`synthesize` does.
 
         Parameters
         ----------
         task
-            What is asked.
+            The sample, the output's shape, the random generator.
         mask
-            Of the sample.
-        drawn
-            The mask of the output, ``(H, W, C)``.
+            The mask of the sample.
+        output_mask
+            The mask drawn at the size of the output, ``(H, W, C)``.
         """
-        size = self._size(mask, task)
-        colors = whole(task.sample)
-        guide = whole(drawn, self.weight), whole(mask.picture(_shape(task.sample)), self.weight)
-        features = colors if self.seam == "color" else np.concatenate([colors, guide[1]], -1)
-        reach = round(self.reach * min(size))
+        size = self._patch_size(mask, task)
+        colors = to_gray_levels(task.sample)
+        sample_mask = to_gray_levels(mask.draw(_shape(task.sample)), self.weight)
+        guide = to_gray_levels(output_mask, self.weight), sample_mask
+        features = colors if self.seam == "color" else np.concatenate([colors, sample_mask], -1)
         work = Patchwork(task.sample, features, task.shape, self.normalized, self.tileable)
-        self._fill(task, PatchPlacer(work, colors, self.randomness, task.rng, guide, reach), size)
+        placer = PatchPlacer(work, colors, self.randomness, task.rng, guide, round(self.reach * min(size)))
+        step_y, step_x = (max(1, round(side * (1 - self.overlap))) for side in size)
+        windows = list(scan_lines(task.shape, size, (step_y, step_x), self.tileable))
+        steps = len(windows) * (1 + self.refinements)
+        for number, window in enumerate(windows):
+            placer.cover(window)
+            task.progress(number / steps)
+        heat = SeamHeat(work, size)
+        for number in range(len(windows), steps):
+            placer.improve(heat)
+            task.progress(number / steps)
         return work
 
-    def _fill(self, task: Task, placement: PatchPlacer, size: Shape) -> None:
-        rows, columns = (max(1, round(side * (1 - self.overlap))) for side in size)
-        windows = list(scan_lines(task.shape, size, (rows, columns), self.tileable))
-        steps = len(windows) * (1 + self.refinements)
-        for done, window in enumerate(windows):
-            placement.cover(window)
-            task.progress(done / steps)
-        heat = SeamHeat(placement.work, size)
-        for done in range(len(windows), steps):
-            placement.improve(heat)
-            task.progress(done / steps)
-
-    def _size(self, mask: TextureMask, task: Task) -> Shape:
-        """Return the patches' (height, width), px."""
-        room = _shape(task.sample)
-        if self.patch > min(room):
+    def _patch_size(self, mask: TextureMask, task: Task) -> Shape:
+        """Return the (height, width) of the patches, px."""
+        height, width = _shape(task.sample)
+        if self.patch > min(height, width):
             raise Refused(
-                f"the sample is {room[1]}x{room[0]} px, a patch {self.patch}x{self.patch} px; "
-                f"choose patch <= {min(room)}, or leave it out"
+                f"the sample is {width}x{height} px, a patch {self.patch}x{self.patch} px; "
+                f"choose patch <= {min(height, width)}, or leave it out"
             )
-        size = (self.patch, self.patch) if self.patch else automatic_size(mask, room)
+        size = (self.patch, self.patch) if self.patch else automatic_size(mask, (height, width))
         margin = 2 if self.tileable else 0
         if min(task.shape) <= margin:
             raise Refused("an output of less than 3 px a side has no inside to its edges; leave tileable out")
@@ -199,17 +177,17 @@ def _shape(image: Image) -> Shape:
     return image.shape[0], image.shape[1]
 
 
-def whole(image: Image, weight: float = 1.0) -> Features:
-    """Return an image as whole gray levels, times a weight."""
+def to_gray_levels(image: Image, weight: float = 1.0) -> Features:
+    """Return an image, times a weight, rounded to integer gray levels, ``int32 (H, W, C)``."""
     return np.ascontiguousarray(np.rint(image.astype(np.float64) * (255 * weight)), np.int32)
 
 
-def automatic_size(mask: TextureMask, room: Shape) -> Shape:
-    """Return the (height, width) of patches, px, that suits a mask and a sample of (height, width) ``room``."""
-    half = (max(room[0] // 2, 1), max(room[1] // 2, 1))
-    tile = mask.tileable(HALF_PIXEL, float(max(half)))
+def automatic_size(mask: TextureMask, shape: Shape) -> Shape:
+    """Return the (height, width) of patches, px, that suits a mask and a sample of (height, width) ``shape``."""
+    half = (max(shape[0] // 2, 1), max(shape[1] // 2, 1))
+    tile = mask.find_period(HALF_PIXEL, float(max(half)))
     if tile is None:
-        return min(NO_TILE, half[0]), min(NO_TILE, half[1])
+        return min(PATCH_WITHOUT_TILE, half[0]), min(PATCH_WITHOUT_TILE, half[1])
     sides = (side * math.ceil(LEAST_PATCH / side) for side in tile.size[::-1])
     height, width = (min(round(side), most) for side, most in zip(sides, half, strict=True))
     return height, width

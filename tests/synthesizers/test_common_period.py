@@ -3,7 +3,7 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesizers.masks.texture_mask import common_period
+from nrbench.synthesizers.masks.texture_mask import find_common_period
 
 
 def dual(*basis: tuple[float, float]) -> np.ndarray:
@@ -13,23 +13,23 @@ def dual(*basis: tuple[float, float]) -> np.ndarray:
 
 def test_a_lattice_has_its_own_rectangle() -> None:
     """Of a running bond it is a brick wide and two courses high, within the rounding."""
-    found = common_period([dual((27.3, 0.0), (13.65, 12.2))])
+    found = find_common_period([dual((27.3, 0.0), (13.65, 12.2))])
     assert found is not None and found.size == (27, 24)
     assert found.error == pytest.approx(0.4) and found.free == (False, False)
 
 
 def test_stripes_leave_a_side_free() -> None:
     """Along stripes any length is a period: that side is as long as the other."""
-    found = common_period([np.array([[0.0, 1 / 16.2]])])
+    found = find_common_period([np.array([[0.0, 1 / 16.2]])])
     assert found is not None and found.size == (16, 16) and found.free == (True, False)
 
 
 def test_several_groups_share_a_period() -> None:
     """Periods of 6 and 10 px across, of two lattices, are both periods of 30; without one within the limit, None."""
     groups = [dual((6.0, 0.0), (0.0, 5.0)), dual((10.0, 0.0), (0.0, 7.0))]
-    found = common_period(groups, 0.1)
+    found = find_common_period(groups, 0.1)
     assert found is not None and found.size == (30, 35) and found.error == pytest.approx(0)
-    assert common_period(groups, 0.1, 29) is None
+    assert find_common_period(groups, 0.1, 29) is None
 
 
 def test_its_sides_are_lattice_vectors() -> None:
@@ -37,7 +37,7 @@ def test_its_sides_are_lattice_vectors() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
         basis = rng.uniform(6, 20, (2, 2)) * [[1, 0.3], [-0.2, 1]]
-        found = common_period([np.linalg.inv(basis).T], 0.5)
+        found = find_common_period([np.linalg.inv(basis).T], 0.5)
         if found is None:
             continue
         lattice = Lattice.from_basis(basis)
@@ -47,7 +47,7 @@ def test_its_sides_are_lattice_vectors() -> None:
 
 def test_nothing_has_no_period() -> None:
     """Without a group there is no rectangle."""
-    assert common_period([]) is None
+    assert find_common_period([]) is None
 
 
 @pytest.mark.parametrize(
@@ -56,4 +56,4 @@ def test_nothing_has_no_period() -> None:
 def test_bad_limits_are_refused(tolerance: float, limit: int, hint: str) -> None:
     """Each error says what to give."""
     with pytest.raises(BadInput, match=hint):
-        common_period([dual((10.0, 0.0), (0.0, 10.0))], tolerance, limit)
+        find_common_period([dual((10.0, 0.0), (0.0, 10.0))], tolerance, limit)

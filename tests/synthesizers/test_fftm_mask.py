@@ -35,8 +35,8 @@ def test_the_mask_is_the_ideal_image_and_not_the_departures(model: str) -> None:
     """It resembles the ideal image, in place and far away; what it leaves of the sample does not."""
     texture, sample = drawn(model, 21, far=8)
     assert texture.ideal is not None and texture.lattice is not None
-    mask = MaskParameters().of(sample)
-    near, far = mask.picture((128, 128)), mask.picture((1024, 1024))
+    mask = MaskParameters().find_mask(sample)
+    near, far = mask.draw((128, 128)), mask.draw((1024, 1024))
     assert correlation(near, texture.ideal[:128, :128]) > 0.97
     assert correlation(far, texture.ideal) > 0.95
     assert abs(correlation(sample - near, texture.ideal[:128, :128])) < 0.05
@@ -49,25 +49,27 @@ def test_a_given_lattice_is_where_it_starts() -> None:
     texture, sample = drawn("brick", 22)
     assert texture.lattice is not None
     (a, b), stretch = texture.lattice.matrix, np.diag([1.015, 0.99])
-    given = MaskParameters().of(sample, Lattice.from_basis(np.stack([a + b, b]) @ stretch))
-    own = MaskParameters().of(sample)
+    given = MaskParameters().find_mask(sample, Lattice.from_basis(np.stack([a + b, b]) @ stretch))
+    own = MaskParameters().find_mask(sample)
     assert given.lattice is not None and given.lattice.is_equivalent(texture.lattice, 0.02)
-    np.testing.assert_allclose(given.picture((128, 128)), own.picture((128, 128)), atol=0.02)
+    np.testing.assert_allclose(given.draw((128, 128)), own.draw((128, 128)), atol=0.02)
 
 
 def test_the_threshold_sets_how_many_waves() -> None:
     """The number of waves falls with the threshold, down to none, which is refused."""
     _, sample = drawn("brick", 23)
-    counts = [len(MaskParameters(threshold).of(sample).harmonics.frequencies) for threshold in (2, 4, 8)]
+    counts = [
+        len(MaskParameters(threshold=threshold).find_mask(sample).harmonics.frequencies) for threshold in (2, 4, 8)
+    ]
     assert counts[0] > counts[1] > counts[2] > 0
     with pytest.raises(Refused, match="reaches the threshold of 100"):
-        MaskParameters(100.0).of(sample)
+        MaskParameters(threshold=100.0).find_mask(sample)
 
 
 def test_windows_are_of_one_picture() -> None:
     """A window far away equals that part of a larger one, at the same offsets."""
-    mask = MaskParameters().of(drawn("weave", 24)[1])
-    whole, part = mask.picture((90, 120), (-30.0, 7.0)), mask.picture((40, 50), (10.0, 27.0))
+    mask = MaskParameters().find_mask(drawn("weave", 24)[1])
+    whole, part = mask.draw((90, 120), (-30.0, 7.0)), mask.draw((40, 50), (10.0, 27.0))
     np.testing.assert_allclose(whole[20:60, 40:90], part, atol=1e-6)
 
 
@@ -76,7 +78,7 @@ def test_windows_are_of_one_picture() -> None:
 def test_noise_has_no_regular_part(spectrum: str, seed: int) -> None:
     """Textures without a lattice, whatever their spectrum, are refused."""
     with pytest.raises(Refused, match="no regular part"):
-        MaskParameters().of(quantize(nrbench.texture("noise", seed=seed, spectrum=spectrum).image))
+        MaskParameters().find_mask(quantize(nrbench.texture("noise", seed=seed, spectrum=spectrum).image))
 
 
 @pytest.mark.parametrize("seed", [6, 8])
@@ -85,21 +87,21 @@ def test_less_than_a_tile_has_no_regular_part(seed: int) -> None:
     known = {"width": 127.3, "height": 117.1, "gap": 3.1, "color": 0.2, "intensity": 0.15, "noise": 0.03}
     texture = nrbench.texture("jigsaw", (160, 160), seed, **known)
     with pytest.raises(Refused, match="no regular part"):
-        MaskParameters().of(quantize(texture.image))
+        MaskParameters().find_mask(quantize(texture.image))
 
 
 def test_a_single_wave_makes_a_mask() -> None:
     """One cosine, noisy, is one group of one wave; it has no lattice, and a tile for stripes at a slant."""
-    mask = MaskParameters().of(gray(0.5 + 0.2 * np.cos(2 * np.pi * (0.0625 * X + 0.025 * Y)), 0.1))
+    mask = MaskParameters().find_mask(gray(0.5 + 0.2 * np.cos(2 * np.pi * (0.0625 * X + 0.025 * Y)), 0.1))
     assert mask.harmonics.groups == (1,) and mask.lattice is None
     np.testing.assert_allclose(np.abs(mask.harmonics.frequencies), [[0.0625, 0.025]], atol=2e-4)
-    tile = mask.tileable(0.3)
+    tile = mask.find_period(0.3)
     assert tile is not None and tile.size == (16, 40) and tile.free == (False, False)
 
 
 def test_two_gratings_have_a_lattice() -> None:
     """Two crossed cosines are two groups, and their lattice is dual to both."""
-    mask = MaskParameters().of(
+    mask = MaskParameters().find_mask(
         gray(0.5 + 0.1 * np.cos(2 * np.pi * X / 14.3) + 0.1 * np.cos(2 * np.pi * Y / 20.7), 0.02)
     )
     assert mask.lattice is not None and mask.lattice.is_equivalent(Lattice((14.3, 0.0), (0.0, 20.7)), 0.01)
@@ -109,19 +111,19 @@ def test_two_gratings_have_a_lattice() -> None:
 def test_pinstripes_are_one_group(period: float) -> None:
     """Lines 1.5 px wide and far apart are one fundamental with many harmonics; their tile is free along them."""
     lines = np.mean([(X + step) % period < 1.5 for step in np.linspace(-0.5, 0.5, 21)], 0)
-    mask = MaskParameters().of(gray(0.3 + 0.3 * lines, 0.03))
+    mask = MaskParameters().find_mask(gray(0.3 + 0.3 * lines, 0.03))
     assert mask.harmonics.groups == (1,) and len(mask.harmonics.frequencies) > 8
     assert 1 / np.abs(mask.harmonics.fundamentals).max() == pytest.approx(period, abs=0.1)
-    tile = mask.tileable(0.5)
+    tile = mask.find_period(0.5)
     assert tile is not None and tile.free == (False, True) and abs(tile.size[0] - period) < 0.6
 
 
 def test_two_lattices_have_a_common_tile() -> None:
     """Squares over hexagons are two groups of two; the tile of both is five squares wide, beyond the sample."""
     texture = nrbench.texture("overlap", shape=(160, 160), seed=5, period=36.6, color=0.15, intensity=0.1, noise=0.02)
-    mask = MaskParameters().of(quantize(texture.image))
+    mask = MaskParameters().find_mask(quantize(texture.image))
     assert mask.harmonics.groups[:2] == (2, 2)
-    tile = mask.tileable(1.0)
+    tile = mask.find_period(1.0)
     assert tile is not None and np.abs(np.subtract(tile.size, 183)).max() <= 1
 
 
@@ -129,10 +131,10 @@ def test_constant_channels_stay_constant() -> None:
     """Channels without a wave keep their mean; a constant image is refused."""
     sample = np.full((128, 128, 3), 0.5, np.float32)
     sample[..., 0] += (0.3 * np.cos(0.4 * X) * np.cos(0.3 * Y)).astype(np.float32)
-    picture = MaskParameters().of(sample).picture((64, 64), (500.0, 0.0))
+    picture = MaskParameters().find_mask(sample).draw((64, 64), (500.0, 0.0))
     np.testing.assert_allclose(picture[..., 1:], 0.5, atol=1e-3)
     with pytest.raises(Refused):
-        MaskParameters().of(np.full((64, 64, 3), 0.4, np.float32))
+        MaskParameters().find_mask(np.full((64, 64, 3), 0.4, np.float32))
 
 
 @pytest.mark.parametrize("levels", [(0.5, None, None), (None, 0.25, 0.75), (0.0, None, 1.0)])
@@ -142,7 +144,7 @@ def test_channels_that_show_nothing_change_nothing(levels: tuple[float | None, .
     for channel, level in enumerate(levels):
         if level is not None:
             sample[..., channel] = level
-    mask = MaskParameters().of(quantize(sample))
+    mask = MaskParameters().find_mask(quantize(sample))
     assert texture.lattice is not None and mask.lattice is not None
     assert mask.lattice.is_equivalent(texture.lattice, 0.1)
 
@@ -150,8 +152,8 @@ def test_channels_that_show_nothing_change_nothing(levels: tuple[float | None, .
 def test_gray_stored_as_color_has_the_mask_of_gray() -> None:
     """Three equal channels, of which two planes show nothing, make the picture that one makes, three times."""
     sample = drawn("brick", 23)[1].mean(2, keepdims=True)
-    single = MaskParameters().of(quantize(sample)).picture((64, 64))
-    triple = MaskParameters().of(quantize(np.repeat(sample, 3, 2))).picture((64, 64))
+    single = MaskParameters().find_mask(quantize(sample)).draw((64, 64))
+    triple = MaskParameters().find_mask(quantize(np.repeat(sample, 3, 2))).draw((64, 64))
     np.testing.assert_allclose(triple, np.repeat(single, 3, 2), atol=2e-3)
 
 
@@ -159,14 +161,14 @@ def test_gray_stored_as_color_has_the_mask_of_gray() -> None:
 def test_a_lattice_that_the_sample_does_not_show_is_left_aside(side: float) -> None:
     """Too fine for pixels, or repeated less than twice: the mask is that of no lattice given."""
     sample = drawn("brick", 24)[1]
-    given, own = (MaskParameters().of(sample, lattice) for lattice in (Lattice((side, 0), (0, side)), None))
-    np.testing.assert_array_equal(given.picture((40, 40)), own.picture((40, 40)))
+    given, own = (MaskParameters().find_mask(sample, lattice) for lattice in (Lattice((side, 0), (0, side)), None))
+    np.testing.assert_array_equal(given.draw((40, 40)), own.draw((40, 40)))
 
 
 def test_of_two_groups_the_stronger_tells_the_lattice() -> None:
     """A given lattice that holds little of the sample comes after the one that holds most."""
     texture, sample = drawn("brick", 24)
-    mask = MaskParameters().of(sample, Lattice((13.3, 2.1), (-4.0, 17.7)))
+    mask = MaskParameters().find_mask(sample, Lattice((13.3, 2.1), (-4.0, 17.7)))
     assert texture.lattice is not None and mask.lattice is not None
     assert mask.lattice.is_equivalent(texture.lattice, 0.3)
 
@@ -176,9 +178,9 @@ def test_each_channel_has_its_own_waves_where_asked() -> None:
     sample = np.full((64, 64, 3), 0.5, np.float32)
     sample[..., 0] += (0.3 * np.cos(2 * np.pi * X[:64, :64] / 7.3)).astype(np.float32)
     sample[..., 2] += (0.3 * np.cos(2 * np.pi * Y[:64, :64] / 9.1)).astype(np.float32)
-    mask = MaskParameters(channels="each").of(quantize(sample))
+    mask = MaskParameters(channels="each").find_mask(quantize(sample))
     assert len(mask.harmonics.groups) >= 3
-    assert correlation(mask.picture((64, 64)), sample) > 0.99
+    assert correlation(mask.draw((64, 64)), sample) > 0.99
     assert (np.count_nonzero(mask.harmonics.amplitudes, axis=1) == 1).all()
 
 
@@ -195,29 +197,29 @@ def test_small_and_odd_samples_are_refused_or_masked(shape: tuple[int, int], kin
         "step": (x > 3).astype(float),
     }[kind]
     try:
-        mask = MaskParameters().of(gray(values))
+        mask = MaskParameters().find_mask(gray(values))
     except Refused:
         return
-    assert np.isfinite(mask.picture((50, 70), (1e4, -1e4))).all()
+    assert np.isfinite(mask.draw((50, 70), (1e4, -1e4))).all()
 
 
 @pytest.mark.parametrize(("color", "seed"), [(0.14, 56), (0.3, 57)])
 def test_what_threads_have_in_common_by_chance_is_no_larger_tile(color: float, seed: int) -> None:
     """The lattice is the weave's, though some of its threads' colors nearly repeat after five rows."""
     texture = nrbench.texture("weave", shape=(128, 128), seed=seed, color=color, intensity=color / 2, noise=0.03)
-    mask = MaskParameters().of(quantize(texture.image))
+    mask = MaskParameters().find_mask(quantize(texture.image))
     assert texture.lattice is not None and mask.lattice is not None
     assert mask.lattice.is_equivalent(texture.lattice, 0.1)
 
 
 def test_free_masks_have_no_tile() -> None:
     """Free waves have no common period: no lattice and no tile."""
-    mask = MaskParameters(threshold=8.0, harmonics="free").of(drawn("brick", 25)[1])
-    assert isinstance(mask, TextureMask) and mask.lattice is None and mask.tileable(0.5) is None
+    mask = MaskParameters(threshold=8.0, harmonics="free").find_mask(drawn("brick", 25)[1])
+    assert isinstance(mask, TextureMask) and mask.lattice is None and mask.find_period(0.5) is None
 
 
 @pytest.mark.parametrize("threshold", [-1.0, 255.0, float("nan")])
 def test_bad_thresholds_are_refused(threshold: float) -> None:
     """The error says what to give."""
     with pytest.raises(BadInput, match="automatic"):
-        MaskParameters(threshold)
+        MaskParameters(threshold=threshold)

@@ -23,7 +23,7 @@ class Tiled:
         self.tile = tile
         self.lattice = Lattice((tile.shape[1], 0), (0, tile.shape[0]))
 
-    def picture(self, shape: tuple[int, int], offset: tuple[float, float] = (0.0, 0.0)) -> Image:
+    def draw(self, shape: tuple[int, int], offset: tuple[float, float] = (0.0, 0.0)) -> Image:
         """Return the tile continued, interpolated along x and y."""
         rows, columns = (np.arange(n) + start for n, start in zip(shape, offset[::-1], strict=True))
         across = self._between(self.tile, rows, 0)
@@ -36,7 +36,7 @@ class Tiled:
         one, other = (np.take(values, k % values.shape[axis], axis) for k in (first, first + 1))
         return one * (1 - share) + other * share
 
-    def tileable(self, tolerance: float, limit: float = 1024.0) -> CommonPeriod | None:
+    def find_period(self, tolerance: float, limit: float = 1024.0) -> CommonPeriod | None:
         """Return the smallest rectangle that is a period."""
         height, width = self.tile.shape[:2]
         return CommonPeriod((width, height), 0.0) if max(width, height) <= limit else None
@@ -52,7 +52,7 @@ def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
 
 def waves_of(tile: Image) -> TextureMask:
     """Return the mask of a tile repeated."""
-    return MaskParameters().of(np.tile(tile, (4, 4, 1)))
+    return MaskParameters().find_mask(np.tile(tile, (4, 4, 1)))
 
 
 def synthesize(
@@ -65,7 +65,7 @@ def synthesize(
     **task: Any,
 ) -> Synthesis:
     """Run the method with a mask that is known."""
-    monkeypatch.setattr(MaskParameters, "of", lambda *_, **__: mask)
+    monkeypatch.setattr(MaskParameters, "find_mask", lambda *_, **__: mask)
     made = method.synthesize(Task(sample, shape, None, np.random.default_rng(seed), **task))
     return checked_synthesis(made, sample, shape)
 
@@ -118,7 +118,7 @@ def test_any_shape_is_filled_with_copies(
     assert (weight == 1).all()
     np.testing.assert_array_equal(made.image, sample[y.astype(int), x.astype(int)])
     assert is_picture(made.extras["mask"])
-    np.testing.assert_array_equal(made.extras["mask"], Tiled(tile).picture(shape))
+    np.testing.assert_array_equal(made.extras["mask"], Tiled(tile).draw(shape))
     assert made.lattice == WHOLE
 
 
@@ -143,14 +143,14 @@ def test_threshold_harmonics_and_signal_reach_the_analysis(monkeypatch: pytest.M
     """What the mask is made by is what was asked."""
     asked = []
 
-    def of(self: MaskParameters, *_: Any, **__: Any) -> Any:
-        asked.append(self)
+    def find_mask(self: MaskParameters, *_: Any, **__: Any) -> Any:
+        asked.append((self.threshold, self.harmonics, self.signal, self.channels))
         return Tiled(smooth(20, 24))
 
-    monkeypatch.setattr(MaskParameters, "of", of)
+    monkeypatch.setattr(MaskParameters, "find_mask", find_mask)
     method = FftmPatch(threshold=7.0, harmonics="free", signal="analytic", refinements=0)
     method.synthesize(Task(varied(smooth(20, 24), 48, 48, 0.1), (20, 20), None, np.random.default_rng(0)))
-    assert asked == [MaskParameters(7.0, "free", "analytic")]
+    assert asked == [(7.0, "free", "analytic", "joint")]
 
 
 def test_without_weight_the_mask_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -246,11 +246,11 @@ def test_a_lattice_given_is_handed_to_the_analysis(monkeypatch: pytest.MonkeyPat
     """The mask is made from the lattice that the task holds."""
     asked = []
 
-    def of(_: MaskParameters, sample: Image, lattice: Lattice | None = None) -> Any:
+    def find_mask(_: MaskParameters, sample: Image, lattice: Lattice | None = None) -> Any:
         asked.append(lattice)
         return Tiled(smooth(20, 24))
 
-    monkeypatch.setattr(MaskParameters, "of", of)
+    monkeypatch.setattr(MaskParameters, "find_mask", find_mask)
     FftmPatch().synthesize(Task(varied(smooth(20, 24), 48, 48, 0.1), (20, 20), WHOLE, np.random.default_rng(0)))
     assert asked == [WHOLE]
 

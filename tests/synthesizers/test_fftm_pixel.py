@@ -1,4 +1,5 @@
 import dataclasses
+import inspect
 import itertools
 import math
 from typing import Any
@@ -55,7 +56,7 @@ def repeated(tile: Image, shape: tuple[int, int], grain: float = 0.0, seed: int 
 
 def synthesize(method: FftmPixel, sample: Image, shape: tuple[int, int], mask: TextureMask, seed: int = 1) -> Synthesis:
     """Run the method by a known mask."""
-    return method.guided(Task(sample, shape, None, np.random.default_rng(seed)), mask)
+    return method.follow(Task(sample, shape, None, np.random.default_rng(seed)), mask)
 
 
 def mean_run(made: Synthesis, sample: Image) -> float:
@@ -198,7 +199,7 @@ def test_progress_rises_to_one(tileable: bool) -> None:
     """Progress is told band by band."""
     told: list[float] = []
     task = Task(noise(30, 30), (66, 63), None, np.random.default_rng(0), progress=told.append)
-    FftmPixel(tileable=tileable).guided(task, mask_of(soft_tile(11, 9)))
+    FftmPixel(tileable=tileable).follow(task, mask_of(soft_tile(11, 9)))
     assert told == sorted(told)
     assert told[-1] == 1
     assert len(told) > 8
@@ -273,4 +274,4 @@ def test_parameters_that_make_no_sense_are_refused(parameters: dict[str, Any]) -
 def test_all_fields_are_documented() -> None:
     """Each parameter has its paragraph."""
     for field in dataclasses.fields(FftmPixel):
-        assert f"\n    {field.name}\n" in str(FftmPixel.__doc__)
+        assert f"\n{field.name}\n" in inspect.cleandoc(str(FftmPixel.__doc__))

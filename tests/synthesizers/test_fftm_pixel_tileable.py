@@ -56,7 +56,7 @@ def test_a_size_that_is_no_period_is_refused_with_the_nearest_ones_that_work() -
         synthesize(FftmPixel(tileable=True), sample, (64, 73), mask)
     made = synthesize(FftmPixel(tileable=True), sample, (67, 68), mask)
     assert seam_ratio(made.extras["mask"]) < 1.1
-    assert seam_ratio(mask.picture((64, 73))) > 1.5
+    assert seam_ratio(mask.draw((64, 73))) > 1.5
 
 
 def test_stripes_tile_along_themselves_at_any_length() -> None:

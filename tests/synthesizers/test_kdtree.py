@@ -32,7 +32,7 @@ def test_the_nearest_are_those_of_brute_force(
     rng = np.random.default_rng(seed)
     ranks, groups = rng.permutation(count), np.sort(np.arange(count) % number)
     among = rng.integers(groups.max() + 1, size=20)
-    numbers, apart = KdTree.of(points, ranks, groups, leaf).nearest(queries, k, groups=among)
+    numbers, apart = KdTree.build(points, ranks, groups, leaf).nearest(queries, k, groups=among)
     for query, row in enumerate(distances(points, queries)):
         mine = np.flatnonzero(groups == among[query])
         due = mine[np.lexsort([ranks[mine], row[mine]])][:k]
@@ -47,14 +47,14 @@ def test_with_eps_none_is_farther_than_it_may_be(drawing: tuple[int, int, int, i
     """What is found is at most (1 + eps) times as far as the nearest."""
     count, axes, spread, seed = drawing
     points, queries = drawn(count, axes, spread, seed), drawn(30, axes, spread, seed + 1)
-    _, apart = KdTree.of(points, leaf=2).nearest(queries, eps=eps)
+    _, apart = KdTree.build(points, leaf=2).nearest(queries, eps=eps)
     assert (apart[:, 0] <= distances(points, queries).min(1) * (1 + eps) ** 2).all()
 
 
 def test_eps_saves_work_at_the_cost_of_some_distance() -> None:
     """On scattered points a large eps finds farther ones now and then: it does something."""
     points, queries = drawn(4000, 8, 3000, 0), drawn(500, 8, 3000, 1)
-    tree = KdTree.of(points)
+    tree = KdTree.build(points)
     exact, loose = tree.nearest(queries)[1], tree.nearest(queries, eps=2.0)[1]
     assert (loose >= exact).all()
     assert 0.02 < (loose > exact).mean() < 0.98
@@ -65,7 +65,7 @@ def test_points_that_are_all_alike_are_one_leaf_and_the_first_rank_wins(coordina
     """Ten thousand copies of a point neither stop the build nor hide which is preferred."""
     points = np.full((10_000, 3), coordinate, np.int16)
     ranks = np.random.default_rng(0).permutation(10_000)
-    numbers, apart = KdTree.of(points, ranks).nearest(points[:5], 2)
+    numbers, apart = KdTree.build(points, ranks).nearest(points[:5], 2)
     np.testing.assert_array_equal(numbers, [np.argsort(ranks)[:2]] * 5)
     assert (apart == 0).all()
 
@@ -73,6 +73,6 @@ def test_points_that_are_all_alike_are_one_leaf_and_the_first_rank_wins(coordina
 def test_the_farthest_points_do_not_overflow() -> None:
     """Distances up to 2^31 - 1 are right, which is as far as 32 bits tell."""
     points = np.array([[-16000, 0, 0, 0], [16000, 0, 0, 0]], np.int16)
-    numbers, apart = KdTree.of(points).nearest(np.array([[16000, 32000, 0, 0]], np.int16), 2)
+    numbers, apart = KdTree.build(points).nearest(np.array([[16000, 32000, 0, 0]], np.int16), 2)
     assert numbers.tolist() == [[1, 0]]
     assert apart.tolist() == [[32000**2, 2 * 32000**2]]

@@ -125,7 +125,7 @@ def test_every_pixel_is_the_copy_that_the_map_names(wrap: bool) -> None:
     rng = np.random.default_rng(3)
     work = patchwork(rng, (20, 30), (33, 41), wrap=wrap)
     cover(work, rng, (9, 12), 30)
-    image, source = work.finished()
+    image, source = work.result()
     x, y, weight = np.moveaxis(source, -1, 0)
     np.testing.assert_array_equal(image, work.sample[y.astype(int), x.astype(int)])
     assert (weight == 1).all() and work.known.all()
@@ -140,7 +140,7 @@ def test_patches_that_continue_each_other_have_no_seam() -> None:
         place = (left % 7 + 7 * (left % 2), top % 6)
         work.lay((top, min(top + 8, 50), left, min(left + 11, 60)), place)
     assert work.cost == 0
-    np.testing.assert_array_equal(work.finished()[0], np.tile(tile, (9, 9, 1))[:50, :60])
+    np.testing.assert_array_equal(work.result()[0], np.tile(tile, (9, 9, 1))[:50, :60])
 
 
 def test_seams_across_the_edges_count_where_the_output_wraps() -> None:

@@ -26,7 +26,7 @@ def test_all_values_keep_weighted_distances(count: int, width: int, dimensions: 
     """Without components, distances are those of the weighted values, up to the rounding of each coordinate."""
     vectors = drawn(count, width, seed)
     weights = np.where(np.arange(width) % 2, weight, 1.0)
-    made = Projection.of(vectors, weights, dimensions)
+    made = Projection.fit(vectors, weights, dimensions)
     difference = vectors[:, np.newaxis].astype(np.float64) - vectors
     due = np.sqrt((difference**2 * weights).sum(-1))
     np.testing.assert_allclose(apart(made.points(vectors), made.units), due, atol=1.5 * np.sqrt(width) / made.units)
@@ -35,7 +35,7 @@ def test_all_values_keep_weighted_distances(count: int, width: int, dimensions: 
 def test_components_keep_what_varies() -> None:
     """Of vectors of three dimensions and noise, four components keep distances to the noise."""
     vectors = drawn(200, 50, 0)
-    made = Projection.of(vectors, np.ones(50), 4)
+    made = Projection.fit(vectors, np.ones(50), 4)
     assert not made.matrix[4:].any()
     difference = vectors[:, np.newaxis].astype(np.float64) - vectors
     due = np.sqrt((difference**2).sum(-1))
@@ -54,7 +54,7 @@ def test_extremes_fit_sixteen_bits(weight: float, dimensions: int) -> None:
     vectors[5:] = 255
     vectors[3, ::2] = 255
     weights = np.where(np.arange(108) % 2, weight, 1.0)
-    made = Projection.of(vectors, weights, dimensions)
+    made = Projection.fit(vectors, weights, dimensions)
     exact = vectors.astype(np.int64) @ made.matrix[:, :108].T.astype(np.int64) + made.shift >> made.bits
     np.testing.assert_array_equal(made.points(vectors), exact)
     assert np.sqrt(((exact[:, np.newaxis] - exact) ** 2).sum(-1)).max() < 32767
@@ -62,5 +62,5 @@ def test_extremes_fit_sixteen_bits(weight: float, dimensions: int) -> None:
 
 def test_constant_vectors_are_one_point() -> None:
     """Nothing that varies: no division by nothing, all at one place."""
-    made = Projection.of(np.full((20, 27), 77, np.uint8), np.ones(27), 16)
+    made = Projection.fit(np.full((20, 27), 77, np.uint8), np.ones(27), 16)
     assert len(np.unique(made.points(np.full((20, 27), 77, np.uint8)), axis=0)) == 1

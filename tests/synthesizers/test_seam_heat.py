@@ -26,7 +26,7 @@ def test_the_one_seam_that_costs_is_in_the_window(
     size = 1 + int(share[0] * (shape[0] - 1)), 1 + int(share[1] * (shape[1] - 1))
     y, x = int(rng.integers(shape[0])), int(rng.integers(shape[1]))
     work.seams[rng.integers(2), y, x] = 16
-    window = SeamHeat(work, size).worst()
+    window = SeamHeat(work, size).find_worst()
     rows, columns = work.pixels(window)
     assert (window[1] - window[0], window[3] - window[2]) == size
     assert wrap or (window[0] >= 0 and window[1] <= shape[0] and window[2] >= 0 and window[3] <= shape[1])
@@ -41,10 +41,10 @@ def test_where_trying_is_in_vain_others_have_their_turn(wrap: bool) -> None:
     work.seams[0, 50, 50], work.seams[1, 10, 8], work.seams[1, 9, 52] = 900, 700, 100
     heat, found = SeamHeat(work, (12, 12)), []
     for _ in range(12):
-        window = heat.worst()
+        window = heat.find_worst()
         rows, columns = work.pixels(window)
         found.append([50 in rows and 50 in columns, 10 in rows and 8 in columns, 9 in rows and 52 in columns])
-        heat.tried(window)
+        heat.update(window)
     assert found[0] == [True, False, False] and found[1] == [False, True, False]
     first, second, third = np.sum(found, 0)
     assert first >= second >= third >= 1
@@ -56,9 +56,9 @@ def test_what_a_try_changes_is_summed_again(wrap: bool) -> None:
     work, rng = output((43, 51), wrap), np.random.default_rng(0)
     heat = SeamHeat(work, (12, 14))
     for _ in range(20):
-        heat.worst()
+        heat.find_worst()
         top, left = int(rng.integers(43 if wrap else 31)), int(rng.integers(51 if wrap else 37))
         rows, columns = work.pixels((top, top + 12, left, left + 14))
         work.seams[:, rows, columns] = rng.integers(0, 99, (2, 12, 14))
-        heat.tried((top, top + 12, left, left + 14))
-        np.testing.assert_array_equal(heat._costs, SeamHeat(work, (12, 14))._costs)
+        heat.update((top, top + 12, left, left + 14))
+        np.testing.assert_array_equal(heat.costs, SeamHeat(work, (12, 14)).costs)
