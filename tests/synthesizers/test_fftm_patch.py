@@ -132,7 +132,7 @@ def test_every_parameter_changes_something(monkeypatch: pytest.MonkeyPatch) -> N
     ]  # fmt: skip
 
     def made(**parameters: Any) -> Image:
-        return synthesize(FftmPatch(**parameters), sample, (120, 120), mask, monkeypatch).image
+        return synthesize(FftmPatch(**parameters), sample, (80, 96), mask, monkeypatch).image
 
     base = made()
     for change in changes:

@@ -8,9 +8,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import quantize
-from nrbench.synthesizers.patchwork.patchwork import Patchwork, Window, cut_least_seams
+from nrbench.synthesizers.patchwork.patchwork import (
+    PatchPlacer,
+    Patchwork,
+    SeamHeat,
+    Window,
+    cut_least_seams,
+    scan_lines,
+)
 from nrbench.synthesizers.patchwork.patchwork_kernels import UNIT, link_choices
-from nrbench.synthesizers.patchwork.translations import Features
+from nrbench.synthesizers.patchwork.translations import Features, Layer, Translations, draw_translation
 
 
 def patchwork(
@@ -177,3 +184,222 @@ def test_a_patch_never_fills_more_than_its_window() -> None:
     known = np.zeros((60, 60), bool)
     known[10:30, 10:30] = known[20:40, 20:40] = True
     np.testing.assert_array_equal(work.known, known)
+
+
+def whole(height: int, width: int, seed: int = 0) -> Features:
+    """Return noise, whole gray levels."""
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.int32)
+
+
+def placement(
+    colors: Features, shape: tuple[int, int], randomness: float = 0.01, guided: bool = False, wrap: bool = False
+) -> PatchPlacer:
+    """Return an empty output, guided by a mask of period 8 both in the sample and beyond, or not."""
+    work = Patchwork(quantize((colors / 255).astype(np.float32)), colors, shape, wrap=wrap)
+    mask = np.tile(whole(8, 8, 5), (40, 40, 1))
+    guide = (mask[: shape[0], : shape[1]], mask[: len(colors), : colors.shape[1]]) if guided else None
+    return PatchPlacer(work, colors, randomness, np.random.default_rng(1), guide)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.tuples(st.integers(1, 60), st.integers(1, 60)),
+    st.tuples(st.integers(1, 20), st.integers(1, 20)),
+    st.tuples(st.floats(0.1, 1), st.floats(0.1, 1)),
+    st.booleans(),
+)
+def test_scan_lines_cover_the_output(
+    shape: tuple[int, int], size: tuple[int, int], share: tuple[float, float], wrap: bool
+) -> None:
+    """Every pixel is in a window, no window is larger than asked, and without wrapping none leaves the output."""
+    step = max(1, int(size[0] * share[0])), max(1, int(size[1] * share[1]))
+    covered = np.zeros(shape, bool)
+    for y0, y1, x0, x1 in scan_lines(shape, size, step, wrap):
+        assert 0 < y1 - y0 <= size[0] and 0 < x1 - x0 <= size[1]
+        assert wrap or (y1 <= shape[0] and x1 <= shape[1])
+        covered[np.ix_(np.arange(y0, y1) % shape[0], np.arange(x0, x1) % shape[1])] = True
+    assert covered.all()
+
+
+def test_where_nothing_is_known_the_guide_alone_places() -> None:
+    """On an empty output the patches drawn are those in phase with the guide, all of them."""
+    found = set()
+    for seed in range(60):
+        made = placement(whole(32, 32), (40, 40), guided=True)
+        PatchPlacer(made.work, made.colors, 0.01, np.random.default_rng(seed), made.guide).cover((3, 19, 5, 21))
+        found.add(tuple(made.work.origin[3, 5]))
+    assert found == {(x, y) for x in (5, 13) for y in (3, 11)}
+
+
+def test_what_is_known_is_continued() -> None:
+    """Without randomness a patch goes on where the sample does, when the sample shows it."""
+    made = placement(whole(40, 40), (30, 30), randomness=0.0)
+    made.work.lay((0, 15, 0, 15), (2, 7))
+    made.cover((5, 25, 5, 25))
+    assert made.work.cost == 0
+    np.testing.assert_array_equal(made.work.origin[24, 24], (26, 31))
+
+
+@pytest.mark.parametrize("wrap", [False, True])
+@pytest.mark.parametrize("guided", [False, True])
+def test_improving_never_makes_seams_cost_more_and_often_less(wrap: bool, guided: bool) -> None:
+    """Step by step the cost of all seams falls or stays, and in the end it is less."""
+    made = placement(whole(40, 40), (64, 72), randomness=0.05, guided=guided, wrap=wrap)
+    for window in scan_lines(made.work.shape, (16, 16), (12, 12), wrap):
+        made.cover(window)
+    costs = [made.work.cost]
+    heat = SeamHeat(made.work, (16, 16))
+    for _ in range(40):
+        made.improve(heat)
+        costs.append(made.work.cost)
+    assert (np.diff(costs) <= 0).all()
+    assert costs[-1] < 0.995 * costs[0]
+
+
+def test_the_same_stream_places_the_same() -> None:
+    """All randomness is the generator's."""
+    maps = []
+    for _ in range(2):
+        made = placement(whole(30, 30), (40, 40), randomness=0.5)
+        for window in scan_lines((40, 40), (12, 12), (9, 9), False):
+            made.cover(window)
+        maps.append(made.work.origin)
+    np.testing.assert_array_equal(*maps)
+
+
+def test_a_flat_sample_takes_any_place() -> None:
+    """Where all places are equal all are drawn, and no seam costs anything."""
+    made = placement(np.full((20, 20, 1), 100, np.int32), (30, 30))
+    for window in scan_lines((30, 30), (8, 8), (6, 6), False):
+        made.cover(window)
+    assert made.work.cost == 0
+    assert len(np.unique(made.work.origin[::8, ::8].reshape(-1, 2), axis=0)) > 8
+
+
+def output(shape: tuple[int, int], wrap: bool = False) -> Patchwork:
+    """Return an output whose seams are written by hand."""
+    return Patchwork(np.zeros((4, 4, 1), np.float32), np.zeros((4, 4, 1), np.int32), shape, wrap=wrap)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.tuples(st.integers(3, 50), st.integers(3, 50)),
+    st.tuples(st.floats(0, 1), st.floats(0, 1)),
+    st.booleans(),
+    st.integers(0, 999),
+)
+def test_the_one_seam_that_costs_is_in_the_window(
+    shape: tuple[int, int], share: tuple[float, float], wrap: bool, seed: int
+) -> None:
+    """Wherever it lies, in windows of any size; without wrapping the window is inside the output."""
+    work, rng = output(shape, wrap), np.random.default_rng(seed)
+    size = 1 + int(share[0] * (shape[0] - 1)), 1 + int(share[1] * (shape[1] - 1))
+    y, x = int(rng.integers(shape[0])), int(rng.integers(shape[1]))
+    work.seams[rng.integers(2), y, x] = 16
+    window = SeamHeat(work, size).find_worst()
+    rows, columns = work.pixels(window)
+    assert (window[1] - window[0], window[3] - window[2]) == size
+    assert wrap or (window[0] >= 0 and window[1] <= shape[0] and window[2] >= 0 and window[3] <= shape[1])
+    block = SeamHeat(work, size).block
+    assert np.abs(rows - y).min() < block and np.abs(columns - x).min() < block
+
+
+@pytest.mark.parametrize("wrap", [False, True])
+def test_where_trying_is_in_vain_others_have_their_turn(wrap: bool) -> None:
+    """A seam that stays costs half as much with each try, so that all are tried in the end; the worst most often."""
+    work = output((60, 60), wrap)
+    work.seams[0, 50, 50], work.seams[1, 10, 8], work.seams[1, 9, 52] = 900, 700, 100
+    heat, found = SeamHeat(work, (12, 12)), []
+    for _ in range(12):
+        window = heat.find_worst()
+        rows, columns = work.pixels(window)
+        found.append([50 in rows and 50 in columns, 10 in rows and 8 in columns, 9 in rows and 52 in columns])
+        heat.update(window)
+    assert found[0] == [True, False, False] and found[1] == [False, True, False]
+    first, second, third = np.sum(found, 0)
+    assert first >= second >= third >= 1
+
+
+@pytest.mark.parametrize("wrap", [False, True])
+def test_what_a_try_changes_is_summed_again(wrap: bool) -> None:
+    """After seams in a window and around it have changed, the sums are as if made anew."""
+    work, rng = output((43, 51), wrap), np.random.default_rng(0)
+    heat = SeamHeat(work, (12, 14))
+    for _ in range(20):
+        heat.find_worst()
+        top, left = int(rng.integers(43 if wrap else 31)), int(rng.integers(51 if wrap else 37))
+        rows, columns = work.pixels((top, top + 12, left, left + 14))
+        work.seams[:, rows, columns] = rng.integers(0, 99, (2, 12, 14))
+        heat.update((top, top + 12, left, left + 14))
+        np.testing.assert_array_equal(heat.costs, SeamHeat(work, (12, 14)).costs)
+
+
+def pixels(rng: np.random.Generator, shape: tuple[int, int], channels: int) -> Features:
+    """Return whole numbers, as large as colors of a mask of weight 5."""
+    return rng.integers(0, 1275, (*shape, channels)).astype(np.int32)
+
+
+def by_hand(sample: tuple[Features, ...], window: list[Layer]) -> NDArray[np.float64]:
+    """Return the definition, place by place."""
+    height, width = window[0].values.shape[:2]
+    rows, columns = sample[0].shape[0] - height + 1, sample[0].shape[1] - width + 1
+    costs = np.zeros((rows, columns))
+    for y, x in np.ndindex(rows, columns):
+        for part, layer in zip(sample, window, strict=True):
+            known = np.ones((height, width), bool) if layer.known is None else layer.known
+            apart = part[y : y + height, x : x + width].astype(np.int64) - layer.values
+            costs[y, x] += (apart[known] ** 2).sum()
+    return costs
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.tuples(st.integers(1, 23), st.integers(1, 23)),
+    st.tuples(st.floats(0, 1), st.floats(0, 1)),
+    st.lists(st.tuples(st.integers(1, 3), st.booleans()), min_size=1, max_size=2),
+    st.integers(0, 99),
+)
+def test_ratings_are_the_sums_of_squared_differences_to_the_last_bit(
+    shape: tuple[int, int], part: tuple[float, float], layers: list[tuple[int, bool]], seed: int
+) -> None:
+    """Whatever sample, window, layers and known pixels: the Fourier way gives what place by place gives, exactly."""
+    rng = np.random.default_rng(seed)
+    size = 1 + int(part[0] * (shape[0] - 1)), 1 + int(part[1] * (shape[1] - 1))
+    sample = tuple(pixels(rng, shape, channels) for channels, _ in layers)
+    window = [
+        Layer(pixels(rng, size, channels), None if everywhere else rng.random(size) < 0.5)
+        for channels, everywhere in layers
+    ]
+    np.testing.assert_array_equal(Translations(sample).rate(window), by_hand(sample, window))
+
+
+def test_what_does_not_count_may_hold_anything() -> None:
+    """Pixels that a layer does not know do not change a rating."""
+    rng = np.random.default_rng(0)
+    sample, known = pixels(rng, (20, 20), 3), rng.random((7, 9)) < 0.5
+    window = pixels(rng, (7, 9), 3)
+    other = np.where(known[..., np.newaxis], window, 999).astype(np.int32)
+    rate = Translations((sample,)).rate
+    np.testing.assert_array_equal(rate([Layer(window, known)]), rate([Layer(other, known)]))
+
+
+def test_as_many_layers_are_asked_as_the_sample_has() -> None:
+    """A window that lacks a layer is no window of this sample."""
+    sample = np.zeros((9, 9, 1), np.int32)
+    with pytest.raises(ValueError, match="zip"):
+        Translations((sample, sample)).rate([Layer(sample)])
+
+
+def test_places_are_drawn_by_their_costs() -> None:
+    """The share of a place's draws is its exp(-cost / scale) over that of all."""
+    costs, rng = np.array([[0.0, 1.0], [2.0, 700.0]]), np.random.default_rng(0)
+    found = [draw_translation(costs + 5, 2.0, rng) for _ in range(4000)]
+    expected = np.exp(-costs / 2) / np.exp(-costs / 2).sum()
+    for y, x in np.ndindex(2, 2):
+        assert found.count((x, y)) / 4000 == pytest.approx(expected[y, x], abs=0.03)
+
+
+def test_without_randomness_one_of_the_best_is_drawn() -> None:
+    """At scale 0 every best place is draw_translation, and no other, be costs as large as they like."""
+    costs, rng = np.array([[1e12, 3e9, 3e9], [3e9, 3e9 + 1, 1e15]]), np.random.default_rng(0)
+    assert {draw_translation(costs, 0.0, rng) for _ in range(100)} == {(1, 0), (2, 0), (0, 1)}

@@ -1,3 +1,5 @@
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -6,7 +8,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Texture
-from nrbench.synthesizers.masks.texture_mask import MaskParameters, TextureMask
+from nrbench.synthesizers.masks.texture_mask import MaskParameters, TextureMask, find_common_period
 
 STRENGTH = {"color": 0.3, "intensity": 0.2, "noise": 0.03}
 Y, X = np.indices((128, 128))
@@ -18,10 +20,19 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum()))
 
 
-def drawn(model: str, seed: int, far: int = 1) -> tuple[Texture, Image]:
-    """Return a texture of ``far`` times 128 px a side, and its first 128 as a sample."""
+@cache
+def draw_texture(model: str, seed: int, far: int = 1) -> tuple[Texture, Image]:
+    """Return a texture of ``far`` times 128 px a side, and its first 128 as a sample, read-only."""
     texture = nrbench.texture(model, shape=(128 * far, 128 * far), seed=seed, **STRENGTH)
-    return texture, quantize(texture.image[:128, :128])
+    sample = quantize(texture.image[:128, :128])
+    sample.flags.writeable = False
+    return texture, sample
+
+
+@cache
+def find_own_mask(model: str, seed: int) -> TextureMask:
+    """Return the mask of :func:`draw_texture`'s sample, found without a lattice."""
+    return MaskParameters().find_mask(draw_texture(model, seed)[1])
 
 
 def gray(values: np.ndarray, noise: float = 0.0) -> Image:
@@ -33,7 +44,7 @@ def gray(values: np.ndarray, noise: float = 0.0) -> Image:
 @pytest.mark.parametrize("model", ["brick", "weave", "hexagon"])
 def test_the_mask_is_the_ideal_image_and_not_the_departures(model: str) -> None:
     """It resembles the ideal image, in place and far away; what it leaves of the sample does not."""
-    texture, sample = drawn(model, 21, far=8)
+    texture, sample = draw_texture(model, 21, far=8)
     assert texture.ideal is not None and texture.lattice is not None
     mask = MaskParameters().find_mask(sample)
     near, far = mask.draw((128, 128)), mask.draw((1024, 1024))
@@ -46,18 +57,18 @@ def test_the_mask_is_the_ideal_image_and_not_the_departures(model: str) -> None:
 
 def test_a_given_lattice_is_where_it_starts() -> None:
     """From a lattice 1.5 % off, in another basis, it finds that of the sample, and the mask found without."""
-    texture, sample = drawn("brick", 22)
+    texture, sample = draw_texture("brick", 22)
     assert texture.lattice is not None
     (a, b), stretch = texture.lattice.matrix, np.diag([1.015, 0.99])
     given = MaskParameters().find_mask(sample, Lattice.from_basis(np.stack([a + b, b]) @ stretch))
-    own = MaskParameters().find_mask(sample)
+    own = find_own_mask("brick", 22)
     assert given.lattice is not None and given.lattice.is_equivalent(texture.lattice, 0.02)
     np.testing.assert_allclose(given.draw((128, 128)), own.draw((128, 128)), atol=0.02)
 
 
 def test_the_threshold_sets_how_many_waves() -> None:
     """The number of waves falls with the threshold, down to none, which is refused."""
-    _, sample = drawn("brick", 23)
+    _, sample = draw_texture("brick", 23)
     counts = [
         len(MaskParameters(threshold=threshold).find_mask(sample).harmonics.frequencies) for threshold in (2, 4, 8)
     ]
@@ -68,7 +79,7 @@ def test_the_threshold_sets_how_many_waves() -> None:
 
 def test_windows_are_of_one_picture() -> None:
     """A window far away equals that part of a larger one, at the same offsets."""
-    mask = MaskParameters().find_mask(drawn("weave", 24)[1])
+    mask = find_own_mask("weave", 24)
     whole, part = mask.draw((90, 120), (-30.0, 7.0)), mask.draw((40, 50), (10.0, 27.0))
     np.testing.assert_allclose(whole[20:60, 40:90], part, atol=1e-6)
 
@@ -140,7 +151,8 @@ def test_constant_channels_stay_constant() -> None:
 @pytest.mark.parametrize("levels", [(0.5, None, None), (None, 0.25, 0.75), (0.0, None, 1.0)])
 def test_channels_that_show_nothing_change_nothing(levels: tuple[float | None, ...]) -> None:
     """The lattice is that of the channels that vary, whatever the rest is, black and white too."""
-    texture, sample = drawn("brick", 23)
+    texture, sample = draw_texture("brick", 23)
+    sample = sample.copy()
     for channel, level in enumerate(levels):
         if level is not None:
             sample[..., channel] = level
@@ -151,7 +163,7 @@ def test_channels_that_show_nothing_change_nothing(levels: tuple[float | None, .
 
 def test_gray_stored_as_color_has_the_mask_of_gray() -> None:
     """Three equal channels, of which two planes show nothing, make the picture that one makes, three times."""
-    sample = drawn("brick", 23)[1].mean(2, keepdims=True)
+    sample = draw_texture("brick", 23)[1].mean(2, keepdims=True)
     single = MaskParameters().find_mask(quantize(sample)).draw((64, 64))
     triple = MaskParameters().find_mask(quantize(np.repeat(sample, 3, 2))).draw((64, 64))
     np.testing.assert_allclose(triple, np.repeat(single, 3, 2), atol=2e-3)
@@ -160,14 +172,14 @@ def test_gray_stored_as_color_has_the_mask_of_gray() -> None:
 @pytest.mark.parametrize("side", [1.0, 2.0, 100.0, 4000.0])
 def test_a_lattice_that_the_sample_does_not_show_is_left_aside(side: float) -> None:
     """Too fine for pixels, or repeated less than twice: the mask is that of no lattice given."""
-    sample = drawn("brick", 24)[1]
-    given, own = (MaskParameters().find_mask(sample, lattice) for lattice in (Lattice((side, 0), (0, side)), None))
-    np.testing.assert_array_equal(given.draw((40, 40)), own.draw((40, 40)))
+    sample = draw_texture("brick", 24)[1]
+    given = MaskParameters().find_mask(sample, Lattice((side, 0), (0, side)))
+    np.testing.assert_array_equal(given.draw((40, 40)), find_own_mask("brick", 24).draw((40, 40)))
 
 
 def test_of_two_groups_the_stronger_tells_the_lattice() -> None:
     """A given lattice that holds little of the sample comes after the one that holds most."""
-    texture, sample = drawn("brick", 24)
+    texture, sample = draw_texture("brick", 24)
     mask = MaskParameters().find_mask(sample, Lattice((13.3, 2.1), (-4.0, 17.7)))
     assert texture.lattice is not None and mask.lattice is not None
     assert mask.lattice.is_equivalent(texture.lattice, 0.3)
@@ -214,7 +226,7 @@ def test_what_threads_have_in_common_by_chance_is_no_larger_tile(color: float, s
 
 def test_free_masks_have_no_tile() -> None:
     """Free waves have no common period: no lattice and no tile."""
-    mask = MaskParameters(threshold=8.0, harmonics="free").find_mask(drawn("brick", 25)[1])
+    mask = MaskParameters(threshold=8.0, harmonics="free").find_mask(draw_texture("brick", 25)[1])
     assert isinstance(mask, TextureMask) and mask.lattice is None and mask.find_period(0.5) is None
 
 
@@ -223,3 +235,56 @@ def test_bad_thresholds_are_refused(threshold: float) -> None:
     """The error says what to give."""
     with pytest.raises(BadInput, match="automatic"):
         MaskParameters(threshold=threshold)
+
+
+def dual(*basis: tuple[float, float]) -> np.ndarray:
+    """Return the fundamentals of a lattice."""
+    return np.linalg.inv(np.array(basis)).T
+
+
+def test_a_lattice_has_its_own_rectangle() -> None:
+    """Of a running bond it is a brick wide and two courses high, within the rounding."""
+    found = find_common_period([dual((27.3, 0.0), (13.65, 12.2))])
+    assert found is not None and found.size == (27, 24)
+    assert found.error == pytest.approx(0.4) and found.free == (False, False)
+
+
+def test_stripes_leave_a_side_free() -> None:
+    """Along stripes any length is a period: that side is as long as the other."""
+    found = find_common_period([np.array([[0.0, 1 / 16.2]])])
+    assert found is not None and found.size == (16, 16) and found.free == (True, False)
+
+
+def test_several_groups_share_a_period() -> None:
+    """Periods of 6 and 10 px across, of two lattices, are both periods of 30; without one within the limit, None."""
+    groups = [dual((6.0, 0.0), (0.0, 5.0)), dual((10.0, 0.0), (0.0, 7.0))]
+    found = find_common_period(groups, 0.1)
+    assert found is not None and found.size == (30, 35) and found.error == pytest.approx(0)
+    assert find_common_period(groups, 0.1, 29) is None
+
+
+def test_its_sides_are_lattice_vectors() -> None:
+    """Whatever the lattice, both sides are within the tolerance of lattice vectors, and the error is that distance."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        basis = rng.uniform(6, 20, (2, 2)) * [[1, 0.3], [-0.2, 1]]
+        found = find_common_period([np.linalg.inv(basis).T], 0.5)
+        if found is None:
+            continue
+        lattice = Lattice.from_basis(basis)
+        misses = np.hypot(*lattice.wrap(found.sides).T)
+        assert misses.max() == pytest.approx(found.error, abs=1e-9) and found.error <= 0.5
+
+
+def test_nothing_has_no_period() -> None:
+    """Without a group there is no rectangle."""
+    assert find_common_period([]) is None
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "limit", "hint"), [(-1.0, 99, "less than"), (9.0, 99, "less than"), (0.5, 0, "limit")]
+)
+def test_bad_limits_are_refused(tolerance: float, limit: int, hint: str) -> None:
+    """Each error says what to give."""
+    with pytest.raises(BadInput, match=hint):
+        find_common_period([dual((10.0, 0.0), (0.0, 10.0))], tolerance, limit)
