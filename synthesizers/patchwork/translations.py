@@ -1,4 +1,4 @@
-"""How well each translation of a sample agrees with a window of an output: all of them at once.
+"""The cost of every translation of a sample against a window of an output, all computed at once.
 
 Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts), section 4.
 """
@@ -19,9 +19,9 @@ from nrbench.imaging.box_sums import box_sums_from, integral_image
 from ..seams.minimum_cut import Mask
 
 Features = NDArray[np.int32]
-"""``int32 (H, W, F)``: what pixels are compared by, whole numbers, so that sums are exact and equal places tie."""
+"""``int32 (H, W, F)``: the values by which pixels are compared; integers, so that sums and ties are exact."""
 Costs = NDArray[np.float64]
-"""``float64 (rows, columns)``: by the (y, x) in the sample of the window's first pixel; wholly inside only."""
+"""``float64 (rows, columns)``: the cost of each place (y, x) of the window's first pixel in the sample, for windows wholly inside."""
 _Spectra = NDArray[np.complex128]
 
 
@@ -33,7 +33,7 @@ class Layer(NamedTuple):
     values
         ``int32 (h, w, C)``.
     known
-        ``bool (h, w)``: where it counts; None: everywhere.
+        ``bool (h, w)``: the pixels that are compared. None: all.
     """
 
     values: Features
@@ -42,13 +42,13 @@ class Layer(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Translations:
-    """Rates every translation of a sample (sub-patch matching: only those that cover the window).
+    """The translations of a sample that cover a window, with what their comparison precomputes (sub-patch matching).
 
     Parameters
     ----------
     layers
-        The sample's channels in groups, ``int32 (H, W, C)`` each: its colors, say, and the values of a mask. Each may
-        count at other pixels of a window. Sums of squares over the sample must stay below 2^47.
+        The sample's channels in groups, ``int32 (H, W, C)`` each, for example its colors and the values of a mask. Each
+        group may be compared at other pixels of a window. Sums of squares over the sample must stay below 2^47.
     """
 
     layers: tuple[Features, ...]
@@ -68,8 +68,8 @@ class Translations:
 
         Notes
         -----
-        Multiplied out (their section 5): squares by integral images, or, where not all pixels count, by transforms as
-        products are. O(F H W log(H W)) whatever the window's size.
+        The square is multiplied out (section 5 of the paper). Products are computed by Fourier transforms, squares by
+        integral images, or by transforms if not all pixels are compared. O(F H W log(H W)) for windows of any size.
         """
         height, width = window[0].values.shape[:2]
         rows, columns = self.layers[0].shape[0] - height + 1, self.layers[0].shape[1] - width + 1
@@ -106,16 +106,17 @@ class Translations:
 
 
 def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tuple[int, int]:
-    """Draw a place, (x, y) px: with a probability proportional to exp(-cost / scale).
+    """Draw a place, (x, y) px, with a probability proportional to exp(-cost / scale).
 
     Parameters
     ----------
     costs
-        Of :meth:`Translations.rate`.
+        Costs from :meth:`Translations.rate`.
     scale
-        In the costs' unit: the paper's k sigma^2 (section 4), times the window's pixels. 0: one of the best.
+        The paper's k sigma^2 (section 4) times the number of the window's pixels, in the unit of the costs. 0: one of
+        the best places is drawn.
     rng
-        One number is draw_translation from it.
+        The generator; one number is drawn from it.
     """
     above = costs - costs.min()
     weights = np.exp(-above / scale) if scale > 0 else (above == 0).astype(np.float64)

@@ -400,6 +400,6 @@ def test_places_are_drawn_by_their_costs() -> None:
 
 
 def test_without_randomness_one_of_the_best_is_drawn() -> None:
-    """At scale 0 every best place is draw_translation, and no other, be costs as large as they like."""
+    """At scale 0 every best place is drawn, and no other, be costs as large as they like."""
     costs, rng = np.array([[1e12, 3e9, 3e9], [3e9, 3e9 + 1, 1e15]]), np.random.default_rng(0)
     assert {draw_translation(costs, 0.0, rng) for _ in range(100)} == {(1, 0), (2, 0), (0, 1)}
