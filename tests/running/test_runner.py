@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +18,7 @@ import skimage.data
 import skimage.io
 
 from nrbench.api import changed, run
+from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
@@ -56,17 +59,29 @@ def scores(found: Run) -> list[tuple[object, ...]]:
     return list(table[kept].astype(object).where(table[kept].notna(), None).itertuples(index=False, name=None))
 
 
-def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Run the suite once, undisturbed, in this process."""
+    return run(small(), out=tmp_path_factory.mktemp("whole") / "run", options=Options(jobs=0))
+
+
+@pytest.fixture
+def first(whole: Run, tmp_path: Path) -> Run:
+    """Return a copy of the run, for one test."""
+    return Run(Path(shutil.copytree(whole.root, tmp_path / "run")))
+
+
+def test_any_number_of_workers_gives_the_same_bytes(whole: Run, tmp_path: Path) -> None:
     """In this process, with one worker, and with two: outputs and scores are identical."""
-    runs = [run(small(), out=tmp_path / str(jobs), options=Options(jobs=jobs)) for jobs in (0, 1, 2)]
-    assert all(record.status == "ok" for found in runs for record in found.cells)
-    assert outputs(runs[0]) == outputs(runs[1]) == outputs(runs[2])
-    assert scores(runs[0]) == scores(runs[1]) == scores(runs[2])
+    assert all(record.status == "ok" for record in whole.cells)
+    for jobs in (1, 2):
+        found = run(small(), out=tmp_path / str(jobs), options=Options(jobs=jobs))
+        assert outputs(found) == outputs(whole)
+        assert scores(found) == scores(whole)
 
 
-def test_a_second_run_starts_nothing(tmp_path: Path) -> None:
+def test_a_second_run_starts_nothing(first: Run, tmp_path: Path) -> None:
     """Running again touches no result, and adding a method keeps the others' results."""
-    first = run(small(), out=tmp_path / "run", options=Options(jobs=0))
     times = {record.key: (record.folder / "result.json").stat().st_mtime_ns for record in first.cells}
     more = small(methods=[*small().methods, "scatter:block=24"])
     second = run(more, out=tmp_path / "run", options=Options(jobs=0))
@@ -75,29 +90,32 @@ def test_a_second_run_starts_nothing(tmp_path: Path) -> None:
     assert times.items() <= again.items()
 
 
-def test_killed_halfway_it_resumes_to_the_same_table(tmp_path: Path) -> None:
-    """SIGKILL at any instant, then the same command: the table is that of an undisturbed run, no worker is left."""
+def test_killed_halfway_it_resumes_to_the_same_table(whole: Run, tmp_path: Path) -> None:
+    """After SIGKILL at any instant `nrbench run` completes the run: tables and outputs are those of an undisturbed run."""
     suite = tmp_path / "small.toml"
     suite.write_text(SUITE_TOML)
-    program = [sys.executable, "-c", "from nrbench.cli.main import main; main()"]
-    command = [*program, "run", str(suite), "--no-report", "--jobs", "2"]
+    line = f"run {suite} --no-report --out broken"
     broken = subprocess.Popen(
-        [*command, "--out", "broken"], cwd=tmp_path, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+        [sys.executable, "-c", "from nrbench.cli.main import main; main()", *shlex.split(line), "--jobs", "2"],
+        cwd=tmp_path,
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
     )
     cells = tmp_path / "broken" / "cells"
     while broken.poll() is None and len(list(cells.glob("*/result.json"))) < 3:
         time.sleep(0.01)
     os.kill(broken.pid, signal.SIGKILL)
     broken.wait()
-    for name in ("broken", "whole"):
-        assert subprocess.run([*command, "--out", name], cwd=tmp_path, capture_output=True).returncode == 0
-    assert scores(Run(tmp_path / "broken")) == scores(Run(tmp_path / "whole"))
-    assert outputs(Run(tmp_path / "broken")) == outputs(Run(tmp_path / "whole"))
+    assert len(list(cells.glob("*/result.json"))) < len(whole.cells)
+    with pytest.raises(SystemExit) as left:
+        main(shlex.split(f"{line} --jobs 0"))
+    assert not left.value.code
+    assert scores(Run(tmp_path / "broken")) == scores(whole)
+    assert outputs(Run(tmp_path / "broken")) == outputs(whole)
 
 
-def test_scores_are_keyed_apart(tmp_path: Path) -> None:
-    """With a score removed only that score is made again; the synthesis is not repeated."""
-    first = run(small(), out=tmp_path / "run", options=Options(jobs=0))
+def test_scores_are_keyed_apart(first: Run, tmp_path: Path) -> None:
+    """With a score removed only that score is computed again; the synthesis is not repeated."""
     record = first.cells[0]
     result = (record.folder / "result.json").stat().st_mtime_ns
     score = next((record.folder / "scores").glob("cost-*.json"))
@@ -109,7 +127,7 @@ def test_scores_are_keyed_apart(tmp_path: Path) -> None:
 
 def test_failures_are_kept_until_asked_to_retry(faulty: Path, tmp_path: Path) -> None:
     """A failed cell is not run again, unless asked for; then it is."""
-    suite = small(methods=["faulty"], replicates=1)
+    suite = small(methods=["faulty"], replicates=1, metrics=["cost"])
     key = run(suite, out=tmp_path / "run", options=Options(jobs=0)).cells[0].key
     result = tmp_path / "run" / "cells" / key / "result.json"
     written = result.stat().st_mtime_ns
@@ -119,18 +137,17 @@ def test_failures_are_kept_until_asked_to_retry(faulty: Path, tmp_path: Path) ->
     assert result.stat().st_mtime_ns > written
 
 
-def test_reuse_copies_results_of_equal_key(tmp_path: Path) -> None:
-    """`reuse` takes results over from another run, and computes only what is new."""
-    first = run(small(), out=tmp_path / "first", options=Options(jobs=0))
-    second = run(small(), out=tmp_path / "second", options=Options(jobs=0, reuse=tmp_path / "first"))
-    for old, new in zip(first.cells, second.cells, strict=True):
+def test_reuse_copies_results_of_equal_key(whole: Run, tmp_path: Path) -> None:
+    """`reuse` copies results of equal cells from another run, and computes only what is new."""
+    second = run(small(), out=tmp_path / "second", options=Options(jobs=0, reuse=whole.root))
+    for old, new in zip(whole.cells, second.cells, strict=True):
         assert (old.folder / "result.json").read_bytes() == (new.folder / "result.json").read_bytes()
 
 
 def test_a_detector_finds_each_lattice_once(tmp_path: Path) -> None:
     """With a detector on the lattice axis each sample has one detection, whose lattice every method is handed."""
-    suite = small(lattice=["gncc:reject=none"], replicates=1, sample="128x128")
-    found = run(suite, out=tmp_path / "run", options=Options(jobs=1))
+    suite = small(lattice=["gncc:reject=none"], replicates=1, sample="128x128", metrics=["cost"])
+    found = run(suite, out=tmp_path / "run", options=Options(jobs=0))
     assert len(list((tmp_path / "run" / "lattices").iterdir())) == 1
     handed = {str(record.lattice_given) for record in found.cells if record.lattice_source.startswith("gncc")}
     assert len(handed) == 1 and "None" not in handed
@@ -184,7 +201,13 @@ def test_a_texture_that_cannot_be_drawn_is_a_row(tmp_path: Path) -> None:
     skimage.io.imsave(pictures / "good.png", skimage.data.brick()[:150, :150])
     (pictures / "bad.png").write_text("no picture")
     found = run(
-        pictures, methods=["scatter"], sample="64x64", size="96x96", out=tmp_path / "run", options=Options(jobs=0)
+        pictures,
+        methods=["scatter"],
+        metrics=["cost"],
+        sample="64x64",
+        size="96x96",
+        out=tmp_path / "run",
+        options=Options(jobs=0),
     )
     statuses = {record.texture: (record.status, record.phase) for record in found.cells}
     assert statuses == {"bad": ("error", "render"), "good": ("ok", "")}
