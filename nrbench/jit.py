@@ -30,7 +30,7 @@ class Kernel(Generic[P, R]):
     function
         Plain Python that numba can compile. It may call other kernels by their names in its module.
     signature
-        numba's, e.g. ``"float64(float64[::1])"``: one machine code, and no compilation hidden in a later call.
+        The signature that numba compiles for, e.g. ``"float64(float64[::1])"``. No later call compiles another one.
     """
 
     def __init__(self, function: Callable[P, R], signature: str) -> None:
@@ -60,15 +60,15 @@ def kernel(signature: str) -> Callable[[Callable[P, R]], Kernel[P, R]]:
 
 
 def load_kernels() -> None:
-    """Load every declared kernel: what a process does before it forks children that compute."""
+    """Load every declared kernel. A process calls this before it forks children that compute."""
     for declared in KERNELS:
         declared.load()
 
 
 def cache_folder(function: Callable[..., Any], version: str) -> Path:
-    """Return where a function's machine code is kept: a user folder keyed by numba's version and the text of its file.
+    """Return the folder of a function's machine code: a user folder named by numba's version and a hash of its file.
 
-    The files of the kernels that it calls, which are compiled into it, count as well.
+    The hash includes the files of the kernels that the function calls, because they are compiled into it.
     """
     sources = [Path(inspect.getfile(each)) for each in (function, *_called(function))]
     texts = b"".join(source.read_bytes() for source in dict.fromkeys(sources))
@@ -116,8 +116,9 @@ def _compile(function: Callable[P, R], signature: str) -> Callable[P, R]:
 
 
 def _njit(numba: Any, function: Callable[P, R], signature: str) -> Callable[P, R]:
-    # The folder is numba's global setting, read while it decorates: put back, so that the user's own stays his.
-    # Reassociated sums use vector instructions; kernels sum whole numbers, so that their order changes no bit.
+    # The folder is numba's global setting, read while it decorates: it is put back, so that the user's own setting stays.
+    # Reassociated sums use vector instructions. Results are equal on one type of machine; across processors, kernels that
+    # sum floats may differ in the last bit.
     before = numba.config.CACHE_DIR
     try:
         numba.config.CACHE_DIR = before or str(cache_folder(function, numba.__version__))

@@ -51,7 +51,9 @@ def synth_command(image: Path, method: str, size: str, lattice: str | None, seed
 @click.argument("sample", type=_PATH)
 @click.argument("output", type=_PATH)
 @click.option(
-    "--lattice", metavar="x1,y1,x2,y2", help="The lattice of SAMPLE.  [default: detected, where a score needs it]"
+    "--lattice",
+    metavar="x1,y1,x2,y2",
+    help="The lattice of SAMPLE.  [default: scores that need one use the detector dominance]",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def score_command(sample: Path, output: Path, lattice: str | None, as_json: bool) -> None:

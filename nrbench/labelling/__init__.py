@@ -1,1 +1,1 @@
-"""TODO nrbench.labelling."""
+"""Pages on which people label outputs, and the answers that the pages save."""

@@ -1,1 +1,1 @@
-"""TODO nrbench.running."""
+"""Running cells in child processes under limits of time and memory."""

@@ -1,1 +1,1 @@
-"""TODO nrbench.runs."""
+"""A run on disk: its folders and files, and the tables read from them."""
