@@ -1,4 +1,4 @@
-"""The lattice that a method used, against the truth."""
+"""Compare the lattice that a method used with the true lattice."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from nrbench.plugins.forms import Column, FoundLattice, Observation, Score, Valu
 
 @dataclass(frozen=True)
 class LatticeRecovery:
-    """How well the method's lattice agrees with the true one; see :mod:`nrbench.lattice.comparison`.
+    """How well the lattice of the method agrees with the true one; see :mod:`nrbench.lattice.comparison`.
 
-    Where the lattice comes from a detector, ``found`` and ``confidence`` are what it answered. That there is none is an
-    answer: not exact where the texture has a lattice, right where it has none.
+    If the lattice comes from a detector, ``found`` and ``confidence`` are its answer. A detector that finds no lattice
+    gives an answer too: ``exact`` is False if the texture has a lattice, and has no value if it has none.
 
     Parameters
     ----------
     tolerance
-        The largest error of a generating vector, px, at which the lattice still counts as the same.
+        Largest error of a generating vector, px, at which two lattices count as the same.
     """
 
     tolerance: float = 1.0
 
     version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
-        "found": Column("The detector that the lattice comes from found one."),
-        "confidence": Column("How sure that detector is of it."),
-        "exact": Column("The method used the smallest lattice of the texture.", better="higher"),
+        "found": Column("Whether the detector found a lattice."),
+        "confidence": Column("Confidence of the detector in its lattice."),
+        "exact": Column("Whether the method used the smallest lattice of the texture.", better="higher"),
         "index": Column(
-            "True cells in a cell of the method's lattice: 1, k for a supercell, 1/k for a subcell.",
+            "True cells per cell of the method's lattice: 1, k for a supercell, 1/k for a subcell.",
             range=(0.0, math.inf),
             better="one",
         ),
-        "vector_error": Column("Larger error of the two generating vectors.", "px", (0.0, math.inf), "lower"),
-        "angle": Column("Larger angle between generating vectors and true ones.", "deg", (0.0, 180.0), "lower"),
+        "vector_error": Column("Largest error of a generating vector.", "px", (0.0, math.inf), "lower"),
+        "angle": Column("Largest angle between a generating vector and the true one.", "deg", (0.0, 180.0), "lower"),
         "area_ratio": Column("Area of the method's cell over the true cell's.", "", (0.0, math.inf), "one"),
         "drift": Column(
-            "How far the two lattices, matched at one corner of the output, are apart at the opposite corner.",
+            "Distance of the two lattices at one corner of the output if they coincide at the opposite one.",
             "px",
             (0.0, math.inf),
             "lower",
@@ -53,35 +53,34 @@ class LatticeRecovery:
             raise BadInput(f"lattice_recovery: tolerance is {self.tolerance}; give a number of px above 0")
 
     def score(self, observation: Observation) -> Score:
-        """Return the comparison; None where the truth has no lattice, or the method none that it was asked for."""
-        answers, why = _answers(observation.detected)
-        compared, why_not, records = self._compared(observation)
-        return Score({**answers, **compared}, {**why, **why_not}, records=records)
+        """Return the comparison with the truth; None if the truth or the method has no lattice."""
+        detection, comparison = _score_detection(observation.detected), self._compare(observation)
+        values, reasons = {**detection.values, **comparison.values}, {**detection.reasons, **comparison.reasons}
+        return Score(values, reasons, records=comparison.records)
 
-    def _compared(self, observation: Observation) -> tuple[dict[str, Value], dict[str, str], dict[str, str]]:
-        """Return values, reasons and records of the comparison with the truth."""
+    def _compare(self, observation: Observation) -> Score:
         truth = observation.truth.lattice if observation.truth else None
         used = observation.lattice_used
         if truth is None or used is None:
             reason = "the truth has no lattice" if truth is None else "the method used no lattice"
             missed = truth is not None and observation.detected is not None and observation.detected.lattice is None
             values: dict[str, Value] = {**dict.fromkeys(_COMPARED), **({"exact": False} if missed else {})}
-            return values, {name: reason for name, value in values.items() if value is None}, {}
+            return Score(values, {name: reason for name, value in values.items() if value is None})
         height, width = observation.output.shape[:2]
         error = lattice_error(used, truth, (height, width), self.tolerance)
         reasons = {} if error.index is not None else {"index": "the lattice is wrong, not a multiple of the true one"}
-        return _values(error), reasons, {"class": error.label}
+        return Score(_values(error), reasons, records={"class": error.label})
 
 
 _COMPARED = tuple(name for name in LatticeRecovery.columns if name not in ("found", "confidence"))
 
 
-def _answers(detected: FoundLattice | None) -> tuple[dict[str, Value], dict[str, str]]:
-    """Return what a detector answered, and why there is nothing to say of it."""
+def _score_detection(detected: FoundLattice | None) -> Score:
+    names = ("found", "confidence")
     if detected is None:
-        return {"found": None, "confidence": None}, dict.fromkeys(("found", "confidence"), "no detector was asked")
-    values: dict[str, Value] = {"found": detected.lattice is not None, "confidence": detected.confidence}
-    return values, {} if detected.confidence is not None else {"confidence": f"none found: {detected.reason}"}
+        return Score(dict.fromkeys(names), dict.fromkeys(names, "no detector was used"))
+    reasons = {} if detected.confidence is not None else {"confidence": f"none found: {detected.reason}"}
+    return Score({"found": detected.lattice is not None, "confidence": detected.confidence}, reasons)
 
 
 def _values(error: LatticeError) -> dict[str, Value]:

@@ -337,30 +337,30 @@ class Synthesizer(Protocol):
 
 @dataclass(frozen=True)
 class Observation:
-    """All that a metric may look at.
+    """The input of a metric: one synthesis, and all that is known about it.
 
     Parameters
     ----------
     sample, output
-        The pixels as the PNGs hold them.
+        The pixels of the PNG files.
     truth
-        The sample's texture with all that is known of it; None where nothing is.
+        The texture of the sample; None if nothing is known about it.
     lattice_given
-        The lattice that the method was handed, if any.
+        The lattice that the method received; None if it received none.
     lattice_used
-        The lattice that the method says it used, if any.
+        The lattice that the method reports to have used; None if it reports none.
     source, extras
         As in :class:`Synthesis`.
     seconds
-        Wall seconds of ``synthesize``; None where it was not measured.
+        Wall seconds of ``synthesize``; None if they were not measured.
     again
-        Fresh draws of the sample's texture at any shape; None for photographs.
+        Fresh draws of the texture at any shape; None for photographs.
     rng
-        The metric's own stream.
+        The random stream of this metric.
     detected
-        What the detector of the lattice axis answered; None where the lattice source is no detector.
+        The answer of the detector that the lattice comes from; None if it comes from no detector.
     cost
-        Further costs by name: ``cpu_seconds``, ``detection_seconds``, ``peak_mib``; ``side_by_side`` is 1 when other
+        Further costs by name: ``cpu_seconds``, ``detection_seconds``, ``peak_mib``; ``side_by_side`` is 1 if other
         cells ran at the same time.
     """
 
@@ -392,7 +392,7 @@ class Observation:
         Parameters
         ----------
         make
-            A function of the observation that does not use ``rng``: the metric that calls it first must not matter.
+            A function of the observation. It must not use ``rng``, because any metric may be the first to call it.
 
         Examples
         --------
@@ -433,18 +433,18 @@ class Column:
 
 @dataclass(frozen=True)
 class Score:
-    """A metric's answer.
+    """The output of a metric.
 
     Parameters
     ----------
     values
         One value for each declared column: a number, a truth value, or None.
     reasons
-        For each None, one sentence that says why.
+        One sentence for each None: why there is no value.
     pictures
         Images for the report, by name.
     records
-        Anything else worth keeping, JSON-ready, by name.
+        Further results by name; JSON can hold them.
     """
 
     values: Mapping[str, Value]
@@ -454,7 +454,7 @@ class Score:
 
     @classmethod
     def missing(cls, columns: Mapping[str, Column], reason: str) -> Score:
-        """Return a score with None in every column, for one reason."""
+        """Return a score with None in every column, all for the same reason."""
         return cls(dict.fromkeys(columns), dict.fromkeys(columns, reason))
 
 

@@ -19,28 +19,28 @@ def observed(used: Lattice | None, truth: Lattice | None = TRUTH) -> Observation
 
 
 def test_the_true_lattice_is_exact() -> None:
-    """In another basis: exact, index 1, no error."""
+    """The true lattice in another basis is exact: index 1, no error."""
     score = LatticeRecovery().score(observed(Lattice((10.0, 12.0), (-10.0, 12.0))))
     assert score.values["exact"] is True and score.values["index"] == 1
     assert score.values["vector_error"] == pytest.approx(0) and score.values["drift"] == pytest.approx(0, abs=1e-9)
     assert score.records == {"class": "exact"} and set(score.reasons) == {"found", "confidence"}
 
 
-def test_a_supercell_tells_its_index() -> None:
-    """Twice the cell: not exact, index and area ratio 2."""
+def test_a_supercell_has_its_index() -> None:
+    """A lattice of twice the cell is not exact: index and area ratio are 2."""
     score = LatticeRecovery().score(observed(Lattice((20.0, 0.0), (0.0, 24.0))))
     assert score.values["exact"] is False and score.values["index"] == 2
     assert score.values["area_ratio"] == pytest.approx(2) and score.records["class"] == "supercell 2"
 
 
 def test_drift_is_over_the_output() -> None:
-    """1 % too wide is 3 px over the output's 300 px, not the sample's 64."""
+    """Drift is measured across the output: an error of 1 % is 3 px over its 300 px."""
     score = LatticeRecovery().score(observed(Lattice((20.2, 0.0), (10.1, 12.0))))
     assert score.values["drift"] == pytest.approx(3.0)
 
 
 def test_a_wrong_lattice_has_no_index() -> None:
-    """Its index is None with a reason, its error is told."""
+    """A wrong lattice has no index, with a reason, but it has an error."""
     score = LatticeRecovery().score(observed(Lattice((23.0, 3.0), (-5.0, 15.0))))
     assert score.values["index"] is None and "wrong" in score.reasons["index"]
     assert score.values["exact"] is False and score.values["vector_error"] > 1  # type: ignore[operator]
@@ -48,7 +48,7 @@ def test_a_wrong_lattice_has_no_index() -> None:
 
 @pytest.mark.parametrize(("used", "truth", "reason"), [(TRUTH, None, "truth"), (None, TRUTH, "method")])
 def test_without_a_lattice_nothing_is_scored(used: Lattice | None, truth: Lattice | None, reason: str) -> None:
-    """Every column is None, and says on whose side the lattice is missing."""
+    """Without a lattice every column is None, and the reason says whether truth or method has none."""
     score = LatticeRecovery().score(observed(used, truth))
     assert set(score.values) == set(LatticeRecovery.columns) == set(score.reasons)
     compared = [text for name, text in score.reasons.items() if name not in ("found", "confidence")]
@@ -56,7 +56,7 @@ def test_without_a_lattice_nothing_is_scored(used: Lattice | None, truth: Lattic
 
 
 def test_a_detectors_lattice_comes_with_its_confidence() -> None:
-    """What the detector of the lattice axis answered stands beside the comparison."""
+    """The answer of the detector stands beside the comparison."""
     seen = dataclasses.replace(observed(TRUTH), detected=FoundLattice(TRUTH, 0.1, confidence=0.75))
     score = LatticeRecovery().score(seen)
     assert (score.values["found"], score.values["confidence"], score.values["exact"]) == (True, 0.75, True)
@@ -64,7 +64,7 @@ def test_a_detectors_lattice_comes_with_its_confidence() -> None:
 
 
 def test_no_lattice_is_an_answer() -> None:
-    """A detector that found none is not exact where there is one; where there is none nothing speaks against it."""
+    """A detector that finds no lattice is not exact if there is one, and has no value if there is none."""
     none = FoundLattice(None, 0.1, "no better than chance")
     missed = LatticeRecovery().score(dataclasses.replace(observed(None), detected=none))
     assert (missed.values["found"], missed.values["exact"], missed.values["vector_error"]) == (False, False, None)
@@ -80,7 +80,7 @@ def test_without_a_truth_nothing_is_scored() -> None:
 
 
 def test_it_is_a_metric() -> None:
-    """It has the form, and refuses a tolerance that is none."""
+    """Lattice recovery has the form of a metric, and refuses a tolerance that is not a number."""
     assert isinstance(LatticeRecovery(), Metric)
     with pytest.raises(BadInput, match="above 0"):
         LatticeRecovery(tolerance=math.nan)
