@@ -15,108 +15,105 @@ from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Synthesis, Task, find_lattice
 
-from .sampling.subpixel import fractions
 from .sampling.two_periods import require_two_periods
-from .tile_laying.anchor import By, anchored
-from .tile_laying.canvas import Canvas, Stitch
-from .tile_laying.frame import Frame, Tile, frame_of
-from .tile_laying.stock import Cuts, Difference, Stock, complete
-from .tile_laying.symmetry import pictures, upright
+from .tile_laying.tile_canvas import Stitch, TileCanvas
+from .tile_laying.tile_shape import AnchorKind, TileKind, TileShape, anchor_lattice, tile_shape
+from .tile_laying.tile_stock import Difference, Tiles, TileStock, shift_images, symmetric_copies, untransformed
 
-FINE: Final = 4
-"""Parts of a pixel to which tiles are placed where whole pixels are too coarse."""
+FINE_PARTS: Final = 4
+"""Default parts of a pixel at which tiles are placed if whole pixels are too coarse."""
 COARSE: Final = 10.0
-"""px; with s at least this long rounding to whole pixels misplaces a tile by at most 0.05 s along x and along y."""
-
+"""px; if s is at least this long, rounding to whole pixels misplaces a tile by at most 0.05 s along x and along y."""
 LEAST_SIDE: Final = 16.0
-"""px; where s is shorter tiles are of several cells: seams find no room around elements there, and tiles are many."""
+"""px; if s is shorter, tiles consist of several cells: small tiles are many, and seams find no way around elements."""
 MARGIN: Final = 2.0
-"""px; by so much tiles are larger at each end where exact cuts look for a way around the elements inside."""
+"""px by which tiles are longer at each end for exact cuts, so that seams can run around elements."""
 FEATHER: Final = 3.0
-"""px; the ramp where seams conflict, and what registration and feather may reach where s is less."""
+"""px; default ramp where seams conflict, and the most that registration, feather and margin may be if s is shorter."""
 
 
 @dataclass(frozen=True)
 class TileSet:
     """Tile set (Liu, Tsin and Lin 2005, section 3.1): tiles drawn at random, laid over one another on the lattice.
 
-    Two sets of maximum tiles are cut from the sample: T around the points of the lattice, Th around the points half-way
-    between. (Tiles of shape ``cell`` have four sets: half-way along either vector, and along both; tiles of an even
-    number of ``cells`` have T alone.) The output is laid with them in scan-line order, in half steps, the sets in turn,
-    from a random tile of T at its top left, or at most a step before it: the sample's phase is kept. Each tile overlaps
-    by half to three quarters with what stands. At every place the tiles of its set that differ there by no more than a
-    threshold are candidates; one is drawn, or the one that differs least is taken where there is none. It is registered
-    by correlation and stitched. Places are real-valued lattice points, so that nothing drifts.
+    Two sets of maximum tiles are cut from the sample: T around the points of the lattice, and Th around the points
+    half-way between. (Tiles of shape ``cell`` have four sets: half-way along either vector, and along both; tiles of an
+    even number of ``cells`` have only T.) The sets are laid in turn, in half steps and scan-line order, starting with a
+    random tile of T at the top left of the output, or at most a step before it, so that the output keeps the sample's
+    phase. Each tile overlaps by half to three quarters with earlier tiles. At every place, the candidates are the tiles
+    of its set that differ from the overlap by at most a threshold. One of them is drawn; without a candidate, the tile
+    that differs least is taken. The tile is registered by correlation and stitched. Places are real-valued lattice
+    points, so that nothing drifts.
 
-    The paper stitches by dynamic programming along both directions and blends where these conflict
-    (``stitch=dynamic``). A step is half an element or less: such seams, and any that may keep to the border of what
-    stands, run through most elements and leave them in two tones. Here an exact minimum cut leads around them: seams by
-    differences over gradients (Kwatra et al. 2003, section 5), the border of what stands as dear as the dearest of
-    them, what old seams cost won back where they are covered, tiles a little larger for room.
+    The paper stitches by dynamic programming along both directions and blends where these seams conflict
+    (``stitch=dynamic``). A step is half an element or less, so that these seams cross most elements and leave them
+    two-toned, as do all seams that may follow the border of the filled region. The default is an exact minimum cut that
+    leads around elements: seams cost differences over gradients (Kwatra et al. 2003, section 5), the border of the
+    filled region costs double, covering an old seam regains its cost, and tiles are slightly larger.
 
     What the paper does by hand is automatic. The lattice is anchored in the middle of what differs from tile to tile,
-    so that tiles show elements whole. The threshold comes from the differences between the tiles of the sample itself,
-    over what a tile usually overlaps with: it is the least at which every tile, however odd, accepts the share
-    ``quantile`` of the others of its set.
+    so that tiles show elements whole. The threshold is computed from the differences between the tiles of the sample
+    over the usual overlap: the least threshold at which every tile accepts the share ``quantile`` of the others of its
+    set.
 
-    With no lattice given it finds one by ``consensus``. The paper's own settings are ``tile=upright, cells=1,
-    stitch=dynamic, slope=1, difference=sum, parts=1, registration=1, anchor=given`` and a ``threshold`` set by hand for
-    the texture.
+    If no lattice is given, the method detects one by ``consensus``. The settings of the paper are ``tile=upright,
+    cells=1, stitch=dynamic, slope=1, difference=sum, parts=1, registration=1, anchor=given`` and a ``threshold`` set by
+    hand for the texture.
 
     Parameters
     ----------
     tile
         Shape of the maximum tiles. ``"upright"``: the smallest upright rectangle around the minimum tile (the paper).
         ``"lattice"``: sides along t1 + t2 and t2 - t1, the lattice's own coordinates (the paper's suggestion; on an
-        upright rhombic lattice the same). ``"rectangle"``: sides 2 t1 and t2, t1 the shorter, laid along them.
-        ``"cell"``: sides t1 and t2, the minimum tile, laid along them. ``"auto"``: the cell for rectangular and square
-        lattices, where it is the smallest rectangle around the minimum tile, and where the sample holds nothing larger;
-        else the lattice's.
+        upright rhombic lattice the same). ``"rectangle"``: sides 2 t1 and t2, t1 the shorter. ``"cell"``: sides t1 and
+        t2, the minimum tile. ``"auto"``: the cell on rectangular and square lattices, where it is the smallest
+        rectangle around the minimum tile, and where the sample holds nothing larger; else the lattice's.
     cells
-        Times that a tile's sides are lengthened, 1 to 64 (the paper: 1). A larger piece of the sample breaks fewer
-        elements and takes less time, but the sample is copied on for longer; any tile of the lattice may be laid.
-        None: 1, or as many as make s 16 px or more where the sample holds such tiles. Cells one brick wide and several
-        courses high show no brick of every second course whole: there 2 leaves fewer bricks in two tones.
+        Factor of a tile's sides, 1 to 64 (the paper: 1). Larger tiles break fewer elements and take less time, but copy
+        longer stretches of the sample. None: 1, or as many as make s at least 16 px if the sample holds such tiles. If
+        a cell is one brick wide and several courses high, no brick of every second course is whole in it; 2 then leaves
+        fewer bricks two-toned.
     margin
-        By how many px, at most s, tiles are longer at both ends of each side, steps staying what they are. None: 2 for
-        exact cuts where the sample holds such tiles, else 0 (the paper).
+        px, at most s, by which tiles are longer at both ends of each side; the steps do not change. None: 2 for exact
+        cuts if the sample holds such tiles, else 0 (the paper).
     quantile
-        Share of the others that the oddest tile of the sample accepts, in [0, 1]; more draws more freely, less joins
-        better.
+        Share of the other tiles that the oddest tile of the sample accepts, in [0, 1]. More draws more freely, less
+        joins better.
     threshold
-        A threshold of one's own instead (the paper's), in gray levels of 255, channels added.
+        A fixed threshold instead (the paper), in gray levels of 255, channels added.
     difference
-        What is compared with it: ``"mean"`` over the pixels of the overlap, or their ``"sum"`` (the paper's).
+        What is compared with the threshold: the ``"mean"`` over the pixels of the overlap, or their ``"sum"`` (the
+        paper).
     registration
-        How far, px, at most s, a tile may be moved from its place; 0 does not register. None: 0.025 s, at most 1 px:
-        where stripes fit at any shift along themselves, tiles that each follow the one before would shift whole
-        courses. Less than half a part of a pixel moves nothing: so it is by default where s is 10 to 20 px, and nothing
-        is missed there (four walls and weaves of ``core``, s 18 px: with 1 px as many elements are broken, to 0.02).
-        It follows what is irregular: where the sample is perfectly periodic it costs up to 10 dB.
+        Largest distance, px, at most s, by which a tile may be moved from its place; 0 does not register. None:
+        0.025 s, at most 1 px: where stripes fit at any shift along themselves, larger moves would add up and shift
+        whole courses. Moves of less than half a part of a pixel have no effect, which is the default where s is 10 to
+        20 px; no more elements are broken there (four walls and weaves of ``core`` with s 18 px: equal to 1 px within
+        0.02). Registration follows irregularities: on a perfectly periodic sample it costs up to 10 dB.
     parts
-        Tiles are placed to whole pixels (1), or to halves, thirds, ... 16ths, interpolated by splines of order 5. None:
-        quarters where s is under 10 px; else whole pixels, so that all is copied and no noise is smoothed (quarters
-        take 0.07 of the variation on ``core``). A smooth periodic texture whose vectors are no whole pixels, s 18 to
-        21 px, then comes back with a PSNR of 31 to 34 dB; of 43 to 46 dB with ``parts=4, registration=0``.
-        Without meaning where both vectors are whole pixels.
+        Tiles are placed at whole pixels (1), or at halves, thirds, ... 16ths of a pixel, interpolated by splines of
+        order 5. None: quarters if s is under 10 px, else whole pixels, so that all pixels are copies and no noise is
+        smoothed (quarters take 0.07 of the variation on ``core``). A smooth periodic texture with fractional vectors, s
+        18 to 21 px, then has a PSNR of 31 to 34 dB, and of 43 to 46 dB with ``parts=4, registration=0``. Without effect
+        if both vectors are whole pixels.
     stitch
-        ``"graphcut"``: the exact minimum cut, as above; neither slope nor feather count then. ``"dynamic"``: two seams
-        by dynamic programming, blended where they conflict (the paper).
+        ``"graphcut"``: the exact minimum cut; slope and feather have no effect. ``"dynamic"``: two seams by dynamic
+        programming, blended where they conflict (the paper).
     slope
-        How far, px, a seam may move aside from one row to the next, 1 to 64 (Efros and Freeman: 1). More lets it follow
-        joints. Of ``stitch=dynamic`` alone.
+        Largest number of px by which a seam moves aside from one row to the next, 1 to 64 (Efros and Freeman: 1). More
+        lets it follow joints. For ``stitch=dynamic``.
     feather
-        Width in px, at most s, of the ramp where the two seams conflict; 0 cuts. Of ``stitch=dynamic`` alone.
+        Width in px, at most s, of the ramp where the two seams conflict; 0 cuts. For ``stitch=dynamic``.
     anchor
-        ``"elements"``: where tiles differ most, so that a tile shows an element whole and seams can pass along joints;
+        ``"elements"``: where tiles differ most, so that a tile shows an element whole and seams can follow joints.
         ``"quiet"``: where the gradient energy of the mean tile, summed along the borders of all minimum tiles, is least
-        (the paper's low-frequency regions); ``"given"``: at the lattice's origin. Of the places that leave each set
-        enough tiles.
+        (the paper's low-frequency regions). ``"given"``: at the lattice's origin. The first two choose among the places
+        that leave each set enough tiles.
     symmetry
-        Also take the tiles of the sample mirrored or turned, where that leaves its mean tile what it is (section 4.4).
+        Also use the tiles of the sample mirrored or turned, if that does not change its mean tile (section 4.4).
     """
 
-    tile: Tile | Literal["auto"] = "auto"
+    tile: TileKind | Literal["auto"] = "auto"
     cells: int | None = None
     margin: float | None = None
     quantile: float = 0.75
@@ -127,7 +124,7 @@ class TileSet:
     stitch: Stitch = "graphcut"
     slope: int = 4
     feather: float = FEATHER
-    anchor: By | Literal["given"] = "elements"
+    anchor: AnchorKind | Literal["given"] = "elements"
     symmetry: bool = False
 
     reference: ClassVar[bool] = False
@@ -163,16 +160,16 @@ class TileSet:
         Raises
         ------
         Refused
-            When no lattice is found, when the sample does not show two periods, or not a complete tile of each set and
-            two of one, or when registration, feather or margin is larger than s.
+            If no lattice is found, if the sample does not show two periods, or not a complete tile of each set and two
+            of one, or if registration, feather or margin is larger than s.
         """
         found = find_lattice(task, Consensus())
         if found.lattice is None:
-            raise Refused(f"no lattice found ({found.reason}): there are no tiles")
+            raise Refused(f"no lattice found ({found.reason}), so that there are no tiles; give a lattice")
         self._require_within_s(found.lattice.s)
-        laying = _Laying(self, task, found.lattice)
-        laying.lay_all()
-        image, source = laying.canvas.picture()
+        laying = TileLaying(self, task, found.lattice)
+        laying.lay_tiles()
+        image, source = laying.canvas.output()
         return Synthesis(image, found.lattice, source, detection_seconds=found.seconds)
 
     def _require_within_s(self, s: float) -> None:
@@ -183,105 +180,113 @@ class TileSet:
                 raise Refused(f"{name} {value:g} px reaches farther than s, {s:.1f} px; choose at most {most:.1f}")
 
 
-class _Laying:
-    """One synthesis: the tiles, what they are laid on, and how far that is."""
+class TileLaying:
+    """One synthesis by :class:`TileSet`: chooses a tile for every place and lays it on a canvas.
+
+    Parameters
+    ----------
+    method
+        The parameters.
+    task
+        The sample, the shape of the output, and the randomness.
+    lattice
+        The lattice of the sample.
+    """
 
     def __init__(self, method: TileSet, task: Task, lattice: Lattice) -> None:
         self.method, self.task = method, task
-        self.frame, self.lattice = _framed(method, task, lattice)
-        parts = method.parts or (1 if lattice.s >= COARSE else FINE)
-        turned = pictures if method.symmetry else lambda sample, one: [upright(sample, one)]
-        self.pictures = turned(task.sample, self.lattice)
-        source = fractions([picture.image for picture in self.pictures], 1 if _whole(lattice) else parts)
-        self.stock = Stock(self.frame, source, tuple(picture.lattice for picture in self.pictures))
+        self.tile, self.lattice = _fit_tile(method, task, lattice)
+        find_copies = symmetric_copies if method.symmetry else untransformed
+        self.copies = find_copies(task.sample, self.lattice)
+        parts = method.parts or (1 if lattice.s >= COARSE else FINE_PARTS)
+        if np.abs(lattice.matrix - np.rint(lattice.matrix)).max() < 1e-6:
+            parts = 1
+        images = shift_images([copy.image for copy in self.copies], parts)
+        self.stock = TileStock(self.tile, images, tuple(copy.lattice for copy in self.copies))
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
-        self.canvas = Canvas(task.shape, self.stock, self.pictures, method.slope, method.feather, method.stitch)
+        self.canvas = TileCanvas(task.shape, self.stock, self.copies, method.slope, method.feather, method.stitch)
         self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
 
-    def lay_all(self) -> None:
+    def lay_tiles(self) -> None:
         """Lay every tile that touches the output, row by row (step 2)."""
         threshold = self.method.threshold
         if threshold is None:
-            threshold = self.stock.threshold(self.method.quantile, self.method.difference)
-        numbers = self.numbers()
-        places = self.lattice.origin + numbers @ self.frame.steps
+            threshold = self.stock.estimate_threshold(self.method.quantile, self.method.difference)
+        numbers = self.tile_numbers()
+        places = self.lattice.origin + numbers @ self.tile.steps
         for done, ((i, j), place) in enumerate(zip(numbers.tolist(), places, strict=True)):
-            self._lay(i, j, place, threshold)
+            self.lay_tile(i, j, place, threshold)
             if done % 64 == 0:
                 self.task.progress(done / len(numbers))
         self.task.progress(1.0)
 
-    def numbers(self) -> NDArray[np.int64]:
-        """Return (i, j) of every tile that touches the output, ``(n, 2)``: step in the row and row; in laying order."""
+    def tile_numbers(self) -> NDArray[np.int64]:
+        """Return step in the row and row of every tile that touches the output, ``(n, 2)``, in the order of laying."""
         height, width = self.task.shape
-        steps = Lattice.from_basis(self.frame.steps, self.lattice.origin)
-        x, y = self.frame.reach.tolist()
+        steps = Lattice.from_basis(self.tile.steps, self.lattice.origin)
+        x, y = self.tile.reach.tolist()
         low, high = (-x - 1, -y - 1), (width + x, height + y)
         numbers = steps.cell_numbers(low, high)
         places = steps.from_cell(numbers)
         numbers = numbers[((places > low) & (places < high)).all(1)]
         numbers = numbers[np.lexsort(numbers.T)]
-        return np.concatenate([self._before(numbers[:1]), numbers])
+        return np.concatenate([self._preceding_t(numbers[:1]), numbers])
 
-    def _before(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return a tile of T at most a step before one, ``(1, 2)``; none, ``(0, 2)``, where that is of T itself."""
+    def _preceding_t(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return a tile of T at most a step before a tile, ``(1, 2)``, or none, ``(0, 2)``, if the tile is of T."""
         for back in np.ndindex(2, 2):
-            place = (number - back) @ self.frame.steps
+            place = (number - back) @ self.tile.steps
             if np.abs(self.lattice.wrap(place)).max() < 1e-6:
                 return number[: any(back)] - back
         raise AssertionError("twice a step is a lattice vector")
 
-    def _lay(self, i: int, j: int, place: Points, threshold: float) -> None:
-        """Draw a tile and lay it (steps 3 to 6)."""
+    def lay_tile(self, i: int, j: int, place: Points, threshold: float) -> None:
+        """Draw a tile of the set at step i in the row and row j, and lay it at a place (steps 3 to 6)."""
         pixel = np.floor(place + 0.5)
-        turned, middles = self.sets[i % 2, j % 2]
-        cuts = self.stock.cut(turned, middles + (pixel - place))
+        copies, middles = self.sets[i % 2, j % 2]
+        tiles = self.stock.cut(copies, middles + (pixel - place))
         left, top = (pixel.astype(int) + self.canvas.margin).tolist()
         overlap = self.canvas.overlap(left, top)
         if not len(overlap.values):
-            self.canvas.lay(left, top, self._drawn(cuts, np.arange(len(cuts.copy))))
+            self.canvas.lay(left, top, self.draw(tiles, np.arange(len(tiles.row))))
             return
-        differences = self.stock.differences(overlap, cuts)
+        differences = self.stock.differences(overlap, tiles)
         size = len(overlap.values) if self.method.difference == "mean" else 1
-        good = differences <= max(threshold * size, int(differences.min()))
-        cut = self._drawn(cuts, np.flatnonzero(good))
-        self.canvas.lay(left, top, self.stock.registered(overlap, cut, self.radius) if self.radius else cut)
+        candidates = np.flatnonzero(differences <= max(threshold * size, int(differences.min())))
+        drawn = self.draw(tiles, candidates)
+        self.canvas.lay(left, top, self.stock.register(overlap, drawn, self.radius) if self.radius else drawn)
 
-    def _drawn(self, cuts: Cuts, among: NDArray[np.int64]) -> Cuts:
-        return cuts.take(among[self.task.rng.integers(len(among)), np.newaxis])
+    def draw(self, tiles: Tiles, candidates: NDArray[np.int64]) -> Tiles:
+        """Return one of the candidates at random."""
+        return tiles.take(candidates[self.task.rng.integers(len(candidates)), np.newaxis])
 
 
-def _framed(method: TileSet, task: Task, lattice: Lattice) -> tuple[Frame, Lattice]:
-    """Return the tiles' frame, and the lattice anchored for it."""
+def _fit_tile(method: TileSet, task: Task, lattice: Lattice) -> tuple[TileShape, Lattice]:
+    """Return the first tile shape of which the sample holds enough tiles, and the lattice anchored for it."""
     require_two_periods(lattice, task.sample.shape)
-    for frame in _frames(method, lattice):
-        at = lattice if method.anchor == "given" else anchored(task.sample, lattice, frame, method.anchor)
-        offsets = np.array(frame.distinct(lattice)) @ frame.steps
-        tiles = [len(complete(at.shifted((x, y)), frame, task.sample.shape)) for x, y in offsets.tolist()]
-        if all(tiles) and max(tiles) > 1:
-            return frame, at
+    for tile in _tile_shapes(method, lattice):
+        at = lattice if method.anchor == "given" else anchor_lattice(task.sample, lattice, tile, method.anchor)
+        offsets = np.array(tile.set_offsets(lattice)) @ tile.steps
+        counts = [len(tile.complete_middles(at.shifted((x, y)), task.sample.shape)) for x, y in offsets.tolist()]
+        if all(counts) and max(counts) > 1:
+            return tile, at
     height, width, _ = task.sample.shape
-    across, down = 2 * frame.reach
+    across, down = 2 * tile.reach
     raise Refused(
         f"a tile takes {across:.0f}x{down:.0f} px, the sample is {width}x{height} px: it does not hold "
-        "a complete tile of each set and two of one"
+        "a complete tile of each set and two of one; choose a larger sample or fewer cells"
     )
 
 
-def _frames(method: TileSet, lattice: Lattice) -> Iterator[Frame]:
-    """Yield the frames of tiles in the order in which they are tried, until the sample holds one's tiles."""
-    tiles = _tiles(lattice) if method.tile == "auto" else [method.tile]
-    many = [max(1, math.ceil(LEAST_SIDE / lattice.s)), 1] if method.cells is None else [method.cells]
-    wide = [MARGIN, 0.0] if method.stitch == "graphcut" else [0.0]
-    for cells in many:
-        for tile in tiles:
-            for margin in wide if method.margin is None else [method.margin]:
-                yield frame_of(lattice, tile, cells, margin)
-
-
-def _tiles(lattice: Lattice) -> list[Tile]:
-    return ["cell"] if lattice.kind in ("rectangular", "square") else ["lattice", "cell"]
-
-
-def _whole(lattice: Lattice) -> bool:
-    return bool(np.abs(lattice.matrix - np.rint(lattice.matrix)).max() < 1e-6)
+def _tile_shapes(method: TileSet, lattice: Lattice) -> Iterator[TileShape]:
+    """Yield tile shapes in the order in which they are tried."""
+    if method.tile != "auto":
+        kinds: list[TileKind] = [method.tile]
+    else:
+        kinds = ["cell"] if lattice.kind in ("rectangular", "square") else ["lattice", "cell"]
+    factors = [max(1, math.ceil(LEAST_SIDE / lattice.s)), 1] if method.cells is None else [method.cells]
+    margins = [MARGIN, 0.0] if method.stitch == "graphcut" else [0.0]
+    for cells in factors:
+        for kind in kinds:
+            for margin in margins if method.margin is None else [method.margin]:
+                yield tile_shape(lattice, kind, cells, margin)

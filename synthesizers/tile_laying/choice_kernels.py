@@ -1,6 +1,7 @@
-"""The compiled steps before a tile is pasted: what stands under it, which tiles fit there, its registration, its seams.
+"""The compiled steps that choose a tile: what is filled under it, which tiles fit there, and its registration.
 
-Small tiles are laid by the thousand: each step is one call, whatever it loops over.
+Small tiles are laid by the thousand, so that each step is one call. Pixels are 8-bit whole numbers and all sums are
+exact: equal tiles tie, and results do not depend on the machine.
 """
 
 from __future__ import annotations
@@ -11,9 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.jit import kernel
-
-from ..seams.seam_kernels import cheapest_path
-from .tile_kernels import product_sums
 
 
 @kernel(
@@ -28,16 +26,16 @@ def gather(
     values: NDArray[np.uint8],
     runs: NDArray[np.int64],
 ) -> tuple[int, int]:
-    """Write what stands under a tile, and return how many pixels and how many runs that are.
+    """Write the filled pixels under a tile, and return the number of pixels and of runs.
 
     Parameters
     ----------
     canvas, filled, pixels, left, top
-        As in :func:`~nrbench.synthesizers.tile_laying.tile_kernels.paste`.
+        As in :func:`~nrbench.synthesizers.tile_laying.stitch_kernels.paste`.
     values
-        ``(n, C)``, written: the pixels that stand there.
+        ``(n, C)``, written: the filled pixels.
     runs
-        ``(n, 3)``, written: see :class:`~nrbench.synthesizers.tile_laying.stock.Overlap`.
+        ``(n, 3)``, written: see :class:`~nrbench.synthesizers.tile_laying.tile_stock.Overlap`.
     """
     channels = canvas.shape[2]
     count, number, following = 0, 0, np.int64(0)
@@ -56,30 +54,93 @@ def gather(
     return count, number
 
 
+@kernel("int64[::1](uint8[::1], int64[:, ::1], uint8[:, ::1], int64[:, ::1])")
+def absolute_differences(
+    values: NDArray[np.uint8], runs: NDArray[np.int64], sources: NDArray[np.uint8], places: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Compute, for each place of a source, the sum of absolute differences between its values and those of an overlap.
+
+    Parameters
+    ----------
+    values
+        ``(m,)``: the values of the overlap.
+    runs
+        ``(r, 3)``: contiguous parts of the overlap: first value, length, and offset of the source's first value from
+        a place.
+    sources
+        ``(k, n)``: the sources' values, flat.
+    places
+        ``(p, 2)``: source and position.
+
+    Returns
+    -------
+    NDArray
+        ``(p,)``.
+    """
+    sums = np.zeros(places.shape[0], np.int64)
+    for p in range(places.shape[0]):
+        source, first = sources[places[p, 0]], places[p, 1]
+        total = np.int64(0)
+        for r in range(runs.shape[0]):
+            here = values[runs[r, 0] : runs[r, 0] + runs[r, 1]]
+            there = source[first + runs[r, 2] : first + runs[r, 2] + runs[r, 1]]
+            part = np.int32(0)
+            for i in range(here.size):
+                part += np.int32(abs(np.int32(here[i]) - np.int32(there[i])))
+            total += part
+        sums[p] = total
+    return sums
+
+
+@kernel("int64[:, :, ::1](uint8[::1], int64[:, ::1], uint8[:, ::1], int64[:, ::1], int64)")
+def product_sums(
+    values: NDArray[np.uint8],
+    runs: NDArray[np.int64],
+    sources: NDArray[np.uint8],
+    places: NDArray[np.int64],
+    channels: int,
+) -> NDArray[np.int64]:
+    """Compute, for each place of a source, the sums of its values, their squares, and their products with an overlap.
+
+    Parameters as in :func:`absolute_differences`, each run of whole pixels; the result is ``(p, channels, 3)``.
+    """
+    sums = np.zeros((places.shape[0], channels, 3), np.int64)
+    for p in range(places.shape[0]):
+        source, first = sources[places[p, 0]], places[p, 1]
+        for r in range(runs.shape[0]):
+            for i in range(runs[r, 1]):
+                value = np.int64(source[first + runs[r, 2] + i])
+                channel = i % channels
+                sums[p, channel, 0] += value
+                sums[p, channel, 1] += value * value
+                sums[p, channel, 2] += value * np.int64(values[runs[r, 0] + i])
+    return sums
+
+
 @kernel("int64[:, ::1](float64[:, ::1], int64, int64[:, ::1], int64, int64)")
 def nearest_places(
     places: NDArray[np.float64], parts: int, box: NDArray[np.int64], height: int, width: int
 ) -> NDArray[np.int64]:
-    """Return the nearest places that copies have, and whether a tile around them lies inside the sample.
+    """Return the nearest places that shifted images have, and whether a tile around them lies inside the sample.
 
     Parameters
     ----------
     places
         ``(p, 2)``: (x, y).
     parts
-        Of a pixel.
+        Parts of a pixel at which tiles are placed.
     box
         ``(2, 2)``: the least and the greatest (x, y) of a tile's pixels.
     height, width
-        Of the sample.
+        Shape of the sample.
 
     Returns
     -------
     NDArray
-        ``(p, 4)``: copy of the first picture, pixel (x, y), and 1 where the tile and the pixels that it is interpolated
-        from lie inside, else 0.
+        ``(p, 4)``: the shifted image of the first copy, pixel (x, y), and 1 if the tile and the pixels that it is
+        interpolated from lie inside, else 0.
     """
-    found = np.empty((places.shape[0], 4), np.int64)
+    nearest = np.empty((places.shape[0], 4), np.int64)
     for p in range(places.shape[0]):
         u = np.int64(math.floor(places[p, 0] * parts + 0.5))
         v = np.int64(math.floor(places[p, 1] * parts + 0.5))
@@ -87,9 +148,9 @@ def nearest_places(
         right, below = u - x * parts, v - y * parts
         within = x + box[0, 0] >= 0 and x + box[1, 0] + (1 if right > 0 else 0) <= width - 1
         within = within and y + box[0, 1] >= 0 and y + box[1, 1] + (1 if below > 0 else 0) <= height - 1
-        found[p, 0], found[p, 1], found[p, 2] = below * parts + right, x, y
-        found[p, 3] = 1 if within else 0
-    return found
+        nearest[p, 0], nearest[p, 1], nearest[p, 2] = below * parts + right, x, y
+        nearest[p, 3] = 1 if within else 0
+    return nearest
 
 
 @kernel(
@@ -110,25 +171,25 @@ def best_move(
     box: NDArray[np.int64],
     first: int,
 ) -> NDArray[np.int64]:
-    """Return to where a tile is moved that correlates best with what stands there.
+    """Return the place at which a tile correlates best with what is filled there.
 
     Parameters
     ----------
     values, runs, sources
-        As in :func:`~nrbench.synthesizers.tile_laying.tile_kernels.absolute_differences`.
+        As in :func:`absolute_differences`.
     height, width, channels, parts, box
-        Of the sample, of a pixel, of a tile, as in :func:`nearest_places`.
+        The sample's shape, and ``parts`` and ``box`` as in :func:`nearest_places`.
     here, middle
-        ``(2,)``: where the tile is, and its true middle, (x, y).
+        ``(2,)``: the place of the tile, and its real middle, (x, y).
     radius
-        How far, px, from the middle it may be moved.
+        Largest distance from the middle, px.
     first
-        First copy of the tile's picture.
+        First shifted image of the tile's copy.
 
     Returns
     -------
     NDArray
-        ``(3,)``: copy and pixel (x, y). Of moves that correlate alike none, then the one nearest to the true middle.
+        ``(3,)``: shifted image and pixel (x, y). Ties go to no move, then to the place nearest to the real middle.
     """
     reach = np.int64(radius * parts + 0.5)
     side = 2 * reach + 1
@@ -139,17 +200,17 @@ def best_move(
             here[1] + (m // side - reach) / parts,
         )
     moves[0] = here
-    found = nearest_places(moves, parts, box, height, width)
+    nearest = nearest_places(moves, parts, box, height, width)
     places = np.empty((moves.shape[0], 2), np.int64)
     away = np.empty(moves.shape[0])
     count = 0
     for m in range(moves.shape[0]):
         distance = math.hypot(moves[m, 0] - middle[0], moves[m, 1] - middle[1])
-        if m == 0 or (distance <= radius and found[m, 3] == 1):
+        if m == 0 or (distance <= radius and nearest[m, 3] == 1):
             away[count] = distance if m else -1.0
-            found[count] = found[m]
-            places[count, 0] = first + found[m, 0]
-            places[count, 1] = (found[m, 2] * width + found[m, 1]) * channels
+            nearest[count] = nearest[m]
+            places[count, 0] = first + nearest[m, 0]
+            places[count, 1] = (nearest[m, 2] * width + nearest[m, 1]) * channels
             count += 1
     sums = product_sums(values, runs, sources, places[:count], channels)
     total = np.zeros(channels, np.int64)
@@ -165,37 +226,4 @@ def best_move(
         correlation = covariance / math.sqrt(variance if variance > 1 else 1)
         if correlation > highest or (correlation == highest and away[m] < away[best]):
             best, highest = m, correlation
-    return np.array([first + found[best, 0], found[best, 1], found[best, 2]])
-
-
-@kernel("int64[::1](float64[:, ::1], int64, int64)")
-def wide_seam(error: NDArray[np.float64], band: int, slope: int) -> NDArray[np.int64]:
-    """Return the seam through the first columns of a surface, its rows each taken ``slope`` times.
-
-    So one row lets the seam move so far aside. Negative errors, where nothing stands, count as 0; with no band the
-    seam is 0 all along.
-    """
-    rows = error.shape[0]
-    path = np.zeros(rows, np.int64)
-    if band == 0:
-        return path
-    steep = np.empty((rows * slope, band))
-    for i in range(rows):
-        for j in range(band):
-            steep[i * slope : (i + 1) * slope, j] = max(error[i, j], 0.0)
-    found = cheapest_path(steep)
-    for i in range(rows):
-        path[i] = found[i * slope + slope // 2]
-    return path
-
-
-@kernel("int64(float64[:, ::1])")
-def band_width(surface: NDArray[np.float64]) -> int:
-    """Return how far what stands reaches from the left, in rows where something is missing (negative)."""
-    width = 0
-    for i in range(surface.shape[0]):
-        for j in range(surface.shape[1]):
-            if surface[i, j] < 0:
-                width = max(width, j)
-                break
-    return width
+    return np.array([first + nearest[best, 0], nearest[best, 1], nearest[best, 2]])

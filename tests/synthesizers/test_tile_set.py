@@ -9,7 +9,7 @@ from synthesis_cases import FRACTIONAL, noise, synthesize
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Task
-from nrbench.synthesizers.tile_set import TileSet, _Laying
+from nrbench.synthesizers.tile_set import TileLaying, TileSet
 
 TILES = ["auto", "upright", "lattice", "rectangle", "cell"]
 LATTICES = [
@@ -66,9 +66,9 @@ def test_larger_tiles_are_fewer() -> None:
     """Tiles of 2 x 2 cells are laid in twice the steps, and as many of the sample's points are middles as fit."""
     lattice, sample = Lattice((20, 5), (-4, 22)), noise(160, 160)
     task = Task(sample, (400, 400), lattice, np.random.default_rng(0))
-    small, large = (_Laying(TileSet(tile="cell", cells=cells), task, lattice) for cells in (1, 2))
-    np.testing.assert_allclose(large.frame.steps, 2 * small.frame.steps)
-    assert len(large.numbers()) < 0.4 * len(small.numbers())
+    small, large = (TileLaying(TileSet(tile="cell", cells=cells), task, lattice) for cells in (1, 2))
+    np.testing.assert_allclose(large.tile.steps, 2 * small.tile.steps)
+    assert len(large.tile_numbers()) < 0.4 * len(small.tile_numbers())
     assert len(large.sets[0, 0][1]) > 20
 
 
@@ -76,7 +76,7 @@ def test_the_minimum_cut_keeps_to_the_overlap() -> None:
     """Of one tile laid over noise the cut shows all where nothing stood, and nothing of the outermost pixels else."""
     lattice, sample = Lattice((20, 0), (0, 20)), noise(120, 120)
     task = Task(sample, (60, 60), lattice, np.random.default_rng(0))
-    laying = _Laying(TileSet(tile="cell", stitch="graphcut", registration=0), task, lattice)
+    laying = TileLaying(TileSet(tile="cell", stitch="graphcut", registration=0), task, lattice)
     canvas, cuts = laying.canvas, laying.stock.cut(*laying.sets[0, 0])
     canvas.lay(40, 40, cuts.take(np.array([0])))
     before = canvas.values.copy()
@@ -167,13 +167,13 @@ def test_a_symmetric_texture_lends_its_mirror_images() -> None:
     motif = np.concatenate([motif, motif[::-1]], 0)
     picture = np.tile(motif, (10, 10, 1))
     task = Task(picture[3:120, 5:130], (150, 150), lattice, np.random.default_rng(0))
-    plain, rich = (_Laying(TileSet(symmetry=symmetry), task, lattice) for symmetry in (False, True))
-    assert len(rich.pictures) == 4
+    plain, rich = (TileLaying(TileSet(symmetry=symmetry), task, lattice) for symmetry in (False, True))
+    assert len(rich.copies) == 4
     assert len(rich.sets[0, 0][1]) > 3 * len(plain.sets[0, 0][1])
     made = synthesize(TileSet(symmetry=True), task.sample, (150, 150), lattice)
     np.testing.assert_array_equal(to_bytes(made.image), to_bytes(picture[3:153, 5:155]))
     lone = Task(periodic((120, 120), lattice), (50, 50), lattice, np.random.default_rng(0))
-    assert len(_Laying(TileSet(symmetry=True), lone, lattice).pictures) == 1
+    assert len(TileLaying(TileSet(symmetry=True), lone, lattice).copies) == 1
 
 
 def test_the_anchor_keeps_borders_off_the_detail() -> None:
@@ -183,7 +183,7 @@ def test_the_anchor_keeps_borders_off_the_detail() -> None:
     motif[4:12, 18:26] = noise(8, 8)
     picture = quantize(np.tile(motif, (5, 5, 1)))
     task = Task(picture, (40, 40), lattice, np.random.default_rng(0))
-    laying = _Laying(TileSet(tile="cell", anchor="quiet"), task, lattice)
+    laying = TileLaying(TileSet(tile="cell", anchor="quiet"), task, lattice)
     spot = np.array([21.5, 7.5])
     away = np.abs((spot - laying.lattice.origin + 8) % 16 - 8)
     assert (away > 3).all()
@@ -197,7 +197,7 @@ def test_elements_are_shown_whole_by_t() -> None:
         row, column = np.array(place) * 32
         picture[row + 4 : row + 20, column + 10 : column + 26] = color
     task = Task(quantize(picture), (40, 40), lattice, np.random.default_rng(0))
-    laying = _Laying(TileSet(tile="cell", anchor="elements"), task, lattice)
+    laying = TileLaying(TileSet(tile="cell", anchor="elements"), task, lattice)
     assert np.abs(lattice.wrap(np.subtract(laying.lattice.origin, (17.5, 11.5)))).max() <= 2
 
 

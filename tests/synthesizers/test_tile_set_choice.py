@@ -11,41 +11,41 @@ from scipy import stats
 from nrbench.imaging.convert import quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
-from nrbench.synthesizers.tile_laying.stock import Cuts
-from nrbench.synthesizers.tile_set import TileSet, _Laying
+from nrbench.synthesizers.tile_laying.tile_stock import Tiles
+from nrbench.synthesizers.tile_set import TileLaying, TileSet
 
 from .test_tile_set import noise, waves
 
 SQUARE = Lattice((14, 0), (0, 14))
 
 
-def laying_of(size: int, channels: int = 1, lattice: Lattice = SQUARE, **parameters: Any) -> _Laying:
+def laying_of(size: int, channels: int = 1, lattice: Lattice = SQUARE, **parameters: Any) -> TileLaying:
     """Return the laying of noise, whole pixels only, without registration."""
     task = Task(noise(size, size, channels), (60, 60), lattice, np.random.default_rng(0))
-    return _Laying(TileSet(registration=0, parts=1, **parameters), task, lattice)
+    return TileLaying(TileSet(registration=0, parts=1, **parameters), task, lattice)
 
 
-def lay(laying: _Laying, number: tuple[int, int], threshold: float) -> tuple[int, int]:
+def lay(laying: TileLaying, number: tuple[int, int], threshold: float) -> tuple[int, int]:
     """Lay the tile of this number, and return the sample's (x, y) that is shown right of its middle."""
     i, j = number
-    place = laying.lattice.origin + np.array(number) @ laying.frame.steps
-    laying._lay(i, j, place, threshold)
+    place = laying.lattice.origin + np.array(number) @ laying.tile.steps
+    laying.lay_tile(i, j, place, threshold)
     x, y = np.floor(place + 0.5).astype(int) + laying.canvas.margin + right(laying)
     found_x, found_y = laying.canvas.origins[y, x, :2].astype(int).tolist()
     return found_x, found_y
 
 
-def right(laying: _Laying) -> NDArray[np.int64]:
+def right(laying: TileLaying) -> NDArray[np.int64]:
     """Return (x, y), from a tile's middle, of a pixel of its right half: no tile before it showed that place."""
-    return np.array([laying.frame.box[1, 0] // 2, 0])
+    return np.array([laying.tile.box[1, 0] // 2, 0])
 
 
-def apart(laying: _Laying, number: tuple[int, int], cuts: Cuts) -> NDArray[np.float64]:
+def apart(laying: TileLaying, number: tuple[int, int], cuts: Tiles) -> NDArray[np.float64]:
     """Return each tile's mean absolute difference, channels added, from what stands at this number's place."""
-    place = laying.lattice.origin + np.array(number) @ laying.frame.steps
-    x, y = (laying.frame.pixels[:, :2] + np.floor(place + 0.5).astype(int) + laying.canvas.margin).T
+    place = laying.lattice.origin + np.array(number) @ laying.tile.steps
+    x, y = (laying.tile.pixels[:, :2] + np.floor(place + 0.5).astype(int) + laying.canvas.margin).T
     stands = laying.canvas.filled[y, x] == 1
-    x, y, offsets = x[stands], y[stands], laying.frame.pixels[stands, :2]
+    x, y, offsets = x[stands], y[stands], laying.tile.pixels[stands, :2]
     shown, sample = laying.canvas.values[y, x].astype(float), to_bytes(laying.task.sample).astype(float)
     tiles = (sample[cy + offsets[:, 1], cx + offsets[:, 0]] for cx, cy in cuts.pixel.tolist())
     return np.array([np.abs(tile - shown).sum(-1).mean() for tile in tiles])
@@ -55,15 +55,15 @@ def test_candidates_are_the_tiles_that_differ_by_no_more_than_the_threshold(monk
     """At each place the drawn one is among the tiles within the threshold, all of them, or the nearest if none is."""
     laying = laying_of(100, 3, Lattice((20, 0), (0, 16)))
     threshold, sizes = 222.0, Counter[str]()
-    drawn: list[tuple[Cuts, NDArray[np.int64]]] = []
-    real = laying._drawn
+    drawn: list[tuple[Tiles, NDArray[np.int64]]] = []
+    real = laying.draw
 
-    def record(cuts: Cuts, among: NDArray[np.int64]) -> Cuts:
+    def record(cuts: Tiles, among: NDArray[np.int64]) -> Tiles:
         drawn.append((cuts, among))
         return real(cuts, among)
 
-    monkeypatch.setattr(laying, "_drawn", record)
-    for i, j in laying.numbers().tolist()[1:]:
+    monkeypatch.setattr(laying, "draw", record)
+    for i, j in laying.tile_numbers().tolist()[1:]:
         cuts = laying.stock.cut(*laying.sets[i % 2, j % 2])
         before = apart(laying, (i, j), cuts) if laying.canvas.filled.any() else None
         lay(laying, (i, j), threshold)
@@ -72,7 +72,7 @@ def test_candidates_are_the_tiles_that_differ_by_no_more_than_the_threshold(monk
         np.testing.assert_array_equal(drawn[-1][0].pixel, cuts.pixel)
         within = np.flatnonzero(before <= max(threshold, before.min()) + 1e-9)
         np.testing.assert_array_equal(drawn[-1][1], within)
-        sizes["none" if before.min() > threshold else "all" if len(within) == len(cuts.copy) else "some"] += 1
+        sizes["none" if before.min() > threshold else "all" if len(within) == len(cuts.row) else "some"] += 1
     assert sizes["none"] > 1 and sizes["some"] > 3
 
 
@@ -80,7 +80,7 @@ def test_candidates_are_the_tiles_that_differ_by_no_more_than_the_threshold(monk
 def test_the_random_choice_is_uniform_over_the_candidates(share: float) -> None:
     """The second tile is drawn equally often from each tile within the threshold, some or all, and no other."""
     laying = laying_of(110, tile="lattice", cells=1)
-    first = laying.numbers()[0].tolist()
+    first = laying.tile_numbers()[0].tolist()
     second = first[0] + 1, first[1]
     lay(laying, first, 0)
     arrays = laying.canvas.values, laying.canvas.filled, laying.canvas.origins, laying.canvas.seams
@@ -94,7 +94,7 @@ def test_the_random_choice_is_uniform_over_the_candidates(share: float) -> None:
             array[...] = old
         places[lay(laying, second, threshold)] += 1
     candidates = cuts.pixel[differences <= threshold] + right(laying)
-    assert len(candidates) > 3 and (len(candidates) < len(cuts.copy)) == (share < 1)
+    assert len(candidates) > 3 and (len(candidates) < len(cuts.row)) == (share < 1)
     assert set(places) == {tuple(place) for place in candidates.tolist()}
     assert stats.chisquare(list(places.values())).pvalue > 1e-3
 
@@ -102,7 +102,7 @@ def test_the_random_choice_is_uniform_over_the_candidates(share: float) -> None:
 def test_the_first_tile_is_drawn_from_all_of_t() -> None:
     """On an empty canvas every tile of T is drawn equally often, whatever the threshold."""
     laying = laying_of(88, tile="lattice")
-    first = laying.numbers()[0].tolist()
+    first = laying.tile_numbers()[0].tolist()
     places = Counter[tuple[int, int]]()
     for _ in range(1500):
         laying.canvas.filled[...] = 0
@@ -121,9 +121,9 @@ def test_laying_starts_with_a_tile_of_t(origin: tuple[float, float], tile: Any, 
     """Wherever the lattice lies, the first tile is of T, at most a step before the first that touches the output."""
     lattice = Lattice((20, 5), (-4, 22), origin)
     laying = laying_of(200, lattice=lattice, tile=tile, cells=cells, anchor="given")
-    numbers = laying.numbers()
-    places = laying.lattice.origin + numbers @ laying.frame.steps
-    low, high = -laying.frame.reach - 1, np.add((60, 60), laying.frame.reach)
+    numbers = laying.tile_numbers()
+    places = laying.lattice.origin + numbers @ laying.tile.steps
+    low, high = -laying.tile.reach - 1, np.add((60, 60), laying.tile.reach)
     touching = ((places > low) & (places < high)).all(1)
     assert np.abs(lattice.wrap(places[0] - origin)).max() < 1e-6
     assert touching[1:].all() and len(np.unique(numbers, axis=0)) == len(numbers)
@@ -134,12 +134,12 @@ def test_the_oddest_tile_accepts_half_of_the_others() -> None:
     """The threshold is the largest, over the tiles of all sets, of the medians of their differences from the others."""
     sample, lattice = noise(70, 70, 1), Lattice((16, 0), (0, 16))
     sample[:16, :16] = 1
-    laying = _Laying(
+    laying = TileLaying(
         TileSet(tile="cell", anchor="given", cells=1, margin=0),
         Task(sample, (9, 9), lattice, np.random.default_rng(0)),
         lattice,
     )
-    x, y, row, column, _ = laying.frame.pixels.T
+    x, y, row, column, _ = laying.tile.pixels.T
     covered = (row < 8) | (column < 8)
     medians = []
     for number in np.ndindex(2, 2):
@@ -147,7 +147,7 @@ def test_the_oddest_tile_accepts_half_of_the_others() -> None:
         cut = np.stack([to_bytes(sample)[y0 + y[covered], x0 + x[covered], 0] for x0, y0 in middles]).astype(float)
         distances = np.abs(cut[:, np.newaxis] - cut).mean(-1)
         medians += [np.median(np.delete(line, n)) for n, line in enumerate(distances)]
-    assert laying.stock.threshold(0.5, "mean") == pytest.approx(max(medians))
+    assert laying.stock.estimate_threshold(0.5, "mean") == pytest.approx(max(medians))
 
 
 def test_every_parameter_changes_something() -> None:

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
-from nrbench.synthesizers.tile_laying.anchor import element_costs
-from nrbench.synthesizers.tile_laying.frame import frame_of
-from nrbench.synthesizers.tile_set import LEAST_SIDE, TileSet, _Laying
+from nrbench.synthesizers.tile_laying.tile_shape import element_costs, tile_shape
+from nrbench.synthesizers.tile_set import LEAST_SIDE, TileLaying, TileSet
 
 LATTICES = [Lattice((24.3, 0.0), (0.0, 21.7)), Lattice((14.2, 12.7), (14.2, -12.7)), Lattice((23.4, 5.1), (-5.1, 23.4))]
 
@@ -63,8 +62,8 @@ def test_seams_are_remembered_where_tiles_meet_alone() -> None:
     """Nearly all links between pixels of different tiles have a cost, and hardly any others."""
     lattice = LATTICES[0]
     sample = quantize(np.random.default_rng(0).random((120, 120, 3), np.float32))
-    laying = _Laying(TileSet(registration=0), Task(sample, (90, 90), lattice, np.random.default_rng(1)), lattice)
-    laying.lay_all()
+    laying = TileLaying(TileSet(registration=0), Task(sample, (90, 90), lattice, np.random.default_rng(1)), lattice)
+    laying.lay_tiles()
     canvas = laying.canvas
     x, y = canvas.margin
     window = np.s_[y : y + 90, x : x + 90]
@@ -81,14 +80,14 @@ def test_small_cells_are_laid_several_at_a_time(s: float, cells: int) -> None:
     """By default s times the cells is at least 16 px, with as few cells as that takes."""
     lattice = Lattice((s, 0.0), (0.0, 1.2 * s))
     sample = quantize(np.random.default_rng(0).random((200, 200, 1), np.float32))
-    laying = _Laying(TileSet(), Task(sample, (20, 20), lattice, np.random.default_rng(0)), lattice)
-    np.testing.assert_allclose(laying.frame.steps, frame_of(lattice, "cell", cells).steps)
+    laying = TileLaying(TileSet(), Task(sample, (20, 20), lattice, np.random.default_rng(0)), lattice)
+    np.testing.assert_allclose(laying.tile.steps, tile_shape(lattice, "cell", cells).steps)
     assert s * cells >= LEAST_SIDE > s * (cells - 1)
 
 
 def test_a_margin_lengthens_tiles_and_leaves_steps() -> None:
     """Each side is longer by twice the margin in its own direction."""
-    plain, wide = (frame_of(LATTICES[2], "lattice", 1, margin) for margin in (0.0, 3.0))
+    plain, wide = (tile_shape(LATTICES[2], "lattice", 1, margin) for margin in (0.0, 3.0))
     np.testing.assert_allclose(np.hypot(*wide.sides.T), np.hypot(*plain.sides.T) + 6)
     np.testing.assert_allclose(wide.steps, plain.steps)
 
@@ -98,4 +97,4 @@ def test_a_sample_without_room_for_margins_is_laid_without() -> None:
     lattice = Lattice((40, 0), (0, 40), (20, 20))
     sample = quantize(np.random.default_rng(0).random((82, 82, 1), np.float32))
     task = Task(sample, (50, 50), lattice, np.random.default_rng(0))
-    np.testing.assert_allclose(np.abs(_Laying(TileSet(anchor="given"), task, lattice).frame.sides).sum(0), 40)
+    np.testing.assert_allclose(np.abs(TileLaying(TileSet(anchor="given"), task, lattice).tile.sides).sum(0), 40)

@@ -14,7 +14,7 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import NoLatticeFound, Refused
-from nrbench.synthesizers.tile_laying.frame import frame_of
+from nrbench.synthesizers.tile_laying.tile_shape import tile_shape
 from nrbench.synthesizers.tile_set import TileSet
 
 from .test_tile_set import LATTICES, TILES, noise, synthesize
@@ -27,11 +27,11 @@ def test_a_set_is_what_no_lattice_vector_leads_out_of(lattice: Lattice) -> None:
     """Diagonal sides have two sets, half-way along one side too, the cell four, tiles of 2 x 2 cells one."""
     for tile, count in (("upright", 2), ("lattice", 2), ("rectangle", 2), ("cell", 4)):
         for cells in (1, 2, 3):
-            frame = frame_of(lattice, tile, cells)  # type: ignore[arg-type]
-            numbers = frame.distinct(lattice)
+            shape = tile_shape(lattice, tile, cells)  # type: ignore[arg-type]
+            numbers = shape.set_offsets(lattice)
             assert len(numbers) == (1 if cells == 2 else count) and numbers[0] == (0, 0)
-            between = np.array(list(np.ndindex(2, 2))) @ frame.steps
-            nearest = np.stack([lattice.wrap(between - np.array(one) @ frame.steps) for one in numbers])
+            between = np.array(list(np.ndindex(2, 2))) @ shape.steps
+            nearest = np.stack([lattice.wrap(between - np.array(one) @ shape.steps) for one in numbers])
             assert ((np.hypot(*np.moveaxis(nearest, -1, 0)) < 1e-6).sum(0) == 1).all()
 
 

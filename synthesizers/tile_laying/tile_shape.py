@@ -1,0 +1,255 @@
+"""The shape of a tile set's tiles, the steps between them, and where the lattice is anchored."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from nrbench.imaging.convert import Image
+from nrbench.imaging.fold import fold
+from nrbench.lattice.geometry import Lattice, Points
+
+TileKind = Literal["upright", "lattice", "rectangle", "cell"]
+AnchorKind = Literal["quiet", "elements"]
+Array = NDArray[np.float64]
+TILE_SHARE: Final[dict[AnchorKind, float]] = {"quiet": 0.8, "elements": 0.5}
+"""Share of the largest possible number of tiles that an anchor must leave in each set. It is lower for elements: a tile
+anchored a few px beside an element cuts it, and half of the tiles are better than all of them cut."""
+MAX_ANCHORS: Final = 100
+"""Number of anchors compared, evenly spread from the lowest cost to the highest."""
+
+
+@dataclass(frozen=True, eq=False)
+class TileShape:
+    """A maximum tile and the steps between tiles.
+
+    Parameters
+    ----------
+    steps
+        ``(2, 2)``: the step to the next tile of a row, and the step to the next row; rows are (x, y) px. Twice a step
+        is a lattice vector.
+    sides
+        ``(2, 2)``: the two sides of the maximum tile, a parallelogram around its middle.
+    core
+        ``(2, 2)``: the two sides of the minimum tile.
+    """
+
+    steps: Points
+    sides: Points
+    core: Points
+
+    def set_offsets(self, lattice: Lattice) -> list[tuple[int, int]]:
+        """Return, for each set of tiles, the steps (in the row, to the next row) from a lattice point to its middles.
+
+        Two tiles are of one set if a lattice vector leads from one to the other. Tiles along diagonals of the cell have
+        two sets, T and Th; tiles along the lattice vectors up to four; tiles twice as large one, T.
+        """
+        numbers = list(np.ndindex(2, 2))
+        halves = np.rint(2 * np.array(numbers) @ self.steps @ np.linalg.inv(lattice.matrix)).astype(int) % 2
+        _, first = np.unique(halves, axis=0, return_index=True)
+        return [numbers[n] for n in sorted(first.tolist())]
+
+    @cached_property
+    def reach(self) -> Points:
+        """Half the extent of the tile along x and y, px."""
+        return np.asarray(np.abs(self.sides).sum(0) / 2)
+
+    @cached_property
+    def grid(self) -> tuple[int, int]:
+        """Rows and columns of cells, at most a pixel wide, that divide the tile along its sides."""
+        columns, rows = np.ceil(np.hypot(*self.sides.T) - 1e-9).astype(int)
+        return max(int(rows), 1), max(int(columns), 1)
+
+    @cached_property
+    def pixels(self) -> NDArray[np.int64]:
+        """``(n, 5)``: for each whole-pixel point of the tile (x, y) from its middle, and its cell in the grid.
+
+        The cell is given by its row, its column, and the number of cells between it and the tile's border.
+        """
+        x, y = np.floor(self.reach + 1e-9).astype(int)
+        offsets = np.stack(np.meshgrid(np.arange(-x, x + 1), np.arange(-y, y + 1)), -1).reshape(-1, 2)
+        ab = offsets @ np.linalg.inv(self.sides)
+        inside = (np.abs(ab) <= 0.5 + 1e-9).all(1)
+        rows, columns = self.grid
+        column = np.clip(np.floor((ab[inside, 0] + 0.5) * columns), 0, columns - 1)
+        row = np.clip(np.floor((ab[inside, 1] + 0.5) * rows), 0, rows - 1)
+        border = np.minimum.reduce([column, row, columns - 1 - column, rows - 1 - row])
+        return np.column_stack([offsets[inside], row, column, border]).astype(np.int64)
+
+    @cached_property
+    def box(self) -> NDArray[np.int64]:
+        """``(2, 2)``: the least and the greatest (x, y) of the tile's pixels."""
+        return np.stack([self.pixels[:, :2].min(0), self.pixels[:, :2].max(0)])
+
+    @cached_property
+    def cells(self) -> NDArray[np.int64]:
+        """``(rows, columns, 2)``: the whole-pixel (x, y), from the tile's middle, nearest to each cell of its grid."""
+        rows, columns = self.grid
+        a, b = (np.arange(columns) + 0.5) / columns - 0.5, (np.arange(rows) + 0.5) / rows - 0.5
+        at = np.stack(np.meshgrid(a, b), -1) @ self.sides
+        return np.clip(np.floor(at + 0.5).astype(np.int64), *self.box)
+
+    def middle_range(self, image_shape: tuple[int, ...]) -> tuple[Points, Points]:
+        """Return the least and the greatest middle (x, y) of a tile inside the area of an image's pixels."""
+        last = np.array([image_shape[1], image_shape[0]]) - 0.5
+        return self.reach - 0.5 - 1e-6, last + 1e-6 - self.reach
+
+    def complete_middles(self, lattice: Lattice, image_shape: tuple[int, ...]) -> Points:
+        """Return the lattice points (x, y) around which a tile lies inside the area of an image's pixels."""
+        low, high = self.middle_range(image_shape)
+        points = lattice.points((image_shape[0], image_shape[1]))
+        return np.asarray(points[((points >= low) & (points <= high)).all(1)])
+
+
+def tile_shape(lattice: Lattice, kind: TileKind, cells: int = 1, margin: float = 0.0) -> TileShape:
+    """Return the shape of tiles and the steps between them.
+
+    Parameters
+    ----------
+    lattice
+        Its two shortest vectors t1 and t2 span the minimum tile.
+    kind
+        ``"upright"``: the smallest upright rectangle around the minimum tile, in steps of (t1 + t2) / 2 along a row and
+        (t2 - t1) / 2 to the next row (the paper). ``"lattice"``: the same steps, with sides t1 + t2 and t2 - t1 (the
+        paper's suggestion), which is a rectangle if t1 and t2 are equally long. ``"rectangle"``: sides t2 and 2 t1, t1
+        the shorter vector, in half steps along them. ``"cell"``: sides t1 and t2, in half steps along them.
+    cells
+        Factor of the sides and the steps. A tile of k x k cells still tiles the texture.
+    margin
+        px by which the tile is longer at both ends of each side. The steps do not change.
+    """
+    t1, t2 = _shortest_vectors(lattice)
+    core = np.stack([t1, t2])
+    if kind == "cell":
+        core = _across_and_down(t1, t2)
+        steps = core / 2
+    elif kind == "rectangle":
+        core, steps = _across_and_down(t1, t2), _across_and_down(2 * t1, t2) / 2
+    else:
+        steps = _across_and_down(t1 + t2, t2 - t1) / 2
+    sides = cells * (np.diag(np.abs(core).sum(0)) if kind == "upright" else 2 * steps)
+    sides = sides * (1 + 2 * margin / np.hypot(*sides.T))[:, np.newaxis]
+    if kind == "upright":
+        sides = np.diag(_close_gaps(np.diag(sides)))
+    return TileShape(cells * steps, sides, cells * core)
+
+
+def _close_gaps(lengths: Points) -> Points:
+    """Return lengths of sides, some rounded up, so that the pixels of tiles that far apart meet.
+
+    A tile has an odd number of pixels around its middle, and whole-pixel places may lie the next whole number apart. On
+    a rectangular lattice an upright tile is the minimum tile itself, and two such gaps would cross at its border.
+    """
+    whole = np.ceil(lengths - 1e-9)
+    return np.where(2 * np.floor(lengths / 2 + 1e-9) + 1 < whole, whole, lengths)
+
+
+def _across_and_down(first: Points, second: Points) -> Points:
+    """Return both vectors, first the one nearer to the x axis, pointing right, then the other, pointing down."""
+    across, down = sorted((first, second), key=_slope)
+    return np.stack([across * (1 if across[0] >= 0 else -1), down * (1 if down[1] >= 0 else -1)])
+
+
+def _shortest_vectors(lattice: Lattice) -> Points:
+    """Return the two shortest vectors; of equally short pairs the one with a diagonal nearest to the x axis."""
+    a, b = lattice.reduced().matrix
+    pairs: list[tuple[Points, Points]] = [(a, b), (a, b - a), (b, b - a)]
+    lengths = [max(float(p @ p), float(q @ q)) for p, q in pairs]
+    shortest = [pair for pair, length in zip(pairs, lengths, strict=True) if length <= min(lengths) * (1 + 1e-6)]
+    return np.stack(min(shortest, key=lambda pair: min(_slope(pair[0] + pair[1]), _slope(pair[1] - pair[0]))))
+
+
+def _slope(vector: Points) -> float:
+    """Return the angle between a vector's line and the x axis."""
+    return math.atan2(abs(vector[1]), abs(vector[0]))
+
+
+def anchor_lattice(sample: Image, lattice: Lattice, tile: TileShape, kind: AnchorKind) -> Lattice:
+    """Return the lattice with its origin at the best anchor of a tile (section 3.1, stage 1).
+
+    This is the anchor of least cost among those that leave enough complete tiles.
+
+    Parameters
+    ----------
+    sample
+        ``(H, W, C)``.
+    lattice
+        The lattice of the sample.
+    tile
+        The shape of the tiles.
+    kind
+        The cost of an anchor: :func:`border_costs` (``"quiet"``) or :func:`element_costs` (``"elements"``).
+    """
+    costs, anchors = border_costs(sample, lattice, tile) if kind == "quiet" else element_costs(sample, lattice)
+    order = np.argsort(costs, kind="stable")
+    order = order[np.unique(np.linspace(0, len(order) - 1, MAX_ANCHORS).astype(np.int64))]
+    offsets = np.array(tile.set_offsets(lattice)) @ tile.steps
+    counts = np.min([_tile_counts(lattice, anchors[order] + offset, tile, sample) for offset in offsets], 0)
+    return Lattice.from_basis(lattice.matrix, anchors[order[np.argmax(counts >= TILE_SHARE[kind] * counts.max())]])
+
+
+def border_costs(sample: Image, lattice: Lattice, tile: TileShape) -> tuple[Array, Points]:
+    """Return the mean gradient energy along the borders of tiles for each anchor, ``(n,)``, and the anchors.
+
+    The borders are those of the minimum tiles of every set. The energies of all anchors are one circular correlation of
+    the mean tile's gradients with the borders: O(n log n) for a tile of n px.
+    """
+    lattice = lattice.reduced()
+    mean = fold(sample, lattice).values.astype(np.float64)
+    energy = np.asarray(sum(((np.roll(mean, -1, axis) - mean) ** 2).sum(-1) for axis in (0, 1)))
+    rows, columns = energy.shape
+    uv = _border_points(tile, 4 * max(rows, columns)) @ np.linalg.inv(lattice.matrix)
+    at = np.floor(uv * (columns, rows) + 0.5).astype(np.int64) % (columns, rows)
+    borders = np.bincount(at[:, 1] * columns + at[:, 0], minlength=energy.size).reshape(energy.shape)
+    costs = fft.irfft2(fft.rfft2(energy) * np.conj(fft.rfft2(borders / len(uv))), energy.shape)
+    return costs.ravel(), _anchors(energy.shape, lattice)
+
+
+def element_costs(sample: Image, lattice: Lattice) -> tuple[Array, Points]:
+    """Return minus the share of varying places around each anchor, ``(n,)``, and the anchors.
+
+    A place of the cell varies if the variance over the tiles exceeds half of its mean: a few tiles suffice to locate
+    bricks, but not to locate the part of a brick that varies most. The share is weighted by a periodic Gaussian of
+    s / 2, wide enough to reach both ends of a long brick, so that the middle of a brick costs little and a joint much.
+    The tiles of T then show elements whole, and seams can follow the joints, where tiles differ least.
+    """
+    lattice = lattice.reduced()
+    mean, square = (fold(image, lattice).values.astype(np.float64) for image in (sample, sample**2))
+    variance = (square - mean**2).sum(-1)
+    rows, columns = variance.shape
+    numbers = np.meshgrid(fft.rfftfreq(columns, 1 / columns), fft.fftfreq(rows, 1 / rows))
+    frequencies = np.stack(numbers, -1) @ np.linalg.inv(lattice.matrix).T
+    gaussian = np.exp(-((math.pi * lattice.s) ** 2) / 2 * (frequencies**2).sum(-1))
+    spectrum = fft.rfft2((variance > variance.mean() / 2).astype(np.float64))
+    return -fft.irfft2(spectrum * gaussian, variance.shape).ravel(), _anchors(variance.shape, lattice)
+
+
+def _anchors(shape: tuple[int, ...], lattice: Lattice) -> Points:
+    """Return the places of the pixels of a mean tile, ``(n, 2)``."""
+    v, u = np.indices(shape)
+    return lattice.from_cell(np.stack([u / shape[1], v / shape[0]], -1)).reshape(-1, 2)
+
+
+def _border_points(tile: TileShape, count: int) -> Points:
+    """Return points along the borders of a minimum tile around (0, 0) and of the next ones in the row and below."""
+    along, half = np.linspace(-0.5, 0.5, count, endpoint=False), np.full(count, 0.5)
+    sides = np.concatenate([np.stack([along, half], -1), np.stack([half, along], -1)])
+    border = np.concatenate([sides, -sides]) @ tile.core
+    return np.concatenate([border + np.array(shift) @ tile.steps for shift in np.ndindex(2, 2)])
+
+
+def _tile_counts(lattice: Lattice, anchors: Points, tile: TileShape, sample: Image) -> NDArray[np.int64]:
+    """Return the number of complete tiles around the points of the lattice at each anchor, ``(n,)``."""
+    low, high = tile.middle_range(sample.shape)
+    first, last = low - anchors.max(0), high - anchors.min(0)
+    steps = Lattice(lattice.t1, lattice.t2).cell_numbers(
+        (float(first[0]), float(first[1])), (float(last[0]), float(last[1]))
+    )
+    places = anchors[:, np.newaxis] + steps @ lattice.matrix
+    return np.asarray(((places >= low) & (places <= high)).all(-1).sum(1))
