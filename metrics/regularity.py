@@ -8,14 +8,51 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from nrbench.imaging.convert import Image, gray
+from nrbench.imaging.fold import cell_coordinates
+from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
 from .verdict import limits
-from .verdict.defect_map import defect_map
 from .verdict.examination import examine
-from .verdict.own_lattice import spread
+from .verdict.tiles import Tiles
 from .verdict.verdict import Verdict
+from .verdict.windows import spread
+
+COLORS = {"moved": (1.0, 0.6, 0.0), "displaced": (0.9, 0.1, 0.1), "broken": (0.7, 0.1, 0.8)}
+"""A tile whose window is out of place; one that fits better elsewhere; one that fits nowhere."""
+_DIM = 0.5
+
+
+def defect_map(verdict: Verdict) -> Image:
+    """Return the output in faint gray, the quarter cells around the middles of bad tiles tinted by :data:`COLORS`.
+
+    Of several faults of one tile the last of moved, broken, displaced is shown.
+    """
+    output, tiles = verdict.output.image, verdict.output.tiles
+    faint = np.repeat((1 - _DIM + _DIM * gray(output))[..., np.newaxis], 3, 2)
+    flags = {"moved": verdict.moved, "broken": verdict.broken, "displaced": verdict.displaced}
+    tints = np.full((len(tiles.centers) + 1, 3), np.nan, np.float32)
+    for name, flag in flags.items():
+        tints[:-1][flag] = COLORS[name]
+    tint = tints[nearest_tile(tiles, output.shape[:2])]
+    return np.clip(np.where(np.isnan(tint), faint, (1 - _DIM) * faint + _DIM * tint), 0, 1)
+
+
+def nearest_tile(tiles: Tiles, shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Return for each pixel the index of the tile that it is nearest to in cell coordinates; -1 where there is none."""
+    halves = _halves(cell_coordinates(tiles.lattice, shape))
+    own = _halves(tiles.lattice.to_cell(tiles.centers))
+    low, high = halves.reshape(-1, 2).min(0), halves.reshape(-1, 2).max(0)
+    table = np.full(high - low + 1, -1, np.intp)
+    table[tuple((own - low).T)] = np.arange(len(own))
+    return np.asarray(table[tuple(np.moveaxis(halves - low, -1, 0))])
+
+
+def _halves(uv: Points) -> NDArray[np.intp]:
+    return np.rint(2 * uv).astype(np.intp)
 
 
 def _distance(meaning: str, unit: str = "of s") -> Column:
@@ -28,23 +65,23 @@ _MEDIAN, _P95 = (f"{what} displacement of windows from their place" for what in 
 
 @dataclass(frozen=True)
 class Regularity:
-    """How well the output keeps the true lattice, without asking any detector.
+    """How well the output keeps the true lattice, measured on its pixels.
 
-    The texture's periodic image - the model's own, or the mean tile of the sample folded by the given lattice - is the
-    template. Windows of the output 2 tiles wide, half a window apart, are registered against it by weighted NCC over
-    one cell of displacements, sub-pixel: against one cell of it that is read between its samples, so that it does not
-    matter where between two pixels a window lies. The displacement that most windows share is the output's phase, which
-    is free; what remains, modulo the lattice and over its shortest vector s, is each window's misplacement. Then
-    windows of one tile, half a cell apart, are compared with the template at that phase, every pixel weighted by the
-    inverse of its variance across tiles, which shows single tiles that are displaced, missing or broken.
+    The template is the periodic image of the texture: that of the model, or the mean tile of the sample folded by the
+    given lattice. Windows of the output, 2 tiles wide and half a window apart, are registered against the template by
+    weighted NCC over one cell of displacements, to fractions of a pixel. The most common displacement is the phase of
+    the output, which is free. The rest of each displacement, modulo the lattice and over its shortest vector s, is the
+    misplacement of the window. Then windows of one tile, half a cell apart, are compared with the template at that
+    phase. Each pixel is weighted by the inverse of its variance across tiles. This shows single tiles that are
+    displaced, missing or broken.
 
-    All limits are relative to fresh draws of the model (of a photograph: to the sample itself, each part against the
-    mean tile of the rest): see ``nrbench.metrics.verdict.limits``. For a photograph the affine part of the displacement is
-    reported as drift, and left out of everything else as long as the output's lattice is within 2 % of the given one,
-    which is how far it may be off.
+    All limits are relative to fresh draws of the model. For a photograph they are relative to the sample, each part of
+    which is compared with the mean tile of the rest. See :mod:`nrbench.metrics.verdict.limits`. For a photograph the
+    affine part of the displacement is reported as drift. It is left out of everything else as long as the lattice of
+    the output is within 2 % of the given one, which is the uncertainty of a lattice marked by hand.
 
-    Without a model the lattice is the one given; where none is, the detector ``dominance``, which is no contestant, is
-    asked for the sample's. The record ``lattice_from`` says which: model, given, or dominance.
+    Without a model the given lattice is used. If none is given, the detector ``dominance`` finds the lattice of the
+    sample; no method uses it by default. The record ``lattice_from`` names the source: model, given, or dominance.
     """
 
     version: ClassVar[str] = "4"
@@ -79,7 +116,7 @@ class Regularity:
         ),
         "bad_tiles": Column("Tiles that are displaced or broken by themselves.", "tiles", (0.0, math.inf), "lower"),
         "worst_tile": Column(
-            "How much speaks against the worst single tile: above 1 it is bad.",
+            "Ratio of the fault of the worst single tile to its limit: above 1 the tile is bad.",
             range=(-math.inf, math.inf),
             better="lower",
         ),
@@ -188,5 +225,6 @@ def _records(verdict: Verdict) -> dict[str, Any]:
         "windows": list(placement.grid),
         "misplacement_limit": verdict.limit,
         "faults": list(verdict.faults),
+        "excess": verdict.excesses,
         "bad_places": [[float(x), float(y)] for x, y in verdict.bad_places],
     }

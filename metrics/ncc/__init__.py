@@ -1,1 +1,1 @@
-"""TODO nrbench.metrics.ncc."""
+"""Normalized cross-correlation of windows with a periodic image."""

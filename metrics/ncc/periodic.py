@@ -14,13 +14,9 @@ from nrbench.imaging.fold import Tile, Values, fold, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Shape
 
-from .colors import Colors
-from .dense_ncc import Bank
 from .refinement import Cell
-from .registration import Template
-from .scan import Scan
 from .strip_template import StripTemplate, strip_templates
-from .window_search import Places
+from .window_search import Bank, Colors, Places, Scan, Template
 
 WINDOW_TILES = 2.0
 """Width of the windows whose place is registered, in tiles: two show every joint of a tile whole, wherever they lie."""

@@ -11,7 +11,7 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import Tile, Values, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
 
-from .refinement_kernels import sums
+from .ncc_kernels import sums
 
 _STEPS = (2, 2, 1, 1)
 """Every so many pixels are looked at in each step: the first comes near, the last settles."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice
 
-from .strip_kernels import course_sums
+from .ncc_kernels import course_sums
 
 Samples = NDArray[np.float64]
 AXES = (((0, 1), (1, 0)), ((1, 0), (0, 1)), ((1, 1), (0, 1)), ((1, -1), (0, 1)))

@@ -9,9 +9,9 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import Values
 
 from ..ncc.periodic import Periodic
-from .strips import Strips, strips
+from .courses import Strips, strips
 from .tiles import Tiles, inspect
-from .window_registration import RegisteredWindows, register_windows
+from .windows import RegisteredWindows, register_windows
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ from nrbench.plugins.forms import Again, NoLatticeFound, Observation, Shape, Tex
 from ..ncc.periodic import LARGE, WINDOW_TILES, Periodic, tile_box, window_shape
 from . import limits
 from .measurements import Measurements
-from .own_lattice import moved, spread
-from .window_registration import fit_drift, register_windows
+from .windows import fit_drift, moved, register_windows, spread
 
 Origin = Literal["model", "given", "dominance"]
 NO_LATTICE = "not applicable: no lattice in the truth"

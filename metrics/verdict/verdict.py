@@ -1,4 +1,4 @@
-"""The verdict: whether an output kept its lattice, from its windows and tiles and those of references."""
+"""The verdict: whether an output kept its lattice, from its windows, tiles and courses beside those of references."""
 
 from __future__ import annotations
 
@@ -13,15 +13,11 @@ from nrbench.lattice.geometry import Points
 
 from ..ncc.periodic import TOLERANCE
 from . import limits
-from .courses import course_excess
+from .courses import course_excess, strip_excess
 from .measurements import Measurements
-from .own_lattice import OwnLattice, own_lattice
 from .reference import Reference
-from .scatter import neighborhood_excess, scatter_excess
-from .single_tiles import breakage_excess, displacement_excess, elsewhere_excess
-from .strips import strip_excess
-from .tiles import Tiles, inspect
-from .window_registration import fit_drift, register_windows
+from .tiles import Tiles, breakage_excess, displacement_excess, elsewhere_excess, inspect
+from .windows import OwnLattice, fit_drift, neighborhood_excess, own_lattice, register_windows, scatter_excess
 
 Flags = NDArray[np.bool_]
 Ratios = NDArray[np.float64]
@@ -57,13 +53,13 @@ class Verdict:
 
     @cached_property
     def scatter(self) -> float:
-        """How far (in s) 95 % of the references' windows are from their place at most."""
-        own = np.concatenate([look.windows.misplacement for look in self.references])
+        """95th percentile of the misplacement of the windows of the references, in s."""
+        own = np.concatenate([image.windows.misplacement for image in self.references])
         return float(np.quantile(own, 0.95)) if len(own) else 0.0
 
     @property
     def limit(self) -> float:
-        """How far (in s) a window may be from its place: the tolerance, or twice what the references' are."""
+        """Limit of the misplacement of a window, in s: the tolerance, or twice the scatter of the references."""
         return float(np.clip(2 * self.scatter, TOLERANCE, 2 * limits.REFERENCE_SCATTER))
 
     @cached_property
@@ -74,51 +70,51 @@ class Verdict:
     @cached_property
     def reference_misplaced(self) -> float:
         """Share of windows out of place in the references."""
-        own = np.concatenate([look.windows.misplacement for look in self.references])
+        own = np.concatenate([image.windows.misplacement for image in self.references])
         return float((own > self.limit).mean()) if len(own) else 1.0
 
     @cached_property
     def structure(self) -> float:
         """Median NCC of the output's windows over that of the references'."""
-        own = np.concatenate([look.windows.structure for look in self.references])
+        own = np.concatenate([image.windows.structure for image in self.references])
         return float(np.median(self.output.windows.structure) / max(np.median(own), 1e-6))
 
     @cached_property
     def displacement_excess(self) -> Ratios:
-        """For each tile, how far it exceeds the limits of fitting better elsewhere: above 1 it is displaced."""
+        """For each tile, the ratio of its better fit elsewhere to the limit: above 1 the tile is displaced."""
         return displacement_excess(self.output.tiles, self._reference_tiles, self.reference.regular_share)
 
     @cached_property
     def breakage_excess(self) -> Ratios:
-        """For each tile, how far it exceeds the limits of fitting badly in its place: above 1 it is broken."""
+        """For each tile, the ratio of its bad fit at its place to the limit: above 1 the tile is broken."""
         return breakage_excess(self.output.tiles, self._reference_tiles)
 
     @property
     def worst_tile_displacement(self) -> float:
-        """How far, in s, the tile lies from its place that fits better elsewhere by most."""
+        """Displacement, in s, of the tile whose fit elsewhere is better by most."""
         tiles = self.output.tiles
         return float(np.hypot(*tiles.moved[tiles.gain.argmax()]) / tiles.lattice.s)
 
     @property
     def _reference_tiles(self) -> list[Tiles]:
-        return [look.tiles for look in self.references]
+        return [image.tiles for image in self.references]
 
     @property
     def tile_excess(self) -> Ratios:
-        """For each tile, how far it exceeds the limits of being displaced or broken, whichever is worse."""
+        """For each tile, the larger of its displacement and breakage excess."""
         return np.maximum(self.displacement_excess, self.breakage_excess)
 
     @cached_property
     def structure_spread(self) -> float | None:
-        """Interquartile range of the output's windows' NCC over that of the references'; None where theirs is none."""
-        own = np.concatenate([look.windows.structure for look in self.references])
+        """Interquartile range of the NCC of the windows over that of the references; None if theirs is negligible."""
+        own = np.concatenate([image.windows.structure for image in self.references])
         usual, seen = (float(np.ptp(np.quantile(some, (0.25, 0.75)))) for some in (own, self.output.windows.structure))
         return seen / usual if usual > limits.LEAST_SPREAD else None
 
     @property
     def usual_misplacement(self) -> float:
         """Median misplacement of the references' windows, in s."""
-        return float(np.median(np.concatenate([look.windows.misplacement for look in self.references])))
+        return float(np.median(np.concatenate([image.windows.misplacement for image in self.references])))
 
     @property
     def displaced(self) -> Flags:
@@ -138,8 +134,8 @@ class Verdict:
 
     @cached_property
     def course_excess(self) -> Ratios:
-        """For each tile, how far its worst course exceeds the limits of having slid."""
-        tiles, own = self.output.tiles, [look.strips for look in self.references]
+        """For each tile, the ratio of the slip of its worst course to the limit: above 1 the course has slid."""
+        tiles, own = self.output.tiles, [image.strips for image in self.references]
         slid = strip_excess(self.output.strips, own, tiles)
         return np.maximum(course_excess(tiles, self._reference_tiles), slid)
 
@@ -155,35 +151,42 @@ class Verdict:
 
     @cached_property
     def excesses(self) -> dict[str, float]:
-        """Each fault in words, and how far it exceeds its limit: above 1 regularity is lost."""
+        """The ratio of each fault to its limit: above 1 regularity is lost."""
         most = limits.MISPLACED_SHARE + 2 * self.reference_misplaced
-        placement, references = self.output.windows, [look.windows for look in self.references]
+        windows, references = self.output.windows, [image.windows for image in self.references]
         model = self.reference.source == "model"
         return {
-            f"{self.misplaced.mean():.0%} of the windows are out of place": float(self.misplaced.mean()) / most,
-            f"a neighborhood is off by {self.worst_neighborhood:.2f} s": neighborhood_excess(
-                placement, references, self.limit, model
-            ),
-            "the content is bent": scatter_excess(placement, references) if model else 0.0,
-            f"the structure is {self.structure:.2f} of the references'": (1 - self.structure) / (1 - limits.STRUCTURE),
-            "many tiles fit better elsewhere": elsewhere_excess(self.output.tiles, self._reference_tiles),
-            "a course of tiles has slid": float(self.course_excess.max(initial=0.0)),
-            f"{len(self.bad_places)} tile(s) displaced or broken": float(self.tile_excess.max(initial=0.0)),
+            "misplaced windows": float(self.misplaced.mean()) / most,
+            "worst neighborhood": neighborhood_excess(windows, references, self.limit, model),
+            "bent": scatter_excess(windows, references) if model else 0.0,
+            "structure": (1 - self.structure) / (1 - limits.STRUCTURE),
+            "tiles elsewhere": elsewhere_excess(self.output.tiles, self._reference_tiles),
+            "courses": float(self.course_excess.max(initial=0.0)),
+            "single tiles": float(self.tile_excess.max(initial=0.0)),
         }
 
     @property
     def excess(self) -> float:
-        """How far the worst fault exceeds its limit."""
+        """The largest ratio of a fault to its limit."""
         return max(self.excesses.values())
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Why regularity is lost; empty where nothing is wrong."""
-        return tuple(fault for fault, excess in self.excesses.items() if excess > 1)
+        """A sentence for each fault beyond its limit; empty if there is none."""
+        sentences = {
+            "misplaced windows": f"{self.misplaced.mean():.0%} of the windows are out of place",
+            "worst neighborhood": f"a neighborhood is off by {self.worst_neighborhood:.2f} s",
+            "bent": "the content is bent",
+            "structure": f"the structure is {self.structure:.2f} of the references'",
+            "tiles elsewhere": "many tiles fit better elsewhere",
+            "courses": "a course of tiles has slid",
+            "single tiles": f"{len(self.bad_places)} tile(s) displaced or broken",
+        }
+        return tuple(sentences[name] for name, excess in self.excesses.items() if excess > 1)
 
     @cached_property
     def lack_of_power(self) -> str:
-        """Why the judge would not have seen a fault; empty where it would."""
+        """The reason why a fault could stay undetected; empty if it could not."""
         rows, columns = self.output.windows.grid
         if min(rows, columns) < limits.LEAST_WINDOWS:
             least = limits.LEAST_WINDOWS
@@ -200,12 +203,12 @@ class Verdict:
 
     @property
     def lattice_doubtful(self) -> bool:
-        """Whether the lattice was given for a sample in which the judge is blind: it may as well be a wrong one."""
+        """Whether the given lattice may be wrong because the sample has too little regularity."""
         return self.reference.source == "sample" and bool(self.lack_of_power)
 
     @property
     def preserved(self) -> bool | None:
-        """The verdict: True, False, or None where nothing is seen and nothing would be."""
+        """The verdict: True, False, or None if no fault was found and none could have been detected."""
         if min(self.output.windows.grid) < limits.LEAST_WINDOWS:
             return None
         if self.lack_of_power:
@@ -214,11 +217,11 @@ class Verdict:
 
     @property
     def intact(self) -> bool | None:
-        """The verdict on single tiles: True, False, or None where one bad tile might not be seen, or all are."""
+        """The verdict on single tiles: True, False, or None if one bad tile could stay undetected."""
         if bool(self.bad.any()):
             return False
-        blind = self.lack_of_power or self.preserved is False or self.reference.regular_share < limits.INTACT_SHARE
-        return None if blind else True
+        undecided = self.lack_of_power or self.preserved is False or self.reference.regular_share < limits.INTACT_SHARE
+        return None if undecided else True
 
     @cached_property
     def worst_neighborhood(self) -> float:

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from nrbench.metrics.ncc.dense_ncc import Bank
-from nrbench.metrics.ncc.registration import Template
+from nrbench.metrics.ncc.window_search import Bank, Template
 
 
 def bank(window: tuple[int, int], channels: int, patch: int = 40) -> Bank:

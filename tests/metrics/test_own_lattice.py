@@ -4,8 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.verdict.own_lattice import moved, own_lattice
-from nrbench.metrics.verdict.window_registration import RegisteredWindows, fit_drift
+from nrbench.metrics.verdict.windows import RegisteredWindows, fit_drift, moved, own_lattice
 
 LATTICE = Lattice((20.0, 3.0), (-4.0, 17.0), (2.0, 1.0))
 _SMALL = st.floats(-0.04, 0.04)

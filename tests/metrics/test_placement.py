@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.verdict.window_registration import RegisteredWindows, consensus, fit_drift
+from nrbench.metrics.verdict.windows import RegisteredWindows, consensus, fit_drift
 
 LATTICE = Lattice((20.0, 3.0), (-4.0, 17.0))
 

@@ -1,7 +1,6 @@
 import numpy as np
 
-from nrbench.metrics.ncc.colors import cut_planes, smoothed
-from nrbench.metrics.ncc.window_search import Places
+from nrbench.metrics.ncc.window_search import Places, cut_planes, smoothed
 from nrbench.metrics.verdict.reference import reference_from_model
 
 from .conftest import make_case

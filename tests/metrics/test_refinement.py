@@ -8,7 +8,7 @@ from nrbench.imaging.fold import Tile
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.ncc.refinement import Cell, refined
 from nrbench.metrics.verdict.reference import Reference, reference_from_model
-from nrbench.metrics.verdict.window_registration import register_windows
+from nrbench.metrics.verdict.windows import register_windows
 
 from .conftest import MODELS, Case, make_case
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy import ndimage
 
-from nrbench.metrics.ncc.registration import Template, peaks
+from nrbench.metrics.ncc.window_search import Template, peaks
 
 RNG = np.random.default_rng(0)
 IMAGE = np.stack([ndimage.gaussian_filter(RNG.standard_normal((60, 70)), 2) for _ in range(3)], -1).astype(np.float32)

@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nrbench.metrics.ncc.colors import Colors, smoothed
-from nrbench.metrics.ncc.scan import Scan
+from nrbench.metrics.ncc.window_search import Colors, Scan, smoothed
 from nrbench.metrics.verdict.reference import reference_from_model
 
 from .conftest import MODELS, make_case

@@ -9,8 +9,8 @@ from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.ncc import strip_template
 from nrbench.metrics.ncc.strip_template import StripTemplate
-from nrbench.metrics.verdict.scatter import scatter_excess
-from nrbench.metrics.verdict.strips import strip_excess, strips
+from nrbench.metrics.verdict.courses import strip_excess, strips
+from nrbench.metrics.verdict.windows import scatter_excess
 
 from .conftest import MODELS, Case
 from .test_tiles import measure

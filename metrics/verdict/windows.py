@@ -1,7 +1,8 @@
-"""Where the content of an image lies on the lattice: windows registered against the periodic image."""
+"""Windows of an image, registered against the periodic image: displacements, their lattice, and their scatter."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -9,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
+from nrbench.lattice.comparison import LatticeError, lattice_error
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import Shape
 
 from ..ncc.periodic import Periodic
 from ..ncc.refinement import refined
+from . import limits
+from .exponential_tail import ExponentialTail
 
 _FOLLOWS = 0.04
 """A window follows an affine displacement that it is this near to, in s: twice the scatter of fresh draws' windows."""
@@ -216,3 +221,85 @@ def affine_residuals(placement: RegisteredWindows, matrix: Points) -> tuple[Poin
     constant = consensus(rest, lattice)
     offsets = lattice.wrap(rest - constant)
     return offsets, np.hypot(*offsets.T) < _FOLLOWS * lattice.s, constant
+
+
+LEAST_FOLLOWERS = 0.5
+"""Share of the windows that must follow one lattice for it to be the output's."""
+
+
+@dataclass(frozen=True)
+class OwnLattice:
+    """A lattice, and how many windows lie on it.
+
+    Parameters
+    ----------
+    lattice
+        In the output's coordinates.
+    followers
+        Share of the windows within 0.04 s of it, in [0, 1].
+    """
+
+    lattice: Lattice
+    followers: float
+
+    def error(self, truth: Lattice, shape: Shape) -> LatticeError | None:
+        """Return the comparison with the true lattice; None where too few windows follow this one."""
+        return lattice_error(self.lattice, truth, shape) if self.followers >= LEAST_FOLLOWERS else None
+
+
+def own_lattice(placement: RegisteredWindows, drift: Points) -> OwnLattice | None:
+    """Return the lattice on which the output's content lies; None where there are fewer than 3 x 3 windows.
+
+    The content at x came from x - d(x), with ``d = drift @ x + constant`` fitted by least squares to the windows; so a
+    lattice point p of the periodic image is found at ``(1 - drift)^-1 (p + constant)``.
+    """
+    if min(placement.grid) < 3:
+        return None
+    _, inside, constant = affine_residuals(placement, drift)
+    return OwnLattice(moved(placement.lattice, drift, constant), float(inside.mean()))
+
+
+def moved(lattice: Lattice, drift: Points, constant: Points) -> Lattice:
+    """Return where a lattice's points are found in an image whose content has moved by ``drift @ x + constant``."""
+    matrix = spread(drift)
+    t1, t2, origin = (matrix @ np.asarray(v) for v in (lattice.t1, lattice.t2, np.add(lattice.origin, constant)))
+    return Lattice((t1[0], t1[1]), (t2[0], t2[1]), (origin[0], origin[1]))
+
+
+def spread(drift: Points) -> Points:
+    """Return the 2 x 2 matrix that takes places in the periodic image to where they are found: ``(1 - drift)^-1``."""
+    return np.asarray(np.linalg.inv(np.eye(2) - drift), np.float64)
+
+
+_QUARTER = 0.75
+"""The quantile that stands for the scatter: no few windows that lock onto a wrong place reach it."""
+
+
+def scatter_excess(placement: RegisteredWindows, references: Sequence[RegisteredWindows]) -> float:
+    """Return how far the windows' scatter exceeds its limits: above 1 the content is bent.
+
+    A smooth displacement leaves most windows within the tolerance, yet all of them off by more than windows of the
+    references are: the third quartile of the misplacement tells, where the share beyond the tolerance does not.
+    """
+    own = np.concatenate([one.misplacement for one in references])
+    if not len(own) or not len(placement.misplacement):
+        return 0.0
+    usual, seen = (float(np.quantile(some, _QUARTER)) for some in (own, placement.misplacement))
+    return min(seen / max(usual, 1e-6) / limits.SCATTER_RATIO, seen / limits.SCATTER)
+
+
+def neighborhood_excess(
+    placement: RegisteredWindows, references: Sequence[RegisteredWindows], limit: float, model: bool
+) -> float:
+    """Return how far the worst neighborhood exceeds its limits: above 1 it has moved.
+
+    It is off by more than ``limit`` (in s) and, where a model gives enough references, by more than theirs
+    ever are.
+    """
+    found = placement.neighborhoods()
+    far = float(found.max(initial=0.0)) / limit
+    if not model:
+        return far
+    own = np.concatenate([one.neighborhoods() for one in references])
+    surprise = ExponentialTail.fit(own, quantile=0.9, overlap=4).surprisal(found)
+    return min(far, float(surprise.max(initial=0.0)) / limits.NEIGHBORHOOD_SURPRISAL)
