@@ -8,7 +8,7 @@ an output is appended; those that are there are kept.
 
 Beside each output stands what its sample allows. *Sample* is the variance between the windows of half a tile that the
 sample holds, about their mean, over the fresh draws' energy: one small draw, which scatters. *Copier* is what patches
-draw_samples uniformly from all equal places of that sample have on average: of M places the share (M - 1) / M of it, since
+drawn uniformly from all equal places of that sample have on average: of M places the share (M - 1) / M of it, since
 copies depart from the mean of what is copied, and not from the texture's.
 
 ``table rows.csv`` prints, for each method, how many outputs lie in the band, how many copiers that hit their

@@ -186,7 +186,7 @@ def sweep(pid: int) -> None:
 
 
 def adopt_orphans() -> None:
-    """Become the parent of processes that descendants leave behind, so that :func:`sweep_orphans` finds them (Linux)."""
+    """Become the parent of orphaned descendants, so that :func:`sweep_orphans` finds them (Linux)."""
     _prctl(36, 1)
 
 

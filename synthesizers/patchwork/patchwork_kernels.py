@@ -26,7 +26,7 @@ def step_cost(
 ) -> int:
     """Return what it costs to change between two patches on a link to the right (axis 0) or below (axis 1).
 
-    See :class:`nrbench.synthesizers.patchwork.patchwork.Patchwork`. (y, x) and (v, u) are where the two patches, continued, show the
+    See :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`. (y, x) and (v, u) are where both patches show the
     link's first pixel; beyond the sample's edge its last pixels stand for what is not known.
     """
     if y == v and x == u:
