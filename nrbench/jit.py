@@ -116,9 +116,9 @@ def _compile(function: Callable[P, R], signature: str) -> Callable[P, R]:
 
 
 def _njit(numba: Any, function: Callable[P, R], signature: str) -> Callable[P, R]:
-    # The folder is numba's global setting, read while it decorates: it is put back, so that the user's own setting stays.
-    # Reassociated sums use vector instructions. Results are equal on one type of machine; across processors, kernels that
-    # sum floats may differ in the last bit.
+    # The folder is numba's global setting, read while it decorates. It is put back, so that the user's setting stays.
+    # Reassociated sums use vector instructions. Results are equal on one type of machine. Across processors, kernels
+    # that sum floats may differ in the last bit.
     before = numba.config.CACHE_DIR
     try:
         numba.config.CACHE_DIR = before or str(cache_folder(function, numba.__version__))

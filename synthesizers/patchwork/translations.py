@@ -21,7 +21,7 @@ from ..seams.minimum_cut import Mask
 Features = NDArray[np.int32]
 """``int32 (H, W, F)``: the values by which pixels are compared; integers, so that sums and ties are exact."""
 Costs = NDArray[np.float64]
-"""``float64 (rows, columns)``: the cost of each place (y, x) of the window's first pixel in the sample, for windows wholly inside."""
+"""``float64 (rows, columns)``: the cost of each place (y, x) of the window's first pixel, for windows wholly inside."""
 _Spectra = NDArray[np.complex128]
 
 
