@@ -143,7 +143,7 @@ class Regularity:
 
 
 def measured(verdict: Verdict) -> dict[str, Value]:
-    """Return all columns of an output that was judged."""
+    """Return all columns of a verdict."""
     return {**_verdicts(verdict), **_placements(verdict), **_lattice(verdict)}
 
 
@@ -191,7 +191,7 @@ def _lattice(verdict: Verdict) -> dict[str, Value]:
 
 
 def _reason(name: str, verdict: Verdict) -> str:
-    """Return why a column of a judged output is None."""
+    """Return the reason why a column is None."""
     if name == "intact" and verdict.preserved is False:
         return "undecided: regularity is lost, and no single tile stands out"
     if name in ("preserved", "intact", "score"):

@@ -55,7 +55,7 @@ LEAST_WINDOWS = 3
 REFERENCE_MISPLACED = 0.03
 """Share of misplaced windows in the references above which the verdict has no power."""
 GROSS_SHARE = 0.5
-"""Share of misplaced windows above which regularity is lost even where the judge is blind to less."""
+"""Share of misplaced windows above which regularity is lost even if smaller faults could stay undetected."""
 REFERENCE_SCATTER = 0.125
 """Misplacement (in s) that 95 % of the references' windows may have and still be a reference."""
 LEAST_SPREAD = 1e-3

@@ -26,7 +26,7 @@ NO_LATTICE = "not applicable: no lattice in the truth"
 _DIGITS = 9
 """Decimals, px, to which the origin of a canonical lattice is rounded."""
 FIRST_DRAW = 1 << 16
-"""Fresh draws from here on are the judge's own: the oracle and the planted defects use others."""
+"""Number of the first fresh draw of the reference; the oracle and the planted defects use smaller numbers."""
 DRAWS = 3
 """Fresh draws looked at: of :data:`~.periodic.LARGE` tiles a side, some 150 tiles and 600 one-tile windows."""
 LATTICE_UNCERTAINTY = 0.02
@@ -236,7 +236,7 @@ def _parts(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[n
 
 
 def _crossed(sample: Image, seen: Values, lattice: Lattice, part: NDArray[np.bool_]) -> ReferenceImage:
-    """Return one part of the sample, to be judged by the mean tile of the rest, however little it is."""
+    """Return one part of the sample as a reference image whose periodic image is the mean tile of the rest."""
     rows, columns = np.flatnonzero(part.any(1)), np.flatnonzero(part.any(0))
     crop = sample[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     rest = _folded(seen, lattice, ~part)

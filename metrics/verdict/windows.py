@@ -79,7 +79,7 @@ class RegisteredWindows:
     def pairwise_displacement(self) -> float:
         """Mean distance between the displacements of two windows, modulo the lattice, over s.
 
-        No phase is asked for: of content that is bent everywhere none is the right one. At most :data:`_CANDIDATES`
+        The phase is not used, because no phase is right for content that is bent everywhere. At most :data:`_CANDIDATES`
         windows, evenly spread, are paired with all.
         """
         if not len(self.corners):

@@ -29,27 +29,26 @@ class Texture:
     image
         The pixels, :data:`~nrbench.imaging.convert.Image`.
     lattice
-        The smallest lattice of the ideal image, origin included; None where there is none or it is not known.
+        The smallest lattice of the ideal image, with its origin; None if there is none or it is unknown.
     lattices
-        All lattices, where a texture has several (``lattice`` first).
+        All lattices of a texture that has several, ``lattice`` first.
     name, family
-        For tables: the suite's row, and the group of rows it belongs to.
+        Name of the row of the suite, and of the group of rows in tables.
     kind
         ``"0"`` perfectly regular, ``"I"`` regular geometry with varying color, ``"II"`` varying geometry with regular
-        color, ``"III"`` both vary, ``"stochastic"`` no lattice; None where it is not known (photographs).
+        color, ``"III"`` both vary, ``"stochastic"`` no lattice; None if it is unknown (photographs).
     ideal
-        The periodic image, shape of ``image``: the mean over the model's draws at this lattice and phase, of undamaged
-        elements in their places; None unless the model is known.
+        The periodic image, of the shape of ``image``: the mean over draws of the model at this lattice and phase,
+        without damage and displacements; None if no model is known.
     displacement
-        ``float32 (H, W, 2)``: how far, (x, y) px, the content at each pixel has moved
-        from its ideal place; None: not at all.
+        ``float32 (H, W, 2)``: displacement (x, y) in px of the content at each pixel from its ideal place; None if
+        the content has not moved.
     elements
         Departures of each element (brick, thread, tile) by name, one array each whose first axis counts elements.
     regular_share
-        Variance of the mean over draws (the ideal image, but for damage and displacements) over mean total variance,
-        in [0, 1]; None where it is not known.
+        Variance of the mean over draws over the mean total variance, in [0, 1]; None if it is unknown.
     region
-        Where a photograph's crop was cut; None for models.
+        The region of a photograph that the image was cropped from; None for models.
     """
 
     image: Image
@@ -70,13 +69,13 @@ class Dataset(Protocol):
     """The form of a dataset plugin: a frozen dataclass with these two methods."""
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
-        """Return a texture of ``shape``: lattice phase and departures drawn from ``rng``."""
+        """Return a texture of ``shape`` whose lattice phase and departures are drawn from ``rng``."""
         ...
 
     def again(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture | None:
-        """Return an independent draw: same model and lattice, origin included, fresh departures.
+        """Return an independent draw of the same model and lattice, with the same origin and fresh departures.
 
-        For a photograph, a region of ``shape`` disjoint from ``texture.region``. None where there is none.
+        For a photograph, return a region of ``shape`` disjoint from ``texture.region``, or None if there is none.
         """
         ...
 
@@ -94,7 +93,7 @@ class Surface:
     peaks
         ``(n, 2)``: the candidates, (x, y) in samples from ``zero``.
     vectors
-        ``(2, 2)``, rows (x, y) in samples from ``zero``: the pair that was chosen; None where there is none.
+        ``(2, 2)``, rows (x, y) in samples from ``zero``: the chosen pair of vectors, or None.
     """
 
     values: NDArray[np.floating[Any]]
@@ -112,9 +111,9 @@ class Curve:
     x, y
         ``(n,)`` each.
     marks
-        The x that were chosen.
+        The chosen values of x.
     label
-        What x is, with its unit.
+        Label of the x axis, with the unit.
     """
 
     x: NDArray[np.floating[Any]]
@@ -130,11 +129,11 @@ class Detection:
     Parameters
     ----------
     lattice
-        The lattice; its origin is a phase where the detector gives one, else (0, 0).
+        The lattice; its origin is (0, 0) if the detector estimates no phase.
     confidence
-        In [0, 1]; how each detector makes it is in its docstring.
+        In [0, 1]; the docstring of each detector defines it.
     diagnostics
-        What led to it, by name; each :class:`Surface` and :class:`Curve` can be drawn.
+        Intermediate results by name; each :class:`Surface` and :class:`Curve` can be drawn.
     """
 
     lattice: Lattice
@@ -143,12 +142,12 @@ class Detection:
 
 
 class NoLatticeFound(Exception):
-    """The detector's "there is none": an answer, never a guess.
+    """Raised by a detector when no candidate passes its tests; carries the best rejected candidate.
 
     Parameters
     ----------
     reason
-        One sentence.
+        One sentence that says which test failed.
     best
         The best candidate that was rejected, or None.
     """
@@ -172,16 +171,16 @@ class Detector(Protocol):
 
 
 Again = Callable[[Shape, int], Texture | None]
-"""``again(shape, k)``: the k-th independent draw of the sample's texture, same lattice and origin."""
+"""``again(shape, k)`` returns the k-th independent draw of the texture of the sample, with the same lattice and origin."""
 SourceMap = NDArray[np.float32]
-"""``float32 (H, W, 3)``: for each output pixel the (x, y) of the sample pixel it came from (of the largest weight where
-several were blended) and that weight in (0, 1]. NaN where it came from none."""
+"""``float32 (H, W, 3)``: for each output pixel the (x, y) of the sample pixel that it was copied from, and its weight in
+(0, 1]. Where several pixels were blended, the one of the largest weight. NaN where no pixel was copied."""
 Value = float | bool | None
 T = TypeVar("T")
 
 
 class Refused(Exception):
-    """The input lies outside a method's domain: shown as N/A, not a failure."""
+    """Raised by a method whose input lies outside its domain; tables show N/A, and the cell is no failure."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -189,25 +188,25 @@ class Refused(Exception):
 
 
 def _ignore(fraction: float) -> None:
-    """Report progress to nobody."""
+    """Ignore the progress."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One synthesis.
+    """The input of a synthesis method.
 
     Parameters
     ----------
     sample
-        The texture to continue, rounded to 8 bits.
+        The sample of the texture, rounded to 8 bits.
     shape
         Height and width of the output in px.
     lattice
-        The lattice handed over, in the sample's pixel coordinates; None: find it yourself.
+        The given lattice, in pixel coordinates of the sample; None if the method must find it.
     rng
         The only source of randomness.
     progress
-        Call it with the fraction done, in [0, 1], as often as you like.
+        A function that a method may call at any time with the completed fraction, in [0, 1].
     again
         Fresh draws of the same texture; None unless the method declares ``reference = True``.
     """
@@ -222,22 +221,22 @@ class Task:
 
 @dataclass(frozen=True)
 class Synthesis:
-    """The answer to a task.
+    """The result of a synthesis method.
 
     Parameters
     ----------
     image
-        The output, ``task.shape`` and the sample's channels.
+        The output, of shape ``task.shape`` and with the channels of the sample.
     lattice
-        The lattice that was used, in the sample's coordinates; None where none was.
+        The lattice that the method used, in coordinates of the sample; None if it used none.
     source
-        A :data:`SourceMap`, where the method copies pixels.
+        A :data:`SourceMap`, if the method copies pixels.
     extras
-        Pictures or arrays to keep beside the output, by name.
+        Pictures or arrays by name; they are kept beside the output.
     detection_seconds
-        Wall seconds spent in finding the lattice.
+        Wall seconds of the detection of the lattice.
     note
-        One sentence that the tables show beside the row (e.g. a fallback that was taken).
+        One sentence that the tables show beside the row, for example about a fallback.
     """
 
     image: Image
@@ -250,18 +249,18 @@ class Synthesis:
 
 @dataclass(frozen=True)
 class FoundLattice:
-    """What a method works with: the lattice given or found (or None and why), and what finding it cost.
+    """A lattice that was given or detected, or the reason why there is none.
 
     Parameters
     ----------
     lattice
-        In the sample's coordinates; None where there is none.
+        In coordinates of the sample; None if there is none.
     seconds
-        Wall seconds spent in finding it.
+        Wall seconds of the detection.
     reason
         Why there is none.
     confidence
-        In [0, 1], as the detector makes it; None where none was asked, or it found no lattice.
+        Confidence of the detector, in [0, 1]; None if no detector was used or it found no lattice.
     """
 
     lattice: Lattice | None
@@ -270,38 +269,38 @@ class FoundLattice:
     confidence: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the answer, JSON-ready."""
+        """Return a mapping that can be written as JSON."""
         return {**vars(self), "lattice": self.lattice.as_dict() if self.lattice else None}
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> FoundLattice:
-        """Rebuild an answer from :meth:`as_dict`; what else stands in the mapping is left out."""
+        """Build the object from the mapping of :meth:`as_dict`; other keys are ignored."""
         names = ("seconds", "reason", "confidence")
         lattice = Lattice.from_dict(mapping["lattice"]) if mapping.get("lattice") else None
         return cls(lattice, **{name: mapping[name] for name in names if name in mapping})
 
 
 def find_lattice(task: Task, detector: Detector) -> FoundLattice:
-    """Return the task's lattice where it was given one, else what ``detector`` finds in the sample."""
+    """Return the lattice of the task, or detect that of the sample if none was given."""
     if task.lattice is not None:
         return FoundLattice(task.lattice)
     return timed_detection(detector, task.sample)
 
 
 def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Lattice, float]:
-    """Return the lattice given or found, and the wall seconds that finding it cost.
+    """Return the given or detected lattice, and the wall seconds of the detection.
 
     Parameters
     ----------
     task, detector
         As in :func:`find_lattice`.
     without
-        What cannot be done where there is none, for the refusal.
+        What the method cannot do without a lattice, for the message.
 
     Raises
     ------
     Refused
-        Where there is none.
+        If no lattice was given or found.
     """
     found = find_lattice(task, detector)
     if found.lattice is None:
@@ -310,7 +309,7 @@ def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Latti
 
 
 def timed_detection(detector: Detector, image: Image) -> FoundLattice:
-    """Return what a detector answers on an image, "there is none" included, and the wall seconds that it took."""
+    """Detect the lattice of an image, and measure the wall seconds; if there is none, return the reason."""
     start = time.perf_counter()
     try:
         found = detector.detect(image)
@@ -323,11 +322,21 @@ def timed_detection(detector: Detector, image: Image) -> FoundLattice:
 class Synthesizer(Protocol):
     """The form of a synthesizer plugin: a frozen dataclass with this method.
 
-    Optional class variables: ``reference`` (True: receives ``task.again`` and is never ranked), ``uses_lattice``
-    (False: the lattice axis does not apply), ``needs_lattice`` (False: where a detector of the lattice axis finds none,
-    the method runs without one; otherwise the cell is refused), ``right_on`` (a cheat's: the kinds of texture on which
-    it is no cheat but right), ``always_shown`` (parameters that the method's label shows even at their defaults),
-    ``paper`` (BibTeX), ``version``.
+    Optional class variables:
+
+    ``reference``
+        True: the method receives ``task.again`` and is never ranked.
+    ``uses_lattice``
+        False: the lattice axis of a suite does not apply.
+    ``needs_lattice``
+        False: the method runs without a lattice if the detector of the lattice axis finds none. Otherwise the cell is
+        refused.
+    ``right_on``
+        The kinds of texture on which a baseline is valid.
+    ``always_shown``
+        Parameters that the label of the method shows even at their defaults.
+    ``paper``, ``version``
+        BibTeX, and the version that is part of a cell's key.
     """
 
     def synthesize(self, task: Task) -> Synthesis:

@@ -30,7 +30,7 @@ def cheapest_path(error: NDArray[np.float64]) -> NDArray[np.int64]:
     Returns
     -------
     NDArray
-        ``(h,)``: columns from 0 to w - 1, neighbouring rows at most 1 apart.
+        ``(h,)``: columns from 0 to w - 1, neighboring rows at most 1 apart.
     """
     rows, columns = error.shape
     total = error[0].copy()
