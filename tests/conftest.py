@@ -3,22 +3,47 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 FAULTS = Path(__file__).parent / "plugins" / "faulty_plugins.py"
 
 
-@pytest.fixture
-def faulty() -> Iterator[Path]:
-    """Register the plugins that misbehave in every way, for one test."""
+@contextmanager
+def registered_faults() -> Iterator[Path]:
+    """Register the plugins that misbehave in every way."""
     from nrbench import plugins
 
     plugins.add_file(FAULTS)
-    yield FAULTS
-    plugins.registry._files.pop(FAULTS.resolve())
+    try:
+        yield FAULTS
+    finally:
+        plugins.registry._files.pop(FAULTS.resolve())
+
+
+@pytest.fixture
+def faulty() -> Iterator[Path]:
+    """Register the plugins that misbehave, for one test."""
+    with registered_faults() as path:
+        yield path
+
+
+@pytest.fixture(scope="module")
+def faulty_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any, Any], Any]:
+    """Return a function that runs a suite with the plugins that misbehave, and reads the run back."""
+    from nrbench.api import run
+
+    def execute(suite: Any, options: Any) -> Any:
+        with registered_faults():
+            done = run(suite, out=tmp_path_factory.mktemp("faulty") / "run", options=options)
+            assert done.cells  # read while the plugins are registered
+        return done
+
+    return execute
 
 
 @pytest.fixture(autouse=True)

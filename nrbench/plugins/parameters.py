@@ -35,12 +35,12 @@ def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def label(name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any], always: Collection[str] = ()) -> str:
-    """Return ``name:param=value,...`` of the parameters that differ from their defaults and those ``always`` told."""
+    """Return ``name:param=value,...`` of the parameters that differ from their defaults and those in ``always``."""
 
-    def told(key: str, value: Any) -> bool:
+    def is_shown(key: str, value: Any) -> bool:
         return key in always or value != defaults.get(key, dataclasses.MISSING)
 
-    changed = [f"{key}={value}" for key, value in parameters.items() if told(key, value)]
+    changed = [f"{key}={value}" for key, value in parameters.items() if is_shown(key, value)]
     return f"{name}:{','.join(changed)}" if changed else name
 
 

@@ -88,9 +88,9 @@ class Cell:
     detector
         Name, version and parameters of the detector, where ``lattice_source`` is one.
     lattice_given, lattice_truth
-        The lattice handed over, and the true one, in the sample's coordinates.
+        The lattice that the method is given, and the true one, in the sample's coordinates.
     detected
-        What the detector answered, "there is none" included, once it was asked.
+        The result of the detector, also if it found no lattice; None before it has run.
     replicate, seed
         The draw, and the suite's seed.
     shape
@@ -100,7 +100,7 @@ class Cell:
     procedural
         Whether the texture comes from a model; a metric can then draw it again.
     again_hash
-        For a picture and a reference method: hash of the region handed over.
+        For a picture and a reference method: hash of the region that the method is given.
     fault
         Why the cell cannot be run (the texture could not be drawn, no lattice was found); empty otherwise.
     fault_status

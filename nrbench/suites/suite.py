@@ -320,9 +320,9 @@ def _validated_row(row: Mapping[str, Any], directory: Path) -> TextureRow:
     try:
         return TextureRow.model_validate(row)
     except ValidationError as error:
-        told = error.errors()[0]["loc"][0] not in ("name", "dataset", "parameters")
-        where = directory / "truth.json" if told else directory
-        remedy = "; render the textures again, or delete the file" if told else ""
+        in_truth = error.errors()[0]["loc"][0] not in ("name", "dataset", "parameters")
+        where = directory / "truth.json" if in_truth else directory
+        remedy = "; render the textures again, or delete the file" if in_truth else ""
         raise BadInput(f"{where}: picture {row.get('name')!r}: {_first(error)}{remedy}") from None
 
 
