@@ -68,7 +68,7 @@ class Appearance:
     its border: ``extras["tile"]``, or the output itself if ``extras["tileable"]`` is not zero.
     """
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     columns: ClassVar[Mapping[str, Column]] = {
         "color": _column("Sliced Wasserstein distance between the colors of output and fresh draws.", "values"),
         "gradient": _column(

@@ -88,7 +88,7 @@ class Integrity:
     because they lie over other elements. For a photograph the sample replaces the fresh draws.
     """
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     columns: ClassVar[Mapping[str, Column]] = {
         "broken_share": Column(
             "Share of the tiles in place that are joined of parts that do not belong together.", better="lower"

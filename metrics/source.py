@@ -25,7 +25,7 @@ class SourceUse:
     small part of it.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
         "mean_copy_length": Column(
             "Mean length, along rows and columns, over which neighbors in the output are neighbors in the sample.",

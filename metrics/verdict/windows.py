@@ -79,8 +79,8 @@ class RegisteredWindows:
     def pairwise_displacement(self) -> float:
         """Mean distance between the displacements of two windows, modulo the lattice, over s.
 
-        The phase is not used, because no phase is right for content that is bent everywhere. At most :data:`_CANDIDATES`
-        windows, evenly spread, are paired with all.
+        The phase is not used, because no phase is right for content that is bent everywhere. At most
+        :data:`_CANDIDATES` windows, evenly spread, are paired with all.
         """
         if not len(self.corners):
             return 0.0

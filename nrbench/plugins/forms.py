@@ -171,10 +171,10 @@ class Detector(Protocol):
 
 
 Again = Callable[[Shape, int], Texture | None]
-"""``again(shape, k)`` returns the k-th independent draw of the texture of the sample, with the same lattice and origin."""
+"""``again(shape, k)`` returns the k-th independent draw of the sample's texture, of the same lattice and origin."""
 SourceMap = NDArray[np.float32]
-"""``float32 (H, W, 3)``: for each output pixel the (x, y) of the sample pixel that it was copied from, and its weight in
-(0, 1]. Where several pixels were blended, the one of the largest weight. NaN where no pixel was copied."""
+"""``float32 (H, W, 3)``: for each output pixel the (x, y) of the sample pixel that it was copied from, and the weight
+of that pixel in (0, 1]. Where several pixels were blended, the one of the largest weight. NaN where none was copied."""
 Value = float | bool | None
 T = TypeVar("T")
 

@@ -91,7 +91,7 @@ def test_a_second_run_starts_nothing(first: Run, tmp_path: Path) -> None:
 
 
 def test_killed_halfway_it_resumes_to_the_same_table(whole: Run, tmp_path: Path) -> None:
-    """After SIGKILL at any instant `nrbench run` completes the run, with the tables and outputs of an undisturbed one."""
+    """After SIGKILL at any instant `nrbench run` completes the run, and its tables are those of an undisturbed run."""
     suite = tmp_path / "small.toml"
     suite.write_text(SUITE_TOML)
     line = f"run {suite} --no-report --out broken"

@@ -105,7 +105,7 @@ def test_the_tile_is_floored_and_scaled_down_and_the_output_is_not() -> None:
 
 
 def test_without_scale_down_the_tile_is_cut_from_the_sample_as_it_is() -> None:
-    """The tile holds the sample's pixels without the fraction of the period; ``rescale`` decides the output's period."""
+    """The tile holds the sample's pixels less the fraction of the period; ``rescale`` decides the output's period."""
     sample = noise(128, 128)
     made = synthesize(sample, (200, 200), UPRIGHT, scale_down=False, rescale=False)
     x, y = made.extras["best"][0, :2].astype(int)
