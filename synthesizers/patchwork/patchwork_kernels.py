@@ -1,4 +1,4 @@
-"""The compiled loop of patchworks: what the links of a window cost with and without a new patch."""
+"""The compiled loops of patch-based synthesis: the costs of a window's links with and without a new patch."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from nrbench.jit import kernel
 
 UNIT = 16.0
-"""Costs are whole numbers of this part of a gray level, so that flows are exact."""
+"""Costs are integers, in units of 1 / UNIT gray levels, so that flows are exact."""
 STAY, SECOND, FIRST = 0, 1, 2
-"""Of a link's two pixels both stay; only the second becomes new; only the first does. When both do it costs nothing."""
+"""Cases of a link: both pixels stay; only the second becomes new; only the first does. If both do it costs nothing."""
 
 
 @kernel("int64(int32[:, :, ::1], int32[:, :, ::1], int64, boolean, int64, int64, int64, int64)")
@@ -24,10 +24,10 @@ def step_cost(
     v: int,
     u: int,
 ) -> int:
-    """Return what it costs to change between two patches on a link to the right (axis 0) or below (axis 1).
+    """Return the cost of a change between two patches on a link to the right (axis 0) or below (axis 1).
 
-    See :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`. (y, x) and (v, u) are where both patches show the
-    link's first pixel; beyond the sample's edge its last pixels stand for what is not known.
+    See :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`. (y, x) and (v, u) are the places in the sample of
+    the link's first pixel in both patches, continued; beyond the sample's edge its last pixels are repeated.
     """
     if y == v and x == u:
         return 0
@@ -61,24 +61,25 @@ def link_choices(
     x: int,
     y: int,
 ) -> NDArray[np.int64]:
-    """Return what each link of a window costs, whichever of its pixels a new patch takes.
+    """Return the cost of each link of a window in each case, depending on which of its pixels a new patch replaces.
 
     Parameters
     ----------
     features, slopes, normalized
-        See :class:`nrbench.synthesizers.patchwork.patchwork.Patchwork`.
+        The sample's features, their gradients ``(2, H, W)``, and the kind of cost: see
+        :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`.
     source
-        ``(h, w, 2)``: (x, y) in the sample of what the window shows.
+        ``(h, w, 2)``: (x, y) in the sample of the window's pixels.
     known
-        ``(h, w)``: where it shows something.
+        ``(h, w)``: which of them are known.
     x, y
-        Where in the sample the new patch has the window's first pixel.
+        The place in the sample of the new patch's first pixel.
 
     Returns
     -------
     NDArray
-        ``(2, 3, h, w)``: of the links to the right, and to below, of each pixel: :data:`STAY`, :data:`SECOND`,
-        :data:`FIRST`. 0 where there is no link, or a pixel that would stay shows nothing. O(h w F).
+        ``(2, 3, h, w)``: of the links to the right of, and below, each pixel: :data:`STAY`, :data:`SECOND`,
+        :data:`FIRST`. 0 where there is no link, or where a pixel that would stay is unknown. O(h w F).
     """
     height, width = known.shape
     costs = np.zeros((2, 3, height, width), np.int64)

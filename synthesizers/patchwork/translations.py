@@ -26,7 +26,7 @@ _Spectra = NDArray[np.complex128]
 
 
 class Layer(NamedTuple):
-    """One group of a window's channels, with the pixels at which it counts.
+    """One group of a window's channels, with the pixels at which it is compared.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Translations:
     layers: tuple[Features, ...]
 
     def rate(self, window: Sequence[Layer]) -> Costs:
-        """Return the sum of squared differences between a window and the part of the sample that each place puts there.
+        """Return the sum of squared differences between a window and the part of the sample at each place.
 
         Parameters
         ----------
@@ -87,13 +87,13 @@ class Translations:
         return np.asarray(total + np.rint(products[:, :columns]))
 
     def _transformed(self, pixels: NDArray[Any]) -> _Spectra:
-        """Return the spectra ``(C, rows, columns)`` of ``(h, w, C)``, which zeros fill up."""
+        """Return the spectra ``(C, rows, columns)`` of ``(h, w, C)``, padded with zeros."""
         lines = fft.rfft(np.moveaxis(pixels, -1, 0).astype(np.float64), self._fast_shape[1], axis=2)
         return np.asarray(fft.fft(lines, self._fast_shape[0], axis=1))
 
     @cached_property
     def _prepared(self) -> tuple[list[_Spectra], list[_Spectra], list[Costs]]:
-        """Return each layer's spectra, the spectrum of its summed squares, conjugate, and their integral image."""
+        """Each layer's conjugate spectra, the conjugate spectrum of its summed squares, and their integral image."""
         squares = [(layer.astype(np.int64) ** 2).sum(-1, keepdims=True) for layer in self.layers]
         spectra = [self._transformed(layer).conj() for layer in self.layers]
         sums = [self._transformed(each)[0].conj() for each in squares]
@@ -120,7 +120,7 @@ def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tu
     """
     above = costs - costs.min()
     weights = np.exp(-above / scale) if scale > 0 else (above == 0).astype(np.float64)
-    heaped = np.cumsum(weights)
-    index = int(np.searchsorted(heaped, rng.random() * heaped[-1], "right"))
-    y, x = divmod(min(index, heaped.size - 1), costs.shape[1])
+    cumulative = np.cumsum(weights)
+    index = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], "right"))
+    y, x = divmod(min(index, cumulative.size - 1), costs.shape[1])
     return x, y

@@ -29,8 +29,8 @@ StockArrays = tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDA
 """The sample: its ``colors (h w, C)``; ``pixels (n,)``: the pixel at each place of the tree; ``places (h w,)``: its
 inverse, -1 where the neighborhood is incomplete; ``similar (n, k)``: the places most like each; the sample's width."""
 QueryArrays = tuple[NDArray[np.int64], NDArray[np.int16], NDArray[np.int32], int, NDArray[np.int64]]
-"""A neighborhood: ``steps (D,)`` from a pixel's first value to its neighbors'; ``matrix``, ``shift``, ``bits`` of the
-projection; ``causes (m, 2)``: the offsets (x, y) whose sources are continued."""
+"""A neighborhood: ``steps (D,)`` from a pixel's first value to its neighborhood's; the projection's ``matrix``,
+``shift`` and ``bits``; ``causes (m, 2)``: the offsets (x, y) whose sources are continued."""
 TREE = "Tuple((int16[:, ::1], int64[::1], int32[:, ::1], int16[:, ::1], int16[:, ::1]))"
 CANVAS = "Tuple((uint8[::1], int64[:, ::1], int64[::1]))"
 STOCK = "Tuple((uint8[:, ::1], int64[::1], int64[::1], int64[:, ::1], int64))"

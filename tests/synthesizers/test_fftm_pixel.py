@@ -18,6 +18,8 @@ from nrbench.metrics.source import SourceUse
 from nrbench.plugins.forms import Observation, Refused, Synthesis, Task
 from nrbench.running.phases import checked_synthesis, is_picture
 from nrbench.spectra.harmonics import Harmonics
+from nrbench.synthesizers.ann_pixel import AnnPixel
+from nrbench.synthesizers.fftm_patch import FftmPatch
 from nrbench.synthesizers.fftm_pixel import FftmPixel
 from nrbench.synthesizers.masks.texture_mask import TextureMask
 
@@ -271,10 +273,12 @@ def test_parameters_that_make_no_sense_are_refused(parameters: dict[str, Any]) -
         FftmPixel(**parameters)
 
 
-def test_all_fields_are_documented() -> None:
-    """Each parameter has its paragraph."""
-    for field in dataclasses.fields(FftmPixel):
-        assert f"\n{field.name}\n" in inspect.cleandoc(str(FftmPixel.__doc__))
+@pytest.mark.parametrize("method", [AnnPixel, FftmPatch, FftmPixel])
+def test_all_fields_are_documented(method: type[Any]) -> None:
+    """Each parameter, inherited ones included, has its paragraph on the method's page, under one heading."""
+    page = inspect.getdoc(method) or ""
+    assert page.count("\nParameters\n") == 1
+    assert all(f"\n{field.name}\n" in page for field in dataclasses.fields(method))
 
 
 def seam_ratio(image: Image) -> float:
