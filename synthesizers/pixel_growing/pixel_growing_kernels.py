@@ -146,7 +146,8 @@ def squared_distance(one: NDArray[np.int16], other: NDArray[np.int16]) -> np.int
 @kernel("int64(int16[::1], int16[:, ::1], int64[::1], int64)")
 def key_of(query: NDArray[np.int16], points: NDArray[np.int16], ranks: NDArray[np.int64], place: int) -> np.int64:
     """Return the key by which points are compared: squared distance times 2^32 plus rank, so that ranks break ties."""
-    return (np.int64(squared_distance(query, points[place])) << 32) + ranks[place]
+    key: np.int64 = (np.int64(squared_distance(query, points[place])) << 32) + ranks[place]
+    return key
 
 
 @kernel(f"void({TREE}, int64, int64, int16[::1], float64, int64[::1], int64[::1], int64[:, ::1], int64[::1])")

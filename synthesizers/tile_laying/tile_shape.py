@@ -162,7 +162,13 @@ def _shortest_vectors(lattice: Lattice) -> Points:
     pairs: list[tuple[Points, Points]] = [(a, b), (a, b - a), (b, b - a)]
     lengths = [max(float(p @ p), float(q @ q)) for p, q in pairs]
     shortest = [pair for pair, length in zip(pairs, lengths, strict=True) if length <= min(lengths) * (1 + 1e-6)]
-    return np.stack(min(shortest, key=lambda pair: min(_slope(pair[0] + pair[1]), _slope(pair[1] - pair[0]))))
+    return np.stack(min(shortest, key=_diagonal_slope))
+
+
+def _diagonal_slope(pair: tuple[Points, Points]) -> float:
+    """Return the smaller angle between a diagonal of two vectors and the x axis."""
+    first, second = pair
+    return min(_slope(first + second), _slope(second - first))
 
 
 def _slope(vector: Points) -> float:
