@@ -1,11 +1,22 @@
+"""Claims about the canvas of blocks, and about the cuts that join a patch to it."""
+
 from typing import get_args
 
 import numpy as np
 import pytest
 
+from nrbench.imaging.convert import Image
 from nrbench.synthesizers.gap_filling.blocks import BlockGrid
-from nrbench.synthesizers.gap_filling.canvas import BlockCanvas, SeamMethod
+from nrbench.synthesizers.gap_filling.canvas import (
+    BlockCanvas,
+    PatchOverlap,
+    SeamMethod,
+    cut_dynamic,
+    cut_graph,
+    visible_links,
+)
 from nrbench.synthesizers.sampling.patches import Patches
+from nrbench.synthesizers.seams.minimum_cut import Links, Mask
 
 SEAMS = get_args(SeamMethod)
 
@@ -89,3 +100,95 @@ def test_a_blended_patch_stays_in_its_gap_and_a_cut_one_does_not() -> None:
         assert not moved[24, 24]
     assert changed["blend"] == 0
     assert changed["graphcut"] > 0 and changed["dynamic"] > 0
+
+
+ALL = (True, True, True, True)
+
+
+def joint(old: Image, new: Image, sides: tuple[bool, bool, bool, bool] = ALL, depth: int = 16) -> PatchOverlap:
+    """Lay a patch over a gap of 24 px, 8 px of border inside it and 8 px beyond on the sides that have neighbours."""
+    height, width = old.shape[:2]
+    left, top, right, bottom = (depth if there else 0 for there in sides)
+    known = np.ones((height, width), np.bool_)
+    known[top : height - bottom, left : width - right] = False
+    box = (-8 if sides[1] else 0, 24 + (8 if sides[3] else 0), -8 if sides[0] else 0, 24 + (8 if sides[2] else 0))
+    hole = (8 if sides[1] else 0, 16 if sides[3] else 24, 8 if sides[0] else 0, 16 if sides[2] else 24)
+    return PatchOverlap(old, new, known, box, hole, sides)
+
+
+def nothing(shape: tuple[int, ...]) -> Links:
+    """Return the seams of a picture that has none."""
+    return Links(np.zeros((shape[0], shape[1] - 1)), np.zeros((shape[0] - 1, shape[1])))
+
+
+def cost(one: PatchOverlap, mask: Mask) -> float:
+    """Return how visible a joint's seam is."""
+    links = visible_links(one.old, one.new)
+    across, down = mask[:, 1:] != mask[:, :-1], mask[1:] != mask[:-1]
+    return float(links.across[across].sum() + links.down[down].sum())
+
+
+SIDES = [ALL, (False, True, True, False), (True, False, False, False), (False, False, True, True)]
+
+
+@pytest.mark.parametrize("sides", SIDES)
+@pytest.mark.parametrize("kind", ["dynamic", "graphcut"])
+def test_the_hole_is_new_and_the_edge_beside_a_neighbour_old(kind: str, sides: tuple[bool, bool, bool, bool]) -> None:
+    """Whatever the pictures: all that is not known is filled, and a graph cut leaves the box's edge alone."""
+    height, width = 24 + 8 * (sides[1] + sides[3]), 24 + 8 * (sides[0] + sides[2])
+    old, new = np.random.default_rng(0).random((2, height, width, 3)).astype(np.float32)
+    one = joint(old, new, sides)
+    mask = cut_dynamic(one) if kind == "dynamic" else cut_graph(one, nothing(old.shape))
+    assert mask[~one.known].all()
+    if kind == "graphcut":
+        assert not mask[one.fixed_old()].any()
+    assert not mask.all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_graph_cut_is_never_more_visible_than_four_seams(seed: int) -> None:
+    """The least of all closed seams costs no more than the one that dynamic programming puts together."""
+    old, new = np.random.default_rng(seed).random((2, 40, 40, 3)).astype(np.float32)
+    one = joint(old, new)
+    four = cut_dynamic(one) & ~one.fixed_old()
+    assert cost(one, cut_graph(one, nothing(old.shape))) <= cost(one, four) + 1e-9
+
+
+def bricks(rng: np.random.Generator) -> Image:
+    """Return 10 x 6 px bricks of tones of their own between joints of 2 px, with a little noise."""
+    y, x = np.indices((40, 40))
+    row = y // 8
+    column = (x + 6 * (row % 2)) // 12
+    tones = 0.4 + 0.2 * rng.random((6, 6, 1))
+    joints = (y % 8 < 2) | ((x + 6 * (row % 2)) % 12 < 2)
+    picture = np.where(joints[..., np.newaxis], 0.9, tones[row, column]) + 0.01 * rng.standard_normal((40, 40, 1))
+    return picture.astype(np.float32)
+
+
+def test_a_graph_cut_runs_around_bricks() -> None:
+    """Of two walls whose bricks lie alike but differ in tone, joined by graph cut, no brick has two tones."""
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        old, new = bricks(rng), bricks(rng)
+        one = joint(old, new)
+        mask = cut_graph(one, nothing(old.shape))
+        y, x = np.indices((40, 40))
+        row = y // 8
+        brick = row * 10 + (x + 6 * (row % 2)) // 12
+        inside = (y % 8 >= 2) & ((x + 6 * (row % 2)) % 12 >= 2)
+        shares = np.array([mask[inside & (brick == which)].mean() for which in np.unique(brick[inside])])
+        assert (np.minimum(shares, 1 - shares) < 0.1).all()
+
+
+def test_seams_are_remembered_and_forgotten() -> None:
+    """After a cut the seams are those of the joined picture: the new one's cost, none under the patch."""
+    old, new = np.random.default_rng(1).random((2, 40, 40, 3)).astype(np.float32)
+    one, seams = joint(old, new), nothing(old.shape)
+    seams.across[20, 19] = 5.0
+    seams.across[1, 1] = 3.0
+    mask = cut_graph(one, seams)
+    changes = mask[:, 1:] != mask[:, :-1]
+    assert seams.across[20, 19] == 0
+    assert (seams.across[changes] > 0).all()
+    rest = seams.across[~changes]
+    assert rest.sum() in (0.0, 3.0)

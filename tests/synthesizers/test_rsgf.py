@@ -29,7 +29,7 @@ def test_a_whole_pixel_lattice_is_continued_exactly(match: Any, search: Any, cha
     """On a perfectly periodic sample the output is the periodic continuation, phase included, to the bit."""
     picture = np.tile(noise(24, 30, channels), (13, 13, 1))
     method = Rsgf(match=match, search=search)
-    for shape in ((256, 256), (1, 300), (300, 1), (9, 5)):
+    for shape in ((150, 170), (1, 300), (300, 1), (9, 5)):
         made = synthesize(method, picture[:128, :128], shape, Lattice((30, 0), (0, 24)))
         np.testing.assert_array_equal(quantize(made.image), picture[: shape[0], : shape[1]])
 
@@ -37,7 +37,7 @@ def test_a_whole_pixel_lattice_is_continued_exactly(match: Any, search: Any, cha
 @pytest.mark.parametrize("seam", SEAMS)
 @pytest.mark.parametrize("subpixel", [False, True])
 @pytest.mark.parametrize("deform", [0.0, 2.0])
-def test_so_it_is_with_every_joint(seam: Any, subpixel: bool, deform: float) -> None:
+def test_every_seam_continues_exactly(seam: Any, subpixel: bool, deform: float) -> None:
     """Where patches continue each other no seam, no sub-pixel move and no deformation leaves a trace."""
     picture = np.tile(noise(24, 30), (6, 6, 1))
     method = Rsgf(seam=seam, subpixel=subpixel, deform=deform)
@@ -47,7 +47,7 @@ def test_so_it_is_with_every_joint(seam: Any, subpixel: bool, deform: float) -> 
 
 @settings(max_examples=40, deadline=None)
 @given(
-    st.tuples(st.integers(1, 70), st.integers(1, 70)),
+    st.tuples(st.integers(1, 45), st.integers(1, 45)),
     st.integers(2, 15),
     st.integers(1, 7),
     st.sampled_from([1, 3]),
@@ -82,12 +82,12 @@ def test_what_the_source_map_calls_a_copy_is_one(
 
 @pytest.mark.parametrize("seam", SEAMS)
 @pytest.mark.parametrize("block", [2, 3])
-def test_the_smallest_blocks_have_no_room_for_seams_and_are_filled_all_the_same(seam: Any, block: int) -> None:
+def test_the_smallest_blocks_are_filled(seam: Any, block: int) -> None:
     """Gaps whose patches lie at the sample's edge, with a hole of a pixel or none, are joined, too."""
     sample = noise(12, 13)
-    for seed in range(5):
-        made = synthesize(Rsgf(block, 1, seam=seam), sample, (40, 41), Lattice((4.3, 0.2), (-0.1, 5.4)), seed)
-        checked_synthesis(made, sample, (40, 41))
+    for seed in range(3):
+        made = synthesize(Rsgf(block, 1, seam=seam), sample, (24, 25), Lattice((4.3, 0.2), (-0.1, 5.4)), seed)
+        checked_synthesis(made, sample, (24, 25))
         assert made.source is not None and (made.source[..., 2] > 0).all()
 
 
@@ -121,16 +121,16 @@ def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
 
 
 def test_progress_rises_to_one() -> None:
-    """Progress is told gap by gap."""
-    told: list[float] = []
-    task = Task(noise(60, 60), (50, 50), FRACTIONAL, np.random.default_rng(0), progress=told.append)
+    """Progress never falls and ends at 1."""
+    reported: list[float] = []
+    task = Task(noise(60, 60), (50, 50), FRACTIONAL, np.random.default_rng(0), progress=reported.append)
     SMALL.synthesize(task)
-    assert told == sorted(told)
-    assert told[-1] == 1
+    assert reported == sorted(reported)
+    assert reported[-1] == 1
 
 
-def test_without_any_lattice_it_goes_on_in_stochastic_mode_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where none is found every position is a candidate, the lattice used is none, and the note tells."""
+def test_without_any_lattice_it_uses_the_stochastic_mode(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If no lattice is found, every position is a candidate, no lattice is used, and the note says why."""
 
     class FindsNone:
         def detect(self, image: Image) -> Detection:
@@ -147,7 +147,7 @@ def test_without_any_lattice_it_goes_on_in_stochastic_mode_and_says_so(monkeypat
 
 @pytest.mark.parametrize("finder", ["consensus", "gncc"])
 def test_without_a_lattice_given_it_finds_one(finder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The lattice of the detector that was chosen is used and told, with what finding it cost."""
+    """The lattice of the chosen detector is used and reported, with the time that detection took."""
 
     class Finds:
         def detect(self, image: Image) -> Detection:
@@ -160,14 +160,14 @@ def test_without_a_lattice_given_it_finds_one(finder: Any, monkeypatch: pytest.M
     assert not made.note
 
 
-def test_a_sample_smaller_than_a_block_with_borders_is_refused_with_a_way_out() -> None:
+def test_a_sample_smaller_than_a_block_with_borders_is_refused() -> None:
     """The refusal says what would fit."""
     with pytest.raises(Refused, match="block \\+ 2 border <= 50"):
         synthesize(Rsgf(), noise(50, 128), (64, 64), FRACTIONAL)
 
 
 def test_a_lattice_too_large_for_the_sample_is_refused() -> None:
-    """Where the sample shows no whole patch equal to one of the output's, the refusal says so."""
+    """The refusal says that no complete patch is equal to one of the output's."""
     with pytest.raises(Refused, match="the tile is too large"):
         synthesize(Rsgf(), noise(70, 70), (256, 256), Lattice((65, 0), (0, 65)))
 

@@ -15,7 +15,7 @@ from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
 from nrbench.synthesizers.gap_filling.canvas import Places, SeamMethod
-from nrbench.synthesizers.rsgf import GapFiller, Rsgf
+from nrbench.synthesizers.rsgf import REMEMBERED, GapFiller, PlaceSampler, Rsgf, best_places
 from nrbench.synthesizers.sampling.patches import PLACE_STEP
 
 SEAMS = get_args(SeamMethod)
@@ -54,16 +54,17 @@ def test_a_fractional_lattice_does_not_drift() -> None:
     assert 0.1 * FRACTIONAL.s < misplaced[~placed].max() <= 3 + 1e-9
 
 
-@pytest.mark.parametrize("reach", [0.0, 0.3, 1.5])
-def test_sub_pixel_places_are_those_of_the_lattice(reach: float) -> None:
+@pytest.mark.parametrize("shape", [(400, 48), (48, 400)])
+@pytest.mark.parametrize("tolerance", [0.0, 0.3, 1.5])
+def test_sub_pixel_places_are_those_of_the_lattice(tolerance: float, shape: tuple[int, int]) -> None:
     """Over 400 px placed patches lie on the real-valued lattice, gaps' within the tolerance of it, however small."""
-    found = fill(noise(60, 60), (400, 400), FRACTIONAL, reach)
+    found = fill(noise(60, 60), shape, FRACTIONAL, tolerance)
     rows, columns = np.indices(found.shape[:2])
     misplaced = np.abs(FRACTIONAL.wrap(found - 8 * np.stack([columns, rows], -1))).max(-1)
     placed = (rows + columns) % 2 == 0
     assert misplaced[placed].max() <= PLACE_STEP
-    assert misplaced[~placed].max() <= reach + PLACE_STEP
-    assert reach == 0 or misplaced[~placed].max() > 2 * PLACE_STEP
+    assert misplaced[~placed].max() <= tolerance + PLACE_STEP
+    assert tolerance == 0 or misplaced[~placed].max() > 2 * PLACE_STEP
 
 
 def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
@@ -75,48 +76,59 @@ def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
 
 @pytest.mark.parametrize("seam", SEAMS)
 def test_a_smooth_fractional_texture_is_continued_without_drift_or_blur(seam: Any) -> None:
-    """A periodic texture whose lattice is of no whole pixels comes back within two gray levels, seams included."""
+    """A periodic texture with fractional vectors is continued within 2.5 gray levels, seams included."""
     truth = waves((512, 512), FRACTIONAL)
-    made = synthesize(Rsgf(seam=seam), quantize(truth[:128, :128]), (512, 512), FRACTIONAL)
-    assert -10 * np.log10(((made.image - truth) ** 2).mean()) > 45
-    assert np.abs(made.image - truth)[-100:, -100:].max() < 2.5 / 255
+    for part in (np.s_[:512, :144], np.s_[:144, :512]):
+        made = synthesize(Rsgf(seam=seam), quantize(truth[:128, :128]), truth[part].shape[:2], FRACTIONAL)
+        assert -10 * np.log10(((made.image - truth[part]) ** 2).mean()) > 45
+        assert np.abs(made.image - truth[part])[-100:, -100:].max() < 2.5 / 255
 
 
 def test_at_whole_pixels_it_is_continued_less_well() -> None:
     """The paper's rounding of places costs more than 10 dB."""
-    truth = waves((512, 512), FRACTIONAL)
-    made = synthesize(PAPER, quantize(truth[:128, :128]), (512, 512), FRACTIONAL)
+    truth = waves((256, 256), FRACTIONAL)
+    made = synthesize(PAPER, quantize(truth[:128, :128]), (256, 256), FRACTIONAL)
     assert 30 < -10 * np.log10(((made.image - truth) ** 2).mean()) < 40
 
 
+def first_places(method: Rsgf, sample: Image, lattice: Lattice | None, count: int) -> NDArray[np.float64]:
+    """Draw the place of the first block of 8 px many times: ``(count, 2)``."""
+    filler = GapFiller(method, Task(sample, (8, 8), lattice, np.random.default_rng(0)), lattice)
+    drawn = np.empty((count, 2))
+    for k in range(count):
+        filler.place_blocks()
+        drawn[k] = filler.canvas.places[0, 0]
+    return drawn
+
+
 def test_the_random_choice_is_uniform_over_the_candidates() -> None:
-    """Each patch equal by the lattice and whole inside the sample, borders included, is drawn equally often."""
+    """Each patch equal by the lattice and inside the sample with its borders is drawn equally often."""
     sample, lattice = noise(60, 60, 1), Lattice((11, 2), (-3, 13))
-    drawn = [tuple(places(synthesize(SMALL, sample, (8, 8), lattice, k), 8)[0, 0].tolist()) for k in range(3000)]
-    room = range(2, 60 - 8 - 2 + 1)
-    candidates = {(x, y) for x in room for y in room if np.abs(lattice.wrap([x, y])).max() < 1e-9}
-    counts = {place: drawn.count(place) for place in set(drawn)}
-    assert set(counts) == candidates
-    assert stats.chisquare(list(counts.values())).pvalue > 1e-3
+    drawn, counts = np.unique(first_places(SMALL, sample, lattice, 3000), axis=0, return_counts=True)
+    inside = range(2, 60 - 8 - 2 + 1)
+    candidates = {(x, y) for x in inside for y in inside if np.abs(lattice.wrap([x, y])).max() < 1e-9}
+    assert {tuple(place) for place in drawn.tolist()} == candidates
+    assert stats.chisquare(counts).pvalue > 1e-3
 
 
-def test_so_it_is_at_sub_pixel_places() -> None:
-    """Each real-valued place that shows a whole patch is drawn equally often."""
-    sample = noise(60, 60, 1)
-    drawn = [tuple(fill(sample, (8, 8), FRACTIONAL, seed=k)[0, 0].tolist()) for k in range(2000)]
+def test_the_choice_is_uniform_at_sub_pixel_places() -> None:
+    """Each real-valued place that shows a complete patch is drawn equally often."""
+    method = replace(SMALL, subpixel=True)
+    drawn, counts = np.unique(first_places(method, noise(60, 60, 1), FRACTIONAL, 2000), axis=0, return_counts=True)
     inside = FRACTIONAL.points((60, 60))
     inside = inside[((inside >= 2) & (inside <= 50)).all(1)]
-    counts = [drawn.count(place) for place in set(drawn)]
-    assert len(counts) == len(inside) > 4
+    assert len(drawn) == len(inside) > 4
     assert stats.chisquare(counts).pvalue > 1e-3
 
 
 def test_in_stochastic_mode_every_place_is_drawn_equally_often() -> None:
-    """As if v1 = (1, 0), v2 = (0, 1): a lattice that is given counts for nothing, and none is used."""
+    """As if v1 = (1, 0), v2 = (0, 1): a lattice that is given has no effect and is not reported."""
     method, sample = replace(SMALL, search="stochastic", candidate_fraction=None), noise(24, 24, 1)
-    drawn = [synthesize(method, sample, (8, 8), Lattice((11, 2), (-3, 13)), k) for k in range(4000)]
-    assert all(made.lattice is None and not made.note for made in drawn)
-    at = np.array([places(made, 8)[0, 0] for made in drawn])
+    for seed in range(5):
+        given, none = (synthesize(method, sample, (24, 24), one, seed) for one in (Lattice((11, 2), (-3, 13)), None))
+        assert given.lattice is None and not given.note
+        np.testing.assert_array_equal(given.image, none.image)
+    at = first_places(method, sample, None, 4000).astype(int)
     counts = np.bincount((at[:, 1] - 2) * 13 + at[:, 0] - 2)
     assert len(counts) == 13**2
     assert stats.chisquare(counts).pvalue > 1e-3
@@ -124,13 +136,12 @@ def test_in_stochastic_mode_every_place_is_drawn_equally_often() -> None:
 
 def test_unit_vectors_are_the_stochastic_mode() -> None:
     """The lattice (1, 0), (0, 1) allows every place that the stochastic mode does."""
-    sample, unit = noise(24, 24, 1), Lattice((1, 0), (0, 1))
-    drawn = {tuple(places(synthesize(SMALL, sample, (8, 8), unit, k), 8)[0, 0].tolist()) for k in range(2500)}
-    assert len(drawn) == 13**2
+    drawn = first_places(SMALL, noise(24, 24, 1), Lattice((1, 0), (0, 1)), 2500)
+    assert len(np.unique(drawn, axis=0)) == 13**2
 
 
 def naive_border(sample: Image, found: NDArray[np.int64], row: int, column: int) -> NDArray[np.float64]:
-    """Return the full border of a gap of 8 px: each pixel from the nearest neighbour's continued patch, or NaN."""
+    """Return the full border of a gap of 8 px: each pixel from the nearest neighbor's continued patch, or NaN."""
     pixels = np.full((8, 8, sample.shape[2]), np.nan)
     rows, columns = found.shape[:2]
     for y, x in itertools.product(range(8), range(8)):
@@ -143,14 +154,15 @@ def naive_border(sample: Image, found: NDArray[np.int64], row: int, column: int)
     return pixels
 
 
-def naive_rating(patch: NDArray[np.float64], border: NDArray[np.float64], match: str) -> float:
-    """Rate a patch by equation 10 (negated), or equations 3 and 6, where the border is."""
-    f, g = (part[~np.isnan(border[..., 0])].astype(float) for part in (patch, border))
+def naive_ratings(patches: NDArray[np.float64], border: NDArray[np.float64], match: str) -> NDArray[np.float64]:
+    """Rate patches ``(n, 8, 8, C)`` by equation 10 (negated), or equations 3 and 6, where the border is."""
+    known = ~np.isnan(border[..., 0])
+    f, g = patches[:, known], border[known]
     if match == "color":
-        return -float(((f - g) ** 2).sum())
-    f, g = f - f.mean(0), g - g.mean(0)
-    weights = np.sqrt((f**2).sum(0) * (g**2).sum(0))
-    return float((f * g).sum() / weights.sum())
+        return -((f - g) ** 2).sum((1, 2))
+    f, g = f - f.mean(1, keepdims=True), g - g.mean(0)
+    weights = np.sqrt((f**2).sum(1) * (g**2).sum(0))
+    return np.asarray((f * g).sum((1, 2)) / weights.sum(1))
 
 
 @pytest.mark.parametrize("match", ["ncc", "color"])
@@ -163,18 +175,71 @@ def test_gaps_take_the_best_of_the_patches_allowed(match: Any, search: Any, tole
     fraction = 0.0 if search == "lattice" else None
     method = replace(SMALL, match=match, search=search, tolerance=tolerance, candidate_fraction=fraction)
     found = places(synthesize(method, sample, (24, 32), lattice), 8)
-    for row, column in [(i, j) for i, j in np.ndindex(3, 4) if (i + j) % 2]:
-        border = naive_border(sample, found, row, column)
-        ratings = {
-            (x, y): naive_rating(to_bytes(sample)[y : y + 8, x : x + 8].astype(float), border, match)
-            for x, y in itertools.product(range(37), range(33))
-            if search == "everywhere" or allowed(lattice, x - 8 * column, y - 8 * row, tolerance or 0)
-        }
-        mine = ratings[tuple(found[row, column].tolist())]
-        assert mine == pytest.approx(max(ratings.values()), abs=1e-9)
-
-
-def allowed(lattice: Lattice, x: int, y: int, tolerance: float) -> bool:
-    """Tell whether a vector is within the tolerance of one of the lattice."""
     steps = np.array(list(itertools.product(range(-9, 10), repeat=2))) @ lattice.matrix
-    return bool((np.abs((x, y) - steps) <= tolerance + 1e-9).all(-1).any())
+    every = np.array([(x, y) for y in range(33) for x in range(37)])
+    patches = np.array([to_bytes(sample)[y : y + 8, x : x + 8].astype(float) for x, y in every])
+    for row, column in [(i, j) for i, j in np.ndindex(3, 4) if (i + j) % 2]:
+        away = (every - (8 * column, 8 * row))[:, np.newaxis] - steps
+        allowed = search == "everywhere" or (np.abs(away) <= (tolerance or 0) + 1e-9).all(-1).any(-1)
+        ratings = np.where(allowed, naive_ratings(patches, naive_border(sample, found, row, column), match), -np.inf)
+        x, y = found[row, column].tolist()
+        assert ratings[37 * y + x] == pytest.approx(ratings.max(), abs=1e-9)
+
+
+def grid(count: int, step: int) -> np.ndarray:
+    """Return the places (x, y) of a square grid."""
+    return np.stack(np.meshgrid(np.arange(count), np.arange(count)), -1).reshape(-1, 2) * step
+
+
+def test_patches_that_do_not_overlap_are_used_in_turn() -> None:
+    """Of nine separate places none is drawn again before all have been drawn, in a random order."""
+    places, orders = grid(3, 10), set()
+    for seed in range(5):
+        sampler = PlaceSampler(np.random.default_rng(seed), 10, prefer_unused=True)
+        rounds = [[tuple(sampler.draw(places)) for _ in places] for _ in range(REMEMBERED // 9)]
+        assert all(len(set(drawn)) == 9 for drawn in rounds)
+        orders |= {tuple(drawn) for drawn in rounds}
+    assert len(orders) > 30
+
+
+def test_the_first_draw_is_uniform_and_all_are_without_preference() -> None:
+    """Each place comes equally often: in first draws, and in all draws without preference."""
+    places = grid(3, 4)
+    first = [PlaceSampler(np.random.default_rng(k), 10, prefer_unused=True).draw(places) for k in range(1800)]
+    sampler = PlaceSampler(np.random.default_rng(0), 10, prefer_unused=False)
+    later = [sampler.draw(places) for _ in range(1800)]
+    for drawn in (first, later):
+        counts = np.unique(np.array(drawn), axis=0, return_counts=True)[1]
+        assert len(counts) == 9
+        assert stats.chisquare(counts).pvalue > 1e-3
+
+
+def test_a_place_is_shown_by_patches_that_overlap_it_in_part() -> None:
+    """A patch counts 1 for its own place, a quarter for a place half a patch aside both ways, 0 for a separate one."""
+    sampler = PlaceSampler(np.random.default_rng(0), 10, prefer_unused=True)
+    sampler.draw(np.array([[20, 20]]))
+    np.testing.assert_allclose(sampler.overlap_counts(np.array([[20, 20], [25, 15], [30, 20]])), [1, 0.25, 0])
+
+
+def test_what_was_laid_long_ago_counts_no_more() -> None:
+    """After as many patches elsewhere as are remembered a place counts as unused."""
+    sampler = PlaceSampler(np.random.default_rng(0), 10, prefer_unused=True)
+    sampler.draw(np.array([[0, 0]]))
+    for _ in range(REMEMBERED):
+        sampler.draw(np.array([[50, 50]]))
+    assert sampler.overlap_counts(np.array([[0, 0]])) == 0
+
+
+def test_of_each_place_the_best_candidate_and_of_places_the_best_share() -> None:
+    """Of four places rated 4 > 3 > 2 = 2, the best fraction is taken with all ties, one candidate per place."""
+    lattice = Lattice((10.4, 0), (0, 9.7))
+    at = np.array([3.2, 4.1])
+    near = np.rint(at + np.array([(0, 0), (1, 0), (0, 1), (1, 1)]) @ lattice.matrix).astype(np.int64)
+    candidates = np.concatenate([near, near + np.array([2, 1]), near - np.array([1, 3])])
+    ratings = np.array([1.0, 0, 2, 2, 4, -1, 0, 0, 0, 3, 0, 0])
+    best = {share: best_places(candidates, ratings, lattice, at, share) for share in (0.0, 0.5, 0.75, 1.0)}
+    first, second = tuple(near[0] + [2, 1]), tuple(near[1] - [1, 3])
+    assert {tuple(place) for place in best[0.0]} == {first}
+    assert {tuple(place) for place in best[0.5]} == {first, second}
+    every = {first, second, tuple(near[2]), tuple(near[3])}
+    assert {tuple(place) for place in best[0.75]} == {tuple(place) for place in best[1.0]} == every

@@ -48,7 +48,7 @@ def misplacement(made: Synthesis, lattice: Lattice) -> NDArray[np.float64]:
 def test_a_whole_pixel_lattice_is_continued_exactly(lattice: Lattice, tile: Any, channels: int) -> None:
     """On a perfectly periodic sample the output is the periodic continuation, phase included, to the bit."""
     picture = periodic((160, 300), lattice, channels)
-    for size in ((160, 200), (1, 300), (150, 1), (9, 5)):
+    for size in ((140, 150), (1, 300), (150, 1), (9, 5)):
         made = synthesize(TileSet(tile=tile), picture[:128, :128], size, lattice)
         np.testing.assert_array_equal(to_bytes(made.image), to_bytes(picture[: size[0], : size[1]]))
 
@@ -103,26 +103,27 @@ def test_the_difference_of_the_paper_continues_exactly_too(lattice: Lattice) -> 
 @pytest.mark.parametrize("parts", [4, 8])
 def test_a_smooth_fractional_texture_is_continued_well(parts: int, registration: float | None, decibels: int) -> None:
     """A periodic texture of no whole pixels comes back with a PSNR of over 35 dB, seams included; unmoved, of 42."""
-    truth = waves((512, 512), FRACTIONAL)
+    truth = waves((256, 256), FRACTIONAL)
     method = TileSet(parts=parts, registration=registration)
-    made = synthesize(method, quantize(truth[:128, :128]), (512, 512), FRACTIONAL)
+    made = synthesize(method, quantize(truth[:128, :128]), (256, 256), FRACTIONAL)
     assert -10 * np.log10(((made.image - truth) ** 2).mean()) > decibels
 
 
 def test_whole_pixels_continue_a_fractional_texture_to_half_a_pixel() -> None:
     """By default nothing is interpolated: places are rounded, which leaves a PSNR of over 30 dB."""
-    truth = waves((512, 512), FRACTIONAL)
-    made = synthesize(TileSet(), quantize(truth[:128, :128]), (512, 512), FRACTIONAL)
+    truth = waves((256, 256), FRACTIONAL)
+    made = synthesize(TileSet(), quantize(truth[:128, :128]), (256, 256), FRACTIONAL)
     assert -10 * np.log10(((made.image - truth) ** 2).mean()) > 30
 
 
 @pytest.mark.parametrize("parts", [None, 4])
 def test_a_fractional_lattice_does_not_drift(parts: int | None) -> None:
     """Over 1024 px no pixel's source is more than 0.1 s off the lattice, and the mean is no larger at the end."""
-    made = synthesize(TileSet(parts=parts), noise(128, 128), (1024, 1024), FRACTIONAL)
-    off = misplacement(made, FRACTIONAL)
-    assert off.max() < 0.1 * FRACTIONAL.s
-    assert off[-256:, -256:].mean() == pytest.approx(off[:256, :256].mean(), rel=0.15)
+    for shape in ((1024, 96), (96, 1024)):
+        made = synthesize(TileSet(parts=parts), noise(128, 128), shape, FRACTIONAL)
+        off = misplacement(made, FRACTIONAL)
+        assert off.max() < 0.1 * FRACTIONAL.s
+        assert off[-256:, -256:].mean() == pytest.approx(off[:256, :256].mean(), rel=0.15)
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
@@ -203,14 +204,14 @@ def test_elements_are_shown_whole_by_t() -> None:
 
 def test_progress_rises_to_one() -> None:
     """Progress never falls and ends at 1."""
-    told: list[float] = []
-    TileSet().synthesize(Task(noise(80, 80), (100, 100), FRACTIONAL, np.random.default_rng(0), told.append))
-    assert told == sorted(told)
-    assert told[-1] == 1
+    reported: list[float] = []
+    TileSet().synthesize(Task(noise(80, 80), (100, 100), FRACTIONAL, np.random.default_rng(0), reported.append))
+    assert reported == sorted(reported)
+    assert reported[-1] == 1
 
 
 def test_it_finds_a_lattice_itself() -> None:
-    """With none given it detects one, uses it and says what that took."""
+    """Without a given lattice it detects one, uses it, and reports the time that took."""
     made = synthesize(TileSet(), quantize(waves((96, 96), FRACTIONAL)), (100, 100), None)
     assert made.lattice is not None and made.lattice.is_equivalent(FRACTIONAL, 0.3)
     assert made.detection_seconds > 0
