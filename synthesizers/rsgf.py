@@ -193,11 +193,8 @@ class GapFiller:
 
     def place_blocks(self) -> None:
         """Section 4.1: fill every second block with a random patch from the places equal to it."""
-        shape = self.grid.search_shape(self.task.sample.shape)
-        equal_places = None if self.lattice is None else EqualPlaces(self.lattice, shape)
         for row, column in self.grid.placed():
-            place = self._draw_place(row, column, equal_places, shape) + self.grid.border
-            self.canvas.place_block(row, column, place)
+            self.canvas.place_block(row, column, self._draw_place(row, column) + self.grid.border)
         self.canvas.extend_placed()
 
     def fill_gaps(self) -> None:
@@ -210,13 +207,14 @@ class GapFiller:
             self.canvas.fill_gap(row, column, place, self._deformation(row, column, place))
             self.task.progress((done + 1) / len(gaps))
 
-    def _draw_place(self, row: int, column: int, equal_places: EqualPlaces | None, shape: SearchShape) -> Points:
+    def _draw_place(self, row: int, column: int) -> Points:
         """Draw the (x, y) of a block with its borders; without a lattice from anywhere."""
-        if equal_places is None:
+        shape = self.grid.search_shape(self.task.sample.shape)
+        if self.lattice is None:
             trials = _STOCHASTIC_TRIALS if self.method.prefer_unused else 1
             return self.sampler.draw(self.task.rng.integers(shape[::-1], size=(trials, 2)))
         border = self.grid.border
-        equal = equal_places.find(self._corner(row, column) - border)
+        equal = self._block_places.find(self._corner(row, column) - border)
         candidates: NDArray[Any] = (
             _places_inside(round_places(equal), shape) if self.method.subpixel else nearest_pixels(equal, shape)
         )
@@ -293,6 +291,11 @@ class GapFiller:
     def _reduced(self) -> Lattice:
         assert self.lattice is not None
         return self.lattice.reduced()
+
+    @cached_property
+    def _block_places(self) -> EqualPlaces:
+        assert self.lattice is not None
+        return EqualPlaces(self.lattice, self.grid.search_shape(self.task.sample.shape))
 
     @cached_property
     def _gap_places(self) -> EqualPlaces:

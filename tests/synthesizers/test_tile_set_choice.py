@@ -157,7 +157,7 @@ def test_every_parameter_changes_something() -> None:
     sample = quantize(0.8 * regular + 0.2 * regular * noise(128, 128))
 
     def made(**parameters: Any) -> NDArray[np.float32]:
-        task = Task(sample, (96, 96), lattice, np.random.default_rng(1))
+        task = Task(sample, (72, 72), lattice, np.random.default_rng(1))
         return TileSet(**parameters).synthesize(task).image
 
     base, paper = made(), made(stitch="dynamic")
