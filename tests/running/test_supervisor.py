@@ -48,7 +48,7 @@ def small_suite(methods: list[str], *metrics: str) -> Suite:
 
 
 def test_every_fault_is_a_row(faulty_run: FaultyRun, tmp_path: Path) -> None:
-    """A method that fails in any way has its status and cause; others are fine; a process that it forked dies with it."""
+    """A method that fails in any way has its status and cause; others are fine; its child processes end with it."""
     mark = tmp_path / "mark"
     suite = small_suite([f"spawner:mark={mark}", *(f"faulty:how={how}" for how in HOWS), "fine"])
     spawner, *faults, fine = faulty_run(suite, Options(jobs=2, timeout=2, memory=300)).cells
