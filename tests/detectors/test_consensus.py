@@ -1,4 +1,4 @@
-"""The lattice from which each tile is best foretold by all the others."""
+"""The consensus detector finds the smallest lattice whose tiles best predict one another."""
 
 from __future__ import annotations
 
@@ -18,43 +18,43 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detection, NoLatticeFound
 
 
-def exactly(found: Detection, truth: Lattice | None, image: Image, tolerance: float = 1.0) -> bool:
-    """Tell whether a detection is the true lattice."""
+def is_exact(detection: Detection, truth: Lattice | None, image: Image, tolerance: float = 1.0) -> bool:
+    """Return whether a detection is the true lattice."""
     assert truth is not None
-    return lattice_error(found.lattice, truth, image.shape[:2], tolerance).relation == "exact"
+    return lattice_error(detection.lattice, truth, image.shape[:2], tolerance).relation == "exact"
 
 
 @pytest.mark.parametrize("model", ["brick", "weave", "hexagon", "squares", "scales", "basket", "plate", "pavement"])
 @pytest.mark.parametrize("departures", [{}, {"color": 0.4, "noise": 0.05}], ids=["regular", "varied"])
-def test_models_are_found_exactly(model: str, departures: dict[str, Any]) -> None:
-    """The smallest lattice, to a quarter of a pixel, whatever the family; regular or varied."""
-    drawn = texture(model, (160, 176), 3, **departures)
-    assert exactly(Consensus().detect(quantize(drawn.image)), drawn.lattice, drawn.image, 0.25)
+def test_models_are_exact(model: str, departures: dict[str, Any]) -> None:
+    """The lattice is exact to a quarter of a pixel for each family, regular or varied."""
+    drawn = texture(model, (128, 144), 3, **departures)
+    assert is_exact(Consensus().detect(quantize(drawn.image)), drawn.lattice, drawn.image, 0.25)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_threads_that_match_by_chance_make_no_supercell(seed: int) -> None:
-    """Strongly colored threads, which run across the picture, do not lead to a coarser lattice."""
+    """Strongly colored threads, which run across the image, do not lead to a coarser lattice."""
     drawn = texture("weave", (160, 160), seed, color=0.6, noise=0.05, rotation=31.7)
-    assert exactly(Consensus().detect(quantize(drawn.image)), drawn.lattice, drawn.image)
+    assert is_exact(Consensus().detect(quantize(drawn.image)), drawn.lattice, drawn.image)
 
 
 def test_joints_make_no_subcell() -> None:
-    """Bricks out of place, whose long joints stay in line, do not lead to a finer lattice along the joints."""
+    """Displaced bricks, whose long joints stay in line, do not lead to a finer lattice along the joints."""
     drawn = texture("brick", (160, 160), 2, color=0.3, jitter=0.3)
-    assert exactly(Consensus().detect(quantize(drawn.image)), drawn.lattice, drawn.image)
+    assert is_exact(Consensus().detect(quantize(drawn.image)), drawn.lattice, drawn.image)
 
 
 def test_tiles_that_alternate_are_kept_apart() -> None:
-    """Where every second tile differs, the cell holds both kinds; where they do not, one."""
+    """If every second tile differs, the cell holds both kinds; if all are equal, it holds one."""
     y, x = np.indices((144, 144)) // 16
     rng = np.random.default_rng(0)
     motif = ndimage.gaussian_filter(rng.normal(size=(16, 16)), 1.5, mode="wrap")
     other = ndimage.gaussian_filter(rng.normal(size=(16, 16)), 1.5, mode="wrap")
     first, second = (np.tile(0.5 + part, (9, 9)) for part in (motif, motif + 0.6 * other))
     mixed = np.where((x + y) % 2, first, second)[..., np.newaxis].astype(np.float32)
-    found = Consensus().detect(np.clip(mixed, 0, 1))
-    assert found.lattice.is_equivalent(Lattice((16, 16), (16, -16)), 0.1)
+    detection = Consensus().detect(np.clip(mixed, 0, 1))
+    assert detection.lattice.is_equivalent(Lattice((16, 16), (16, -16)), 0.1)
     plain = Consensus().detect(np.clip(first[..., np.newaxis].astype(np.float32), 0, 1))
     assert plain.lattice.is_equivalent(Lattice((16, 0), (0, 16)), 0.1)
 
@@ -63,27 +63,27 @@ def test_tiles_that_alternate_are_kept_apart() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_stochastic_textures_have_none(spectrum: str, seed: int) -> None:
     """No lattice is found in noise of any spectrum."""
-    drawn = texture("noise", (128, 128), seed, spectrum=spectrum)
+    drawn = texture("noise", (96, 96), seed, spectrum=spectrum)
     with pytest.raises(NoLatticeFound):
         Consensus().detect(quantize(drawn.image))
 
 
-def test_what_was_rejected_is_told() -> None:
-    """The exception carries the best lattice and why it is none; without rejection that is the answer."""
-    drawn = quantize(texture("noise", (128, 128), 4, spectrum="grass").image)
+def test_the_exception_carries_the_rejected_lattice() -> None:
+    """The exception carries the best lattice and the reason; without rejection this lattice is returned."""
+    drawn = quantize(texture("noise", (96, 96), 4, spectrum="grass").image)
     answer = Consensus(reject="none").detect(drawn)
-    with pytest.raises(NoLatticeFound, match=r"chance|explains only") as no:
+    with pytest.raises(NoLatticeFound, match=r"chance|explains only") as refusal:
         Consensus().detect(drawn)
-    assert no.value.best is not None
-    assert no.value.best.lattice == answer.lattice
+    assert refusal.value.best is not None
+    assert refusal.value.best.lattice == answer.lattice
 
 
-def test_surrogates_tell_lattice_from_chance() -> None:
+def test_surrogates_separate_lattices_from_chance() -> None:
     """Compared with phase-randomized copies, bricks have a lattice and noise has none."""
-    bricks = quantize(texture("brick", (112, 112), 1, color=0.2, rotation=17.3).image)
-    found = Consensus(reject="surrogate").detect(bricks)
-    assert found.diagnostics["tested"] > found.diagnostics["limit"] > 0
-    noise = quantize(texture("noise", (112, 112), 6, spectrum="grass").image)
+    bricks = quantize(texture("brick", (96, 96), 1, color=0.2, rotation=17.3).image)
+    detection = Consensus(reject="surrogate").detect(bricks)
+    assert detection.diagnostics["tested"] > detection.diagnostics["limit"] > 0
+    noise = quantize(texture("noise", (96, 96), 6, spectrum="grass").image)
     with pytest.raises(NoLatticeFound):
         Consensus(reject="surrogate").detect(noise)
 
@@ -91,7 +91,7 @@ def test_surrogates_tell_lattice_from_chance() -> None:
 @pytest.mark.parametrize("angle", [0.0, 0.4])
 def test_a_grating_has_none(angle: float) -> None:
     """Stripes repeat by any vector along them: no two-dimensional lattice."""
-    y, x = np.indices((128, 128))
+    y, x = np.indices((96, 96))
     stripes = 0.5 + 0.3 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 11.3)
     noise = np.random.default_rng(0).normal(0, 0.05, stripes.shape)
     with pytest.raises(NoLatticeFound):
@@ -99,11 +99,11 @@ def test_a_grating_has_none(angle: float) -> None:
 
 
 @pytest.mark.parametrize("period", [2.8, 3.1, 4.01, 5.3, 7.7, 12.4])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_fine_gratings_have_none(period: float, seed: int) -> None:
-    """Nor do stripes of a few pixels at any angle, whose edges beat with the pixels' grid."""
+    """Stripes of a few pixels at any angle, whose edges beat with the pixel grid, have no lattice."""
     angle = np.random.default_rng(seed).uniform(0.1, 1.4)
-    y, x = np.indices((128, 128))
+    y, x = np.indices((80, 80))
     stripes = 0.5 + 0.4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / period)
     with pytest.raises(NoLatticeFound):
         Consensus().detect(quantize(stripes[..., np.newaxis].astype(np.float32)))
@@ -114,10 +114,10 @@ def test_tiny_and_thin_images_behave(shape: tuple[int, int]) -> None:
     """An image too small for a lattice has none, or a lattice of at least three tiles; never another exception."""
     image = np.random.default_rng(1).random((*shape, 3)).astype(np.float32)
     try:
-        found = Consensus(reject="none").detect(image)
+        detection = Consensus(reject="none").detect(image)
     except NoLatticeFound:
         return
-    assert found.diagnostics["tiles"] > 2
+    assert detection.diagnostics["tiles"] > 2
 
 
 def test_a_constant_image_has_none() -> None:
@@ -126,64 +126,64 @@ def test_a_constant_image_has_none() -> None:
         Consensus().detect(np.full((64, 64, 3), 0.4, np.float32))
 
 
-def test_large_pictures_are_looked_at_in_parts() -> None:
-    """Small and large periods of a picture over 640 px a side are found, as precisely as in a small one."""
-    for period in (9.37, 150.6):
-        y, x = np.indices((700, 1500))
+def test_large_images_have_exact_lattices() -> None:
+    """Small and large periods of an image over 640 px a side are found as precisely as in a small one."""
+    for period, shape in ((9.37, (650, 650)), (150.6, (650, 900))):
+        y, x = np.indices(shape)
         image = 0.5 + 0.2 * np.cos(2 * np.pi * x / period) * np.cos(2 * np.pi * y / (0.8 * period))
         image = image + 0.2 * np.cos(2 * np.pi * x / period)
-        found = Consensus().detect(image[..., np.newaxis].astype(np.float32))
-        assert lattice_error(found.lattice, Lattice((period, 0), (0, 0.8 * period)), (700, 1500)).vector < 0.02
+        detection = Consensus().detect(image[..., np.newaxis].astype(np.float32))
+        assert lattice_error(detection.lattice, Lattice((period, 0), (0, 0.8 * period)), shape).vector < 0.02
 
 
 def test_detail_decides_over_views() -> None:
-    """Sharp tiles that a small view blurs unevenly, tiles that differ in their detail, and a thin strip: all exact."""
+    """Sharp tiles that a small view blurs unevenly, tiles that differ in detail, and a thin strip are exact."""
     rng = np.random.default_rng(3)
     tile = rng.random((37, 53, 3), np.float32)
-    sharp = np.tile(tile, (27, 20, 1))[:1000, :1060]
+    sharp = np.tile(tile, (18, 13, 1))[:660, :680]
     assert Consensus().detect(sharp).lattice.is_equivalent(Lattice((53, 0), (0, 37)), 0.05)
     shared, first, second = rng.random((3, 24, 24, 1), np.float32)
     pair = [0.5 * shared + 0.5 * own for own in (first, second)]
     rows = [np.concatenate(pair, 1), np.concatenate(pair[::-1], 1)]
-    mixed = np.tile(np.concatenate(rows), (21, 21, 1))
+    mixed = np.tile(np.concatenate(rows), (14, 14, 1))
     assert Consensus().detect(mixed).lattice.is_equivalent(Lattice((24, 24), (24, -24)), 0.05)
     strip = np.tile(ndimage.gaussian_filter(rng.random((30, 450, 1)), (1, 1, 0), mode="wrap"), (4, 4, 1))
-    found = Consensus().detect(strip.astype(np.float32))
-    assert found.lattice.is_equivalent(Lattice((450, 0), (0, 30)), 0.05)
+    detection = Consensus().detect(strip.astype(np.float32))
+    assert detection.lattice.is_equivalent(Lattice((450, 0), (0, 30)), 0.05)
 
 
 def test_views_cover_detail_and_whole() -> None:
-    """The first view is the middle as it is, the last the whole picture; none exceeds 640 px a side."""
+    """The first view is the middle at full detail, the last the whole image; none exceeds 640 px a side."""
     image = np.random.default_rng(2).random((1400, 2600, 1)).astype(np.float32)
-    seen = list(views(image))
-    assert [one.factor for one in seen] == [1, 2, 4, 8]
-    np.testing.assert_array_equal(seen[0].image, image[380:1020, 980:1620])
-    assert seen[-1].image.shape == (175, 325, 1)
-    assert max(max(one.image.shape) for one in seen) <= 640
+    parts = list(views(image))
+    assert [part.factor for part in parts] == [1, 2, 4, 8]
+    np.testing.assert_array_equal(parts[0].image, image[380:1020, 980:1620])
+    assert parts[-1].image.shape == (175, 325, 1)
+    assert max(max(part.image.shape) for part in parts) <= 640
     np.testing.assert_allclose(shrink(image, 2)[5, 7], image[10:12, 14:16].mean((0, 1)), rtol=1e-6)
 
 
 def test_a_quarter_turn_turns_the_lattice() -> None:
-    """The transposed picture has the transposed lattice; a gray and a darker copy have the same."""
+    """A transposed image has the transposed lattice; a gray and a darker copy have the same lattice."""
     drawn = quantize(texture("hexagon", (128, 144), 5, color=0.3, rotation=12.0).image)
-    found = Consensus().detect(drawn).lattice
+    lattice = Consensus().detect(drawn).lattice
     turned = Consensus().detect(np.ascontiguousarray(drawn.transpose(1, 0, 2))).lattice
-    assert found.is_equivalent(Lattice(turned.t1[::-1], turned.t2[::-1]), 0.02)
+    assert lattice.is_equivalent(Lattice(turned.t1[::-1], turned.t2[::-1]), 0.02)
     gray = drawn.mean(2, keepdims=True)
-    assert found.is_equivalent(Consensus().detect(gray).lattice, 0.1)
-    assert found.is_equivalent(Consensus().detect(0.2 + 0.5 * drawn).lattice, 0.05)
+    assert lattice.is_equivalent(Consensus().detect(gray).lattice, 0.1)
+    assert lattice.is_equivalent(Consensus().detect(0.2 + 0.5 * drawn).lattice, 0.05)
 
 
-def test_the_same_picture_has_the_same_lattice() -> None:
+def test_the_same_image_has_the_same_lattice() -> None:
     """Equal pixels give equal bits."""
     drawn = quantize(texture("brick", (96, 96), 8, color=0.3).image)
     assert Consensus().detect(drawn).lattice == Consensus().detect(drawn.copy()).lattice
 
 
-def test_confidence_tells_right_from_wrong() -> None:
-    """A regular wall is trusted; what noise proposes is not."""
-    wall = quantize(texture("brick", (160, 160), 1, color=0.2).image)
-    noise = quantize(texture("noise", (160, 160), 1, spectrum="grass").image)
+def test_confidence_separates_right_from_wrong() -> None:
+    """The confidence of a regular wall is high, that of a lattice in noise is low."""
+    wall = quantize(texture("brick", (128, 128), 1, color=0.2).image)
+    noise = quantize(texture("noise", (128, 128), 1, spectrum="grass").image)
     assert Consensus().detect(wall).confidence > 0.9
     try:
         assert Consensus(reject="none").detect(noise).confidence < 0.2
@@ -192,7 +192,7 @@ def test_confidence_tells_right_from_wrong() -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameters", "told"),
+    ("parameters", "message"),
     [
         ({"max_loss": 1.0}, "max_loss is 1.0; give a share"),
         ({"relief": -0.1}, "relief is -0.1; give a share"),
@@ -202,7 +202,7 @@ def test_confidence_tells_right_from_wrong() -> None:
         ({"false_alarms": 0}, "give a probability"),
     ],
 )
-def test_bad_parameters_are_refused(parameters: dict[str, Any], told: str) -> None:
-    """Each parameter out of its range is refused with what to give."""
-    with pytest.raises(BadInput, match=told):
+def test_bad_parameters_are_refused(parameters: dict[str, Any], message: str) -> None:
+    """Each parameter out of its range is refused, and the message says what to give."""
+    with pytest.raises(BadInput, match=message):
         Consensus(**parameters)

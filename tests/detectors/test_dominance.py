@@ -19,7 +19,7 @@ FAST = Dominance(reject="none")
 @settings(max_examples=30, deadline=None)
 @given(st.integers(1, 60), st.integers(0, 2**32 - 1))
 def test_a_region_ends_at_the_nearest_higher_peak(count: int, seed: int) -> None:
-    """The radius is the distance to the nearest higher peak, mirror images and lag 0 among them: by brute force."""
+    """The radius is the distance to the nearest higher peak, mirror images and lag 0 included, by brute force."""
     rng = np.random.default_rng(seed)
     lags, values = rng.uniform(-50, 50, (count, 2)), rng.permutation(count) / count
     for i, radius in enumerate(dominance_radii(lags, values)):
@@ -31,8 +31,8 @@ def test_a_region_ends_at_the_nearest_higher_peak(count: int, seed: int) -> None
 @pytest.mark.parametrize("model", ["squares", "brick", "hexagon", "weave"])
 def test_periodic_textures_are_exact(model: str) -> None:
     """Without departures the lattice is exact, within 0.1 px, on an image that is not square."""
-    sample = texture(model, (150, 128), 0, **PERIODIC)
-    found = Dominance().detect(quantize(sample.image))
+    sample = texture(model, (128, 112), 0, **PERIODIC)
+    found = Dominance(surrogates=12).detect(quantize(sample.image))
     assert sample.lattice is not None
     error = lattice_error(found.lattice, sample.lattice, (128, 128))
     assert error.relation == "exact" and error.vector < 0.1
@@ -41,7 +41,7 @@ def test_periodic_textures_are_exact(model: str) -> None:
 
 @pytest.mark.parametrize("model", ["squares", "brick", "hexagon"])
 def test_departures_leave_the_lattice(model: str) -> None:
-    """With color, grain and jitter three in four draws at least are exact."""
+    """With color, noise and jitter at least three in four draws are exact."""
     exact = 0
     for seed in range(4):
         sample = texture(model, (128, 128), seed, color=0.3, noise=0.1, jitter=0.2)
@@ -54,7 +54,7 @@ def test_departures_leave_the_lattice(model: str) -> None:
 @pytest.mark.parametrize("model", ["brick", "weave"])
 @pytest.mark.parametrize("seed", range(3))
 def test_strong_color_makes_no_supercell(model: str, seed: int) -> None:
-    """Where tiles differ much in color the cell is still the smallest that explains the peaks, and surely so."""
+    """If tiles differ strongly in color, the cell is still the smallest that explains the peaks, with confidence."""
     sample = texture(model, (128, 128), seed, color=0.6, noise=0.1)
     assert sample.lattice is not None
     found = FAST.detect(quantize(sample.image))
@@ -62,7 +62,7 @@ def test_strong_color_makes_no_supercell(model: str, seed: int) -> None:
 
 
 def test_peaks_on_ridges_count() -> None:
-    """Rows that stand out far more than the joints within them leave the lattice: a peak of each row is not enough."""
+    """Rows that are far more prominent than the joints within them do not hide the lattice."""
     y, x = np.indices((192, 192))
     row = y // 16
     joints = (x + 20 * (row % 2)) % 40 < 3
@@ -72,7 +72,7 @@ def test_peaks_on_ridges_count() -> None:
 
 
 def test_few_hits_give_little_confidence() -> None:
-    """White noise, answered all the same, is no surer than a twentieth."""
+    """A lattice returned for white noise has a confidence below 0.05."""
     found = FAST.detect(np.random.default_rng(0).random((128, 128, 3)).astype(np.float32))
     assert found.confidence < 0.05
 
@@ -80,7 +80,7 @@ def test_few_hits_give_little_confidence() -> None:
 @settings(max_examples=20, deadline=None)
 @given(st.floats(6, 30), st.floats(6, 30), st.floats(0.9, 2.2), st.floats(0, 3), st.integers(0, 2**32 - 1))
 def test_hits_and_points_are_counted(a: float, b: float, angle: float, turn: float, seed: int) -> None:
-    """The kernel's points and hits are those that the lattice's own points and wrapped peaks tell."""
+    """The kernel's points and hits equal those counted with the lattice's points and wrapped peaks."""
     lattice = Lattice(
         (a * np.cos(turn), a * np.sin(turn)), (b * np.cos(turn + angle), b * np.sin(turn + angle))
     ).reduced()
@@ -104,36 +104,36 @@ def test_whole_pixels_stay_near() -> None:
 
 @pytest.mark.parametrize("angle", [0.0, 0.6, np.pi / 2])
 def test_a_grating_has_no_lattice(angle: float) -> None:
-    """Stripes in noise repeat along one direction only: refused."""
-    y, x = np.indices((128, 128))
+    """Stripes in noise repeat along one direction only and are refused."""
+    y, x = np.indices((96, 96))
     stripes = np.tanh(4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 17.3))
-    image = 0.5 + 0.15 * stripes + 0.03 * np.random.default_rng(0).standard_normal((128, 128))
+    image = 0.5 + 0.15 * stripes + 0.03 * np.random.default_rng(0).standard_normal((96, 96))
     with pytest.raises(NoLatticeFound):
         Dominance().detect(quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)))
 
 
 def test_noise_and_constants_have_no_lattice() -> None:
-    """White noise is refused with the best candidate; a constant image for what it is."""
-    with pytest.raises(NoLatticeFound, match="no better than chance") as no:
+    """White noise is refused with the best candidate; for a constant image the message says that it is constant."""
+    with pytest.raises(NoLatticeFound, match="no better than chance") as refusal:
         Dominance().detect(np.random.default_rng(0).random((96, 64, 3)).astype(np.float32))
-    assert no.value.best is not None
+    assert refusal.value.best is not None
     with pytest.raises(NoLatticeFound, match="constant"):
         FAST.detect(np.full((64, 64, 3), 0.4, np.float32))
 
 
 @pytest.mark.parametrize("shape", [(8, 8), (8, 40), (13, 9)])
-def test_tiny_images_are_refused_in_words(shape: tuple[int, int]) -> None:
+def test_tiny_images_are_refused_with_a_reason(shape: tuple[int, int]) -> None:
     """The smallest images raise nothing but a refusal."""
-    for seed in range(10):
+    for seed in range(5):
         image = np.random.default_rng(seed).random((*shape, 3)).astype(np.float32)
         with pytest.raises(NoLatticeFound, match=r"no two peaks|chance"):
             Dominance(surrogates=10).detect(image)
 
 
 def test_it_is_a_detector_that_can_be_drawn_and_repeats() -> None:
-    """The plugin has the form, its surface holds as many peaks as multiples, and twice it answers the same."""
+    """The plugin implements the protocol, its surface holds at most as many peaks as multiples, and it repeats."""
     image = quantize(texture("brick", (96, 96), 0, **PERIODIC).image)
-    first, second = Dominance().detect(image), Dominance().detect(image)
+    first, second = (Dominance(surrogates=6).detect(image) for _ in range(2))
     surface = first.diagnostics["correlation"]
     assert isinstance(Dominance(), Detector) and isinstance(surface, Surface)
     assert 0 < first.diagnostics["hits"] <= len(surface.peaks) <= first.diagnostics["multiples"]
@@ -153,7 +153,7 @@ def test_it_is_a_detector_that_can_be_drawn_and_repeats() -> None:
     ],
 )
 def test_parameters_out_of_range_are_refused(parameter: dict[str, object], hint: str) -> None:
-    """Each says which parameter it is, and what to give."""
+    """The message names the parameter and says what to give."""
     with pytest.raises(BadInput, match=hint) as refusal:
         Dominance(**parameter)  # type: ignore[arg-type]
     assert str(refusal.value).startswith(f"dominance: {next(iter(parameter))}")
@@ -162,7 +162,7 @@ def test_parameters_out_of_range_are_refused(parameter: dict[str, object], hint:
 @pytest.mark.parametrize("angle", [0.0, 0.3, 0.7, 1.1])
 def test_stripes_at_any_angle_have_none(angle: float) -> None:
     """The peaks of a grating are one ridge, whatever its angle."""
-    y, x = np.indices((128, 128))
+    y, x = np.indices((96, 96))
     stripes = 0.5 + 0.4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 9.3)
     with pytest.raises(NoLatticeFound):
         Dominance().detect(stripes[..., np.newaxis].astype(np.float32))

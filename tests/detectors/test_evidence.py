@@ -1,4 +1,4 @@
-"""What a spline surface of correlations tells of lattices."""
+"""A spline surface of correlations rates and fits lattices."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_agreement_leaves_out_a_coarser_lattice(evidence: Evidence) -> None:
     assert rest.mean == pytest.approx(whole.mean, abs=0.02)
 
 
-def test_no_multiples_is_told() -> None:
+def test_no_multiples() -> None:
     """Where a lattice has no multiple within reach, the mean is -1 and the count 0."""
     spline = np.zeros((15, 8 + PAD))
     np.testing.assert_array_equal(between(spline, 90 * np.eye(2), np.zeros((2, 2)), np.full(2, 5.0), PAD), [-1, 0, 0])
@@ -102,7 +102,7 @@ def test_fit_finds_the_vectors(offsets: tuple[float, ...]) -> None:
 
 
 def test_the_explained_variance_is_that_of_leave_one_out(rng: np.random.Generator) -> None:
-    """Predicting each tile by the mean of all others explains the share that ``foretold`` says."""
+    """Predicting each tile by the mean of all others explains the share of ``explained_variance_loo``."""
     tile, tiles = rng.normal(size=(16, 16)), 64
     stack = tile + 0.8 * rng.normal(size=(tiles, 16, 16))
     image = stack.reshape(8, 8, 16, 16).transpose(0, 2, 1, 3).reshape(128, 128, 1).astype(np.float32)
@@ -113,7 +113,7 @@ def test_the_explained_variance_is_that_of_leave_one_out(rng: np.random.Generato
 
 
 def test_sigmas_are_standard_deviations(rng: np.random.Generator) -> None:
-    """On white and on smooth noise, a lattice that is not looked for deviates by one sigma in the mean square."""
+    """On white and on smooth noise, a random lattice deviates by one sigma in the mean square."""
     for smoothness in (0.0, 1.5):
         found = [
             Evidence(

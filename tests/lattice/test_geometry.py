@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import math
 
 import numpy as np
@@ -6,7 +8,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.comparison import lattice_error
+from nrbench.lattice.geometry import Lattice, hermite_matrices, integers_within, shortest_pair
 
 HEXAGONAL = Lattice((20.0, 0.0), (10.0, 10 * math.sqrt(3)))
 
@@ -80,8 +83,7 @@ TIED = [
 ]
 
 
-@pytest.mark.parametrize("lattice", TIED)
-@given(unimodular(), st.floats(0, 360))
+@given(st.sampled_from(TIED), unimodular(), st.floats(0, 360))
 def test_the_canonical_basis_is_the_lattices_own(lattice: Lattice, change: np.ndarray, degrees: float) -> None:
     """Lattices with equally short vectors have one canonical basis, whatever the basis given, and it is reduced."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
@@ -94,12 +96,13 @@ def test_the_canonical_basis_is_the_lattices_own(lattice: Lattice, change: np.nd
     assert one.is_equivalent(turned) and -1e-6 <= a @ b <= a @ a / 2 + 1e-6
 
 
-@pytest.mark.parametrize("lattice", TIED)
-@given(unimodular(), st.integers(-9, 9), st.integers(-9, 9), st.integers(-4, 4), st.integers(-4, 4))
+@given(
+    st.sampled_from(TIED), unimodular(), st.integers(-9, 9), st.integers(-9, 9), st.integers(-4, 4), st.integers(-4, 4)
+)
 def test_ties_in_wrapping_are_the_lattices_own(
     lattice: Lattice, change: np.ndarray, i: int, j: int, a: int, b: int
 ) -> None:
-    """Half vectors and centers of triangles wrap to one place, from any basis and from any cell, and stay there."""
+    """Half vectors and centers of triangles wrap to one position from any basis and cell, which wraps to itself."""
     places = np.array([(0.5, 0), (0, 0.5), (0.5, 0.5), (1 / 3, 1 / 3), (2 / 3, 2 / 3), (a / 6, b / 6)])
     wrapped = lattice.wrap(places @ lattice.matrix)
     again = rebased(lattice, change).wrap((places + np.array([i, j])) @ lattice.matrix)
@@ -108,14 +111,14 @@ def test_ties_in_wrapping_are_the_lattices_own(
 
 
 def test_a_tie_goes_right_then_down() -> None:
-    """The four corners of a square Voronoi cell are one place, at the lower right."""
+    """The four corners of a square Voronoi cell wrap to the one at the lower right."""
     corners = [(10, 10), (-10, 10), (10, -10), (-10, -10)]
     np.testing.assert_allclose(Lattice((20, 0), (0, 20)).wrap(corners), [(10, 10)] * 4)
 
 
 @pytest.mark.parametrize("lattice", [Lattice((2, 0), (0.7, 1e4)), Lattice((1e4, 3), (1e4 + 1.5, 1e4 + 2))])
 def test_long_lattices_wrap_and_list_their_points(lattice: Lattice) -> None:
-    """A wrapped displacement of 1e5 px is off by whole vectors, and in a 40 x 1000 strip all points are found."""
+    """A wrapped displacement of 1e5 px differs by whole vectors, and all points of a 40 x 1000 strip are listed."""
     d = np.random.default_rng(0).uniform(-1e5, 1e5, (200, 2))
     wrapped = lattice.wrap(d)
     steps = (d - wrapped) @ np.linalg.inv(lattice.matrix)
@@ -152,7 +155,7 @@ def test_the_dual_does_not_depend_on_the_basis(lattice: Lattice, change: np.ndar
 
 @given(lattices())
 def test_the_covering_radius_is_that_of_the_deepest_hole(lattice: Lattice) -> None:
-    """No place wraps further than it, some do nearly; within half of s a place wraps to itself."""
+    """No wrapped displacement is longer, some are nearly as long; displacements below s / 2 wrap to themselves."""
     u, v = np.mgrid[0:1:0.02, 0:1:0.02]  # type: ignore[misc]
     away = np.hypot(*np.moveaxis(lattice.wrap(np.stack([u, v], -1) @ lattice.reduced().matrix), -1, 0))
     assert lattice.covering_radius * 0.93 < away.max() <= lattice.covering_radius * (1 + 1e-9)
@@ -179,11 +182,12 @@ def test_cell_coordinates_come_back(lattice: Lattice, x: float, y: float) -> Non
 
 @given(lattices())
 def test_points_are_all_lattice_points_within_the_image(lattice: Lattice) -> None:
-    """Brute force finds the same points."""
+    """Brute force gives the same points."""
     assume(lattice.s > 3)
     shape = (37, 52)
-    steps = np.array([(i, j) for i in range(-60, 61) for j in range(-60, 61)])
-    xy = lattice.reduced().from_cell(steps)
+    reduced = lattice.reduced()
+    middle = np.rint(reduced.to_cell((25.5, 18)))
+    xy = reduced.from_cell(middle + np.array([(i, j) for i in range(-16, 17) for j in range(-16, 17)]))
     depth = np.minimum(xy + 0.5, (51.5, 36.5) - xy).min(1)
     found = lattice.points(shape)
     near = np.hypot(*np.moveaxis(found[:, np.newaxis] - xy[depth > -1e-6], -1, 0)) < 1e-6
@@ -210,16 +214,14 @@ def test_the_kind_is_that_of_the_symmetry(lattice: Lattice, kind: str, turn: flo
     assert Lattice(tuple(t1), tuple(t2)).kind == kind
 
 
-@pytest.mark.parametrize("lattice", TIED)
-@given(unimodular(), st.floats(-0.004, 0.004), st.floats(-0.004, 0.004))
+@given(st.sampled_from(TIED), unimodular(), st.floats(-0.004, 0.004), st.floats(-0.004, 0.004))
 def test_the_kind_survives_a_basis_and_a_small_move(lattice: Lattice, change: np.ndarray, x: float, y: float) -> None:
     """Moving one vector's tip by less than half the tolerance changes no kind, seen from any basis."""
     moved = lattice.matrix + np.array([(0, 0), (x, y)]) * lattice.s
     assert rebased(Lattice(tuple(moved[0]), tuple(moved[1])), change).kind == lattice.kind
 
 
-@pytest.mark.parametrize("lattice", TIED)
-@given(unimodular())
+@given(st.sampled_from(TIED), unimodular())
 def test_the_kind_of_the_dual_is_the_same(lattice: Lattice, change: np.ndarray) -> None:
     """Square, rectangular, rhombic and hexagonal lattices have duals of their kind."""
     assert rebased(lattice, change).dual().kind == lattice.kind
@@ -227,7 +229,7 @@ def test_the_kind_of_the_dual_is_the_same(lattice: Lattice, change: np.ndarray) 
 
 @pytest.mark.parametrize(("along", "kind"), [(0.3, "rectangular"), (0.99, "rhombic"), (0.49, "rectangular")])
 def test_a_long_lattice_is_of_the_nearer_kind(along: float, kind: str) -> None:
-    """2 px by 300 px: 1 % of the longer vector reaches either kind, and the nearer one is told."""
+    """On 2 px by 300 px, 1 % of the longer vector allows either kind; the nearer one is returned."""
     assert Lattice((2.0, 0.0), (along, 300.0)).kind == kind
 
 
@@ -268,3 +270,97 @@ def test_the_command_lines_form_is_checked() -> None:
     """Too few numbers are refused, with an example."""
     with pytest.raises(BadInput, match="x1,y1,x2,y2"):
         Lattice.parse("1,2,3")
+
+
+CORNER = st.floats(-25, 25)
+SIZE = st.floats(0, 30)
+
+
+@given(st.floats(3, 30), st.floats(0, 0.5), st.floats(1, 3), st.floats(0, 6.3), CORNER, CORNER, SIZE, SIZE)
+def test_every_point_in_the_box_is_found_once(
+    length: float, lean: float, ratio: float, turn: float, x: float, y: float, w: float, h: float
+) -> None:
+    """Brute force gives the same integers; points outside the box are outside by a rounding error of the step."""
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    basis = length * np.array([[1, 0], [lean, ratio]]) @ rotation
+    low, high = np.array([x, y]), np.array([x + w, y + h])
+    integers = {tuple(numbers) for numbers in integers_within(basis, low, high).tolist()}
+    assert len(integers) == len(integers_within(basis, low, high))
+    grid = np.array([(i, j) for i in range(-35, 36) for j in range(-35, 36)])
+    depth = np.minimum(grid @ basis - low, high - grid @ basis).min(1)
+    assert {tuple(numbers) for numbers in grid[depth > 1e-9].tolist()} <= integers
+    assert integers <= {tuple(numbers) for numbers in grid[depth > -1e-4].tolist()}
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7, 1.5707963267948966])
+def test_a_long_thin_box_costs_its_points_not_its_square(turn: float) -> None:
+    """A strip 1e6 px long and 2 px high gives about as many integers as its area holds points."""
+    basis = 5 * np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    integers = integers_within(basis, (0, -1), (1e6, 1))
+    assert 60_000 < len(integers) < 210_000
+
+
+LATTICE = Lattice((27.3, 1.0), (8.0, 12.2), (4.0, 1.0))
+REBASED = Lattice((27.3 + 3 * 8.0, 1.0 + 3 * 12.2), (27.3 + 2 * 8.0, 1.0 + 2 * 12.2), (4.0, 1.0))
+
+
+def coarser(lattice: Lattice, index: int) -> list[Lattice]:
+    """Return the supercells of an index."""
+    return [Lattice.from_basis(shortest_pair(basis)) for basis in hermite_matrices(index) @ lattice.matrix]
+
+
+def finer(lattice: Lattice, index: int) -> list[Lattice]:
+    """Return the subcells of an index."""
+    return [Lattice.from_basis(shortest_pair(basis)) for basis in hermite_matrices(index) @ lattice.matrix / index]
+
+
+@pytest.mark.parametrize("index", [1, 2, 3, 4, 5, 6, 7, 12, 30])
+def test_there_are_as_many_forms_as_the_divisors_add_up_to(index: int) -> None:
+    """Each form has the determinant, is triangular, positive and reduced, and occurs once."""
+    forms = hermite_matrices(index)
+    assert len(forms) == sum(d for d in range(1, index + 1) if index % d == 0)
+    assert len({str(form.tolist()) for form in forms}) == len(forms)
+    for (a, b), (zero, d) in forms.tolist():
+        assert a * d == index and a > 0 and d > 0 and zero == 0 and 0 <= b < d
+
+
+@pytest.mark.parametrize("index", [0, -2, 2.0, True, "2"])
+def test_an_index_is_a_count(index: object) -> None:
+    """Anything but a whole number from 1 on is refused."""
+    with pytest.raises(BadInput, match="1 or more"):
+        hermite_matrices(index)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("index", [1, 2, 3, 5, 7, 8])
+@pytest.mark.parametrize("enlarged", [coarser, finer])
+def test_every_lattice_of_an_index_comes_once_whatever_the_basis(index: int, enlarged: object) -> None:
+    """They are pairwise different, and those of another basis are the same ones."""
+    lattices, again = enlarged(LATTICE, index), enlarged(REBASED, index)
+    same = np.array([[a.is_equivalent(b, 1e-7) for b in again] for a in lattices])
+    assert len(lattices) == len(hermite_matrices(index))
+    assert (same.sum(0) == 1).all() and (same.sum(1) == 1).all()
+
+
+@pytest.mark.parametrize("index", [2, 3, 5, 7])
+def test_coarser_and_finer_are_each_others(index: int) -> None:
+    """A coarser lattice is a supercell, a finer one a subcell, and among the coarser of a finer one is the lattice."""
+    for lattice in coarser(LATTICE, index):
+        assert lattice.area == pytest.approx(index * LATTICE.area)
+        assert lattice_error(lattice, LATTICE, (100, 100)).label == f"supercell {index}"
+        assert sum(other.is_equivalent(LATTICE) for other in finer(lattice, index)) == 1
+    for lattice in finer(LATTICE, index):
+        assert lattice_error(lattice, LATTICE, (100, 100)).label == f"subcell 1/{index}"
+        assert sum(other.is_equivalent(LATTICE) for other in coarser(lattice, index)) == 1
+
+
+@pytest.mark.parametrize("index", [2, 3, 6])
+def test_the_duals_of_the_coarser_are_the_finer_of_the_dual(index: int) -> None:
+    """Each dual of a coarser lattice is one of the finer lattices of the dual, and all of them occur."""
+    duals = [lattice.dual() for lattice in coarser(LATTICE, index)]
+    expected = finer(LATTICE.dual(), index)
+    assert [sum(one.is_equivalent(other, 1e-10) for other in expected) for one in duals] == [1] * len(expected)
+
+
+def test_long_thin_lattices_have_coarser_ones() -> None:
+    """A lattice of 2 px by 10 000 px has its 30-fold ones, none refused for being nearly parallel."""
+    assert len(coarser(Lattice((2.0, 0.0), (0.3, 1e4)), 30)) == 72

@@ -165,8 +165,9 @@ class Evidence:
             return np.zeros((2, 2))
         weights, (_, x, y, xx, yy, xy) = self.overlaps(lags), self.jets(lags).T
         slope = np.concatenate([n.T @ (weights * x), n.T @ (weights * y)])
-        blocks = [[(n.T * (weights * bend)) @ n for bend in row] for row in ((xx, xy), (xy, yy))]
-        bends, axes = np.linalg.eigh(-np.block(blocks))
+        along_x, mixed, along_y = ((n.T * (weights * bend)) @ n for bend in (xx, xy, yy))
+        hessian = np.concatenate([np.concatenate([along_x, mixed], 1), np.concatenate([mixed, along_y], 1)])
+        bends, axes = np.linalg.eigh(-hessian)
         if bends[-1] <= 0:
             return np.zeros((2, 2))
         move = axes @ ((axes.T @ slope) / np.maximum(bends, 1e-3 * bends[-1]))

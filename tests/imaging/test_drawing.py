@@ -1,4 +1,4 @@
-"""Claims about the contact sheet."""
+"""Contact sheets hold every picture and every caption."""
 
 from __future__ import annotations
 
