@@ -95,11 +95,11 @@ class FftmPixel(MaskParameters, SearchParameters):
         _check(0 <= self.weight <= 100, f"weight {self.weight}; choose from 0 to 100")
         _check(
             self.match == "full" or self.weight == 1.0,
-            f"weight {self.weight} with match 'cluster', which compares no mask; choose match 'full', or leave it out",
+            f"weight {self.weight} with match 'cluster', which uses no mask; choose match 'full', or leave weight out",
         )
         _check(
             self.match == "cluster" or self.clusters is None,
-            f"clusters {self.clusters} with match 'full'; choose match 'cluster', or leave them out",
+            f"clusters {self.clusters} with match 'full'; choose match 'cluster', or leave clusters out",
         )
         _check(self.clusters is None or 2 <= self.clusters <= 4096, f"clusters {self.clusters}; choose from 2 to 4096")
 

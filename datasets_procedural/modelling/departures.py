@@ -26,7 +26,7 @@ from .random_fields import factor_variance, factors, grain, role_seed, uniform, 
 _INDEPENDENT = 0.27
 """Standard deviation, as a share of an element's breadth, up to which jitter moves small elements independently."""
 _STRETCH = 22.0
-"""Length of the waves of the shared jitter, over its standard deviation. Its gradients then have one of 0.2."""
+"""Length of the waves of the shared jitter, over its standard deviation. That of its gradients is then 0.2."""
 
 Elements = dict[str, NDArray[np.float64]]
 """``NAME.index`` ``(n, k)``, ``NAME.factor`` ``(n, 3)``, ... of the n elements in the picture, for each kind."""
@@ -90,7 +90,7 @@ class Departures:
 
     @property
     def _seam(self) -> float:
-        """Standard deviation in px of the Gaussian across seams: as wide as elements move, else they fold over."""
+        """Standard deviation in px of the Gaussian across seams: limited so that elements do not fold over."""
         size = self.element_size
         return min(max(0.25 * self.s * self.jitter, 0.1 * size), 0.3 * size)
 

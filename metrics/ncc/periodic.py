@@ -21,29 +21,30 @@ from .window_search import Bank, Colors, Places, Scan, Template
 WINDOW_TILES = 2.0
 """Width of the windows whose place is registered, in tiles: two show every joint of a tile whole, wherever they lie."""
 TOLERANCE = 0.1
-"""How far from its place content may be and still count as in place, in units of s: below the least defect that is to
-be seen (0.15 s), above what windows of fresh draws read (0.06 s)."""
+"""Displacement, in units of s, up to which content counts as in place: less than the smallest defect to be detected
+(0.15 s), more than is measured on windows of fresh draws (0.06 s)."""
 HALVES = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))
 """Cell coordinates of the middles of the one-tile windows."""
 _VARIANCE_FLOOR = 0.1
 """Share of the mean variance that is added to every pixel's: no pixel weighs more than ten times the mean's weight."""
 
 _FINENESS, _LEAST_COUNT = (3, 2, 1), 0.5
-"""Samples a pixel, each way, of one cell folded from many; as few as each has so many pixels."""
+"""Samples per pixel along each axis of a cell folded from many, tried in this order until every sample has more than
+``_LEAST_COUNT`` pixels."""
 _LARGE_CELL = 300
-"""Windows of cells of more px are looked for with their pixels taken two by two, at every place."""
+"""Area of a cell, px, above which its windows are compared in blocks of 2 x 2 pixels, at every place."""
 _SIZES, _LARGE_SIZES, _LARGE_TILE = (1, 2), (2, 2), 600
-"""One-tile windows are looked for in all of their pixels, or in cells of more than 600 px two by two; those of their
-means and power are always taken two by two."""
+"""One-tile windows are compared pixel by pixel, or in blocks of 2 x 2 pixels if the cell has more than 600 px. Their
+means and power are always taken over blocks of 2 x 2."""
 _SHARPENED = 2
-"""How often what a folded cell leaves of the image is folded in turn: sharing pixels among samples blurs it."""
+"""How often the residual of the image is folded and added to the cell, which is blurred by sharing pixels."""
 LARGE = 7
 """Cells each way over which a cell is averaged: some 50 pixels fall on each of its samples."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """One-tile windows at one place of the cell, all looked for in one patch.
+    """One-tile windows at one place of the cell, all searched in one patch.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ class Periodic:
         return Colors.of(self._patch((height, width)))
 
     def _patch(self, shape: Shape) -> Values:
-        """Return :meth:`image`, cut from what is there already where that reaches."""
+        """Return :meth:`image`, cut from :attr:`large` if that is large enough."""
         enough = shape[0] <= self.large.shape[0] and shape[1] <= self.large.shape[1]
         return self.large[: shape[0], : shape[1]] if enough else self.image(shape)
 
@@ -134,7 +135,7 @@ class Periodic:
         return self.image((int(side[1]), int(side[0])))
 
     def _variance(self, shape: Shape) -> Values:
-        """Return the variance ``(H, W)``, cut from what is there already where that reaches."""
+        """Return the variance ``(H, W)``, cut from that of :attr:`large` if that is large enough."""
         there = self._large_variance
         enough = shape[0] <= there.shape[0] and shape[1] <= there.shape[1]
         return there[: shape[0], : shape[1]] if enough else self.variance.unfold(shape)[..., 0]
@@ -150,12 +151,12 @@ class Periodic:
 
     @cached_property
     def cell(self) -> Cell:
-        """One cell, to be read between its samples: as fine as the many cells of a rendered image tell."""
+        """One cell, for interpolation between its samples: as fine as the many cells of a rendered image allow."""
         floor = float(_VARIANCE_FLOOR * self.variance.values.mean() + 1 / 255**2)
         return Cell.of(self.ideal if isinstance(self.ideal, Tile) else self._finely_folded(), self.variance, floor)
 
     def _finely_folded(self) -> Tile:
-        """Return the cell folded from :attr:`large`, several samples a pixel if its pixels fall between them too."""
+        """Return the cell folded from :attr:`large`, with several samples per pixel if enough pixels fall on each."""
         image, (rows, columns) = self.large, tile_grid(self.lattice)
         for fineness in _FINENESS:
             tile = fold(image, self.lattice, grid=(fineness * rows, fineness * columns))

@@ -20,15 +20,16 @@ from . import limits
 from .exponential_tail import ExponentialTail
 
 _FOLLOWS = 0.04
-"""A window follows an affine displacement that it is this near to, in s: twice the scatter of fresh draws' windows."""
+"""Distance, in s, below which a window follows an affine displacement: twice the scatter of fresh draws' windows."""
 _NEARLY, _NEARLY_ALL = 0.95, 0.8
-"""Shares of followers: an affine part is as good as another; it is that of the whole image, and may be fitted to it."""
+"""An affine part with at least the first share of the most followers counts as equally good. One that at least the
+second share of all windows follows is that of the whole image and is fitted once more."""
 _BANDWIDTH = 0.04
 """Standard deviation, in s, of the Gaussian by which displacements count for the consensus: as :data:`_FOLLOWS`."""
 _CANDIDATES = 64
 """Displacements from which the consensus may start."""
 _STEPS = 5
-"""Steps of the mean shift: each cuts what is left by the share of windows that are elsewhere, so few are enough."""
+"""Steps of the mean shift: the fewer windows are elsewhere, the more each step reduces the error, so few are enough."""
 _AT_ONCE = 256
 """Windows registered at a time, which bounds memory."""
 
@@ -94,7 +95,7 @@ class RegisteredWindows:
         return self.corners + (np.array(self.window[::-1]) - 1) / 2
 
     def without(self, drift: Points) -> RegisteredWindows:
-        """Return the placement less an affine displacement ``drift @ (x, y)``, which so counts as no misplacement."""
+        """Return the windows less an affine displacement ``drift @ (x, y)``, which then is no misplacement."""
         rest = self.lattice.wrap(self.displacement - self.centers @ drift.T)
         return replace(self, displacement=rest)
 
@@ -122,8 +123,8 @@ class RegisteredWindows:
 def register_windows(image: Image, periodic: Periodic) -> RegisteredWindows:
     """Register windows 2 tiles wide, half a window apart, over one cell of displacements.
 
-    Content that the window at p shows and the periodic image has at q has moved by p - q, so every window is looked
-    for in one patch of the periodic image that holds a whole cell of q.
+    If the window at p shows what the periodic image has at q, the content has moved by p - q. So every window is
+    searched for in one patch of the periodic image that holds a whole cell of q.
     """
     template = periodic.windows
     grid, corners = _grid(image.shape[:2], template.window)
@@ -149,11 +150,12 @@ def _grid(shape: tuple[int, int], window: tuple[int, int]) -> tuple[tuple[int, i
 
 
 def consensus(displacement: Points, lattice: Lattice) -> Points:
-    """Return the displacement that most share: a robust circular mean in cell coordinates, by mean shift.
+    """Return the most common displacement, a robust circular mean in cell coordinates, by mean shift.
 
-    On the torus of displacements modulo the lattice every displacement counts by a Gaussian of its distance from the
-    mean, which so forgets those that are elsewhere; it starts from the displacement that has the most others around it.
-    A plain circular mean would lie between two halves that are out of step; this one lies in the larger of them.
+    On the torus of displacements modulo the lattice each displacement is weighted by a Gaussian of its distance from
+    the mean, so that those elsewhere have no influence. The search starts from the displacement with the most others
+    around it. A plain circular mean would lie between two halves that are out of step; this one lies in the larger
+    half.
     Time is linear in the number of displacements.
     """
     if not len(displacement):
@@ -162,7 +164,7 @@ def consensus(displacement: Points, lattice: Lattice) -> Points:
     inverse = np.linalg.inv(basis)
 
     def near(apart: Points) -> Points:
-        """Wrap what is near a lattice point exactly; all else stays far, and counts for nothing."""
+        """Wrap exactly near lattice points; all other displacements stay long, so they get no weight."""
         return np.asarray(apart - np.rint(apart @ inverse) @ basis)
 
     few = displacement[:: -(-len(displacement) // _CANDIDATES)]
@@ -178,10 +180,11 @@ def consensus(displacement: Points, lattice: Lattice) -> Points:
 def fit_drift(placement: RegisteredWindows) -> Points:
     """Return the 2 x 2 matrix A of the affine part of the displacement: ``d = A (x, y) + constant``.
 
-    Starts from the median step between neighboring windows, modulo the lattice, so that a drift over many cells is
-    unwrapped; then least squares over the windows that follow it. Of none, the first and the last of these the one that
-    most windows follow is taken, the simpler one where they are nearly equal, and fitted once more where nearly all
-    follow it: two halves that are out of step are no drift. Zero where there are fewer than 3 x 3 windows.
+    Three candidates are compared: no drift, the median steps between neighboring windows modulo the lattice, which
+    unwrap a drift over many cells, and the least-squares fit to the windows that follow these steps. The one that most
+    windows follow is taken, or the simplest of those that nearly as many follow. It is fitted once more if nearly all
+    windows follow it, because two halves that are out of step are no drift. Zero if there are fewer than 3 x 3
+    windows.
     """
     none = np.zeros((2, 2))
     if min(placement.grid) < 3:
@@ -215,7 +218,7 @@ def _refined(placement: RegisteredWindows, matrix: Points) -> Points:
 
 
 def affine_residuals(placement: RegisteredWindows, matrix: Points) -> tuple[Points, NDArray[np.bool_], Points]:
-    """Return what an affine displacement leaves of each window's, which windows follow it, and its constant part."""
+    """Return each window's displacement less an affine one, which windows follow that one, and its constant part."""
     lattice = placement.lattice
     rest = lattice.wrap(placement.displacement - placement.centers @ matrix.T)
     constant = consensus(rest, lattice)
@@ -271,20 +274,20 @@ def spread(drift: Points) -> Points:
     return np.asarray(np.linalg.inv(np.eye(2) - drift), np.float64)
 
 
-_QUARTER = 0.75
-"""The quantile that stands for the scatter: no few windows that lock onto a wrong place reach it."""
+_THIRD_QUARTILE = 0.75
+"""The quantile that measures the scatter: a few windows that lock onto a wrong place do not affect it."""
 
 
 def scatter_excess(placement: RegisteredWindows, references: Sequence[RegisteredWindows]) -> float:
     """Return how far the windows' scatter exceeds its limits: above 1 the content is bent.
 
-    A smooth displacement leaves most windows within the tolerance, yet all of them off by more than windows of the
-    references are: the third quartile of the misplacement tells, where the share beyond the tolerance does not.
+    Under a smooth displacement most windows stay within the tolerance, yet all are off by more than those of the
+    references. The third quartile of the misplacement shows this; the share beyond the tolerance does not.
     """
     own = np.concatenate([one.misplacement for one in references])
     if not len(own) or not len(placement.misplacement):
         return 0.0
-    usual, seen = (float(np.quantile(some, _QUARTER)) for some in (own, placement.misplacement))
+    usual, seen = (float(np.quantile(some, _THIRD_QUARTILE)) for some in (own, placement.misplacement))
     return min(seen / max(usual, 1e-6) / limits.SCATTER_RATIO, seen / limits.SCATTER)
 
 
@@ -293,8 +296,8 @@ def neighborhood_excess(
 ) -> float:
     """Return how far the worst neighborhood exceeds its limits: above 1 it has moved.
 
-    It is off by more than ``limit`` (in s) and, where a model gives enough references, by more than theirs
-    ever are.
+    It is off by more than ``limit`` (in s) and, where a model gives enough references, by more than is likely for
+    theirs.
     """
     found = placement.neighborhoods()
     far = float(found.max(initial=0.0)) / limit

@@ -129,7 +129,7 @@ class _Answer:
 
 
 def _use_given(image: Image, numbers: str | None, output: Path | None, as_json: bool) -> None:
-    """Print and draw a lattice of the user's, given as numbers or picked in a window."""
+    """Print and draw the user's lattice, given as numbers or picked in a window."""
     from nrbench.lattice.geometry import Lattice
 
     if numbers is None:

@@ -132,7 +132,7 @@ class Supervisor:
     def run(self, request: Request) -> Reply:
         """Run one request under its limits.
 
-        Whatever the plugin does is in the reply. Raises :class:`Closed` after :meth:`end`.
+        The reply reports how the request ended, whatever the plugin does. Raises :class:`Closed` after :meth:`end`.
         """
         self._check_open()
         if self._forks and self._worker is None:

@@ -95,7 +95,7 @@ class Source:
     def parse(cls, text: str) -> Source:
         """Read an entry of the lattice axis.
 
-        ``none`` is no entry: a method declares itself that it uses no lattice.
+        ``none`` is not accepted: a method itself declares that it uses no lattice.
 
         Raises
         ------

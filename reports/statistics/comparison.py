@@ -298,7 +298,7 @@ class PerilsPoint:
 
     @property
     def rests_on(self) -> str:
-        """``" [k of n]"`` if the height rests on k of the n textures with a regularity score; empty if on all."""
+        """``" [k of n]"`` if randomness is scored on k of the n textures with a regularity score; empty if on all."""
         fewer = self.has_height and self.randomness.n < self.regularity.n
         return f" [{self.randomness.n} of {self.regularity.n}]" if fewer else ""
 

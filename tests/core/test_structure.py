@@ -96,7 +96,7 @@ def test_the_top_level_of_a_plugin_folder_holds_plugins_alone(group: str, folder
 
 
 def test_no_plugin_folder_imports_another() -> None:
-    """Methods, metrics, models, reports and detectors share the core only; methods may call detectors."""
+    """Methods, metrics, models and reports share the core only; all of them may import detectors."""
     for module in modules():
         own = [folder for folder in PLUGIN_FOLDERS.values() if f"{module}.".startswith(f"{folder}.")]
         for imported in imports(module) if own else ():
