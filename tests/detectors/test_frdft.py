@@ -34,10 +34,9 @@ def waveset(places: np.ndarray, spread: float = 0.05) -> Peaks:
 @pytest.mark.parametrize("rotation", [0.0, 17.0])
 def test_lattices_are_found_exactly(family: str, rotation: float) -> None:
     """At middle strengths, axis-aligned and rotated, the lattice is exact, its vectors within a quarter pixel."""
-    for seed in range(2):
-        sample = texture(family, seed, color=0.3, noise=0.1, rotation=rotation)
-        assert sample.lattice is not None
-        assert FAST.detect(quantize(sample.image)).lattice.is_equivalent(sample.lattice, 0.25)
+    sample = texture(family, 0, color=0.3, noise=0.1, rotation=rotation)
+    assert sample.lattice is not None
+    assert FAST.detect(quantize(sample.image)).lattice.is_equivalent(sample.lattice, 0.25)
 
 
 @given(st.integers(0, 10_000), st.booleans())
@@ -68,10 +67,10 @@ def test_one_fundamental_is_the_greatest_common_divisor() -> None:
 def test_lattices_are_told_from_chance() -> None:
     """By default a regular texture is accepted, its evidence above the limit of the copies."""
     sample = texture("hexagon", 1, color=0.3, noise=0.1)
-    found = Frdft(surrogates=6).detect(quantize(sample.image))
+    found = Frdft(surrogates=4).detect(quantize(sample.image))
     assert sample.lattice is not None and found.lattice.is_equivalent(sample.lattice, 0.25)
     assert found.diagnostics["tested_surplus"] > found.diagnostics["limit"]
-    assert len(found.diagnostics["surrogate_surplus"]) == 6
+    assert len(found.diagnostics["surrogate_surplus"]) == 4
 
 
 def test_bands_of_noise_are_refused_by_the_test_alone() -> None:
@@ -83,7 +82,7 @@ def test_bands_of_noise_are_refused_by_the_test_alone() -> None:
     picture = np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)
     assert FAST.detect(picture).lattice.area > 0
     with pytest.raises(NoLatticeFound, match="chance") as refusal:
-        Frdft(surrogates=6).detect(picture)
+        Frdft(surrogates=4).detect(picture)
     best = refusal.value.best
     assert best is not None and best.diagnostics["tested_surplus"] <= best.diagnostics["limit"]
 
@@ -118,9 +117,9 @@ def test_the_evidence_needs_two_directions() -> None:
 @pytest.mark.parametrize("angle", [0.0, 0.6])
 def test_a_grating_has_no_lattice(angle: float) -> None:
     """Stripes in noise repeat along one direction only: refused in both modes."""
-    y, x = np.indices((128, 128))
+    y, x = np.indices((96, 96))
     stripes = np.tanh(4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 17.3))
-    image = 0.5 + 0.15 * stripes + 0.03 * np.random.default_rng(0).standard_normal((128, 128))
+    image = 0.5 + 0.15 * stripes + 0.03 * np.random.default_rng(0).standard_normal((96, 96))
     for detector in (FAST, Frdft(surrogates=4)):
         with pytest.raises(NoLatticeFound):
             detector.detect(quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)))
@@ -142,7 +141,7 @@ def test_a_constant_image_has_no_texture() -> None:
 @pytest.mark.parametrize("shape", [(8, 8), (8, 40), (13, 9)])
 def test_tiny_images_are_answered_in_words(shape: tuple[int, int]) -> None:
     """The smallest images of noise are refused with a reason."""
-    for seed in range(10):
+    for seed in range(5):
         with pytest.raises(NoLatticeFound, match=r"waves|chance"):
             Frdft(surrogates=4).detect(np.random.default_rng(seed).random((*shape, 3)).astype(np.float32))
 
@@ -156,9 +155,9 @@ def test_any_shape_works(shape: tuple[int, int]) -> None:
 
 
 def test_large_images_are_judged_by_their_middle() -> None:
-    """Of an image of 3000 px a side no more than the window is analyzed, and the origin is still the image's own."""
+    """Of an image beyond the window only its middle is analyzed, and the origin is still the image's own."""
     truth = Lattice((31.3, 2.1), (-3.4, 37.9), (5.2, 9.7))
-    y, x = np.indices((3000, 1200), np.float32)
+    y, x = np.indices((1500, 1100), np.float32)
     u, v = np.moveaxis(truth.to_cell(np.stack([x, y], -1)), -1, 0)
     waves = sum(0.06 * np.cos(2 * np.pi * (a * u + b * v)) for a, b in ((1, 0), (0, 1), (1, 1), (2, 1)))
     found = FAST.detect((0.5 + waves)[..., np.newaxis].astype(np.float32))

@@ -1,7 +1,16 @@
 import numpy as np
 import pytest
 
-from nrbench.spectra.harmonic_groups import is_supercell
+from nrbench.lattice.geometry import reduce_pairs, shortest_pair
+from nrbench.spectra.harmonic_groups import (
+    Peaks,
+    are_near,
+    find_fundamentals,
+    is_supercell,
+    off_line_evidence,
+    propose_basis,
+    select_spaced,
+)
 from nrbench.spectra.spectrum import Spectrum
 
 SIDE, THREAD, INDEX = 144, 12, 3
@@ -33,3 +42,35 @@ def test_too_little_beside_is_believed() -> None:
     """A tile repeated twice leaves no room between the places of its waves to compare them with."""
     spectrum = Spectrum(np.random.default_rng(0).standard_normal((24, 24, 1)))
     assert is_supercell(spectrum, np.array([(1 / 24, 0.0), (3 / 24, 0.0)]), np.array([(1 / 12, 0.0), (0.0, 1 / 12)]))
+
+
+SIZE = np.array([128.0, 128.0])
+
+
+def test_stripes_and_one_more_wave_are_no_lattice() -> None:
+    """Harmonics of one fundamental with a wave off their line give one; with two more waves of a lattice, two."""
+    places = [(0.0, 4.3 * k) for k in range(1, 7)] + [(9.1, 0.2), (2.0, 1.1)]
+    stripes = Peaks(np.array(places), np.full(8, 0.05), np.ones(8))
+    pair = find_fundamentals(stripes)
+    assert (
+        pair is not None and off_line_evidence(pair, stripes.weights) == 0 and len(propose_basis(stripes).vectors) == 1
+    )
+    more = Peaks(np.array([*places, (18.2, 4.7), (9.1, 4.5)]), np.full(10, 0.05), np.ones(10))
+    assert len(propose_basis(more).vectors) == 2
+
+
+def test_the_first_of_near_places_stays() -> None:
+    """Of places that pixels cannot tell apart that of highest priority is kept, across the spectrum's border too."""
+    f = np.array([(0.1, 0.2), (0.1, 0.203), (-0.1, -0.2), (0.4995, 0.1), (-0.4995, 0.1), (0.3, 0.3)])
+    kept = select_spaced(f, np.array([1.0, 3, 2, 5, 4, 6]), SIZE)
+    assert kept.tolist() == [5, 3, 1]
+    assert are_near(f[:2], np.array([(-0.1, -0.2)]), SIZE).all() and not are_near(f[5:], f[:5], SIZE).any()
+
+
+def test_many_bases_are_reduced_as_each_alone() -> None:
+    """The bases reduced at once are those reduced one by one, to the bit, ties included."""
+    rng = np.random.default_rng(0)
+    bases = np.concatenate([rng.uniform(-40, 40, (200, 2, 2)), rng.integers(-9, 10, (400, 2, 2))])
+    bases = bases[np.abs(np.linalg.det(bases)) > 0.5]
+    for basis, a, b in zip(bases, *reduce_pairs(bases[:, 0], bases[:, 1]), strict=True):
+        np.testing.assert_array_equal(shortest_pair(basis), (a, b))

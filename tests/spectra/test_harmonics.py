@@ -41,19 +41,18 @@ def errors(found: Harmonics, f: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("n", range(1, 13))
 def test_known_frequencies_are_found(n: int) -> None:
     """Of 1 to 12 pairs of real frequency, each is found within 1e-3 bin without noise, and nothing else."""
-    for seed in range(2):
-        f, amplitude, phase = draw_waves(n, np.random.default_rng([n, seed]))
-        found = analyze(picture(f, amplitude, phase))
-        assert len(found.frequencies) == n
-        assert errors(found, f).max() < 1e-3
-        assert found.share == pytest.approx(1, abs=1e-6)
+    f, amplitude, phase = draw_waves(n, np.random.default_rng([n, 0]))
+    found = analyze(picture(f, amplitude, phase))
+    assert len(found.frequencies) == n
+    assert errors(found, f).max() < 1e-3
+    assert found.share == pytest.approx(1, abs=1e-6)
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.2])
 def test_noise_costs_no_more_than_it_must(noise: float) -> None:
     """In noise the median error of a pair is below twice its Cramer-Rao bound."""
     ratios = []
-    for n in range(1, 13):
+    for n in (1, 4, 8, 12):
         rng = np.random.default_rng([n, 7])
         f, amplitude, phase = draw_waves(n, rng)
         found = analyze(picture(f, amplitude, phase) + noise * rng.standard_normal((SIDE, SIDE, 1)))
@@ -93,7 +92,7 @@ def test_the_threshold_sets_how_many_waves() -> None:
 def test_noise_has_no_waves() -> None:
     """White noise yields a wave no more often than the false-alarm rate says (5 % of 40: more than 5 has odds 1 %)."""
     rng = np.random.default_rng(0)
-    alarms = [len(analyze(rng.standard_normal((64, 64, 3)), false_alarms=0.05).frequencies) > 0 for _ in range(40)]
+    alarms = [len(analyze(rng.standard_normal((48, 48, 3)), false_alarms=0.05).frequencies) > 0 for _ in range(40)]
     assert sum(alarms) <= 5
 
 

@@ -4,13 +4,7 @@ import nrbench
 from nrbench.lattice.geometry import Lattice
 from nrbench.spectra.harmonic_groups import (
     LEAST_DISTANCE,
-    Peaks,
-    are_near,
-    find_fundamentals,
     fold_frequencies,
-    off_line_evidence,
-    propose_basis,
-    select_spaced,
 )
 from nrbench.spectra.harmonics import analyze
 from nrbench.spectra.regular_part import line_floor
@@ -27,18 +21,6 @@ def test_weak_signs_of_a_larger_tile_count() -> None:
     assert Lattice.from_basis(np.linalg.inv(found.fundamentals).T).is_equivalent(texture.lattice, 0.05)
 
 
-def test_stripes_and_one_more_wave_are_no_lattice() -> None:
-    """Harmonics of one fundamental with a wave off their line give one; with two more waves of a lattice, two."""
-    places = [(0.0, 4.3 * k) for k in range(1, 7)] + [(9.1, 0.2), (2.0, 1.1)]
-    stripes = Peaks(np.array(places), np.full(8, 0.05), np.ones(8))
-    pair = find_fundamentals(stripes)
-    assert (
-        pair is not None and off_line_evidence(pair, stripes.weights) == 0 and len(propose_basis(stripes).vectors) == 1
-    )
-    more = Peaks(np.array([*places, (18.2, 4.7), (9.1, 4.5)]), np.full(10, 0.05), np.ones(10))
-    assert len(propose_basis(more).vectors) == 2
-
-
 def test_no_two_waves_of_a_mask_are_near() -> None:
     """Not even those that pixels fold back from beyond Nyquist: each is 3/4 bin from all others and their mirrors."""
     texture = nrbench.texture("weave", seed=4, color=0.3, intensity=0.2, noise=0.03)
@@ -46,14 +28,6 @@ def test_no_two_waves_of_a_mask_are_near() -> None:
     both = np.concatenate([seen, -seen])
     apart = np.hypot(*np.moveaxis(fold_frequencies(both[:, np.newaxis] - both) * 128, 2, 0)) + 9 * np.eye(len(both))
     assert len(seen) > 100 and apart.min() >= LEAST_DISTANCE
-
-
-def test_the_first_of_near_places_stays() -> None:
-    """Of places that pixels cannot tell apart that of highest priority is kept, across the spectrum's border too."""
-    f = np.array([(0.1, 0.2), (0.1, 0.203), (-0.1, -0.2), (0.4995, 0.1), (-0.4995, 0.1), (0.3, 0.3)])
-    kept = select_spaced(f, np.array([1.0, 3, 2, 5, 4, 6]), SIZE)
-    assert kept.tolist() == [5, 3, 1]
-    assert are_near(f[:2], np.array([(-0.1, -0.2)]), SIZE).all() and not are_near(f[5:], f[:5], SIZE).any()
 
 
 def test_the_floor_of_a_line_is_its_own() -> None:

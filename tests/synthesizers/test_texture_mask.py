@@ -69,9 +69,9 @@ def test_a_given_lattice_is_where_it_starts() -> None:
 def test_the_threshold_sets_how_many_waves() -> None:
     """The number of waves falls with the threshold, down to none, which is refused."""
     _, sample = draw_texture("brick", 23)
-    counts = [
-        len(MaskParameters(threshold=threshold).find_mask(sample).harmonics.frequencies) for threshold in (2, 4, 8)
-    ]
+    sample = sample[:96, :96]
+    masks = [MaskParameters(threshold=threshold).find_mask(sample) for threshold in (2, 4, 8)]
+    counts = [len(mask.harmonics.frequencies) for mask in masks]
     assert counts[0] > counts[1] > counts[2] > 0
     with pytest.raises(Refused, match="reaches the threshold of 100"):
         MaskParameters(threshold=100.0).find_mask(sample)
@@ -163,7 +163,7 @@ def test_channels_that_show_nothing_change_nothing(levels: tuple[float | None, .
 
 def test_gray_stored_as_color_has_the_mask_of_gray() -> None:
     """Three equal channels, of which two planes show nothing, make the picture that one makes, three times."""
-    sample = draw_texture("brick", 23)[1].mean(2, keepdims=True)
+    sample = draw_texture("brick", 23)[1][:96, :96].mean(2, keepdims=True)
     single = MaskParameters().find_mask(quantize(sample)).draw((64, 64))
     triple = MaskParameters().find_mask(quantize(np.repeat(sample, 3, 2))).draw((64, 64))
     np.testing.assert_allclose(triple, np.repeat(single, 3, 2), atol=2e-3)
