@@ -12,7 +12,7 @@ sides = st.tuples(*[st.booleans()] * 4)
 
 
 def test_blocks_alternate_like_a_chess_board() -> None:
-    """Placed blocks and gaps share the grid, and no two of a kind are neighbours."""
+    """Placed blocks and gaps share the grid, and no two of a kind are neighbors."""
     grid = BlockGrid((90, 170), 40, 10)
     assert grid.counts == (3, 5)
     placed, gaps = set(grid.placed()), set(grid.gaps())
@@ -25,8 +25,8 @@ def test_blocks_alternate_like_a_chess_board() -> None:
 
 
 @given(sides)
-def test_the_border_is_what_lies_near_a_neighbour(there: Sides) -> None:
-    """Border and hole part the gap: border pixels are less than 10 px from a neighbour's block."""
+def test_the_border_is_what_lies_near_a_neighbor(there: Sides) -> None:
+    """The gap consists of border and hole: border pixels are less than 10 px from a neighbor's block."""
     border = gap_border(40, 10, there)
     rows, columns = np.indices((40, 40))
     distances = np.stack([columns, rows, 39 - columns, 39 - rows])
@@ -41,8 +41,8 @@ def test_the_border_is_what_lies_near_a_neighbour(there: Sides) -> None:
 
 
 @given(sides)
-def test_each_wedge_belongs_to_the_nearest_neighbour(there: Sides) -> None:
-    """The owner of a border pixel is the nearest side that has a neighbour: the corners' diagonals divide."""
+def test_each_wedge_belongs_to_the_nearest_neighbor(there: Sides) -> None:
+    """The owner of a border pixel is the nearest side that has a neighbor: the corners' diagonals divide."""
     border = gap_border(40, 10, there)
     distances = np.stack(
         [border.pixels[:, 0], border.pixels[:, 1], 39 - border.pixels[:, 0], 39 - border.pixels[:, 1]]
@@ -52,7 +52,7 @@ def test_each_wedge_belongs_to_the_nearest_neighbour(there: Sides) -> None:
 
 
 def test_the_four_wedges_are_equal_trapezoids() -> None:
-    """Around a full gap each neighbour owns as much of the border, but for the pixels on the diagonals."""
+    """Around a full gap each neighbor owns as much of the border, but for the pixels on the diagonals."""
     border = gap_border(40, 10, ALL)
     counts = np.bincount(border.owner, minlength=4)
     assert counts.sum() == 40**2 - 20**2
@@ -60,8 +60,8 @@ def test_the_four_wedges_are_equal_trapezoids() -> None:
 
 
 @given(sides)
-def test_weights_sum_to_one_and_draw_on_neighbours_that_are_there(there: Sides) -> None:
-    """Blending is a partition of unity over the gap's own patch and existing neighbours."""
+def test_weights_sum_to_one_and_draw_on_neighbors_that_are_there(there: Sides) -> None:
+    """Blending is a partition of unity over the gap's own patch and existing neighbors."""
     border = gap_border(24, 7, there)
     np.testing.assert_allclose(border.weights.sum(0), 1, atol=1e-6)
     assert (border.weights >= 0).all()
@@ -76,8 +76,8 @@ def test_the_gaps_own_patch_fades_in_linearly() -> None:
     np.testing.assert_allclose(border.weights[0, middle], (np.arange(10) + 0.5) / 10, atol=1e-6)
 
 
-def test_at_the_gaps_edge_each_neighbour_is_nearly_whole() -> None:
-    """No edge of a placed block shows: the pixel inside the gap is at least 9/10 its neighbour's, corners aside."""
+def test_at_the_gaps_edge_each_neighbor_is_nearly_whole() -> None:
+    """At the gap's edge, except near corners, the neighbor's weight is over 0.9."""
     border = gap_border(40, 10, ALL)
     edge = (border.pixels[:, 0] == 0) & (border.pixels[:, 1] >= 10) & (border.pixels[:, 1] < 30)
     assert (border.weights[1, edge] > 0.9).all()
@@ -85,7 +85,7 @@ def test_at_the_gaps_edge_each_neighbour_is_nearly_whole() -> None:
 
 
 def test_patches_that_continue_each_other_compose_without_a_trace() -> None:
-    """Places that all continue one image give that image back, with a source map that points at itself."""
+    """Patches that continue each other compose the image that they come from, with its source map."""
     sample = np.random.default_rng(0).random((70, 90, 3), np.float32)
     grid = BlockGrid((49, 65), 16, 5)
     rows, columns = np.indices(grid.counts)
@@ -97,7 +97,7 @@ def test_patches_that_continue_each_other_compose_without_a_trace() -> None:
 
 @pytest.mark.parametrize("shape", [(1, 33), (50, 1), (16, 16), (7, 9)])
 def test_any_shape_is_composed(shape: tuple[int, int]) -> None:
-    """Outputs cut through blocks, down to one row or column."""
+    """Outputs may end inside a block, and may be one row or column."""
     grid = BlockGrid(shape, 16, 4)
     image, source = compose(Patches(np.zeros((40, 40, 1), np.float32)), grid, np.full((*grid.counts, 2), 4.0))
     assert image.shape == (*shape, 1)
@@ -105,7 +105,7 @@ def test_any_shape_is_composed(shape: tuple[int, int]) -> None:
 
 
 def test_squares_of_placed_blocks_are_untouched_copies() -> None:
-    """Borders lie inside the gaps: a placed block's square is copied whole, and the map says weight 1."""
+    """The square of a placed block is a copy with weight 1."""
     rng = np.random.default_rng(1)
     sample = rng.random((60, 60, 1), np.float32)
     grid = BlockGrid((64, 64), 16, 6)

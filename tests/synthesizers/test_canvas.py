@@ -37,7 +37,7 @@ def filled(seam: SeamMethod, shape: tuple[int, int], seed: int = 0, side: int = 
 @pytest.mark.parametrize("seam", SEAMS)
 @pytest.mark.parametrize("shape", [(64, 80), (1, 90), (70, 1), (17, 17), (5, 7)])
 def test_every_pixel_is_filled_from_inside_the_sample(seam: SeamMethod, shape: tuple[int, int]) -> None:
-    """Whatever the joints and the shape, nothing stays unknown, and the map points into the sample."""
+    """For all seams and shapes every pixel is filled, and the map points into the sample."""
     canvas = filled(seam, shape)
     image, source = canvas.output()
     assert image.shape == (*shape, 3) and source.shape == (*shape, 3)
@@ -48,7 +48,7 @@ def test_every_pixel_is_filled_from_inside_the_sample(seam: SeamMethod, shape: t
 
 @pytest.mark.parametrize("seam", SEAMS)
 def test_patches_that_continue_each_other_leave_no_trace(seam: SeamMethod) -> None:
-    """Places that all continue one image, between pixels, give that image back whatever the joints."""
+    """Patches between pixels that continue each other compose one image with all seams."""
     sample = np.random.default_rng(0).random((90, 110, 3), np.float32)
     canvas = BlockCanvas(Patches(sample), BlockGrid((49, 65), 16, 5), seam)
     for blocks in (canvas.grid.placed(), canvas.grid.gaps()):
@@ -66,7 +66,7 @@ def test_patches_that_continue_each_other_leave_no_trace(seam: SeamMethod) -> No
 
 @pytest.mark.parametrize("seam", ["dynamic", "graphcut"])
 def test_seams_mix_no_pixels(seam: SeamMethod) -> None:
-    """Every pixel is that of one patch: the image is what its map says, interpolated at one fraction."""
+    """With seams every pixel is a copy of the one that its map names."""
     rng = np.random.default_rng(3)
     patches = Patches(rng.random((60, 60, 1), np.float32))
     canvas = BlockCanvas(patches, BlockGrid((64, 64), 16, 5), seam)
@@ -82,7 +82,7 @@ def test_seams_mix_no_pixels(seam: SeamMethod) -> None:
 
 
 def test_a_blended_patch_stays_in_its_gap_and_a_cut_one_does_not() -> None:
-    """Placed squares are untouched by blending; seams may run into them, but not past their middles."""
+    """Blending leaves placed blocks unchanged; seams may run into them, but not beyond their middles."""
     changed = {}
     for seam in SEAMS:
         canvas = BlockCanvas(
@@ -106,7 +106,7 @@ ALL = (True, True, True, True)
 
 
 def joint(old: Image, new: Image, sides: tuple[bool, bool, bool, bool] = ALL, depth: int = 16) -> PatchOverlap:
-    """Lay a patch over a gap of 24 px, 8 px of border inside it and 8 px beyond on the sides that have neighbours."""
+    """Lay a patch over a gap of 24 px, 8 px of border inside it and 8 px beyond on the sides that have neighbors."""
     height, width = old.shape[:2]
     left, top, right, bottom = (depth if there else 0 for there in sides)
     known = np.ones((height, width), np.bool_)
@@ -122,7 +122,7 @@ def nothing(shape: tuple[int, ...]) -> Links:
 
 
 def cost(one: PatchOverlap, mask: Mask) -> float:
-    """Return how visible a joint's seam is."""
+    """Return how visible the seam of a mask is."""
     links = visible_links(one.old, one.new)
     across, down = mask[:, 1:] != mask[:, :-1], mask[1:] != mask[:-1]
     return float(links.across[across].sum() + links.down[down].sum())
@@ -133,8 +133,8 @@ SIDES = [ALL, (False, True, True, False), (True, False, False, False), (False, F
 
 @pytest.mark.parametrize("sides", SIDES)
 @pytest.mark.parametrize("kind", ["dynamic", "graphcut"])
-def test_the_hole_is_new_and_the_edge_beside_a_neighbour_old(kind: str, sides: tuple[bool, bool, bool, bool]) -> None:
-    """Whatever the pictures: all that is not known is filled, and a graph cut leaves the box's edge alone."""
+def test_the_hole_is_new_and_the_edge_beside_a_neighbor_old(kind: str, sides: tuple[bool, bool, bool, bool]) -> None:
+    """Everything unknown becomes new, and a graph cut leaves the box's edge beside a neighbor old."""
     height, width = 24 + 8 * (sides[1] + sides[3]), 24 + 8 * (sides[0] + sides[2])
     old, new = np.random.default_rng(0).random((2, height, width, 3)).astype(np.float32)
     one = joint(old, new, sides)
@@ -147,7 +147,7 @@ def test_the_hole_is_new_and_the_edge_beside_a_neighbour_old(kind: str, sides: t
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_graph_cut_is_never_more_visible_than_four_seams(seed: int) -> None:
-    """The least of all closed seams costs no more than the one that dynamic programming puts together."""
+    """The least visible closed seam costs no more than the four seams of dynamic programming together."""
     old, new = np.random.default_rng(seed).random((2, 40, 40, 3)).astype(np.float32)
     one = joint(old, new)
     four = cut_dynamic(one) & ~one.fixed_old()
@@ -155,7 +155,7 @@ def test_a_graph_cut_is_never_more_visible_than_four_seams(seed: int) -> None:
 
 
 def bricks(rng: np.random.Generator) -> Image:
-    """Return 10 x 6 px bricks of tones of their own between joints of 2 px, with a little noise."""
+    """Return bricks of 10 x 6 px with different tones, joints of 2 px, and weak noise."""
     y, x = np.indices((40, 40))
     row = y // 8
     column = (x + 6 * (row % 2)) // 12
@@ -166,7 +166,7 @@ def bricks(rng: np.random.Generator) -> Image:
 
 
 def test_a_graph_cut_runs_around_bricks() -> None:
-    """Of two walls whose bricks lie alike but differ in tone, joined by graph cut, no brick has two tones."""
+    """A graph cut between two walls with equal bricks of different tones leaves no brick two-toned."""
     rng = np.random.default_rng(3)
     for _ in range(5):
         old, new = bricks(rng), bricks(rng)
@@ -180,8 +180,8 @@ def test_a_graph_cut_runs_around_bricks() -> None:
         assert (np.minimum(shares, 1 - shares) < 0.1).all()
 
 
-def test_seams_are_remembered_and_forgotten() -> None:
-    """After a cut the seams are those of the joined picture: the new one's cost, none under the patch."""
+def test_recorded_seams_follow_the_cut() -> None:
+    """After a cut the recorded seams are those of the joined picture."""
     old, new = np.random.default_rng(1).random((2, 40, 40, 3)).astype(np.float32)
     one, seams = joint(old, new), nothing(old.shape)
     seams.across[20, 19] = 5.0

@@ -34,7 +34,7 @@ def cost(error: NDArray[np.float64], path: NDArray[np.int64] | tuple[int, ...]) 
 @patient
 @given(sizes, seeds)
 def test_no_path_is_cheaper(shape: tuple[int, int], seed: int) -> None:
-    """The seam costs as little as the best of all paths, tried one by one, and is one of them."""
+    """The seam is a path, and costs no more than any other path."""
     error = np.random.default_rng(seed).integers(0, 4, shape).astype(float)
     seam = dynamic_seam(error)
     every = paths(*shape)
@@ -72,7 +72,7 @@ def test_no_seam_without_a_surface(error: NDArray[np.float64]) -> None:
 
 
 def staircases(rows: int, columns: int) -> list[list[tuple[int, int]]]:
-    """List all ways right and down from the first pixel to the last that leave the edges to their owners."""
+    """List all paths right and down from the first pixel to the last that keep off the edges."""
     found = []
     for downs in itertools.combinations(range(rows + columns - 2), rows - 1):
         way = [(0, 0)]
@@ -93,7 +93,7 @@ def staircases(rows: int, columns: int) -> list[list[tuple[int, int]]]:
 @settings(max_examples=30, deadline=None)
 @given(st.integers(3, 6), st.integers(3, 6), st.integers(0, 999))
 def test_no_staircase_is_cheaper(rows: int, columns: int, seed: int) -> None:
-    """Of all ways tried one by one none has a smaller sum."""
+    """No other path of right and down steps has a smaller sum."""
     difference = np.random.default_rng(seed).random((rows, columns))
     costs = [sum(difference[place] for place in way) for way in staircases(rows, columns)]
     assert corner_seam(difference)[1] == pytest.approx(min(costs))
@@ -109,7 +109,7 @@ def test_edges_stay_with_their_owners(shape: tuple[int, int]) -> None:
 
 
 def test_the_cut_follows_where_nothing_differs() -> None:
-    """Along a planted way of no difference the cut costs nothing, and parts the pixels above from those below."""
+    """The cut follows a path without differences at no cost, and separates the pixels above from those below."""
     difference = np.ones((8, 11))
     way = [(0, 0), (0, 1), (1, 1), (2, 1), (3, 1), (3, 2), *[(3, x) for x in range(3, 9)]]
     way += [(4, 8), (5, 8), (6, 8), (6, 9), (6, 10), (7, 10)]

@@ -29,7 +29,7 @@ def test_all_equal_places_are_found_and_no_others() -> None:
 
 @given(coordinate, coordinate, st.floats(0, 90))
 def test_places_are_equal_by_the_lattice_and_round_into_the_room(x: float, y: float, degrees: float) -> None:
-    """Any real-valued, rotated lattice: each place differs by a lattice vector, is inside, and none is missing."""
+    """For any rotated lattice each place differs by a lattice vector and is inside, and none is missing."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     lattice = Lattice((21.37 * c, 21.37 * s), (-18.81 * s, 18.81 * c))
     places = EqualPlaces(lattice, (69, 89)).find((x, y))
@@ -42,7 +42,7 @@ def test_places_are_equal_by_the_lattice_and_round_into_the_room(x: float, y: fl
 
 @given(coordinate, coordinate, st.floats(0, 4))
 def test_around_equals_brute_force(x: float, y: float, tolerance: float) -> None:
-    """The places around are those within the tolerance along x and y, each once, the nearest pixel always."""
+    """Nearby pixels are all those within the tolerance, each once, and always the nearest one."""
     lattice = Lattice((7.3, 1.1), (-2.2, 6.1))
     room = (19, 23)
     centres = EqualPlaces(lattice, room, max(tolerance, 0.5)).find((x, y))
@@ -54,6 +54,6 @@ def test_around_equals_brute_force(x: float, y: float, tolerance: float) -> None
 
 
 def test_a_pixel_grid_counts_x_then_y_from_its_first_pixel() -> None:
-    """Row by row, x before y."""
+    """Pixels are listed row by row, x before y."""
     assert pixel_grid(3, 2, -1, 7).tolist() == [[[-1, 7], [0, 7], [1, 7]], [[-1, 8], [0, 8], [1, 8]]]
     assert pixel_grid(0, 2).shape == (2, 0, 2)

@@ -46,7 +46,7 @@ def naive(patch: NDArray[np.float32], template: NDArray[np.float32], hole: Box, 
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("hole", HOLES)
 def test_ratings_equal_brute_force(match: Match, channels: int, hole: Box) -> None:
-    """Both matches, direct and in the Fourier domain, equal naive loops at every place."""
+    """Both matches equal naive loops at every place, by direct summation and in the Fourier domain."""
     image, other = noise((21, 17), channels), noise((21, 17), channels, seed=1)
     matcher = FrameMatcher(image, SIZE, match)
     template = cut(other, 3, 5)
@@ -117,14 +117,14 @@ def texture(x: np.ndarray, y: np.ndarray) -> Image:  # type: ignore[type-arg]
 
 @pytest.mark.parametrize("off", [(0.4, -0.3), (-0.8, 0.7), (0.0, 0.05)])
 def test_a_patch_is_moved_to_where_it_meets(off: tuple[float, float]) -> None:
-    """A place that is off by up to a pixel is mended to a fiftieth, by what the frame alone shows."""
+    """A place that is off by up to a pixel is corrected to 0.02 px, by the frame alone."""
     old = texture(X + 5, Y + 7)
     place = align_patch(lambda at: texture(X + at[0], Y + at[1]), np.add((5.0, 7.0), off), old, FRAME, steps=3)
     np.testing.assert_allclose(place, (5, 7), atol=0.02)
 
 
-def test_where_both_agree_nothing_moves() -> None:
-    """Not even by a rounding error."""
+def test_equal_pictures_move_nothing() -> None:
+    """Equal pictures give no displacement, not even a rounding error."""
     old = texture(X, Y)
     assert align_patch(lambda at: old, np.array([3.0, 4.0]), old, FRAME).tolist() == [3, 4]
     field = fit_deformation(lambda field: old, old, FRAME, FRAME, 2.0)
@@ -132,13 +132,13 @@ def test_where_both_agree_nothing_moves() -> None:
 
 
 def test_flat_pictures_move_nothing() -> None:
-    """Where nothing can be told nothing is done, even where the pictures differ in brightness."""
+    """Flat pictures give no displacement, even if they differ in brightness."""
     flat = np.full((48, 48, 1), 0.3, np.float32)
     assert align_patch(lambda at: flat + 0.1, np.array([3.0, 4.0]), flat, FRAME).tolist() == [3, 4]
 
 
 def test_a_smooth_field_is_found() -> None:
-    """A patch bent by up to 1.2 px meets its frame to a quarter of the error, and stays where it is in the hole."""
+    """A deformation of up to 1.2 px leaves a quarter of the error in the frame, and is 0 in the hole."""
     bend = np.stack([1.2 * np.sin(Y / 15), 1.0 * np.cos(X / 18)], -1)
     old = texture(X + bend[..., 0], Y + bend[..., 1])
 
@@ -155,7 +155,7 @@ def test_a_smooth_field_is_found() -> None:
 
 @pytest.mark.parametrize("limit", [0.5, 1.0])
 def test_no_displacement_is_longer_than_allowed(limit: float) -> None:
-    """The limit holds pixel by pixel, faded as told."""
+    """No displacement exceeds the faded limit of its pixel."""
     rng = np.random.default_rng(0)
     old, new = rng.random((2, 48, 48, 3)).astype(np.float32)
     fade = np.linspace(0, 1, 48) * np.ones((48, 1))

@@ -44,7 +44,7 @@ def cut_value(mask: Mask, links: Links, source: Weights, sink: Weights) -> float
 
 
 def flow(links: Links, source: Weights, sink: Weights) -> int:
-    """Return the largest flow, by another program."""
+    """Compute the maximum flow with scipy."""
     shape, count = source.shape, source.size
     index = np.arange(count).reshape(shape)
     first = [index[:, :-1], index[:, 1:], index[:-1], index[1:], np.full(shape, count), index]
@@ -73,7 +73,7 @@ def test_the_cut_costs_what_the_largest_flow_carries(
 
 
 def test_a_large_grid_is_cut_exactly() -> None:
-    """So it is at the size of a patch, with a seam from side to side."""
+    """The cut equals the maximum flow on a grid as large as a patch."""
     links, source, sink = problem((60, 70), 3, 256, 1.0)
     source[:], sink[:] = 0, 0
     source[:, 0], sink[:, -1] = np.inf, np.inf
@@ -83,21 +83,19 @@ def test_a_large_grid_is_cut_exactly() -> None:
 
 @pytest.mark.parametrize("shape", [(3, 3), (2, 4), (1, 5)])
 @pytest.mark.parametrize("seed", range(8))
-def test_no_labelling_costs_less(shape: tuple[int, int], seed: int) -> None:
-    """By trying all labellings of a small grid; of those that cost least, the one with the fewest pixels is taken."""
+def test_no_labeling_costs_less(shape: tuple[int, int], seed: int) -> None:
+    """No labeling of a small grid costs less, and of the best ones the smallest is returned."""
     made = problem(shape, seed, 5, hard=0.1)
-    labellings = [
-        np.array(bits).reshape(shape) for bits in itertools.product([False, True], repeat=shape[0] * shape[1])
-    ]
-    least = min(cut_value(one, *made) for one in labellings)
-    best = [one for one in labellings if cut_value(one, *made) == least]
+    labelings = [np.array(bits).reshape(shape) for bits in itertools.product([False, True], repeat=shape[0] * shape[1])]
+    least = min(cut_value(one, *made) for one in labelings)
+    best = [one for one in labelings if cut_value(one, *made) == least]
     found = minimum_cut(*made)
     assert cut_value(found, *made) == least
     assert found.sum() == min(one.sum() for one in best)
 
 
 def test_real_valued_weights_are_cut_as_well() -> None:
-    """Weights need not be whole: no labelling of a 3 x 4 grid costs less."""
+    """With real-valued weights no labeling of a 3 x 4 grid costs less."""
     rng = np.random.default_rng(5)
     made = Links(rng.random((3, 3)), rng.random((2, 4))), rng.random((3, 4)), rng.random((3, 4))
     every = (np.array(bits).reshape(3, 4) for bits in itertools.product([False, True], repeat=12))
@@ -139,7 +137,7 @@ def pictures(shape: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray,
 @pytest.mark.parametrize("normalized", [False, True])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_seam_is_the_least_visible_of_all(normalized: bool, seed: int) -> None:
-    """By trying every labelling of a 3 x 4 overlap, with the cost of each link written out."""
+    """No labeling of a 3 x 4 overlap costs less, with the cost of each link written out."""
     old, new, fixed_old, fixed_new = pictures((3, 4), seed)
     gradients = [[np.gradient(picture.astype(float), axis=axis) for axis in (0, 1)] for picture in (old, new)]
 
@@ -163,7 +161,7 @@ def test_a_seam_is_the_least_visible_of_all(normalized: bool, seed: int) -> None
 
 
 def test_a_seam_follows_a_planted_path_where_the_pictures_agree() -> None:
-    """Two pictures that differ but for a zigzag are cut along the zigzag."""
+    """Two pictures that agree only along a zigzag are cut along it."""
     rng = np.random.default_rng(0)
     old, new, fixed_old, fixed_new = pictures((40, 20), 1)
     path = np.clip(10 + np.cumsum(rng.integers(-1, 2, 40)), 2, 17)
@@ -174,14 +172,14 @@ def test_a_seam_follows_a_planted_path_where_the_pictures_agree() -> None:
 
 
 def test_pictures_that_agree_keep_the_old() -> None:
-    """Where nothing is to be gained only what must be new is new."""
+    """If both pictures agree, only the pixels that must be new are new."""
     old, _, fixed_old, fixed_new = pictures((6, 9), 0)
     np.testing.assert_array_equal(graphcut_seam(old, old, fixed_old, fixed_new), fixed_new)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_old_seams_are_covered_where_that_is_worth_it(seed: int) -> None:
-    """By trying every labelling: an old seam counts as long as both its pixels stay, up to what covering both costs."""
+    """No labeling costs less if old seams count where both their pixels stay."""
     old, new, fixed_old, fixed_new = pictures((3, 4), seed)
     rng = np.random.default_rng(seed)
     links = seam_links(old, new)
@@ -203,7 +201,7 @@ def test_old_seams_are_covered_where_that_is_worth_it(seed: int) -> None:
 
 
 def test_a_higher_power_prefers_many_weak_steps_to_a_strong_one() -> None:
-    """Squared, a short way over a strong difference costs more than a longer one over weak ones."""
+    """Squared, a short path over a large difference costs more than a longer one over small ones."""
     old = np.zeros((3, 9, 1), np.float32)
     new = np.full((3, 9, 1), 0.3, np.float32)
     new[1] = 0.05

@@ -22,7 +22,7 @@ def grid(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:  # type: ign
 
 
 def test_whole_pixel_places_are_copies() -> None:
-    """At whole pixels, rounding errors aside, a patch is the sample's to the bit, and its map says so."""
+    """At whole pixels, up to rounding errors, a patch is an exact copy, and its map says so."""
     sample = quantize(np.random.default_rng(0).random((30, 40, 3), np.float32))
     patch, source = Patches(sample).cut(np.array([5 + 1e-9, 7 - 1e-9]), (8, 9))
     np.testing.assert_array_equal(patch, sample[7:15, 5:14])
@@ -32,7 +32,7 @@ def test_whole_pixel_places_are_copies() -> None:
 
 @pytest.mark.parametrize("place", [(6.5, 9.0), (6.25, 9.75), (0.5, 0.5), (-0.5, 20.5)])
 def test_between_pixels_a_wave_keeps_its_place_and_height(place: tuple[float, float]) -> None:
-    """A smooth texture is shown at fractional places to a fifth of a gray level, edges of the sample aside."""
+    """At fractional places a smooth texture is interpolated to 0.2 gray levels, except near edges."""
     x, y = grid(60, 60)
     sample = waves(x, y)
     patch, _ = Patches(sample).cut(np.array(place), (20, 20))
@@ -50,8 +50,8 @@ def test_short_waves_are_not_blurred() -> None:
     assert np.ptp(patch) / 0.8 > 0.97
 
 
-def test_every_way_to_a_place_is_the_same() -> None:
-    """A patch cut as a whole, in part, and point by point shows the same pixels, at the sample's edges too."""
+def test_all_readings_of_a_place_agree() -> None:
+    """A patch has the same pixels if cut at once, in part, or point by point, also at the sample's edges."""
     sample = quantize(np.random.default_rng(1).random((25, 31, 3), np.float32))
     patches, place = Patches(sample), np.array([-0.375, 9.25])
     whole, source = patches.cut(place, (15, 31))
@@ -62,7 +62,7 @@ def test_every_way_to_a_place_is_the_same() -> None:
     np.testing.assert_allclose(their_source, source, atol=1e-6)
 
 
-def test_the_map_tells_the_nearest_pixel_inside_the_sample() -> None:
+def test_the_map_names_the_nearest_pixel_inside_the_sample() -> None:
     """Half a pixel outside, the nearest pixel is the edge's, with the bilinear weight of that distance."""
     _, source = Patches(np.zeros((10, 12, 1), np.float32)).cut(np.array([-0.5, 3.25]), (4, 12))
     assert source[0, 0].tolist() == [0, 3, 0.5 * 0.75]
@@ -77,7 +77,7 @@ def test_places_are_rounded_far_below_what_shows() -> None:
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_it_is_the_spline_of_scipy(channels: int) -> None:
-    """At any points, far outside as well, values are those of scipy's spline of order 5, mirrored at the border."""
+    """At any points, also far outside, values equal scipy's spline of order 5, mirrored at the edges."""
     rng = np.random.default_rng(0)
     image = rng.random((11, 17, channels))
     planes = [ndimage.spline_filter(plane, 5, mode="mirror") for plane in np.moveaxis(image, 2, 0)]
@@ -90,7 +90,7 @@ def test_it_is_the_spline_of_scipy(channels: int) -> None:
 
 
 def test_it_goes_through_the_pixels() -> None:
-    """At whole pixels, the outermost included, the values are the image's."""
+    """At whole pixels, including the outermost, the values are the image's."""
     image = np.random.default_rng(1).random((9, 8, 1))
     padded = np.pad(
         ndimage.spline_filter(image[..., 0], 5, mode="mirror")[..., np.newaxis],

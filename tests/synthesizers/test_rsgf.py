@@ -26,7 +26,7 @@ SMALL = replace(PAPER, block=8, border=2)
 @pytest.mark.parametrize("search", ["lattice", "everywhere"])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_a_whole_pixel_lattice_is_continued_exactly(match: Any, search: Any, channels: int) -> None:
-    """On a perfectly periodic sample the output is the periodic continuation, phase included, to the bit."""
+    """On a perfectly periodic sample the output continues it exactly, with its phase."""
     picture = np.tile(noise(24, 30, channels), (13, 13, 1))
     method = Rsgf(match=match, search=search)
     for shape in ((150, 170), (1, 300), (300, 1), (9, 5)):
@@ -38,7 +38,7 @@ def test_a_whole_pixel_lattice_is_continued_exactly(match: Any, search: Any, cha
 @pytest.mark.parametrize("subpixel", [False, True])
 @pytest.mark.parametrize("deform", [0.0, 2.0])
 def test_every_seam_continues_exactly(seam: Any, subpixel: bool, deform: float) -> None:
-    """Where patches continue each other no seam, no sub-pixel move and no deformation leaves a trace."""
+    """Where patches continue each other, no seam, sub-pixel move or deformation changes a pixel."""
     picture = np.tile(noise(24, 30), (6, 6, 1))
     method = Rsgf(seam=seam, subpixel=subpixel, deform=deform)
     made = synthesize(method, picture[:128, :128], (100, 130), Lattice((30, 0), (0, 24)))
@@ -66,7 +66,7 @@ def test_what_the_source_map_calls_a_copy_is_one(
     deform: float,
     seed: int,
 ) -> None:
-    """Whatever blocks, joints and shape: the map is true, pixels of weight 1 are the sample's, others near ones."""
+    """For any blocks, seams and shape, pixels of weight 1 are copies of the sample, and other weights stay large."""
     sample = noise(50, 45, channels)
     method = Rsgf(block, min(border, block // 2), seam=seam, subpixel=subpixel, deform=deform)
     made = synthesize(method, sample, shape, Lattice((9.3, 1.2), (-2.1, 10.4)), seed)
@@ -83,7 +83,7 @@ def test_what_the_source_map_calls_a_copy_is_one(
 @pytest.mark.parametrize("seam", SEAMS)
 @pytest.mark.parametrize("block", [2, 3])
 def test_the_smallest_blocks_are_filled(seam: Any, block: int) -> None:
-    """Gaps whose patches lie at the sample's edge, with a hole of a pixel or none, are joined, too."""
+    """Gaps are filled even if their patches lie at the sample's edge and their hole is a pixel wide or empty."""
     sample = noise(12, 13)
     for seed in range(3):
         made = synthesize(Rsgf(block, 1, seam=seam), sample, (24, 25), Lattice((4.3, 0.2), (-0.1, 5.4)), seed)
@@ -100,7 +100,7 @@ def test_seams_leave_no_pixel_blended(seam: Any) -> None:
 
 
 def test_every_parameter_changes_something() -> None:
-    """No parameter is without effect on a sample that varies, in brightness, too, and is not quite on the lattice."""
+    """Every parameter has an effect on a sample that varies, also in brightness, and is slightly off its lattice."""
     varied = 0.3 * noise(128, 128) + 0.7 * np.tile(noise(24, 30), (6, 5, 1))[:128, :128]
     sample = quantize(varied * np.linspace(0.3, 1, 128, dtype=np.float32)[:, np.newaxis])
     base = synthesize(Rsgf(), sample, (128, 128), FRACTIONAL).image
@@ -114,7 +114,7 @@ def test_every_parameter_changes_something() -> None:
 
 
 def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
-    """All randomness is the task's."""
+    """All randomness comes from the task."""
     first, second, other = (synthesize(SMALL, noise(60, 60), (50, 50), FRACTIONAL, k).image for k in (1, 1, 2))
     np.testing.assert_array_equal(first, second)
     assert (first != other).any()
@@ -182,13 +182,13 @@ def test_a_lattice_too_large_for_the_sample_is_refused() -> None:
     ],
 )  # fmt: skip
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
-    """Parameters out of range are named, with what to choose."""
+    """The error names the parameter and says what to choose."""
     with pytest.raises(BadInput, match="choose"):
         Rsgf(**parameters)
 
 
 def test_a_flat_sample_gives_a_flat_output() -> None:
-    """Nothing to match and nothing to cut around is no error."""
+    """A sample without any structure to match or cut around is no error."""
     flat = np.full((60, 60, 1), 0.4, np.float32)
     for match, seam in itertools.product(("ncc", "color"), SEAMS):
         method = Rsgf(block=8, border=2, match=match, seam=seam, deform=1.0)  # type: ignore[arg-type]
@@ -197,7 +197,7 @@ def test_a_flat_sample_gives_a_flat_output() -> None:
 
 
 def test_a_sample_of_less_than_two_periods_works_or_is_refused() -> None:
-    """Small blocks find a place for each; blocks that a sample of 1.5 periods cannot show everywhere are refused."""
+    """Small blocks work on a sample of 1.5 periods; blocks without an equal patch in it are refused."""
     sample, lattice = noise(60, 60), Lattice((40.3, 0), (3.1, 38.6))
     assert synthesize(Rsgf(block=8, border=2), sample, (90, 90), lattice).image.shape == (90, 90, 3)
     with pytest.raises(Refused, match="choose a smaller block"):
@@ -206,7 +206,7 @@ def test_a_sample_of_less_than_two_periods_works_or_is_refused() -> None:
 
 @pytest.mark.parametrize("shape", [(1, 500), (500, 1), (3, 40), (50, 60)])
 def test_outputs_smaller_than_the_sample_and_lines_work(shape: tuple[int, int]) -> None:
-    """Any shape is filled with pixels of the sample's range."""
+    """Any shape is filled with values in the sample's range."""
     made = synthesize(Rsgf(), noise(128, 128, 1), shape, FRACTIONAL)
     assert made.image.shape == (*shape, 1)
     assert 0 <= made.image.min() < made.image.max() <= 1

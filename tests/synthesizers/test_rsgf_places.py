@@ -1,4 +1,4 @@
-"""Claims about which patches are chosen, and where they lie."""
+"""Claims about which patches rsgf chooses, and where they lie."""
 
 import itertools
 import math
@@ -43,7 +43,7 @@ def test_any_basis_of_the_lattice_gives_the_same_bytes(method: Rsgf, lattice: La
 
 
 def test_a_fractional_lattice_does_not_drift() -> None:
-    """Over 800 px placed patches keep within half a pixel of the real-valued lattice, gaps within the paper's 3 px."""
+    """Over 800 px placed patches stay within half a pixel of the real-valued lattice, gaps within the paper's 3 px."""
     made = synthesize(PAPER, noise(128, 128), (800, 800), FRACTIONAL)
     found = places(made, 40)
     rows, columns = np.indices(found.shape[:2])
@@ -57,7 +57,7 @@ def test_a_fractional_lattice_does_not_drift() -> None:
 @pytest.mark.parametrize("shape", [(400, 48), (48, 400)])
 @pytest.mark.parametrize("tolerance", [0.0, 0.3, 1.5])
 def test_sub_pixel_places_are_those_of_the_lattice(tolerance: float, shape: tuple[int, int]) -> None:
-    """Over 400 px placed patches lie on the real-valued lattice, gaps' within the tolerance of it, however small."""
+    """Over 400 px placed patches lie on the real-valued lattice, and patches of gaps within any tolerance of it."""
     found = fill(noise(60, 60), shape, FRACTIONAL, tolerance)
     rows, columns = np.indices(found.shape[:2])
     misplaced = np.abs(FRACTIONAL.wrap(found - 8 * np.stack([columns, rows], -1))).max(-1)
@@ -203,7 +203,7 @@ def test_patches_that_do_not_overlap_are_used_in_turn() -> None:
 
 
 def test_the_first_draw_is_uniform_and_all_are_without_preference() -> None:
-    """Each place comes equally often: in first draws, and in all draws without preference."""
+    """Each place is drawn equally often: in first draws, and in all draws without preference."""
     places = grid(3, 4)
     first = [PlaceSampler(np.random.default_rng(k), 10, prefer_unused=True).draw(places) for k in range(1800)]
     sampler = PlaceSampler(np.random.default_rng(0), 10, prefer_unused=False)

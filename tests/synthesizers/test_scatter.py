@@ -20,7 +20,7 @@ def scatter(sample: Image, shape: tuple[int, int], seed: int = 1, method: Scatte
 @pytest.mark.parametrize("shape", [(256, 256), (1, 300), (9, 5)])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_any_shape_and_channels_copy_what_the_map_says(shape: tuple[int, int], channels: int) -> None:
-    """The output has the shape asked for, and pixels of weight 1 are the sample's."""
+    """The output has the task's shape, and pixels of weight 1 are the sample's."""
     sample = noise(channels)
     made = scatter(sample, shape)
     assert made.image.shape == (*shape, channels)
@@ -42,7 +42,7 @@ def test_the_patches_come_from_anywhere() -> None:
 
 
 def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
-    """All randomness is the task's."""
+    """All randomness comes from the task."""
     first, second, other = (scatter(noise(3), (90, 90), seed).image for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, second)
     assert (first != other).any()
@@ -55,6 +55,6 @@ def test_a_sample_smaller_than_a_block_is_refused_with_a_way_out() -> None:
 
 
 def test_a_border_over_half_a_block_is_refused() -> None:
-    """Parameters out of range are named, with their range."""
+    """The error names the range."""
     with pytest.raises(BadInput, match="from 1 to half a block"):
         Scatter(block=20, border=11)

@@ -36,7 +36,7 @@ def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
 
 
 def misplacement(made: Synthesis, lattice: Lattice) -> NDArray[np.float64]:
-    """Return how far, px, each output pixel's source is from a place that the lattice calls equal."""
+    """Return the distance in px of each output pixel's source from the nearest equal place."""
     assert made.source is not None
     y, x = np.indices(made.source.shape[:2])
     return np.asarray(np.hypot(*np.moveaxis(lattice.wrap(made.source[..., :2] - np.stack([x, y], -1)), -1, 0)))
@@ -46,7 +46,7 @@ def misplacement(made: Synthesis, lattice: Lattice) -> NDArray[np.float64]:
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("channels", [1, 3])
 def test_a_whole_pixel_lattice_is_continued_exactly(lattice: Lattice, tile: Any, channels: int) -> None:
-    """On a perfectly periodic sample the output is the periodic continuation, phase included, to the bit."""
+    """On a perfectly periodic sample the output continues it exactly, with its phase."""
     picture = periodic((160, 300), lattice, channels)
     for size in ((140, 150), (1, 300), (150, 1), (9, 5)):
         made = synthesize(TileSet(tile=tile), picture[:128, :128], size, lattice)
@@ -56,14 +56,14 @@ def test_a_whole_pixel_lattice_is_continued_exactly(lattice: Lattice, tile: Any,
 @pytest.mark.parametrize("lattice", LATTICES)
 @pytest.mark.parametrize("method", [TileSet(stitch="dynamic"), TileSet(cells=2), TileSet(cells=2, stitch="dynamic")])
 def test_seams_and_larger_tiles_continue_exactly_too(method: TileSet, lattice: Lattice) -> None:
-    """Neither the paper's two seams nor tiles of 2 x 2 cells change anything on such a sample."""
+    """The paper's two seams and tiles of 2 x 2 cells also continue a periodic sample exactly."""
     picture = periodic((160, 200), lattice)
     made = synthesize(method, picture[:160, :160], (160, 200), lattice)
     np.testing.assert_array_equal(to_bytes(made.image), to_bytes(picture))
 
 
 def test_larger_tiles_are_fewer() -> None:
-    """Tiles of 2 x 2 cells are laid in twice the steps, and as many of the sample's points are middles as fit."""
+    """Tiles of 2 x 2 cells are laid in steps twice as long, and the sample still holds many of them."""
     lattice, sample = Lattice((20, 5), (-4, 22)), noise(160, 160)
     task = Task(sample, (400, 400), lattice, np.random.default_rng(0))
     small, large = (TileLaying(TileSet(tile="cell", cells=cells), task, lattice) for cells in (1, 2))
@@ -73,7 +73,7 @@ def test_larger_tiles_are_fewer() -> None:
 
 
 def test_the_minimum_cut_keeps_to_the_overlap() -> None:
-    """Of one tile laid over noise the cut shows all where nothing stood, and nothing of the outermost pixels else."""
+    """A tile laid over another fills what is empty, and its outermost pixels replace nothing."""
     lattice, sample = Lattice((20, 0), (0, 20)), noise(120, 120)
     task = Task(sample, (60, 60), lattice, np.random.default_rng(0))
     laying = TileLaying(TileSet(tile="cell", stitch="graphcut", registration=0), task, lattice)
@@ -90,7 +90,7 @@ def test_the_minimum_cut_keeps_to_the_overlap() -> None:
 
 @pytest.mark.parametrize("lattice", LATTICES)
 def test_the_difference_of_the_paper_continues_exactly_too(lattice: Lattice) -> None:
-    """With the raw sum, Efros and Freeman's seams, no blending, no registration, nothing changes on such a sample."""
+    """With the paper's sum of differences and plain seams a periodic sample is continued exactly, too."""
     picture = periodic((160, 160), lattice)
     method = TileSet(
         stitch="dynamic", difference="sum", slope=1, feather=0, registration=0, tile="upright", cells=1, anchor="given"
@@ -102,7 +102,7 @@ def test_the_difference_of_the_paper_continues_exactly_too(lattice: Lattice) -> 
 @pytest.mark.parametrize(("registration", "decibels"), [(None, 35), (0.0, 42)])
 @pytest.mark.parametrize("parts", [4, 8])
 def test_a_smooth_fractional_texture_is_continued_well(parts: int, registration: float | None, decibels: int) -> None:
-    """A periodic texture of no whole pixels comes back with a PSNR of over 35 dB, seams included; unmoved, of 42."""
+    """A periodic texture with fractional vectors is continued with a PSNR over 35 dB, and over 42 dB unregistered."""
     truth = waves((256, 256), FRACTIONAL)
     method = TileSet(parts=parts, registration=registration)
     made = synthesize(method, quantize(truth[:128, :128]), (256, 256), FRACTIONAL)
@@ -110,7 +110,7 @@ def test_a_smooth_fractional_texture_is_continued_well(parts: int, registration:
 
 
 def test_whole_pixels_continue_a_fractional_texture_to_half_a_pixel() -> None:
-    """By default nothing is interpolated: places are rounded, which leaves a PSNR of over 30 dB."""
+    """By default places are rounded to whole pixels, which leaves a PSNR over 30 dB."""
     truth = waves((256, 256), FRACTIONAL)
     made = synthesize(TileSet(), quantize(truth[:128, :128]), (256, 256), FRACTIONAL)
     assert -10 * np.log10(((made.image - truth) ** 2).mean()) > 30
@@ -118,7 +118,7 @@ def test_whole_pixels_continue_a_fractional_texture_to_half_a_pixel() -> None:
 
 @pytest.mark.parametrize("parts", [None, 4])
 def test_a_fractional_lattice_does_not_drift(parts: int | None) -> None:
-    """Over 1024 px no pixel's source is more than 0.1 s off the lattice, and the mean is no larger at the end."""
+    """Over 1024 px no pixel's source is more than 0.1 s off the lattice, and the mean does not grow."""
     for shape in ((1024, 96), (96, 1024)):
         made = synthesize(TileSet(parts=parts), noise(128, 128), shape, FRACTIONAL)
         off = misplacement(made, FRACTIONAL)
@@ -147,7 +147,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     ],
 )
 def test_the_map_points_at_what_was_copied(method: TileSet) -> None:
-    """Pixels of weight 1 are the sample's, every pixel has a source inside it, and most weights are large."""
+    """Pixels of weight 1 are copies of the sample, and every pixel has a source inside the sample."""
     sample = noise(90, 100)
     made = synthesize(method, sample, (120, 110), FRACTIONAL)
     assert made.source is not None
@@ -161,7 +161,7 @@ def test_the_map_points_at_what_was_copied(method: TileSet) -> None:
 
 
 def test_a_symmetric_texture_lends_its_mirror_images() -> None:
-    """A texture with mirrors gives more tiles, and is still continued exactly; one without them gives no more."""
+    """A mirror-symmetric texture gives more tiles and is continued exactly; another texture gives no more tiles."""
     lattice = Lattice((24, 0), (0, 20))
     quarter = noise(10, 12)
     motif = np.concatenate([quarter, quarter[:, ::-1]], 1)
@@ -178,7 +178,7 @@ def test_a_symmetric_texture_lends_its_mirror_images() -> None:
 
 
 def test_the_anchor_keeps_borders_off_the_detail() -> None:
-    """The anchor puts the tiles' borders where the mean tile is flat, not through the one rough spot of each cell."""
+    """The quiet anchor puts the borders of tiles where the mean tile is flat."""
     lattice = Lattice((32, 0), (0, 32))
     motif = np.full((32, 32, 3), 0.5, np.float32)
     motif[4:12, 18:26] = noise(8, 8)
@@ -191,7 +191,7 @@ def test_the_anchor_keeps_borders_off_the_detail() -> None:
 
 
 def test_elements_are_shown_whole_by_t() -> None:
-    """Anchored by elements, T's tiles lie around what differs from tile to tile, not around what is the same."""
+    """Anchored by elements, the tiles of T lie around what differs from tile to tile."""
     lattice = Lattice((32, 0), (0, 32))
     picture = np.full((160, 160, 3), 0.5, np.float32)
     for place, color in zip(np.ndindex(5, 5), np.random.default_rng(0).random((25, 3)), strict=True):

@@ -41,7 +41,7 @@ def right(laying: TileLaying) -> NDArray[np.int64]:
 
 
 def apart(laying: TileLaying, number: tuple[int, int], cuts: Tiles) -> NDArray[np.float64]:
-    """Return each tile's mean absolute difference, channels added, from what stands at this number's place."""
+    """Return each tile's mean absolute difference, channels added, from what is filled at this number's place."""
     place = laying.lattice.origin + np.array(number) @ laying.tile.steps
     x, y = (laying.tile.pixels[:, :2] + np.floor(place + 0.5).astype(int) + laying.canvas.margin).T
     stands = laying.canvas.filled[y, x] == 1
@@ -52,7 +52,7 @@ def apart(laying: TileLaying, number: tuple[int, int], cuts: Tiles) -> NDArray[n
 
 
 def test_candidates_are_the_tiles_that_differ_by_no_more_than_the_threshold(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At each place the drawn one is among the tiles within the threshold, all of them, or the nearest if none is."""
+    """At each place the candidates are all tiles within the threshold, or the nearest one if there is none."""
     laying = laying_of(100, 3, Lattice((20, 0), (0, 16)))
     threshold, sizes = 222.0, Counter[str]()
     drawn: list[tuple[Tiles, NDArray[np.int64]]] = []
@@ -78,7 +78,7 @@ def test_candidates_are_the_tiles_that_differ_by_no_more_than_the_threshold(monk
 
 @pytest.mark.parametrize("share", [0.4, 1.0])
 def test_the_random_choice_is_uniform_over_the_candidates(share: float) -> None:
-    """The second tile is drawn equally often from each tile within the threshold, some or all, and no other."""
+    """Each tile within the threshold is drawn equally often, and no other."""
     laying = laying_of(110, tile="lattice", cells=1)
     first = laying.tile_numbers()[0].tolist()
     second = first[0] + 1, first[1]
@@ -151,7 +151,7 @@ def test_the_oddest_tile_accepts_half_of_the_others() -> None:
 
 
 def test_every_parameter_changes_something() -> None:
-    """No parameter is without effect on a sample whose tiles differ, and that is not quite on its lattice."""
+    """Every parameter has an effect on a sample whose tiles differ and that is slightly off its lattice."""
     lattice = Lattice((21.37, 2.6), (-2.3, 18.81))
     regular = waves((128, 128), lattice)
     sample = quantize(0.8 * regular + 0.2 * regular * noise(128, 128))

@@ -1,4 +1,4 @@
-"""Claims about tile-set's exact cuts: they lead around elements, and are remembered."""
+"""Claims about the exact cuts of tile-set: they lead around elements, and their costs are recorded."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ LATTICES = [Lattice((24.3, 0.0), (0.0, 21.7)), Lattice((14.2, 12.7), (14.2, -12.
 
 
 def discs(size: int, lattice: Lattice, seed: int = 0) -> tuple[Image, NDArray[np.float64], NDArray[np.bool_]]:
-    """Return discs of one color each on a flat ground, where each pixel's disc has its middle, and what is a disc."""
+    """Return discs of one color each on a flat ground, each pixel's lattice point, and a mask of the discs."""
     y, x = np.indices((size, size))
     pixels = np.stack([x, y], -1)
     away = lattice.wrap(pixels - lattice.origin)
@@ -27,7 +27,7 @@ def discs(size: int, lattice: Lattice, seed: int = 0) -> tuple[Image, NDArray[np
 
 
 def whole(made: Image, middles: NDArray[np.float64], inside: NDArray[np.bool_]) -> float:
-    """Return the share of discs, less two px at their border, that are of one color."""
+    """Return the share of discs that are of one color."""
     keys = middles[..., 0] * 1000 + middles[..., 1]
     spreads = [np.ptp(made[inside & (keys == key)], axis=0).max() for key in np.unique(keys[20:-20, 20:-20])]
     return float(np.mean(np.array(spreads) < 0.02))
@@ -35,7 +35,7 @@ def whole(made: Image, middles: NDArray[np.float64], inside: NDArray[np.bool_]) 
 
 @pytest.mark.parametrize("lattice", LATTICES)
 def test_elements_stay_whole(lattice: Lattice) -> None:
-    """Of discs in many colors nine of ten are of one color still; the paper's stitching leaves not half of them so."""
+    """Nine of ten discs keep one color; with the paper's stitching less than half do."""
     sample, _, _ = discs(128, lattice)
     _, middles, inside = discs(200, Lattice(lattice.t1, lattice.t2))
     core = inside & (
@@ -51,14 +51,14 @@ def test_elements_stay_whole(lattice: Lattice) -> None:
 
 @pytest.mark.parametrize("lattice", LATTICES)
 def test_the_anchor_lies_in_the_middle_of_elements(lattice: Lattice) -> None:
-    """Few tiles suffice: within a pixel and a half of the discs' middles, wherever these are."""
+    """With few tiles the anchor lies within 1.5 px of the discs' middles, wherever they are."""
     for seed, origin in enumerate([(0.0, 0.0), (5.5, 3.2), (-7.1, 9.9)]):
         moved = lattice.shifted(origin)
         costs, anchors = element_costs(discs(110, moved, seed)[0], lattice)
         assert np.hypot(*lattice.wrap(anchors[costs.argmin()] - origin)) < 1.5
 
 
-def test_seams_are_remembered_where_tiles_meet_alone() -> None:
+def test_seams_are_recorded_only_where_tiles_meet() -> None:
     """Nearly all links between pixels of different tiles have a cost, and hardly any others."""
     lattice = LATTICES[0]
     sample = quantize(np.random.default_rng(0).random((120, 120, 3), np.float32))
@@ -77,7 +77,7 @@ def test_seams_are_remembered_where_tiles_meet_alone() -> None:
 
 @pytest.mark.parametrize(("s", "cells"), [(6.3, 3), (10.7, 2), (15.9, 2), (16.0, 1), (40.0, 1)])
 def test_small_cells_are_laid_several_at_a_time(s: float, cells: int) -> None:
-    """By default s times the cells is at least 16 px, with as few cells as that takes."""
+    """By default tiles have the fewest cells that make s times the cells at least 16 px."""
     lattice = Lattice((s, 0.0), (0.0, 1.2 * s))
     sample = quantize(np.random.default_rng(0).random((200, 200, 1), np.float32))
     laying = TileLaying(TileSet(), Task(sample, (20, 20), lattice, np.random.default_rng(0)), lattice)
@@ -92,8 +92,8 @@ def test_a_margin_lengthens_tiles_and_leaves_steps() -> None:
     np.testing.assert_allclose(wide.steps, plain.steps)
 
 
-def test_a_sample_without_room_for_margins_is_laid_without() -> None:
-    """Tiles of the sample that just fit are taken as they are, unless a margin was asked for."""
+def test_a_sample_too_small_for_margins_is_laid_without() -> None:
+    """If tiles just fit into the sample, they have no margin by default."""
     lattice = Lattice((40, 0), (0, 40), (20, 20))
     sample = quantize(np.random.default_rng(0).random((82, 82, 1), np.float32))
     task = Task(sample, (50, 50), lattice, np.random.default_rng(0))

@@ -24,7 +24,7 @@ RECTANGULAR = Lattice((20, 0), (0, 25))
 
 @pytest.mark.parametrize("lattice", LATTICES)
 def test_a_set_is_what_no_lattice_vector_leads_out_of(lattice: Lattice) -> None:
-    """Diagonal sides have two sets, half-way along one side too, the cell four, tiles of 2 x 2 cells one."""
+    """Upright, lattice and rectangle tiles have two sets, cells four, and tiles of 2 x 2 cells one."""
     for tile, count in (("upright", 2), ("lattice", 2), ("rectangle", 2), ("cell", 4)):
         for cells in (1, 2, 3):
             shape = tile_shape(lattice, tile, cells)  # type: ignore[arg-type]
@@ -38,14 +38,14 @@ def test_a_set_is_what_no_lattice_vector_leads_out_of(lattice: Lattice) -> None:
 @pytest.mark.parametrize("size", [(30, 128), (128, 30), (40, 40), (49, 128), (128, 39)])
 @pytest.mark.parametrize("tile", TILES)
 def test_samples_under_two_periods_are_refused(size: tuple[int, int], tile: Any) -> None:
-    """Low, narrow, or both: the reason tells how far the lattice reaches and how large the sample is."""
+    """The reason states the lattice's extent and the size of the sample."""
     lattice = RECTANGULAR if min(size) != 40 else Lattice((33, 0), (0, 35))
     with pytest.raises(Refused, match=f"reaches .* the sample is {size[1]}x{size[0]} px: .* less than two periods"):
         synthesize(TileSet(tile=tile), noise(*size), (64, 64), lattice)
 
 
 def test_samples_without_a_tile_of_each_set_are_refused() -> None:
-    """Two periods do not hold every tile: the reason tells how large one is."""
+    """A sample of two periods can be too small for a tile: the reason states the tile's size."""
     with pytest.raises(Refused, match="a tile takes 80x100 px, the sample is 60x60 px: it does not hold a complete"):
         synthesize(TileSet(cells=4, tile="cell"), noise(60, 60), (64, 64), RECTANGULAR)
     with pytest.raises(Refused, match="does not hold a complete tile of each set"):
@@ -64,7 +64,7 @@ def test_samples_without_a_tile_of_each_set_are_refused() -> None:
 def test_whatever_the_size_it_is_laid_or_refused(
     size: tuple[int, int], lattice: Lattice, tile: Any, anchor: Any, origin: tuple[float, float], cells: int
 ) -> None:
-    """Around the least size that a sample may have, wherever the origin, there is an output or a reason."""
+    """For samples about as small as possible, with any origin, there is an output or a reason."""
     method, sample = TileSet(tile=tile, anchor=anchor, cells=cells), noise(*size, 1)
     try:
         made = synthesize(method, sample, (30, 34), lattice.shifted(origin))
@@ -77,13 +77,13 @@ def test_whatever_the_size_it_is_laid_or_refused(
 @pytest.mark.parametrize("lattice", [Lattice((11.3, 0), (0, 9.7)), Lattice((20.9, 0.2), (-0.1, 13.2))])
 @pytest.mark.parametrize("cells", [1, 2, 3])
 def test_upright_tiles_leave_no_gap(lattice: Lattice, cells: int) -> None:
-    """Where an upright tile is the minimum tile itself, of no whole number of pixels, every pixel is shown still."""
+    """Every pixel is filled where an upright tile is the minimum tile itself, with fractional sides."""
     made = synthesize(TileSet(tile="upright", cells=cells), noise(90, 140, 1), (150, 160), lattice)
     assert made.source is not None and (made.source[..., 2] > 0).all()
 
 
 def test_no_lattice_no_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the detector finds none, the method refuses and passes the reason on."""
+    """If the detector finds no lattice, the method refuses with the detector's reason."""
 
     def none(self: object, image: Image) -> None:
         raise NoLatticeFound("nothing repeats")
@@ -109,7 +109,7 @@ def test_bad_parameters_are_refused(wrong: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("name", ["registration", "feather", "margin"])
 def test_nothing_reaches_farther_than_s(name: str) -> None:
-    """A registration, a ramp or a margin up to s is taken, a longer one refused, with s."""
+    """Registration, feather and margin may be up to s; larger values are refused."""
     parameters: dict[str, Any] = {name: 20.0}
     assert synthesize(TileSet(**parameters), noise(140, 140, 1), (20, 20), RECTANGULAR).image.shape == (20, 20, 1)
     with pytest.raises(Refused, match=f"{name} 20.5 px reaches farther than s, 20.0 px; choose at most 20.0"):
@@ -117,7 +117,7 @@ def test_nothing_reaches_farther_than_s(name: str) -> None:
 
 
 def test_the_shape_of_tiles_can_be_chosen_from_outside(tmp_path: Path) -> None:
-    """The command line and the Python call take the tiles' shape beside the output's."""
+    """The command line and the Python function accept the shape of tiles."""
     sample = noise(80, 80, 1)
     arguments = [write_image(tmp_path / "sample.png", sample), "-m", "tile-set:tile=upright"]
     arguments += ["--size", "40x30", "--lattice", "27.3,0,13.65,12.2", "-o", tmp_path / "out.png"]
