@@ -36,8 +36,8 @@ COURSE_GAIN = 0.1
 """Unit, in NCC, of the gain of a course. A course has slid only if its tiles together fit better elsewhere."""
 STRIP_DEVIATIONS = 8.5
 """A course has slid if it is likelier elsewhere, and its gain exceeds the median of the references' courses by this
-many of their standard deviations. 288 fresh draws at a share of 0.4 reach at most 8.0. Of 96 draws with courses that slid by
-0.15 s, the lowest reaches 7.8 and the second lowest 9.2."""
+many of their standard deviations. 288 fresh draws at a share of 0.4 reach at most 8.0. Of 96 draws with courses that
+slid by 0.15 s, the lowest reaches 7.8 and the second lowest 9.2."""
 SURE_SHARE = 0.4
 """Regular share below which finding no fault does not prove that there is none; a fault that is found still counts."""
 SCATTER_RATIO = 2.0
