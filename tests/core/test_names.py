@@ -21,7 +21,10 @@ def test_a_function_keeps_its_name_beside_a_module(first: str) -> None:
 
 def test_the_package_imports_in_the_root_of_a_checkout() -> None:
     """In the repository's root, where the source folder shadows the installed package, methods load."""
-    code = "import nrbench, numpy; print(nrbench.synthesize('scatter', numpy.zeros((64, 64)), (16, 16), block=8).shape)"
+    code = (
+        "import nrbench, numpy; image = numpy.random.default_rng(0).random((64, 64)); "
+        "print(nrbench.synthesize('scatter', image, (16, 16), block=8).image.shape)"
+    )
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=ROOT, env={}, capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "(16, 16)", done.stderr

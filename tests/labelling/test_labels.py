@@ -222,7 +222,7 @@ def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFix
     assert [row["kind"] for row in rows] == ["judge and people"] * 3 + ["people"] + ["self"] * 2
     assert {float(row["share_equal"]) for row in rows} == {1.0}
     assert {row["kappa"] for row in rows} == {""}
-    assert "Judge and people" in Path("run/report/report.html").read_text("utf-8")
+    assert "Automatic verdict and people" in Path("run/report/report.html").read_text("utf-8")
     assert call("report run other") == 2
     assert "only one run is reported" in capsys.readouterr().err
 
