@@ -162,7 +162,8 @@ def _shortest_vectors(lattice: Lattice) -> Points:
     pairs: list[tuple[Points, Points]] = [(a, b), (a, b - a), (b, b - a)]
     lengths = [max(float(p @ p), float(q @ q)) for p, q in pairs]
     shortest = [pair for pair, length in zip(pairs, lengths, strict=True) if length <= min(lengths) * (1 + 1e-6)]
-    return np.stack(min(shortest, key=_diagonal_slope))
+    best: tuple[Points, Points] = min(shortest, key=_diagonal_slope)
+    return np.stack(best)
 
 
 def _diagonal_slope(pair: tuple[Points, Points]) -> float:
