@@ -85,7 +85,7 @@ def test_in_a_suite(name: str, verb: str, capsys: pytest.CaptureFixture[str]) ->
     ],
 )
 def test_in_python(given: dict[str, Any], message: str) -> None:
-    """``nrbench.plugins.forms`` raises BadInput for the same values."""
+    """``nrbench.texture`` raises BadInput for the same values."""
     with pytest.raises(BadInput, match=message):
         texture("brick", **given)
 
