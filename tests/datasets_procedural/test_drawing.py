@@ -105,14 +105,14 @@ def test_margin_and_displacement() -> None:
 
 
 def test_box_distances() -> None:
-    """A box of 10 x 6 px: known distances at its centre, sides and corners, sharp and rounded."""
+    """A box of 10 x 6 px: known distances at its center, sides and corners, sharp and rounded."""
     x, y = np.array([0.0, 5, 8, 8, 0]), np.array([0.0, 0, 0, 7, 3])
     np.testing.assert_allclose(box(x, y, 10, 6), (-3, 0, 3, 5, 0))
     np.testing.assert_allclose(box(x, y, 10, 6, radius=1), (-3, 0, 3, np.hypot(4, 5) - 1, 0))
 
 
 def test_hexagon_distances() -> None:
-    """A hexagon 10 px from flat to flat: known distances at its centre, flats and corner."""
+    """A hexagon 10 px from flat to flat: known distances at its center, flats and corner."""
     corner = 10 / np.sqrt(3)
     x = np.array([0.0, 5, 7, 0, 0, 5 * np.cos(np.pi / 3)])
     y = np.array([0.0, 0, 0, corner, corner + 2, 5 * np.sin(np.pi / 3)])

@@ -18,13 +18,13 @@ from nrbench.detectors.autocorrelation.peaks import (
 SHAPE = (60, 60)
 
 
-def bumps(*centres: tuple[float, float, float], width: float = 2.0) -> np.ndarray:
+def bumps(*centers: tuple[float, float, float], width: float = 2.0) -> np.ndarray:
     """Return the right half of a symmetric surface: 1 at the origin, and bumps of given lag (x, y) and height."""
     height, columns = SHAPE
     y, x = np.indices((2 * height - 1, columns)) - np.array([height - 1, 0]).reshape(2, 1, 1)
     surface = np.exp(-(x**2 + y**2) / (2 * width**2))
     for sign in (1, -1):
-        for cx, cy, top in centres:
+        for cx, cy, top in centers:
             surface += top * np.exp(-((x - sign * cx) ** 2 + (y - sign * cy) ** 2) / (2 * width**2))
     return surface.astype(np.float32)
 

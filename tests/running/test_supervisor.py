@@ -1,4 +1,4 @@
-"""Whatever a plugin does becomes a row with its cause, and touches no neighbour."""
+"""Whatever a plugin does becomes a row with its cause, and touches no neighbor."""
 
 from __future__ import annotations
 

@@ -45,11 +45,11 @@ def test_around_equals_brute_force(x: float, y: float, tolerance: float) -> None
     """Nearby pixels are all those within the tolerance, each once, and always the nearest one."""
     lattice = Lattice((7.3, 1.1), (-2.2, 6.1))
     room = (19, 23)
-    centres = EqualPlaces(lattice, room, max(tolerance, 0.5)).find((x, y))
-    found = nearby_pixels(centres, tolerance, room)
+    centers = EqualPlaces(lattice, room, max(tolerance, 0.5)).find((x, y))
+    found = nearby_pixels(centers, tolerance, room)
     rows, columns = np.indices(room)
     everywhere = np.stack([columns, rows], -1).reshape(-1, 1, 2)
-    near = (np.abs(everywhere - centres) <= max(tolerance, 0.5) + 1e-9).all(-1).any(1)
+    near = (np.abs(everywhere - centers) <= max(tolerance, 0.5) + 1e-9).all(-1).any(1)
     assert sorted(map(tuple, found.tolist())) == sorted(map(tuple, everywhere[near, 0].tolist()))
 
 
