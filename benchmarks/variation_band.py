@@ -37,7 +37,7 @@ from nrbench.imaging.fold import Values
 from nrbench.metrics.randomness import Randomness
 from nrbench.metrics.residual_tiles.tiles import ComparedTiles, quarters
 from nrbench.metrics.verdict.reference import FIRST_DRAW, Reference, reference_from_model
-from nrbench.metrics.verdict.verdict import compare
+from nrbench.metrics.verdict.verdict import compute_verdict
 from nrbench.plugins.forms import Again, Observation, Refused, Synthesis, Task, Texture, Value
 from nrbench.running.phases import checked_synthesis
 from nrbench.streams import stream
@@ -101,7 +101,7 @@ class Place:
 
     def scored(self, output: Image) -> dict[str, Value | str]:
         """Return an output's scores, and why some are missing."""
-        verdict = compare(output, self.reference)
+        verdict = compute_verdict(output, self.reference)
         if verdict.obstacle:
             return {"reason": verdict.obstacle}
         seen = Observation(self.texture.image, output, self.texture, again=self.again)
@@ -114,7 +114,7 @@ class Place:
     def allowed(self) -> dict[str, Value]:
         """What the sample allows: variation of the sample, and of a uniform copier on average; places it has."""
         seen = Observation(self.texture.image, self.fresh(0), self.texture, again=self.again)
-        tiles = ComparedTiles.of(seen, compare(seen.output, self.reference))
+        tiles = ComparedTiles.of(seen, compute_verdict(seen.output, self.reference))
         right = [some for some in tiles.reference if len(some) > 1]
         shares = quarters((tiles.weights / tiles.weights.sum())[np.newaxis, ..., np.newaxis])[:, 0]
         energy = np.average([_energy(t.departures, tiles.weights) for t in right], weights=[len(t) - 1 for t in right])

@@ -243,7 +243,7 @@ def _sharpness(output: NDArray[np.float32], references: list[NDArray[np.float32]
     usual = np.mean([np.log(reference.mean((1, 2))) for reference in references], 0)
     whole = float((np.log(output.mean((1, 2))) - usual).mean())
     middle = usual[:, np.newaxis, np.newaxis]
-    worst = [float(np.quantile((np.log(seen) - middle).mean(0), _BLURRIEST)) for seen in (output, *references)]
+    worst = [float(np.quantile((np.log(energies) - middle).mean(0), _BLURRIEST)) for energies in (output, *references)]
     return float(np.exp(whole / 2)), float(np.exp((worst[0] - np.mean(worst[1:])) / 2))
 
 
@@ -259,7 +259,7 @@ def _seam(
     own = find_worst_lines(output, lattice)
     others = [find_worst_lines(image, lattice) for image in references]
     usual = [max(float(np.mean([_visibility(lines)[kind] for lines in others])), 1e-6) for kind in (0, 1)]
-    ratios = [seen / level for seen, level in zip(_visibility(own), usual, strict=True)]
+    ratios = [own_level / level for own_level, level in zip(_visibility(own), usual, strict=True)]
     kind = int(np.argmax(ratios))
     return ratios[kind], own[0].size, own[kind]
 

@@ -52,8 +52,8 @@ class Deformation:
 
     The tracker follows smooth displacements with slopes up to about 0.3, to within 10 % up to an amplitude of 0.25 s
     (see docs/validation.md). Above that tiles lock onto their neighbors and the amplitude saturates.
-    Parts of a tile that move independently count by their mean. A region that is moved by a whole lattice vector does
-    not count as moved.
+    Parts of a tile that move independently count by their mean. A region that is displaced by a whole lattice vector
+    does not count as displaced.
     """
 
     version: ClassVar[str] = "1"

@@ -29,7 +29,7 @@ from .whole_elements.composite_tiles import (
     alteration_moments,
     compose_tiles,
 )
-from .whole_elements.elements import Cutter, Windows, departures, find_element_places
+from .whole_elements.elements import Cutter, Windows, find_element_places, subtract_mean
 
 BROKEN_SURPRISAL = 8.0
 """Surprisal above which a tile is broken: see ``benchmarks/validation.py alarms``."""
@@ -42,20 +42,20 @@ _TILES_A_SIDE, _SIDES = 10, (160, 360)
 """Side of a fresh draw in tiles, and its limits in px."""
 _LEAST_WINDOWS, _LEAST_REFERENCES = 12, 12
 _TAIL = 0.9
-"""Quantile from which on the evidence of whole tiles follows an exponential tail."""
+"""Quantile above which the evidence of whole tiles has an exponential tail."""
 _OVERLAP = 2.0
-"""Windows, half a cell apart, that show the same pixel."""
+"""Number of windows, half a cell apart, that contain the same pixel."""
 _ALIGNMENT = 0.4
 """Misalignment of a tile, px: a fraction of the rounding of a whole-pixel copy."""
 _ROUNDING = 1 / 255
 _SHARE_OF_VARIANCE = 0.02
 _LEAST_CONTRAST, _LOW = 0.8, 0.01
-"""Tiles with less contrast than this share of a low quantile of the references' contrast are ignored: after a strong
-blur the parts of a tile cannot be told apart."""
+"""Share of a low quantile of the references' contrast below which a tile is ignored, and that quantile. After a strong
+blur the parts of a tile cannot be distinguished."""
 _ROUNDS = 3
 _CALM, _LEAST_CALM, _MANY_CALM = 0.99, 0.25, 0.9
-"""Tiles are calm if their evidence is below this quantile of the references', but at least a quarter of the tiles are.
-If more than nine tenths are calm, as in all right images, their mean is not corrected."""
+"""Tiles are calm if their evidence is below this quantile of that of the references. At least a quarter of the tiles
+are calm. If more than nine tenths are calm, as in images without defects, the mean is not corrected."""
 _TOUCHING = 0.9
 """Windows nearer than this, in cells along both vectors, overlap."""
 
@@ -84,11 +84,11 @@ class Integrity:
     and may break some; so may a seam that clips values.
 
     The scores do not depend on the lattice's origin: the windows are placed where most of a window covaries with its
-    middle, and once more half a cell aside along both vectors. Tiles that regularity calls displaced are left out,
-    because they lie over other elements. For a photograph the sample replaces the fresh draws.
+    middle, and once more half a cell aside along both vectors. Tiles that regularity detects as displaced
+    are left out, because they lie over other elements. For a photograph the sample replaces the fresh draws.
     """
 
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
     columns: ClassVar[Mapping[str, Column]] = {
         "broken_share": Column(
             "Share of the tiles in place that are joined of parts that do not belong together.", better="lower"
@@ -108,7 +108,7 @@ class Integrity:
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return the scores, and two pictures: ``broken`` shows the broken tiles in place, ``worst`` enlarges some."""
+        """Return the scores, and two pictures: ``broken`` shows all broken tiles, ``worst`` enlarges the worst ones."""
         verdict = examine(observation).verdict
         if isinstance(verdict, str):
             return Score.missing(self.columns, verdict)
@@ -125,11 +125,11 @@ class Integrity:
             "tiles": broken.tiles,
             "limit": BROKEN_SURPRISAL,
             "places": [[float(x), float(y)] for x, y in broken.places],
-            "surprises": [float(value) for value in broken.surprisals],
+            "surprisals": [float(value) for value in broken.surprisals],
             "anchor": [float(value) for value in broken.anchor],
         }
         if broken.detection_power < LEAST_POWER:
-            reason = f"undecided: only {broken.detection_power:.0%} of joined tiles would be told from whole ones"
+            reason = f"undecided: only {broken.detection_power:.0%} of joined tiles would be detected"
             reasons = {name: reason for name in self.columns if name != "detection_power"}
             return Score(values | dict.fromkeys(reasons), reasons, records=records)
         pictures = {"broken": draw_broken(observation.output, broken)}
@@ -178,11 +178,15 @@ class BrokenTiles:
 
 
 @dataclass(frozen=True)
-class _Learned:
-    """What the references show at one place of the cell.
+class _PlaceStatistics:
+    """Statistics of the references at one place of the cell.
 
-    Two discriminants, each with the mean evidence of whole tiles, and the evidence of whole and of composite tiles over
-    that mean.
+    Parameters
+    ----------
+    discriminants
+        Two discriminants, each with the mean evidence of whole tiles.
+    whole, composite
+        Evidence of whole and of composite tiles, over that mean.
     """
 
     discriminants: list[tuple[Discriminant, float]]
@@ -192,37 +196,47 @@ class _Learned:
 
 @dataclass(frozen=True)
 class _Evidence:
-    """Middles (x, y) px and evidence of the output's windows at one place of the cell, and what was learned there."""
+    """Evidence of the output's windows at one place of the cell.
+
+    Parameters
+    ----------
+    middles
+        ``(n, 2)``: middles of the windows, (x, y) px.
+    output
+        ``(n,)``: their evidence.
+    reference
+        Statistics of the references at this place.
+    """
 
     middles: Points
     output: Levels
-    learned: _Learned
+    reference: _PlaceStatistics
 
 
 def find_broken(verdict: Verdict, sample: Image, again: Again | None) -> BrokenTiles | str:
     """Return the broken tiles of an output, or the reason why they cannot be found.
 
-    If regularity lacks power, the places of the tiles are not known.
+    If the verdict on regularity has no power, the places of the tiles are not known.
     """
     if verdict.lack_of_power:
         return f"undecided: {verdict.lack_of_power}"
-    output = Cutter.following(verdict.output, offset_noise(verdict.references))
-    places, learned = learn_references(verdict.reference, sample, again, output.lattice)
+    output = Cutter.from_measurements(verdict.output, offset_noise(verdict.references))
+    places, statistics = learn_references(verdict.reference, sample, again, output.lattice)
     evidence = []
-    for place, one in zip(places, learned, strict=True):
+    for place, one in zip(places, statistics, strict=True):
         if isinstance(one, str):
             return one
-        seen = _in_place(output.cut(place), verdict)
-        if len(seen.values) < _LEAST_WINDOWS:
+        windows = _select_in_place(output.cut(place), verdict)
+        if len(windows.values) < _LEAST_WINDOWS:
             return f"undecided: fewer than {_LEAST_WINDOWS} whole tiles in place to compare"
-        evidence.append(_Evidence(seen.middles, _output_evidence(one, departures(seen.values)), one))
+        evidence.append(_Evidence(windows.middles, _output_evidence(one, subtract_mean(windows.values)), one))
     return _count_broken(output.lattice, places[0], evidence)
 
 
 def learn_references(
     reference: Reference, sample: Image, again: Again | None, lattice: Lattice
-) -> tuple[Points, list[_Learned | str]]:
-    """Return the places of elements in the cell, and what the references show at each, or the reason why nothing.
+) -> tuple[Points, list[_PlaceStatistics | str]]:
+    """Return the places of elements in the cell, and the statistics of the references at each, or a reason for none.
 
     The references are fresh draws, or else the sample. Each half of the fresh draws, or every second tile of the
     sample, is measured by directions learned from the other half.
@@ -248,7 +262,7 @@ def learn_references(
     return places, [_learn(halves, place, lattice) for place in places]
 
 
-def _learn(halves: list[list[tuple[Cutter, slice]]], place: Points, lattice: Lattice) -> _Learned | str:
+def _learn(halves: list[list[tuple[Cutter, slice]]], place: Points, lattice: Lattice) -> _PlaceStatistics | str:
     own = [[cutter.cut(place).take(part) for cutter, part in half] for half in halves]
     if min(sum(len(windows.middles) for windows in half) for half in own) < _LEAST_REFERENCES:
         return f"undecided: the references hold fewer than 2 x {_LEAST_REFERENCES} whole tiles"
@@ -262,17 +276,18 @@ def _learn(halves: list[list[tuple[Cutter, slice]]], place: Points, lattice: Lat
         discriminants.append((discriminant, level))
         whole.append(evidence / level)
         composite.append(discriminant.evidence(compose_tiles(other.rows)) / level)
-    return _Learned(discriminants, np.concatenate(whole), np.concatenate(composite))
+    return _PlaceStatistics(discriminants, np.concatenate(whole), np.concatenate(composite))
 
 
-def _output_evidence(learned: _Learned, rows: Rows) -> Levels:
-    """Return the evidence of an output's tiles, about the mean of the calm tiles if many tiles are broken.
+def _output_evidence(reference: _PlaceStatistics, rows: Rows) -> Levels:
+    """Return the evidence of an output's tiles.
 
-    The cuts of many broken tiles do not quite cancel in the mean of all, and would leave evidence in whole tiles.
+    If many tiles are broken, the mean of the calm tiles is subtracted instead of the mean of all. Otherwise the cuts of
+    the broken tiles would change the mean and add evidence to whole tiles.
     """
-    calm_level = float(np.quantile(learned.whole, _CALM))
+    calm_level = float(np.quantile(reference.whole, _CALM))
     for _ in range(_ROUNDS):
-        evidence = np.mean([discriminant.evidence(rows) / level for discriminant, level in learned.discriminants], 0)
+        evidence = np.mean([discriminant.evidence(rows) / level for discriminant, level in reference.discriminants], 0)
         calm = evidence <= max(calm_level, float(np.quantile(evidence, _LEAST_CALM)))
         if calm.mean() > _MANY_CALM:
             break
@@ -281,9 +296,9 @@ def _output_evidence(learned: _Learned, rows: Rows) -> Levels:
 
 
 def _whole_tiles(cutters: list[Cutter], windows: list[Windows]) -> WholeTiles:
-    seen = [(cutter, some) for cutter, some in zip(cutters, windows, strict=True) if len(some.middles)]
-    altered = [alteration_moments(cutter, some.middles) for cutter, some in seen]
-    return WholeTiles(np.concatenate([departures(some.values) for _, some in seen]), np.mean(altered, 0))
+    pairs = [(cutter, some) for cutter, some in zip(cutters, windows, strict=True) if len(some.middles)]
+    altered = [alteration_moments(cutter, some.middles) for cutter, some in pairs]
+    return WholeTiles(np.concatenate([subtract_mean(some.values) for _, some in pairs]), np.mean(altered, 0))
 
 
 def _floor(windows: list[Windows], lattice: Lattice, parts: list[Rows]) -> Levels:
@@ -293,22 +308,22 @@ def _floor(windows: list[Windows], lattice: Lattice, parts: list[Rows]) -> Level
     return np.asarray(_ROUNDING**2 + _SHARE_OF_VARIANCE * variance + _ALIGNMENT**2 * steep.ravel())
 
 
-def _in_place(windows: Windows, verdict: Verdict) -> Windows:
-    """Return the windows that regularity does not call displaced, and that do not touch a tile without contrast."""
+def _select_in_place(windows: Windows, verdict: Verdict) -> Windows:
+    """Return the windows that are not displaced and not next to a tile without contrast."""
     output, tiles = verdict.output, verdict.output.tiles
     _, tile = cKDTree(tiles.centers).query(windows.middles)
-    moved = verdict.misplaced[output.windows.nearest(windows.middles)] | verdict.displaced[tile]
+    displaced = verdict.misplaced_windows[output.windows.find_nearest(windows.middles)] | verdict.displaced[tile]
     usual = np.quantile(np.concatenate([one.tiles.slope for one in verdict.references]), _LOW)
     empty = tiles.centers[tiles.slope < _LEAST_CONTRAST * usual]
     if not len(empty):
-        return windows.take(~moved)
+        return windows.take(~displaced)
     near, _ = cKDTree(tiles.lattice.to_cell(empty)).query(tiles.lattice.to_cell(windows.middles), p=np.inf)
-    return windows.take(~(moved | (near <= 1)))
+    return windows.take(~(displaced | (near <= 1)))
 
 
 def _count_broken(lattice: Lattice, anchor: Points, evidence: list[_Evidence]) -> BrokenTiles:
     """Return the broken tiles; each counts once, although windows at several places show it."""
-    whole = np.concatenate([one.learned.whole for one in evidence])
+    whole = np.concatenate([one.reference.whole for one in evidence])
     output = np.concatenate([one.output for one in evidence])
     tail = ExponentialTail.fit(whole, _TAIL, overlap=_OVERLAP)
 
@@ -325,7 +340,7 @@ def _count_broken(lattice: Lattice, anchor: Points, evidence: list[_Evidence]) -
         tiles=len(evidence[0].output),
         worst=float(surprisals.max(initial=-np.inf)),
         evidence_p90=float(np.quantile(output, 0.9) / max(float(np.quantile(whole, 0.9)), 1e-9)),
-        detection_power=float((surprisal(evidence[0].learned.composite) > BROKEN_SURPRISAL).mean()),
+        detection_power=float((surprisal(evidence[0].reference.composite) > BROKEN_SURPRISAL).mean()),
     )
 
 

@@ -203,7 +203,7 @@ def energy_distance(output: TileSet, fresh: tuple[TileSet, ...], weights: NDArra
     those from each image's own mean tile. The distance is the mean of two: one between all samples of the tiles, and
     one between the means of 4 x 4 parts of the tiles. In the many dimensions of all samples the first hardly depends on
     anything but the strength of departures, which noise can mimic. The level of fresh draws, each against all others,
-    is the expected distance of a right output. Computes O(n^2) products for at most 160 tiles of each image.
+    is the expected distance of an output without defects. Computes O(n^2) products for at most 160 tiles of each image.
 
     Parameters
     ----------
@@ -296,10 +296,10 @@ def survival_of_odd_windows(
         return None, "not applicable: no element of the sample is damaged or missing", {}
     own = _log_worst_spots(quarters(tiles.output.tiles), tiles)
     windows = [tiles.windows, *(quarters(some.tiles) for some in tiles.fresh if tiles.model)]
-    right = np.concatenate([_log_worst_spots(some, tiles) for some in windows])
-    middle = float(np.median(right))
-    limit = middle + _OUTLYING * float(np.median(np.abs(right - middle)))
-    shares = {"odd_windows": float((own > limit).mean()), "odd_expected": float((right > limit).mean())}
+    usual = np.concatenate([_log_worst_spots(some, tiles) for some in windows])
+    middle = float(np.median(usual))
+    limit = middle + _OUTLYING * float(np.median(np.abs(usual - middle)))
+    shares = {"odd_windows": float((own > limit).mean()), "odd_expected": float((usual > limit).mean())}
     if not shares["odd_expected"]:
         return None, "not applicable: no window of the texture stands out from the rest", shares
     return shares["odd_windows"] / shares["odd_expected"], "", shares

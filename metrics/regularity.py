@@ -19,30 +19,30 @@ from .verdict import limits
 from .verdict.examination import examine
 from .verdict.tiles import Tiles
 from .verdict.verdict import Verdict
-from .verdict.windows import spread
+from .verdict.windows import stretch_matrix
 
-COLORS = {"moved": (1.0, 0.6, 0.0), "displaced": (0.9, 0.1, 0.1), "broken": (0.7, 0.1, 0.8)}
-"""A tile whose window is out of place; one that fits better elsewhere; one that fits nowhere."""
+COLORS = {"region": (1.0, 0.6, 0.0), "displaced": (0.9, 0.1, 0.1), "broken": (0.7, 0.1, 0.8)}
+"""Colors of a tile in a displaced region, of one that fits better elsewhere, and of one that fits nowhere."""
 _DIM = 0.5
 
 
-def defect_map(verdict: Verdict) -> Image:
-    """Return the output in faint gray, the quarter cells around the middles of bad tiles tinted by :data:`COLORS`.
+def draw_defects(verdict: Verdict) -> Image:
+    """Return the output in faint gray, with the quarter cells around the middles of bad tiles in :data:`COLORS`.
 
-    Of several faults of one tile the last of moved, broken, displaced is shown.
+    If a tile has several faults, displaced takes precedence over broken, and broken over region.
     """
     output, tiles = verdict.output.image, verdict.output.tiles
     faint = np.repeat((1 - _DIM + _DIM * gray(output))[..., np.newaxis], 3, 2)
-    flags = {"moved": verdict.moved, "broken": verdict.broken, "displaced": verdict.displaced}
+    flags = {"region": verdict.in_displaced_region, "broken": verdict.broken, "displaced": verdict.displaced}
     tints = np.full((len(tiles.centers) + 1, 3), np.nan, np.float32)
     for name, flag in flags.items():
         tints[:-1][flag] = COLORS[name]
-    tint = tints[nearest_tile(tiles, output.shape[:2])]
+    tint = tints[find_nearest_tiles(tiles, output.shape[:2])]
     return np.clip(np.where(np.isnan(tint), faint, (1 - _DIM) * faint + _DIM * tint), 0, 1)
 
 
-def nearest_tile(tiles: Tiles, shape: tuple[int, int]) -> NDArray[np.intp]:
-    """Return for each pixel the index of the tile that it is nearest to in cell coordinates; -1 where there is none."""
+def find_nearest_tiles(tiles: Tiles, shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Return for each pixel the index of the nearest tile in cell coordinates; -1 where there is none."""
     halves = _halves(cell_coordinates(tiles.lattice, shape))
     own = _halves(tiles.lattice.to_cell(tiles.centers))
     low, high = halves.reshape(-1, 2).min(0), halves.reshape(-1, 2).max(0)
@@ -84,11 +84,11 @@ class Regularity:
     sample; no method uses it by default. The record ``lattice_from`` names the source: model, given, or dominance.
     """
 
-    version: ClassVar[str] = "5"
+    version: ClassVar[str] = "6"
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),
         "intact": Column(
-            "Whether no single tile is displaced, missing or doubled; undecided where one might not be seen.",
+            "Whether no single tile is displaced, missing or doubled; undecided if one could stay undetected.",
             better="higher",
         ),
         "score": Column("Share of tiles that are in place and intact.", better="higher"),
@@ -97,11 +97,11 @@ class Regularity:
         "misplacement_median_px": _distance(_MEDIAN, "px"),
         "misplacement_p95_px": _distance(_P95, "px"),
         "misplacement_ratio": Column(
-            "Median displacement of windows over that of fresh draws: two-sided where geometry varies (types II, III).",
+            "Median displacement of windows over that of fresh draws, for textures of varying geometry (II, III).",
             range=(0.0, math.inf),
             better="one",
         ),
-        "pairwise_displacement": _distance("Mean displacement of two windows against each other"),
+        "pairwise_displacement": _distance("Mean displacement of two windows relative to each other"),
         "misplaced_share": Column("Share of windows that are out of place.", better="lower"),
         "worst_neighborhood": _distance("Largest median displacement of 3 x 3 windows"),
         "structure": Column(
@@ -110,21 +110,23 @@ class Regularity:
             better="one",
         ),
         "structure_spread": Column(
-            "Interquartile range of the windows' correlations over that of fresh draws: larger where patches are torn.",
+            "Interquartile range of the windows' correlations over that of fresh draws; larger if patches are torn.",
             range=(0.0, math.inf),
             better="one",
         ),
-        "bad_tiles": Column("Tiles that are displaced or broken by themselves.", "tiles", (0.0, math.inf), "lower"),
+        "bad_tiles": Column("Number of single tiles that are displaced or broken.", "tiles", (0.0, math.inf), "lower"),
         "worst_tile": Column(
             "Ratio of the fault of the worst single tile to its limit: above 1 the tile is bad.",
             range=(-math.inf, math.inf),
             better="lower",
         ),
-        "worst_tile_displacement": _distance("Displacement of the single tile that fits better elsewhere by most"),
-        "worst_course": _distance("Displacement of the course that is likelier elsewhere than in its place by most"),
-        "drift": Column("Stretch or turn of the whole output against the true lattice.", "%", (0.0, math.inf), "lower"),
+        "worst_tile_displacement": _distance("Displacement of the tile that gains most by a fit elsewhere"),
+        "worst_course": _distance("Displacement of the course that gains most by a fit elsewhere"),
+        "drift": Column(
+            "Stretch or rotation of the whole output from the true lattice.", "%", (0.0, math.inf), "lower"
+        ),
         "lattice_exact": Column(
-            "The output's own least-squares lattice is the true one, to 1 px of its vectors.", better="higher"
+            "Whether the output's own least-squares lattice is the true one, to 1 px of its vectors.", better="higher"
         ),
         "lattice_vector_error": _distance("Larger error of the generating vectors of the output's own lattice", "px"),
         "lattice_area_ratio": Column(
@@ -133,22 +135,22 @@ class Regularity:
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return the scores, and the picture ``defects``: the output dimmed, bad tiles in color."""
+        """Return the scores, and the picture ``defects``, which shows the bad tiles in color on the dimmed output."""
         verdict = examine(observation).verdict
         if isinstance(verdict, str):
             return Score.missing(self.columns, verdict)
-        values = measured(verdict)
+        values = compute_columns(verdict)
         reasons = {name: _reason(name, verdict) for name, value in values.items() if value is None}
-        return Score(values, reasons, {"defects": defect_map(verdict)}, _records(verdict))
+        return Score(values, reasons, {"defects": draw_defects(verdict)}, _records(verdict))
 
 
-def measured(verdict: Verdict) -> dict[str, Value]:
+def compute_columns(verdict: Verdict) -> dict[str, Value]:
     """Return all columns of a verdict."""
-    return {**_verdicts(verdict), **_placements(verdict), **_lattice(verdict)}
+    return {**_verdict_columns(verdict), **_displacement_columns(verdict), **_lattice_columns(verdict)}
 
 
-def _verdicts(verdict: Verdict) -> dict[str, Value]:
-    course = verdict.output.strips.worst_slide
+def _verdict_columns(verdict: Verdict) -> dict[str, Value]:
+    course = verdict.output.courses.worst_slide
     return {
         "preserved": verdict.preserved,
         "intact": verdict.intact,
@@ -162,7 +164,7 @@ def _verdicts(verdict: Verdict) -> dict[str, Value]:
     }
 
 
-def _placements(verdict: Verdict) -> dict[str, Value]:
+def _displacement_columns(verdict: Verdict) -> dict[str, Value]:
     misplacement, s = verdict.output.windows.misplacement, verdict.reference.lattice.s
     median, p95 = (float(value) for value in np.quantile(misplacement, (0.5, 0.95)))
     usual = verdict.usual_misplacement
@@ -173,17 +175,17 @@ def _placements(verdict: Verdict) -> dict[str, Value]:
         "misplacement_p95_px": p95 * s,
         "misplacement_ratio": median / usual if usual > 0 else None,
         "pairwise_displacement": verdict.output.windows.pairwise_displacement,
-        "misplaced_share": float(verdict.misplaced.mean()),
+        "misplaced_share": float(verdict.misplaced_windows.mean()),
         "worst_neighborhood": verdict.worst_neighborhood,
     }
 
 
-def _lattice(verdict: Verdict) -> dict[str, Value]:
+def _lattice_columns(verdict: Verdict) -> dict[str, Value]:
     """Return the output's own lattice beside the true one: the model's, or the given one as fitted to the sample."""
-    own = verdict.own if verdict.structure >= limits.STRUCTURE else None
+    own = verdict.own_lattice if verdict.structure >= limits.STRUCTURE else None
     error = own.error(verdict.reference.lattice, verdict.output.image.shape[:2]) if own else None
     return {
-        "drift": 100 * float(np.linalg.norm(spread(verdict.drift) - np.eye(2), 2)) if error else None,
+        "drift": 100 * float(np.linalg.norm(stretch_matrix(verdict.drift) - np.eye(2), 2)) if error else None,
         "lattice_exact": error.relation == "exact" if error else None,
         "lattice_vector_error": error.vector if error else None,
         "lattice_area_ratio": error.area_ratio if error else None,
@@ -195,8 +197,8 @@ def _reason(name: str, verdict: Verdict) -> str:
     if name == "intact" and verdict.preserved is False:
         return "undecided: regularity is lost, and no single tile stands out"
     if name in ("preserved", "intact", "score"):
-        what = "one bad tile" if name == "intact" else "a course that slid by 0.15 s"
-        faint = f"{what} might not be seen at the regular share {verdict.reference.regular_share:.2f}"
+        fault = "one bad tile" if name == "intact" else "a course that slid by 0.15 s"
+        faint = f"{fault} could stay undetected at the regular share {verdict.reference.regular_share:.2f}"
         return f"undecided: {verdict.lack_of_power or faint}"
     if name == "misplacement_ratio":
         return "not measured: the windows of the reference are not displaced at all"
@@ -206,23 +208,23 @@ def _reason(name: str, verdict: Verdict) -> str:
         return "not measured: the windows of the reference hardly differ"
     if verdict.structure < limits.STRUCTURE:
         return f"not measured: windows show {max(verdict.structure, 0):.0%} of the structure of the references'"
-    if verdict.own is None:
+    if verdict.own_lattice is None:
         return "not measured: fewer than 3 x 3 windows"
-    return f"not measured: only {verdict.own.followers:.0%} of the windows lie on one lattice"
+    return f"not measured: only {verdict.own_lattice.followers:.0%} of the windows lie on one lattice"
 
 
 def _records(verdict: Verdict) -> dict[str, Any]:
-    placement = verdict.output.windows
+    windows = verdict.output.windows
     return {
-        "yardstick": verdict.reference.source,
+        "reference": verdict.reference.source,
         "lattice_from": verdict.reference.known.origin,
-        "own_lattice": verdict.own.lattice.as_dict() if verdict.own else None,
-        "followers": verdict.own.followers if verdict.own else None,
+        "own_lattice": verdict.own_lattice.lattice.as_dict() if verdict.own_lattice else None,
+        "followers": verdict.own_lattice.followers if verdict.own_lattice else None,
         "regular_share": verdict.reference.regular_share,
         "judged": "detail" if verdict.reference.detail else "image",
         "lattice": verdict.output.tiles.lattice.as_dict(),
-        "phase": [float(value) for value in placement.phase],
-        "windows": list(placement.grid),
+        "phase": [float(value) for value in windows.phase],
+        "windows": list(windows.grid),
         "misplacement_limit": verdict.limit,
         "faults": list(verdict.faults),
         "excess": verdict.excesses,

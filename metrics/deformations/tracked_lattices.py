@@ -93,7 +93,7 @@ def track_images(observation: Observation) -> Tracks | str:
 
 @dataclass(frozen=True)
 class DeformationField:
-    """Places where lattice points were found.
+    """Places of the lattice points in an image.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class DeformationField:
     numbers
         ``(n, 2)``: cell coordinates of the points, integers.
     places
-        ``(n, 2)``: where they were found, (x, y) px.
+        ``(n, 2)``: places of the points in the image, (x, y) px.
     """
 
     lattice: Lattice
@@ -123,15 +123,15 @@ class DeformationField:
         starts = [
             np.linspace(0, n - box, 1 + math.ceil(2 * (n - box) / box)) for n, box in zip(image, shape, strict=True)
         ]
-        found = []
+        fields = []
         for y in starts[0]:
             for x in starts[1]:
                 low = np.array([x, y]) - 0.5
                 inside = ((self.places >= low) & (self.places < low + shape[::-1])).all(1)
                 numbers = self.numbers[inside]
                 if len(numbers) >= _LEAST_PART and np.linalg.matrix_rank(numbers - numbers[0]) == 2:
-                    found.append(DeformationField(self.lattice, numbers, self.places[inside]))
-        return found
+                    fields.append(DeformationField(self.lattice, numbers, self.places[inside]))
+        return fields
 
     @cached_property
     def rest(self) -> Points:

@@ -1,4 +1,4 @@
-"""Compiled loops of the correlation of windows: at many offsets, over the cells of courses, and between pixels."""
+"""Compiled kernels: NCC of windows at many offsets and between pixels, and sums over the cells of courses."""
 
 from __future__ import annotations
 
@@ -11,95 +11,99 @@ _FLAT = np.float32(1e-6)
 
 
 @kernel("void(float32[:, ::1], float32[:, :, ::1], float32[:, ::1], float32[::1])")
-def correlated(
-    cross: NDArray[np.float32], seen: NDArray[np.float32], means: NDArray[np.float32], scale: NDArray[np.float32]
+def normalize_sums(
+    cross: NDArray[np.float32],
+    window_means: NDArray[np.float32],
+    template_sums: NDArray[np.float32],
+    scale: NDArray[np.float32],
 ) -> None:
-    """Turn sums over n windows at q offsets into their NCC, in place.
+    """Compute the NCC of n windows at q offsets from weighted sums, in place.
 
     Parameters
     ----------
     cross
-        ``(n, q)``: sum of weights times window times template; becomes the NCC.
-    seen
-        ``(n, A + 1, q)``: weighted means of the window along A axes of color, and of its square.
-    means
+        ``(n, q)``: sum of weights times window times template, which the NCC replaces.
+    window_means
+        ``(n, A + 1, q)``: weighted means of the window along A axes of color, and of the sum of its squares.
+    template_sums
         ``(A, q)``: weighted sums of the template along these axes.
     scale
-        ``(q,)``: one over the template's standard deviation and sum of weights; 0 where it shows nothing.
+        ``(q,)``: one over the product of the template's standard deviation and the sum of weights; 0 where the template
+        is flat.
     """
-    axes = means.shape[0]
+    axes = template_sums.shape[0]
     for n in range(cross.shape[0]):
         for k in range(cross.shape[1]):
-            power, product = seen[n, axes, k], cross[n, k]
+            power, product = window_means[n, axes, k], cross[n, k]
             for a in range(axes):
-                power -= seen[n, a, k] * seen[n, a, k]
-                product -= seen[n, a, k] * means[a, k]
+                power -= window_means[n, a, k] * window_means[n, a, k]
+                product -= window_means[n, a, k] * template_sums[a, k]
             cross[n, k] = product * scale[k] / np.sqrt(max(power, _FLAT)) if power > _FLAT else np.float32(0)
 
 
 @kernel("float64[::1](float32[:, :, ::1], int64[:, ::1], float32[:, :, ::1], int64[:, ::1], int64[::1])")
-def correlations(
+def compute_ncc(
     planes: NDArray[np.float32],
     corners: NDArray[np.int64],
     template: NDArray[np.float32],
     offsets: NDArray[np.int64],
     window: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Return the weighted NCC of each window at one offset of a template; 0 where one of the two shows nothing.
+    """Return the weighted NCC of each window with the template at one offset; 0 where one of the two is flat.
 
     Parameters
     ----------
     planes
-        ``(C + 1, H, W)``: an image along axes of color, and the sum of its squares.
+        ``(C + 1, H, W)``: an image along C axes of color, and the sum of their squares.
     corners
         ``(n, 2)``: (x, y) of each window's first pixel.
     template
         ``(2 + A, TH, TW)``: weights, weights times the sum of squares, and weights times the template along the A axes
-        along which it varies.
+        of color along which it varies.
     offsets
-        ``(n, 2)``: (x, y) of the template's first pixel that is under it.
+        ``(n, 2)``: (x, y) of the template pixel that is compared with the window's first pixel.
     window
         Height and width.
     """
     height, width = window[0], window[1]
     size, channels, axes = height * width, planes.shape[0] - 1, template.shape[0] - 2
-    seen = np.empty((channels + 1, size), np.float32)
-    under = np.empty((2 + axes, size), np.float32)
-    found = np.zeros(corners.shape[0])
+    pixels = np.empty((channels + 1, size), np.float32)
+    patch = np.empty((2 + axes, size), np.float32)
+    ncc = np.zeros(corners.shape[0])
     for n in range(corners.shape[0]):
         x, y, left, top = corners[n, 0], corners[n, 1], offsets[n, 0], offsets[n, 1]
         for row in range(height):
             for k in range(channels + 1):
                 for column in range(width):
-                    seen[k, row * width + column] = planes[k, y + row, x + column]
+                    pixels[k, row * width + column] = planes[k, y + row, x + column]
             for k in range(2 + axes):
                 for column in range(width):
-                    under[k, row * width + column] = template[k, top + row, left + column]
+                    patch[k, row * width + column] = template[k, top + row, left + column]
         total, energy, power = np.float32(0), np.float32(0), np.float32(0)
         for i in range(size):
-            total += under[0, i]
-            energy += under[1, i]
-            power += under[0, i] * seen[channels, i]
+            total += patch[0, i]
+            energy += patch[1, i]
+            power += patch[0, i] * pixels[channels, i]
         cross, strength, variance = 0.0, float(energy), float(power)
         for k in range(channels):
             mean = np.float32(0)
             for i in range(size):
-                mean += under[0, i] * seen[k, i]
+                mean += patch[0, i] * pixels[k, i]
             variance -= float(mean) ** 2 / float(total)
             if k < axes:
                 own, product = np.float32(0), np.float32(0)
                 for i in range(size):
-                    own += under[2 + k, i]
-                    product += under[2 + k, i] * seen[k, i]
+                    own += patch[2 + k, i]
+                    product += patch[2 + k, i] * pixels[k, i]
                 strength -= float(own) ** 2 / float(total)
                 cross += float(product) - float(mean) * float(own) / float(total)
         if min(variance, strength) > 1e-6 * total:
-            found[n] = cross / np.sqrt(variance * strength)
-    return found
+            ncc[n] = cross / np.sqrt(variance * strength)
+    return ncc
 
 
 @kernel("float64[:, :, ::1](float32[:, :, ::1], float32[:, ::1], float64[:, ::1], int64, int64, int64)")
-def course_sums(
+def sum_courses(
     image: NDArray[np.float32],
     departures: NDArray[np.float32],
     places: NDArray[np.float64],
@@ -107,25 +111,28 @@ def course_sums(
     rows: int,
     columns: int,
 ) -> NDArray[np.float64]:
-    """Return, for each row across the courses and each column of one cell along them, sums over the pixels there.
+    """Return the sums over the pixels on each sample of the courses of one direction.
+
+    A sample has a row, which counts across the courses, and a column, which counts along one cell of a course. Columns
+    repeat with the cells.
 
     Parameters
     ----------
     image
         ``(H, W, C)``.
     departures
-        ``(H, W)``: what is added to each pixel's sum of squares.
+        ``(H, W)``: value that is added to the sum of squares of each pixel.
     places
-        ``(2, 3)``: row and column of the pixel (0, 0), and by how much they grow along x and along y.
+        ``(2, 3)``: row and column of the pixel (0, 0), and by how much they grow per px along x and along y.
     first
-        Row of the result's first.
+        Row that is the first row of the result.
     rows, columns
-        Columns beyond the last begin again at the first.
+        Shape of the result.
 
     Returns
     -------
     NDArray[np.float64]
-        ``(rows, columns, C + 2)``: how many pixels, their sum, and the sum of their squares over all channels.
+        ``(rows, columns, C + 2)``: number of pixels, sum of each channel, and sum of squares over all channels.
     """
     height, width, channels = image.shape
     sums = np.zeros((rows, columns, channels + 2))
@@ -148,7 +155,7 @@ def course_sums(
     "float64[:, ::1](float32[:, :, ::1], float32[:, :, ::1], int64[:, ::1], float64[:, ::1], int64[::1],"
     " float64[:, ::1], int64)"
 )
-def sums(
+def sum_products(
     image: NDArray[np.float32],
     cell: NDArray[np.float32],
     corners: NDArray[np.int64],
@@ -157,47 +164,47 @@ def sums(
     inverse: NDArray[np.float64],
     step: int,
 ) -> NDArray[np.float64]:
-    """Return the weighted sums from which each window's displacement is solved, a row a window.
+    """Return the weighted sums of products from which the displacement of each window is computed.
 
     Parameters
     ----------
     image
         ``(H, W, C)``.
     cell
-        ``(V, U, 1 + 3 A)``: one cell of the weights, of A channels of the periodic image, and of what each changes by
-        in a px along x and along y; it wraps round, and is bilinear in between.
+        ``(V, U, 1 + 3 A)``: one cell of the weights, of A channels of the periodic image, and of the derivatives of
+        each per px along x and along y. It is periodic, and interpolated bilinearly.
     corners
         ``(n, 2)``: (x, y) of each window's first pixel.
     start
-        ``(n, 2)``: cell coordinates (u, v) of the periodic image under that pixel.
+        ``(n, 2)``: cell coordinates (u, v) of the point of the periodic image that this pixel is compared with.
     window
         Height and width.
     inverse
-        2 x 2: cell coordinates (u, v) of one px along x, and along y.
+        2 x 2: change of the cell coordinates (u, v) per px along x, and along y.
     step
-        Every so many pixels, along both axes, one is looked at.
+        Distance, px, between the pixels that are used, along both axes.
 
     Returns
     -------
-    NDArray
-        With t, p, q the periodic image and its two changes, and every channel's weighted mean over the window taken
-        out first: weighted sums over pixels and channels of tt, tp, tq, pp, pq, qq, of the image times t, p, q, and of
-        the image's own square. Time is linear in the pixels of the windows.
+    NDArray[np.float64]
+        ``(n, 10)``: weighted sums over pixels and channels of tt, tp, tq, pp, pq, qq, it, ip, iq and ii. Here t is the
+        periodic image, p and q are its derivatives along x and y, and i is the image, each less its weighted mean over
+        the window. Time is linear in the pixels of the windows.
     """
     rows, columns, depth = cell.shape
     axes, channels = (depth - 1) // 3, image.shape[2]
     length = (window[1] + step - 1) // step
-    found = np.zeros((corners.shape[0], 10))
-    seen = np.zeros((depth, length), np.float32)
+    result = np.zeros((corners.shape[0], 10))
+    sampled = np.zeros((depth, length), np.float32)
     value = np.zeros((channels, length), np.float32)
-    at, share = np.zeros((4, length), np.uint32), np.zeros((4, length), np.float32)
+    at, corner_weights = np.zeros((4, length), np.uint32), np.zeros((4, length), np.float32)
     flat = cell.reshape(-1)
-    linear = np.zeros((axes, 3))
-    own = np.zeros(channels)
+    template_sums = np.zeros((axes, 3))
+    image_sums = np.zeros(channels)
     for n in range(corners.shape[0]):
         total = 0.0
-        linear[:] = 0.0
-        own[:] = 0.0
+        template_sums[:] = 0.0
+        image_sums[:] = 0.0
         tt = tp = tq = pp = pq = qq = it = ip = iq = ii = 0.0
         for y in range(0, window[0], step):
             for x in range(length):
@@ -217,15 +224,15 @@ def sums(
                 below = top + 1 if top + 1 < rows else 0
                 at[0, x], at[1, x] = (top * columns + left) * depth, (top * columns + right) * depth
                 at[2, x], at[3, x] = (below * columns + left) * depth, (below * columns + right) * depth
-                share[0, x], share[1, x] = (1 - u) * (1 - v), u * (1 - v)
-                share[2, x], share[3, x] = (1 - u) * v, u * v
+                corner_weights[0, x], corner_weights[1, x] = (1 - u) * (1 - v), u * (1 - v)
+                corner_weights[2, x], corner_weights[3, x] = (1 - u) * v, u * v
             for k in range(depth):
                 for x in range(length):
-                    seen[k, x] = (
-                        share[0, x] * flat[at[0, x] + k]
-                        + share[1, x] * flat[at[1, x] + k]
-                        + share[2, x] * flat[at[2, x] + k]
-                        + share[3, x] * flat[at[3, x] + k]
+                    sampled[k, x] = (
+                        corner_weights[0, x] * flat[at[0, x] + k]
+                        + corner_weights[1, x] * flat[at[1, x] + k]
+                        + corner_weights[2, x] * flat[at[2, x] + k]
+                        + corner_weights[3, x] * flat[at[3, x] + k]
                     )
             for k in range(channels):
                 for x in range(length):
@@ -233,21 +240,21 @@ def sums(
             zero = np.float32(0)
             weight = zero
             for x in range(length):
-                weight += seen[0, x]
+                weight += sampled[0, x]
             total += float(weight)
             for k in range(channels):
                 one = two = zero
                 for x in range(length):
-                    scaled = seen[0, x] * value[k, x]
+                    scaled = sampled[0, x] * value[k, x]
                     one += scaled
                     two += scaled * value[k, x]
-                own[k] += one
+                image_sums[k] += one
                 ii += float(two)
             for k in range(axes):
                 t0 = p0 = q0 = t1 = p1 = q1 = p2 = q2 = q3 = t4 = p4 = q4 = zero
                 for x in range(length):
-                    t, p, q = seen[1 + k, x], seen[1 + axes + k, x], seen[1 + 2 * axes + k, x]
-                    wt, wp, wq = seen[0, x] * t, seen[0, x] * p, seen[0, x] * q
+                    t, p, q = sampled[1 + k, x], sampled[1 + axes + k, x], sampled[1 + 2 * axes + k, x]
+                    wt, wp, wq = sampled[0, x] * t, sampled[0, x] * p, sampled[0, x] * q
                     t0 += wt
                     p0 += wp
                     q0 += wq
@@ -260,9 +267,9 @@ def sums(
                     t4 += wt * value[k, x]
                     p4 += wp * value[k, x]
                     q4 += wq * value[k, x]
-                linear[k, 0] += t0
-                linear[k, 1] += p0
-                linear[k, 2] += q0
+                template_sums[k, 0] += t0
+                template_sums[k, 1] += p0
+                template_sums[k, 2] += q0
                 tt += float(t1)
                 tp += float(p1)
                 tq += float(q1)
@@ -273,17 +280,17 @@ def sums(
                 ip += float(p4)
                 iq += float(q4)
         for k in range(channels):
-            ii -= own[k] * own[k] / total
+            ii -= image_sums[k] * image_sums[k] / total
             if k < axes:
-                t, p, q = linear[k, 0] / total, linear[k, 1] / total, linear[k, 2] / total
-                tt -= t * linear[k, 0]
-                tp -= t * linear[k, 1]
-                tq -= t * linear[k, 2]
-                pp -= p * linear[k, 1]
-                pq -= p * linear[k, 2]
-                qq -= q * linear[k, 2]
-                it -= own[k] * t
-                ip -= own[k] * p
-                iq -= own[k] * q
-        found[n, :] = (tt, tp, tq, pp, pq, qq, it, ip, iq, ii)
-    return found
+                t, p, q = template_sums[k, 0] / total, template_sums[k, 1] / total, template_sums[k, 2] / total
+                tt -= t * template_sums[k, 0]
+                tp -= t * template_sums[k, 1]
+                tq -= t * template_sums[k, 2]
+                pp -= p * template_sums[k, 1]
+                pq -= p * template_sums[k, 2]
+                qq -= q * template_sums[k, 2]
+                it -= image_sums[k] * t
+                ip -= image_sums[k] * p
+                iq -= image_sums[k] * q
+        result[n, :] = (tt, tp, tq, pp, pq, qq, it, ip, iq, ii)
+    return result

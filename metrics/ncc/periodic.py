@@ -1,4 +1,4 @@
-"""The periodic image that a texture follows, and the templates that are cut from it."""
+"""The periodic image of a texture, and the templates that are cut from it."""
 
 from __future__ import annotations
 
@@ -14,69 +14,75 @@ from nrbench.imaging.fold import Tile, Values, fold, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Shape
 
+from .course_template import CourseTemplate, make_course_templates
 from .refinement import Cell
-from .strip_template import StripTemplate, strip_templates
-from .window_search import Bank, Colors, Places, Scan, Template
+from .window_search import CellSearch, Colors, Correlator, OffsetSearch, Template
 
 WINDOW_TILES = 2.0
-"""Width of the windows whose place is registered, in tiles: two show every joint of a tile whole, wherever they lie."""
+"""Width, in tiles, of the windows that are registered. A window of two tiles contains every joint of a tile whole,
+wherever it lies."""
 TOLERANCE = 0.1
 """Displacement, in units of s, up to which content counts as in place: less than the smallest defect to be detected
 (0.15 s), more than is measured on windows of fresh draws (0.06 s)."""
 HALVES = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))
 """Cell coordinates of the middles of the one-tile windows."""
 _VARIANCE_FLOOR = 0.1
-"""Share of the mean variance that is added to every pixel's: no pixel weighs more than ten times the mean's weight."""
+"""Share of the mean variance that is added to the variance of every pixel. It limits the weight of a pixel to ten times
+that of a pixel of mean variance."""
 
 _FINENESS, _LEAST_COUNT = (3, 2, 1), 0.5
 """Samples per pixel along each axis of a cell folded from many, tried in this order until every sample has more than
 ``_LEAST_COUNT`` pixels."""
 _LARGE_CELL = 300
-"""Area of a cell, px, above which its windows are compared in blocks of 2 x 2 pixels, at every place."""
+"""Area of a cell, px, above which two-tile windows are compared in blocks of 2 x 2 pixels."""
 _SIZES, _LARGE_SIZES, _LARGE_TILE = (1, 2), (2, 2), 600
 """One-tile windows are compared pixel by pixel, or in blocks of 2 x 2 pixels if the cell has more than 600 px. Their
 means and power are always taken over blocks of 2 x 2."""
 _SHARPENED = 2
-"""How often the residual of the image is folded and added to the cell, which is blurred by sharing pixels."""
+"""Number of times that the residual of the image is folded and added to the cell. Folding shares each pixel among
+samples and so blurs the cell; this restores it."""
 LARGE = 7
-"""Cells each way over which a cell is averaged: some 50 pixels fall on each of its samples."""
+"""Number of cells, along each axis, over which a cell is averaged: about 50 pixels fall on each sample."""
 
 
 @dataclass(frozen=True)
-class Search:
-    """One-tile windows at one place of the cell, all searched in one patch.
+class TileSearch:
+    """Search for the one-tile windows at one place of the cell, in one patch of the periodic image.
 
     Parameters
     ----------
     half
         Cell coordinates of the windows' middles.
-    bank, scan
-        The patch, to be looked at exactly near that place, and in the rest of the cell.
+    correlator
+        Exact correlation at offsets near that place.
+    offset_search
+        Search in the rest of the cell.
     place
-        (x, y) px in the patch where the window's corner belongs.
+        (x, y) px: offset in the patch at which a window is in its place.
     near
-        Offsets within the tolerance of that place.
+        ``bool``: offsets within the tolerance of that place.
     """
 
     half: tuple[float, float]
-    bank: Bank
-    scan: Scan
+    correlator: Correlator
+    offset_search: OffsetSearch
     place: Points
     near: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Periodic:
-    """The periodic image that a texture follows, and how much each of its pixels varies from tile to tile.
+    """The periodic image of a texture, and the variance of each of its pixels from tile to tile.
 
     Parameters
     ----------
     lattice
         Reduced.
     ideal
-        The periodic image: from a shape to the image of that shape whose first pixel is at (0, 0); or one tile of it.
+        The periodic image: a function that returns the image of a given shape, with its first pixel at (0, 0), or one
+        tile.
     variance
-        Mean tile of the squared departures, one channel.
+        Mean tile of the squared departures from the periodic image, one channel.
     """
 
     lattice: Lattice
@@ -84,78 +90,73 @@ class Periodic:
     variance: Tile
 
     def image(self, shape: Shape) -> Values:
-        """Return the periodic image of ``shape``, its first pixel at (0, 0)."""
+        """Return the periodic image of ``shape``, with its first pixel at (0, 0)."""
         return self.ideal.unfold(shape) if isinstance(self.ideal, Tile) else self.ideal(shape)
 
     def weights(self, shape: Shape) -> NDArray[np.float32]:
-        """Return what each pixel counts for: the inverse of its variance across tiles, of mean 1.
+        """Return the weight of each pixel, the inverse of its variance across tiles, ``(H, W)``, with mean 1.
 
-        A tenth of the mean variance (and that of rounding to 8 bits) is added to every pixel's, so that no few pixels
-        carry all the weight.
+        A tenth of the mean variance, and the variance of rounding to 8 bits, are added to that of every pixel, so that
+        no few pixels dominate.
         """
         variance = self._variance(shape)
         weights = 1 / (variance + _VARIANCE_FLOOR * self.variance.values.mean() + 1 / 255**2)
         return np.asarray(weights / weights.mean(), np.float32)
 
-    def stretched(self, matrix: Points) -> Periodic:
-        """Return the same tile on the lattice that the affine displacement ``matrix @ (x, y)`` moves this one to."""
-        moved = np.vstack([self.lattice.matrix, self.lattice.origin]) @ (np.eye(2) + matrix).T
-        return self.on(Lattice.from_basis(moved[:2], moved[2]))
-
-    def on(self, lattice: Lattice) -> Periodic:
-        """Return the same tile on another lattice."""
+    def with_lattice(self, lattice: Lattice) -> Periodic:
+        """Return the periodic image with the same tile on another lattice; only for a periodic image of one tile."""
         if not isinstance(self.ideal, Tile):
-            raise TypeError("only a periodic image that is held as a tile can be put on another lattice")
+            raise TypeError("a periodic image that is a function cannot change its lattice; give one tile instead")
         ideal, variance = (Tile(tile.values, tile.counts, lattice) for tile in (self.ideal, self.variance))
         return Periodic(lattice, ideal, variance)
 
     @cached_property
     def windows(self) -> Template:
-        """A patch that holds every displacement of a cell at least once, for windows of 2 tiles."""
+        """Template that contains every displacement of a two-tile window within one cell."""
         window = window_shape(self.lattice, WINDOW_TILES)
         cell = np.ceil(np.abs(self.lattice.matrix).sum(0)).astype(int) + 2
         shape = (window[0] + int(cell[1]), window[1] + int(cell[0]))
-        return Template(self.colors.along(self._patch(shape)), self.weights(shape), window)
+        return Template(self.colors.project(self._patch(shape)), self.weights(shape), window)
 
     @cached_property
     def colors(self) -> Colors:
-        """The axes of color of all templates and windows."""
+        """Axes of color of all templates and windows."""
         height, width = window_shape(self.lattice, WINDOW_TILES)
         return Colors.of(self._patch((height, width)))
 
     def _patch(self, shape: Shape) -> Values:
-        """Return :meth:`image`, cut from :attr:`large` if that is large enough."""
+        """Return the periodic image of ``shape``, cut from :attr:`large` if that is large enough."""
         enough = shape[0] <= self.large.shape[0] and shape[1] <= self.large.shape[1]
         return self.large[: shape[0], : shape[1]] if enough else self.image(shape)
 
     @cached_property
     def large(self) -> Values:
-        """The periodic image over :data:`LARGE` cells or more each way: every place of a cell."""
+        """Periodic image of at least :data:`LARGE` cells along each axis."""
         side = np.ceil(LARGE * tile_box(self.lattice)).astype(int)
         return self.image((int(side[1]), int(side[0])))
 
     def _variance(self, shape: Shape) -> Values:
         """Return the variance ``(H, W)``, cut from that of :attr:`large` if that is large enough."""
-        there = self._large_variance
-        enough = shape[0] <= there.shape[0] and shape[1] <= there.shape[1]
-        return there[: shape[0], : shape[1]] if enough else self.variance.unfold(shape)[..., 0]
+        large = self._large_variance
+        enough = shape[0] <= large.shape[0] and shape[1] <= large.shape[1]
+        return large[: shape[0], : shape[1]] if enough else self.variance.unfold(shape)[..., 0]
 
     @cached_property
     def _large_variance(self) -> Values:
         return self.variance.unfold(self.large.shape[:2])[..., 0]
 
     @cached_property
-    def courses(self) -> tuple[StripTemplate, ...]:
-        """One cell of its courses in each direction."""
-        return strip_templates(self.lattice, self.large, self._large_variance)
+    def course_templates(self) -> tuple[CourseTemplate, ...]:
+        """Templates of the courses in each direction."""
+        return make_course_templates(self.lattice, self.large, self._large_variance)
 
     @cached_property
     def cell(self) -> Cell:
-        """One cell, for interpolation between its samples: as fine as the many cells of a rendered image allow."""
+        """One cell with its derivatives; it has several samples per pixel if a model renders the image."""
         floor = float(_VARIANCE_FLOOR * self.variance.values.mean() + 1 / 255**2)
-        return Cell.of(self.ideal if isinstance(self.ideal, Tile) else self._finely_folded(), self.variance, floor)
+        return Cell.of(self.ideal if isinstance(self.ideal, Tile) else self._fold_finely(), self.variance, floor)
 
-    def _finely_folded(self) -> Tile:
+    def _fold_finely(self) -> Tile:
         """Return the cell folded from :attr:`large`, with several samples per pixel if enough pixels fall on each."""
         image, (rows, columns) = self.large, tile_grid(self.lattice)
         for fineness in _FINENESS:
@@ -168,26 +169,26 @@ class Periodic:
         return tile
 
     @cached_property
-    def places(self) -> Places:
-        """The same patch, to be looked at within one cell of displacements about its middle."""
+    def cell_search(self) -> CellSearch:
+        """Search for two-tile windows within one cell of displacements about the middle of their template."""
         template = self.windows
         rows, columns = (
             side - length + 1 for side, length in zip(template.weights.shape, template.window, strict=True)
         )
         y, x = np.indices((rows, columns))
         inside = _within_cell(np.stack([x - columns // 2, y - rows // 2], -1).astype(np.float64), self.lattice)
-        return Places(template, inside, self.colors, 2 if self.lattice.area > _LARGE_CELL else 1)
+        return CellSearch(template, inside, self.colors, 2 if self.lattice.area > _LARGE_CELL else 1)
 
     @cached_property
-    def searches(self) -> tuple[Search, ...]:
-        """Patches for one-tile windows, half a cell apart along both vectors."""
-        return tuple(self._search(half) for half in HALVES)
+    def tile_searches(self) -> tuple[TileSearch, ...]:
+        """Searches for one-tile windows, half a cell apart along both vectors."""
+        return tuple(self._make_tile_search(half) for half in HALVES)
 
     @cached_property
     def _offsets(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
         return _offsets(self.lattice)
 
-    def _search(self, half: tuple[float, float]) -> Search:
+    def _make_tile_search(self, half: tuple[float, float]) -> TileSearch:
         window = window_shape(self.lattice, 1.0)
         size = np.array(window[::-1])
         near, far, reach = self._offsets
@@ -196,16 +197,17 @@ class Periodic:
         x, y = (int(value) for value in np.floor(wanted + 0.5 + 1e-6))
         width, height = (int(value) for value in size + 2 * reach)
         image, weights = (plane((y + height, x + width))[y:, x:] for plane in (self._patch, self.weights))
-        template = Template(self.colors.along(image), weights, window)
-        bank = Bank(template, _ringed(near), self.colors.varies)
+        template = Template(self.colors.project(image), weights, window)
+        correlator = Correlator(template, _dilate(near), self.colors.varies)
         sizes = _LARGE_SIZES if self.lattice.area > _LARGE_TILE else _SIZES
-        return Search(half, bank, Scan(template, far, self.colors, sizes), reach + wanted - (x, y), near)
+        offset_search = OffsetSearch(template, far, self.colors, sizes)
+        return TileSearch(half, correlator, offset_search, reach + wanted - (x, y), near)
 
 
 def tile_box(lattice: Lattice) -> NDArray[np.float64]:
-    """Return width and height in px of the upright box that stands for one cell.
+    """Return width and height in px of an upright box of about the extent of one cell.
 
-    It has the spread of the cell along x and y: sqrt(t1^2 + t2^2) in each coordinate, with the canonical basis.
+    Each side is sqrt(t1^2 + t2^2) in that coordinate, with the vectors of the canonical basis.
     """
     return np.asarray(np.sqrt((lattice.canonical().matrix ** 2).sum(0)))
 
@@ -217,7 +219,7 @@ def window_shape(lattice: Lattice, tiles: float) -> tuple[int, int]:
 
 
 def _offsets(lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
-    """Return masks of the offsets within the tolerance and in the rest of the Voronoi cell, and their reach in px."""
+    """Return masks of the offsets within the tolerance and in the rest of the Voronoi cell, and their range in px."""
     reach = int(lattice.covering_radius) + 2
     y, x = np.indices((2 * reach + 1, 2 * reach + 1)) - reach
     cell = _within_cell(np.stack([x, y], -1).astype(np.float64), lattice)
@@ -230,6 +232,6 @@ def _within_cell(offsets: Points, lattice: Lattice) -> NDArray[np.bool_]:
     return np.asarray(np.abs(lattice.wrap(offsets) - offsets).max(-1) < 1e-6)
 
 
-def _ringed(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask with the pixels next to it along both axes: what a parabola through a peak needs."""
+def _dilate(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask with its neighbors along both axes, which the parabola through a peak needs."""
     return np.asarray(ndimage.binary_dilation(mask))

@@ -1,4 +1,4 @@
-"""Displacements to a fraction of a pixel that does not depend on where between two pixels they lie."""
+"""Refine displacements of windows to a fraction of a pixel, without a bias towards whole pixels."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import Tile, Values, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
 
-from .ncc_kernels import sums
+from .ncc_kernels import sum_products
 
 _STEPS = (2, 2, 1, 1)
-"""Every so many pixels are looked at in each step: the first comes near, the last settles."""
+"""Distance, px, between the pixels that each step uses: coarse steps come near, fine steps converge."""
 _SETTLED = 0.005
-"""Step, px, after which a window has arrived: what is left is a small part of it."""
+"""Length of a step, px, below which a window has converged. The remaining error is a small part of it."""
 _REACH = 1.5
-"""How far, px, a window may move in all; one that moves further has lost its peak, and stays."""
+"""Largest total change of a displacement, px. A window that moves further has left its peak of NCC."""
 _FLAT = 1e-6
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of a periodic image, ready to be read anywhere between its samples.
+    """One cell of a periodic image, with its derivatives, for interpolation between its samples.
 
     Parameters
     ----------
     table
-        ``float32 (V, U, 1 + 3 A)``: weights, the periodic image along A axes of color, what it changes by in a px
-        along x, and along y.
+        ``float32 (V, U, 1 + 3 A)``: weights, the periodic image along A axes of color, and its derivatives per px along
+        x, and along y.
     colors
-        ``(C, C)``: axes of color, a column each, those along which the periodic image varies first.
+        ``(C, C)``: the axes of color as columns, in order of decreasing variance of the periodic image.
     lattice
-        Whose cell it is.
+        The lattice of the periodic image.
     """
 
     table: Values
@@ -42,12 +42,22 @@ class Cell:
     lattice: Lattice
 
     @classmethod
-    def of(cls, tile: Tile, weights: Tile, floor: float) -> Cell:
-        """Return the cell of a mean tile; pixels count by the inverse of a variance (another tile) plus ``floor``."""
+    def of(cls, tile: Tile, variance: Tile, floor: float) -> Cell:
+        """Return the cell of a mean tile.
+
+        Parameters
+        ----------
+        tile
+            The mean tile.
+        variance
+            Variance across tiles, one channel. The weight of a pixel is one over its variance plus ``floor``.
+        floor
+            See ``variance``.
+        """
         rows, columns, channels = tile.values.shape
         flat = tile.values.reshape(-1, channels) - tile.values.mean((0, 1))
-        variance, colors = np.linalg.eigh(flat.T @ flat)
-        axes = max(int((variance > _FLAT * variance[-1]).sum()), 1)
+        energies, colors = np.linalg.eigh(flat.T @ flat)
+        axes = max(int((energies > _FLAT * energies[-1]).sum()), 1)
         colors = np.ascontiguousarray(colors[:, ::-1], np.float32)
         shape = (flat @ colors[:, :axes]).reshape(rows, columns, axes)
         u = (np.roll(shape, -1, 1) - np.roll(shape, 1, 1)) * np.float32(columns / 2)
@@ -55,55 +65,59 @@ class Cell:
         inverse = np.linalg.inv(tile.lattice.matrix).astype(np.float32)
         slopes = [u * along[0] + v * along[1] for along in inverse]
         at = np.stack(np.meshgrid(np.arange(columns) / columns, np.arange(rows) / rows), -1)
-        counts = 1 / (sample_tile(weights.values, at)[..., :1] + np.float32(floor))
-        return cls(np.ascontiguousarray(np.concatenate([counts, shape, *slopes], -1)), colors, tile.lattice)
+        weights = 1 / (sample_tile(variance.values, at)[..., :1] + np.float32(floor))
+        return cls(np.ascontiguousarray(np.concatenate([weights, shape, *slopes], -1)), colors, tile.lattice)
 
 
-def refined(
+def refine_displacements(
     image: Image, cell: Cell, corners: NDArray[np.intp], window: tuple[int, int], displacement: Points
 ) -> tuple[Points, NDArray[np.float64]]:
     """Return each window's displacement (x, y) px, and its weighted NCC with the periodic image there.
 
-    The highest NCC over real displacements, by Gauss-Newton steps (Lucas and Kanade, IJCAI 1981; with free brightness
-    and contrast): the periodic image is read where the window's pixels would come from, between the samples of one
-    cell that all of its periods together gave. A parabola through the NCC at whole pixels is off by up to a tenth of a
-    pixel, depending on where between two of them the peak lies; this is not. Time is linear in the windows' pixels.
+    Gauss-Newton steps maximize the NCC over real-valued displacements (Lucas and Kanade, IJCAI 1981, here with free
+    brightness and contrast). The periodic image is interpolated between the samples of one cell, which is the mean over
+    many periods. A parabola through the NCC at whole pixels has an error of up to a tenth of a pixel that depends on
+    the fraction of the displacement; this method does not. Time is linear in the pixels of the windows.
 
     Parameters
     ----------
     image
         ``(H, W, C)``.
     cell
-        What is looked for.
+        The cell of the periodic image.
     corners
         ``(n, 2)``: (x, y) of each window's first pixel.
     window
         Height and width.
     displacement
-        ``(n, 2)``: (x, y) px, to about a pixel. A window that would move by more than :data:`_REACH` stays there.
+        ``(n, 2)``: (x, y) px, with an error of about a pixel. It is kept if the refined displacement differs by more
+        than :data:`_REACH`.
     """
     rotated = np.ascontiguousarray(image @ cell.colors)
     corners, inverse = corners.astype(np.int64), np.linalg.inv(cell.lattice.matrix).astype(np.float64)
     rows = np.array(window)
 
-    def step(which: NDArray[np.bool_], at: Points, every: int) -> tuple[Points, NDArray[np.float64]]:
+    def compute_step(which: NDArray[np.bool_], at: Points, every: int) -> tuple[Points, NDArray[np.float64]]:
         start = cell.lattice.to_cell(corners[which] - at)
-        return _solved(sums(rotated, cell.table, corners[which], start, rows, inverse, every))
+        return _solve_steps(sum_products(rotated, cell.table, corners[which], start, rows, inverse, every))
 
     at = np.array(displacement, np.float64)
-    ncc, going = np.zeros(len(corners)), np.ones(len(corners), np.bool_)
+    ncc, active = np.zeros(len(corners)), np.ones(len(corners), np.bool_)
     for every in _STEPS:
-        move, ncc[going] = step(going, at[going], every)
-        at[going] += np.clip(move, -1, 1)
-        going[going] = (every > 1) | (np.abs(move).max(1) > _SETTLED)
+        move, ncc[active] = compute_step(active, at[active], every)
+        at[active] += np.clip(move, -1, 1)
+        active[active] = (every > 1) | (np.abs(move).max(1) > _SETTLED)
     lost = np.hypot(*(at - displacement).T) > _REACH
-    at[lost], ncc[lost] = displacement[lost], step(lost, displacement[lost], 1)[1]
+    at[lost], ncc[lost] = displacement[lost], compute_step(lost, displacement[lost], 1)[1]
     return at, ncc
 
 
-def _solved(found: NDArray[np.float64]) -> tuple[Points, NDArray[np.float64]]:
-    """Return the step (x, y) px of each window, and its NCC after it: image = a (t - step . (p, q)) + constant."""
-    tt, tp, tq, pp, pq, qq, it, ip, iq, ii = found.T
+def _solve_steps(sums: NDArray[np.float64]) -> tuple[Points, NDArray[np.float64]]:
+    """Return the step (x, y) px of each window, and its NCC after that step.
+
+    The model is image = a (t - step . (p, q)) + constant, see :func:`~.ncc_kernels.sum_products`.
+    """
+    tt, tp, tq, pp, pq, qq, it, ip, iq, ii = sums.T
     matrix = np.stack([tt, tp, tq, tp, pp, pq, tq, pq, qq], -1).reshape(-1, 3, 3)
     matrix += _FLAT * (np.trace(matrix, axis1=1, axis2=2) + 1)[:, np.newaxis, np.newaxis] * np.eye(3)
     wanted = np.stack([it, ip, iq], -1)

@@ -1,4 +1,4 @@
-"""Search windows of an image in a patch of the periodic image by weighted normalized cross-correlation (NCC)."""
+"""Find windows of an image in a patch of the periodic image by weighted normalized cross-correlation (NCC)."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.fold import Values
 from nrbench.imaging.parabola import find_vertex
 
-from .ncc_kernels import correlated, correlations
+from .ncc_kernels import compute_ncc, normalize_sums
 
 _FAINT, _MINOR = 1e-5, 0.01
-"""Share of the largest variance along an axis of color below which the periodic image does not vary along another, and
-below which it need not be looked at to find where a window fits best."""
+"""Shares of the largest variance along an axis of color. An axis with less than the first share counts as constant. An
+axis with less than the second share is ignored in the search for the best offset."""
 
 
 @dataclass(frozen=True)
 class Colors:
-    """Orthonormal axes of color, those along which a periodic image varies most first.
+    """Orthonormal axes of color, in order of decreasing variance of a periodic image.
 
     Parameters
     ----------
     mean
-        ``(C,)``: the color that is zero along every axis.
+        ``(C,)``: the color whose coordinates are zero.
     axes
-        ``(C, C)``, a column an axis.
+        ``(C, C)``: the axes as columns.
     varies
-        Along how many of them the periodic image varies: one for tiles and joints of one color each.
+        Number of axes along which the periodic image varies: one if tiles and joints have one color each.
     main
-        Along how many it varies by much.
+        Number of axes along which it varies much; the search uses only these.
     """
 
     mean: NDArray[np.float32]
@@ -47,21 +47,21 @@ class Colors:
 
     @classmethod
     def of(cls, image: Values) -> Colors:
-        """Return the axes of a periodic image ``(H, W, C)`` that shows all of a cell."""
+        """Return the axes of a periodic image ``(H, W, C)`` that shows every place of a cell."""
         pixels = image.reshape(-1, image.shape[-1]).astype(np.float64)
         mean = pixels.mean(0)
         variance, axes = np.linalg.eigh((pixels - mean).T @ (pixels - mean))
         varies, main = (max(int((variance > share * variance[-1]).sum()), 1) for share in (_FAINT, _MINOR))
         return cls(mean.astype(np.float32), np.ascontiguousarray(axes[:, ::-1], np.float32), varies, main)
 
-    def along(self, image: Values) -> Values:
-        """Return an image ``(H, W, C)`` with its colors along the axes."""
+    def project(self, image: Values) -> Values:
+        """Return the coordinates of an image's colors along the axes, ``(H, W, C)``."""
         pixels = np.ascontiguousarray(image).reshape(-1, image.shape[-1])
         return np.asarray(((pixels - self.mean) @ self.axes).reshape(image.shape), np.float32)
 
     def planes(self, image: Values) -> Planes:
-        """Return the same, plane by plane."""
-        return Planes(np.ascontiguousarray(np.moveaxis(self.along(image), -1, 0)))
+        """Return the coordinates of an image's colors along the axes, as planes."""
+        return Planes(np.ascontiguousarray(np.moveaxis(self.project(image), -1, 0)))
 
 
 @dataclass(frozen=True)
@@ -77,25 +77,25 @@ class Planes:
     values: Map
     _kept: dict[tuple[int, int], Map] = field(default_factory=dict, init=False, repr=False, compare=False)
 
-    def smoothed(self, size: int, first: int) -> Map:
-        """Return the planes, and the sum of their squares, at lower resolution but at every pixel, ``(C + 1, ...)``.
+    def smooth(self, size: int, first: int) -> Map:
+        """Return running means of the planes and of the sum of their squares, ``(C + 1, ...)``.
 
         Parameters
         ----------
         size
-            A pixel stands for the mean over ``size`` x ``size`` pixels of which it is the first.
+            Each value is the mean over ``size`` x ``size`` pixels, of which its own pixel is the first.
         first
-            So many each way are averaged, at most ``size``, before the squares are taken.
+            Width of the running mean that is taken before the squares, at most ``size``.
         """
         if (size, first) not in self._kept:
-            values = smoothed(self.values, first)
+            values = smooth_planes(self.values, first)
             squares = np.einsum("chw,chw->hw", values, values)[np.newaxis]
-            self._kept[size, first] = smoothed(np.concatenate([values, squares]), size - first + 1)
+            self._kept[size, first] = smooth_planes(np.concatenate([values, squares]), size - first + 1)
         return self._kept[size, first]
 
 
-def smoothed(planes: Map, size: int) -> Map:
-    """Return at each pixel the mean over the ``size`` x ``size`` pixels of which it is the first, ``(..., H, W)``."""
+def smooth_planes(planes: Map, size: int) -> Map:
+    """Return for each pixel the mean over the ``size`` x ``size`` pixels of which it is the first, ``(..., H, W)``."""
     for _ in range(2 if size > 1 else 0):
         length = planes.shape[-1] - size + 1
         parts = [planes[..., k : k + length] for k in range(size)]
@@ -104,18 +104,23 @@ def smoothed(planes: Map, size: int) -> Map:
 
 
 def cut_planes(planes: Map, corners: NDArray[np.intp], window: tuple[int, int], step: int = 1) -> Map:
-    """Return windows of planes ``(C, H, W)``, ``(n, C, h, w)``.
+    """Cut windows out of planes.
 
     Parameters
     ----------
     planes
-        What they are cut from.
+        ``(C, H, W)``.
     corners
-        ``(n, 2)``: (x, y) of their first pixels.
+        ``(n, 2)``: (x, y) of the first pixel of each window.
     window
-        Height and width of what they cover.
+        Height and width of the windows.
     step
-        Every so many pixels of them, along both axes, one is taken: ``h = height // step``, for means over as many.
+        Distance between the pixels that are taken, along both axes. Use it with running means of the same size.
+
+    Returns
+    -------
+    Map
+        ``(n, C, h, w)`` with ``h = height // step`` and ``w = width // step``.
     """
     spans = [(side // step - 1) * step + 1 for side in window]
     views = sliding_window_view(planes, spans, axis=(1, 2))[..., ::step, ::step]
@@ -128,14 +133,14 @@ _BATCH_PIXELS = 1 << 21
 
 @dataclass(frozen=True)
 class Template:
-    """A patch of the periodic image in which windows of one shape are looked for.
+    """A patch of the periodic image with which windows of one shape are correlated.
 
     Parameters
     ----------
     image
         ``(TH, TW, C)``, larger than the window by the range of displacements that is searched.
     weights
-        ``(TH, TW)``, not negative: what each pixel of the template counts for.
+        ``(TH, TW)``: weight of each pixel of the template, not negative.
     window
         Height and width of the windows.
     """
@@ -166,7 +171,7 @@ class Template:
 
     @cached_property
     def _sums(self) -> tuple[Map, Values, Map]:
-        """Return, over a window at every offset: sum of weights, weighted sums of channels, template's energy."""
+        """Return the sum of weights, the weighted sums of channels and the energy in a window at each offset."""
         weights = box_sums(self.weights, self.window).astype(np.float32)
         sums = np.moveaxis(box_sums(self._weighted, self.window), -1, 0).astype(np.float32)
         squares = box_sums((self._weighted * (self.image - self.mean)).sum(-1), self.window).astype(np.float32)
@@ -176,16 +181,16 @@ class Template:
     def surfaces(self, windows: Values) -> Map:
         """Return the NCC of each window at every offset of the template, as ``(n, TH - h + 1, TW - w + 1)``.
 
-        All channels share one correlation; each channel's mean over the window is taken out first, so that lighting
-        does not count. A window or template without variance gives 0.
+        All channels together give one correlation. The mean of each channel over the window is subtracted first, so
+        brightness does not count. The NCC is 0 if the window or the template is flat.
         """
         return self.surfaces_and_slopes(windows)[0]
 
     def surfaces_and_slopes(self, windows: Values) -> tuple[Map, Map]:
-        """Return the NCC, and the slope: how much of the template's contrast the window shows at every offset.
+        """Return the NCC and the slope of each window at every offset.
 
-        The slope is that of the weighted regression of the window on the template: 1 for a window that equals it, 0
-        for one that has nothing of it, whatever else it shows.
+        The slope is that of the weighted regression of the window on the template. It measures the contrast of the
+        template that the window contains: 1 for a window that equals the template, 0 for an unrelated one.
         """
         height, width = self._sums[0].shape
         empty = np.zeros((0, height, width), np.float32)
@@ -218,17 +223,19 @@ class Template:
         return np.asarray(scipy.fft.irfft2(spectrum, self._size)[..., :rows, :columns])
 
 
-def peaks(surfaces: Map, where: NDArray[np.bool_] | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return each surface's highest point, ``(n, 2)`` as (x, y), sub-pixel, and its height ``(n,)``.
+def find_peaks(
+    surfaces: Map, where: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the highest point of each surface, ``(n, 2)`` as (x, y), and its height, ``(n,)``.
 
-    A parabola through three points along each axis.
+    The point is found to a fraction of a pixel by a parabola through three points along each axis.
 
     Parameters
     ----------
     surfaces
         ``(n, height, width)``.
     where
-        ``bool (height, width)``: where to look; the outermost ring is always left out. None: everywhere else.
+        ``bool (height, width)``: points that may be the highest; None: all. Points on the border are always left out.
     """
     height, width = surfaces.shape[1:]
     inner = np.zeros((height, width), np.bool_)
@@ -243,39 +250,39 @@ def peaks(surfaces: Map, where: NDArray[np.bool_] | None = None) -> tuple[NDArra
 
 
 _TRANSFORM = 20.0
-"""Cost of a pixel and level of an FFT with what is done to it after, in multiplications of a matrix product: some 30 as
-measured on one core, less what it takes to lay out the matrices."""
+"""Cost of an FFT per pixel and level, with the operations that follow, in multiplications of a matrix product. About 30
+were measured on one core; the cost of building the matrices is subtracted."""
 _MOST_NUMBERS = 1 << 24
-"""The matrices hold no more numbers than this (64 MiB), whatever the colors."""
+"""Largest number of values in the matrices (64 MiB)."""
 _FLAT = 1e-6
-"""Variance (per weight) below which a window or a template shows nothing: that of rounding in float32."""
+"""Variance (per weight) below which a window or a template counts as flat: that of rounding in float32."""
 
 
 @dataclass(frozen=True)
-class Bank:
-    """The windows of a template at chosen offsets.
+class Correlator:
+    """Exact correlation of windows with a template, at chosen offsets only.
 
-    The result is that of :meth:`~nrbench.metrics.ncc.window_search.Template.surfaces_and_slopes` at these offsets. With
-    windows of m px, C channels and q offsets a window costs (C + 1 + A) m q multiplications where the template's colors
-    vary along A axes alone; the FFTs of a template of P px cost (2 C + 3) P log2 P steps. The cheaper of the two is
-    taken.
+    The result is that of :meth:`~nrbench.metrics.ncc.window_search.Template.surfaces_and_slopes` at these offsets. A
+    matrix product costs (C + 1 + A) m q multiplications a window, for windows of m px, C channels, q offsets, and a
+    template whose colors vary along A axes. The FFTs of a template of P px cost (2 C + 3) P log2 P steps. The cheaper
+    method is used.
 
     Parameters
     ----------
     template
-        Where windows are looked for, its colors along axes.
+        The template, its colors along axes.
     where
-        ``bool (TH - h + 1, TW - w + 1)``: at which of its offsets.
+        ``bool (TH - h + 1, TW - w + 1)``: the chosen offsets.
     varies
-        A: along how many axes, the first, it varies.
+        A: number of axes along which the template varies; they are the first ones.
     """
 
     template: Template
     where: NDArray[np.bool_]
     varies: int
 
-    def compare(self, windows: Map) -> tuple[Map, Map]:
-        """Return NCC and slope of each window ``(n, C, h, w)`` at each offset, row by row, both ``(n, q)``."""
+    def correlate(self, windows: Map) -> tuple[Map, Map]:
+        """Return NCC and slope of each window ``(n, C, h, w)`` at each chosen offset, row by row, both ``(n, q)``."""
         if not self.small:
             ncc, slope = self.template.surfaces_and_slopes(np.moveaxis(windows, 1, -1))
             return ncc[:, self.where], slope[:, self.where]
@@ -296,14 +303,14 @@ class Bank:
         return ncc, cross
 
     def surfaces(self, ncc: Map) -> Map:
-        """Return the NCC as maps ``(n, TH - h + 1, TW - w + 1)``, -1 where it was not asked for."""
+        """Return the NCC as maps ``(n, TH - h + 1, TW - w + 1)``, -1 outside the chosen offsets."""
         maps = np.full((len(ncc), *self.where.shape), -1, np.float32)
         maps[:, self.where] = ncc
         return maps
 
     @property
     def small(self) -> bool:
-        """Whether the product is cheaper than the FFTs, and its matrices are not too large."""
+        """Whether the matrix product is cheaper than the FFTs, and its matrices fit into memory."""
         numbers = math.prod(self.template.window) * int(self.where.sum())
         channels, patch = self.template.image.shape[-1], self.template.weights.size
         transforms = (2 * channels + 3) * patch * math.log2(patch) * _TRANSFORM
@@ -311,9 +318,10 @@ class Bank:
 
     @cached_property
     def _rows(self) -> tuple[Map, Map, Map, Map]:
-        """Return, a row an offset, the weighted template and the weights (of sum 1), its energy, and its means.
+        """Return the weighted template, the weights (of sum 1), the energy and the weighted means at each offset.
 
-        The means are ``(A, q)``: what is still to be taken out of it, once for each window.
+        The first two have one row for each offset. The means are ``(A, q)``; they are subtracted later, once for each
+        window.
         """
         template, offsets = self.template, np.argwhere(self.where)[:, ::-1]
         image = np.moveaxis(template.image[..., : self.varies], -1, 0)
@@ -328,32 +336,33 @@ class Bank:
 
 
 _AT_ONCE = 64
-"""Windows looked at at a time: their maps stay in the processor's cache."""
+"""Number of windows correlated at a time. Their maps then stay in the cache of the processor."""
 _MOST_NUMBERS = 1 << 24
-"""The matrix holds no more numbers than this (64 MiB); beyond, FFTs take its place."""
+"""Largest number of values in the matrix (64 MiB). Larger searches use FFTs."""
 _FLAT = 1e-6
 
 
 @dataclass(frozen=True)
-class Scan:
-    """A patch of the periodic image, to be looked at at many offsets.
+class OffsetSearch:
+    """Search for the offset of a template at which a window has the highest NCC.
 
-    NCC needs, at every offset, the product of window and template, and the window's own weighted means and power. With
-    windows of m px, q offsets and A axes of color along which the template varies by much these are (2 A + 1) m q
-    multiplications; but means and power change slowly, so that their pixels may be taken two by two: (A + (A + 1) / 4)
-    m q. What is found this way is the highest NCC or, seldom, one that is little lower.
+    The search is approximate, and the NCC of its result is exact. NCC needs the product of window and template, and the
+    weighted means and power of the window, at every offset. These cost (2 A + 1) m q multiplications for windows of
+    m px, q offsets and A axes of color along which the template varies much. Means and power change slowly from offset
+    to offset, so they are computed from blocks of 2 x 2 pixels, which reduces the cost to (A + (A + 1) / 4) m q. The
+    result is the highest NCC or, rarely, one that is slightly lower.
 
     Parameters
     ----------
     template
-        The patch, its colors along the axes.
+        The patch of the periodic image, its colors along the axes.
     where
-        ``bool (TH - h + 1, TW - w + 1)``: at which of its offsets.
+        ``bool (TH - h + 1, TW - w + 1)``: the offsets that are searched.
     colors
         The axes.
     sizes
-        Pixels each way that are taken together in windows, and, no fewer, in their means and power. The offsets stay
-        single pixels.
+        Width in px of the blocks whose means replace the pixels of a window, and of those that replace the pixels for
+        its means and power; the second is not smaller. Offsets are whole pixels in any case.
     """
 
     template: Template
@@ -362,27 +371,27 @@ class Scan:
     sizes: tuple[int, int]
 
     def find(self, planes: Planes, corners: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        """Return where in the patch, (x, y), each window at ``corners`` fits best, and the exact NCC there.
+        """Return the best offset (x, y) of each window at ``corners``, and the exact NCC there.
 
-        It is the best of the highest where every pixel is looked at, of the two highest where they are taken two by
-        two: their NCC comes near enough to tell these from the rest, not from each other.
+        The exact NCC is computed at the highest approximate NCC, or at the two highest ones if windows are compared in
+        blocks. Blocks are precise enough to find these two, but not to decide between them.
         """
-        highest = np.concatenate([_highest(ncc, self.sizes[0]) for ncc in self.maps(planes, corners)], 1)
+        highest = np.concatenate([_find_highest(ncc, self.sizes[0]) for ncc in self.maps(planes, corners)], 1)
         window, first = np.array(self.template.window), np.ascontiguousarray(corners, np.int64)
         offsets = np.ascontiguousarray(self._offsets[highest], np.int64)
-        ncc = np.stack([correlations(planes.smoothed(1, 1), first, self._exact, at, window) for at in offsets])
+        ncc = np.stack([compute_ncc(planes.smooth(1, 1), first, self._exact, at, window) for at in offsets])
         best = ncc.argmax(0)
         return offsets[best, np.arange(len(best))], ncc.max(0)
 
     def maps(self, planes: Planes, corners: NDArray[np.intp]) -> Iterator[Map]:
-        """Yield the NCC of some windows after the other at every offset, ``(n, q)``."""
+        """Yield the approximate NCC at every offset, ``(n, q)``, for some windows at a time."""
         for start in range(0, len(corners), _AT_ONCE):
             few = corners[start : start + _AT_ONCE]
             yield self._product(planes, few) if self.small else self._transforms(planes, few)
 
     @property
     def small(self) -> bool:
-        """Whether the matrix is not too large."""
+        """Whether the matrix fits into memory."""
         numbers = math.prod(self.template.window) // self.sizes[0] ** 2 * int(self.where.sum())
         return self.colors.main * numbers <= _MOST_NUMBERS
 
@@ -391,21 +400,21 @@ class Scan:
         return self.template.surfaces(np.moveaxis(windows, 1, -1))[:, self.where]
 
     def _product(self, planes: Planes, corners: NDArray[np.intp]) -> Map:
-        """Return the NCC, but that colors along minor axes are taken at their plain mean over the window."""
-        (weighted, weights, means, scale), main = self._rows, self.colors.main
+        """Return the NCC by matrix products. Along minor axes of color, the plain mean replaces the weighted one."""
+        (weighted, weights, template_sums, scale), main = self._rows, self.colors.main
         fine, coarse = self.sizes
-        shapes = self._cut(planes.smoothed(fine, fine)[:main], corners, fine)
-        rest = self._cut(planes.smoothed(coarse, fine), corners, coarse)
+        shapes = self._cut(planes.smooth(fine, fine)[:main], corners, fine)
+        rest = self._cut(planes.smooth(coarse, fine), corners, coarse)
         middle = rest[:, :-1].mean(2, keepdims=True)
         power = rest[:, -1] - (2 * middle * rest[:, :-1] - middle**2).sum(1)
         rest = np.concatenate([rest[:, :main] - middle[:, :main], power[:, np.newaxis]], 1)
         cross = np.asarray((shapes - middle[:, :main]).reshape(len(corners), -1) @ weighted.T, np.float32)
-        seen = (rest.reshape(-1, rest.shape[-1]) @ weights.T).reshape(len(corners), main + 1, -1)
-        correlated(cross, seen, means, scale)
+        window_means = (rest.reshape(-1, rest.shape[-1]) @ weights.T).reshape(len(corners), main + 1, -1)
+        normalize_sums(cross, window_means, template_sums, scale)
         return cross
 
     def _cut(self, planes: Map, corners: NDArray[np.intp], size: int) -> Map:
-        """Return windows of planes, their pixels in a row, ``(n, C, m)``."""
+        """Return windows of planes with their pixels along one axis, ``(n, C, m)``."""
         cut = cut_planes(planes, corners, self.template.window, size)
         return cut.reshape(*cut.shape[:2], -1)
 
@@ -416,9 +425,12 @@ class Scan:
 
     @cached_property
     def _rows(self) -> tuple[Map, Map, Map, Map]:
-        """Return, a row an offset, the weighted template and the weights (of sum 1), its sums ``(A, q)``, and scale."""
-        fine, coarse = (smoothed(self.template.weights[np.newaxis], size) for size in self.sizes)
-        image = smoothed(np.moveaxis(self.template.image[..., : self.colors.main], -1, 0), self.sizes[0])
+        """Return the weighted template, the weights (of sum 1), the weighted sums ``(A, q)`` and the scale.
+
+        The first two have one row for each offset. See :func:`~.ncc_kernels.normalize_sums`.
+        """
+        fine, coarse = (smooth_planes(self.template.weights[np.newaxis], size) for size in self.sizes)
+        image = smooth_planes(np.moveaxis(self.template.image[..., : self.colors.main], -1, 0), self.sizes[0])
         shapes = fine * image
         total, squares, *sums = self._sums(np.concatenate([fine, (shapes * image).sum(0, keepdims=True), shapes]))
         energy = squares / total - sum((one / total) ** 2 for one in sums)
@@ -429,7 +441,7 @@ class Scan:
         return rows, weights, np.stack(sums), scale.astype(np.float32)
 
     def _sums(self, planes: Map) -> Map:
-        """Return the sums over windows of planes at each offset, ``(C, q)``: along one axis, then the other."""
+        """Return the sums over the window at each offset, ``(C, q)``, first along one axis, then along the other."""
         size = self.sizes[0]
         for axis, side in zip((1, 2), self.template.window, strict=True):
             span = (side // size - 1) * size + 1
@@ -439,37 +451,37 @@ class Scan:
 
     @cached_property
     def _exact(self) -> Map:
-        """Return the template as :func:`~.scan_kernels.correlations` wants it."""
+        """Return the template in the form of :func:`~.ncc_kernels.compute_ncc`."""
         image, weights = np.moveaxis(self.template.image, -1, 0), self.template.weights[np.newaxis]
         weighted = weights * image
         squares = (weighted * image).sum(0, keepdims=True)
         return np.ascontiguousarray(np.concatenate([weights, squares, weighted[: self.colors.varies]]))
 
 
-def _highest(ncc: Map, count: int) -> NDArray[np.intp]:
-    """Return the indices of the ``count`` highest values of each row, ``(count, n)``; these are overwritten."""
-    found, rows = [], np.arange(len(ncc))
+def _find_highest(ncc: Map, count: int) -> NDArray[np.intp]:
+    """Return the indices of the ``count`` highest values of each row, ``(count, n)``; they are overwritten."""
+    highest, rows = [], np.arange(len(ncc))
     for _ in range(count):
-        found.append(ncc.argmax(1))
-        ncc[rows, found[-1]] = -np.inf
-    return np.stack(found)
+        highest.append(ncc.argmax(1))
+        ncc[rows, highest[-1]] = -np.inf
+    return np.stack(highest)
 
 
 @dataclass(frozen=True)
-class Places:
-    """A patch of the periodic image, looked at within one cell of displacements.
+class CellSearch:
+    """Search for the displacement of a window within one cell, to a fraction of a pixel.
 
     Parameters
     ----------
     template
-        The patch, its colors along the axes.
+        The patch of the periodic image, its colors along the axes.
     inside
-        ``bool``: at which of its offsets a window may lie.
+        ``bool``: the offsets that are searched.
     colors
         The axes.
     size
-        Pixels each way of a window that are taken together: 1, or 2 where tiles are large. The offsets stay single
-        pixels; a window so costs a quarter.
+        Width in px of the blocks whose means replace the pixels of a window: 1, or 2 for large tiles, which reduces the
+        cost to a quarter. Offsets are whole pixels in any case.
     """
 
     template: Template
@@ -478,13 +490,15 @@ class Places:
     size: int
 
     def find(self, planes: Planes, corners: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return where each window at ``corners`` fits best, ``(n, 2)`` as (x, y) in the patch, and its NCC there."""
-        ncc = np.concatenate(list(self._scan.maps(planes, corners)))
+        """Return the best offset of each window at ``corners``, ``(n, 2)`` as (x, y), and its NCC there."""
+        ncc = np.concatenate(list(self._search.maps(planes, corners)))
         surfaces = np.full((len(ncc), *self.inside.shape), -1, np.float32)
-        surfaces[:, self._scan.where] = ncc
-        return peaks(surfaces, self.inside)
+        surfaces[:, self._search.where] = ncc
+        return find_peaks(surfaces, self.inside)
 
     @cached_property
-    def _scan(self) -> Scan:
-        """All offsets, and those around them that a parabola through a peak needs."""
-        return Scan(self.template, ndimage.binary_dilation(self.inside), self.colors, (self.size, 2 * self.size))
+    def _search(self) -> OffsetSearch:
+        """Search of these offsets and of their neighbors, which the parabola through a peak needs."""
+        return OffsetSearch(
+            self.template, ndimage.binary_dilation(self.inside), self.colors, (self.size, 2 * self.size)
+        )

@@ -18,7 +18,7 @@ Distances = NDArray[np.float32]
 SIZES = (0.5, 1.0, 2.0)
 """Widths of the compared windows, in tiles."""
 _MOST_TILES = 1200
-"""Of more tiles only the central ones are compared."""
+"""Largest number of tiles that are compared; if there are more, the central ones."""
 _OF_COPIER = 0.1
 """Pairs are twins below the distance at which pairs of fresh draws are a tenth as frequent as twins of a copier."""
 _LEAST_PAIRS = 6
@@ -139,9 +139,9 @@ def find_twins(
     own, others = find_pairs(output, weights), [find_pairs(tiles, weights) for tiles in fresh]
     twins = []
     for i, size in enumerate(SIZES):
-        right = np.concatenate([other[i].distances for other in others])
-        if len(own[i].distances) and len(right):
-            limit = float(np.quantile(right, _OF_COPIER / sources[i]))
+        usual = np.concatenate([other[i].distances for other in others])
+        if len(own[i].distances) and len(usual):
+            limit = float(np.quantile(usual, _OF_COPIER / sources[i]))
             near, chance = Share.of([own[i]], limit * relative), Share.of([other[i] for other in others], limit)
             twins.append(Twins(size, near, chance, sources[i]))
     return twins
@@ -197,11 +197,11 @@ def copied_share(tiles: ComparedTiles) -> float | None:
     It is None if the sample holds no windows to compare with.
     """
     own = _nearest_in_sample(tiles.output, tiles)
-    right = np.concatenate([_nearest_in_sample(some, tiles, inside=not tiles.model) for some in tiles.reference])
-    if not len(own) or not len(right):
+    usual = np.concatenate([_nearest_in_sample(some, tiles, inside=not tiles.model) for some in tiles.reference])
+    if not len(own) or not len(usual):
         return None
-    limit = float(np.quantile(right, _BY_CHANCE))
-    share, natural = float((own <= limit).mean()), float((right <= limit).mean())
+    limit = float(np.quantile(usual, _BY_CHANCE))
+    share, natural = float((own <= limit).mean()), float((usual <= limit).mean())
     return (share - natural) / (1 - natural)
 
 
@@ -209,8 +209,8 @@ def _nearest_in_sample(some: TileSet, tiles: ComparedTiles, inside: bool = False
     """Return the distance of each quarter of each tile to the nearest window of the sample, ``(k,)``.
 
     The squared difference is divided by the departures of both from the mean tile, so it is 0 for a copy and about 1
-    for an independent window, and weak departures do not count as copies. ``inside`` tells that the tiles are the
-    sample's own: the same window at the same place does not count.
+    for an independent window, and weak departures do not count as copies. If ``inside`` is True, the tiles are
+    those of the sample, and each window is not compared with itself.
     """
     parts = zip(
         quarters(some.tiles),

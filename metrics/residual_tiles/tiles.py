@@ -21,17 +21,18 @@ from ..verdict.reference import FIRST_DRAW
 from ..verdict.verdict import Verdict
 
 _DRAWS, _MOST_DRAWS = 4, 12
-"""Fresh draws for outputs of 256 x 256 px; smaller outputs get more, so that there are about as many tiles."""
+"""Number of fresh draws for outputs of 256 x 256 px, and its upper limit. Smaller outputs get more draws, so that the
+number of tiles is about the same."""
 _FIRST_DRAW = FIRST_DRAW + 1000
 """Fresh draws from this number on have the output's size; those below belong to regularity."""
 _ALIGNMENT = 0.4
-"""Misalignment that aligned tiles may still have, px."""
+"""Remaining misalignment of aligned tiles, px."""
 _LEAST_NOISE = 0.03
 _CHANCE = 1.5
-"""By chance, the covariance of offsets in a right image exceeds that of the references by up to this factor."""
+"""Factor by which the covariance of offsets in an image without defects may exceed that of the references by chance."""
 
 Grid = tuple[int, int]
-"""Samples (V, U) of a tile."""
+"""Number of samples (V, U) of a tile."""
 QUARTERS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
 """Cell coordinates of the middles of a tile's quarters, in the order of :func:`quarters`."""
 
@@ -127,18 +128,18 @@ def quarters(tiles: Values) -> Values:
 def align_middles(image: Measurements, references: tuple[Measurements, ...]) -> Points:
     """Return the middles (x, y) px of the whole tiles, displaced by what exceeds the references' noise, ``(n, 2)``.
 
-    Unlike in :func:`find_middles`, this also applies to the offset of the window around a tile. Tiles of a right image
-    are therefore cut exactly on the lattice, like those of fresh draws.
+    Unlike in :func:`find_middles`, this also applies to the offset of the window around a tile. Tiles of an image
+    without defects are therefore cut exactly on the lattice, like those of fresh draws.
     """
     noise = [np.concatenate(parts) for parts in zip(*map(_offsets, references), strict=True)]
     middles = image.tiles.centers[image.tiles.whole]
-    for own, right in zip(_offsets(image), noise, strict=True):
-        middles = middles + own @ _wiener_filter(_covariance(own), _covariance(right), _CHANCE).T
+    for own, usual in zip(_offsets(image), noise, strict=True):
+        middles = middles + own @ _wiener_filter(_covariance(own), _covariance(usual), _CHANCE).T
     return middles
 
 
 def find_middles(image: Measurements, noise: Points) -> Points:
-    """Return the middles (x, y) px of the whole tiles where the image shows them, ``(n, 2)``.
+    """Return the middles (x, y) px of the whole tiles, displaced like the content of the image, ``(n, 2)``.
 
     A tile is displaced like the window around it, plus as much of its own offset from there as exceeds the noise of
     such offsets. This is Wiener's filter, whose signal covariance is that of the offsets less that of the noise.
@@ -156,7 +157,7 @@ def offset_noise(images: tuple[Measurements, ...]) -> Points:
 def _offsets(image: Measurements) -> tuple[Points, Points]:
     """Return for each whole tile the offset of the window around it, 0 if misplaced, and its own offset from there."""
     tiles, windows = image.tiles, image.windows
-    nearest = windows.nearest(tiles.centers[tiles.whole])
+    nearest = windows.find_nearest(tiles.centers[tiles.whole])
     inside = windows.misplacement[nearest] <= TOLERANCE
     around = windows.offsets[nearest] * inside[:, np.newaxis]
     return around, tiles.offsets[tiles.whole] - around
@@ -269,7 +270,7 @@ class ComparedTiles:
 
     @property
     def fewest(self) -> int:
-        """The smallest number of tiles in an image, or block of one, that is compared."""
+        """Smallest number of tiles in the compared images and blocks."""
         return min(map(len, (*self.blocks[0], *self.blocks[1], *self.fresh)), default=0)
 
 

@@ -75,7 +75,7 @@ def worst_of_parallels(
     side, far = 3, 6
     worst = np.zeros((2, 4))
     sums = np.zeros((3, width + 1))
-    found = np.zeros((2, width))
+    departures = np.zeros((2, width))
     raw = np.zeros((2, width))
     known = np.zeros(width, np.bool_)
     for lean in range(leans):
@@ -98,11 +98,11 @@ def worst_of_parallels(
             room = sums[2, x + 1 + far] - sums[2, x - 1 - far]
             raw[0, x] = step
             raw[1, x] = here / on - (around - here) / (room - on)
-            found[0, x] = step * np.sqrt(pixels)
-            found[1, x] = raw[1, x] * np.sqrt(on / 2)
+            departures[0, x] = step * np.sqrt(pixels)
+            departures[1, x] = raw[1, x] * np.sqrt(on / 2)
             number += 1
-            mean[0] += found[0, x]
-            mean[1] += found[1, x]
+            mean[0] += departures[0, x]
+            mean[1] += departures[1, x]
         if number == 0:
             continue
         mean /= number
@@ -110,7 +110,7 @@ def worst_of_parallels(
             usual, most, at = 0.0, 0.0, 0
             for x in range(far + 1, width - far):
                 if known[x]:
-                    departure = abs(found[kind, x] - mean[kind])
+                    departure = abs(departures[kind, x] - mean[kind])
                     usual += departure
                     if departure > most:
                         most, at = departure, x

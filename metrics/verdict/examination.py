@@ -1,4 +1,4 @@
-"""What the metrics of one observation share: the known lattice, the reference and the verdict."""
+"""The known lattice, the reference and the verdict, which the metrics of one observation share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nrbench.plugins.forms import Observation
 
 from ..ncc.periodic import WINDOW_TILES, window_shape
 from .reference import LATTICE_UNCERTAINTY, KnownLattice, Reference, find_known_lattice, make_reference
-from .verdict import Verdict, compare
+from .verdict import Verdict, compute_verdict
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Examination:
     Parameters
     ----------
     observation
-        Sample, output, truth and fresh draws; nothing else of an observation counts.
+        Sample, output, truth and fresh draws; no other field of an observation is used.
     """
 
     observation: Observation
@@ -33,20 +33,23 @@ class Examination:
 
     @cached_property
     def reference(self) -> Reference | str:
-        """What the output is compared with, or the reason why there is nothing."""
+        """The reference of the output, or the reason why there is none."""
         reason = self.known_lattice.reason or self._find_small_picture()
         return reason or make_reference(self.observation, self.known_lattice)
 
     @cached_property
     def verdict(self) -> Verdict | str:
-        """The output beside its reference, or the reason why they cannot be compared."""
+        """The verdict on the output, or the reason why there is none."""
         if isinstance(self.reference, str):
             return self.reference
-        verdict = compare(self.observation.output, self.reference)
+        verdict = compute_verdict(self.observation.output, self.reference)
         return verdict.obstacle or verdict
 
     def _find_small_picture(self) -> str:
-        """Say which picture is smaller than a window. Checked first: a reference of a large lattice costs much."""
+        """Return the reason if the output or the sample is smaller than a window; empty if none is.
+
+        This is checked first, because the reference of a large lattice is expensive.
+        """
         lattice = self.known_lattice.lattice
         assert lattice is not None
         window = np.array(window_shape(lattice.canonical(), WINDOW_TILES)) * (1 - LATTICE_UNCERTAINTY)

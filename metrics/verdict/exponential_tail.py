@@ -1,4 +1,4 @@
-"""How surprising the worst of many values is, calibrated on values that are known to be right."""
+"""Surprisal of extreme values, calibrated on values of images without defects."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ExponentialTail:
-    """The upper tail of a statistic over references: an exponential above a threshold.
+    """Exponential model of the upper tail of a statistic over references.
 
-    Peaks over a threshold (Pickands, Annals of Statistics 3, 1975), with the shape held at the exponential and the
-    scale estimated from few excesses: what it predicts for a new value is then Lomax's law, whose tail is heavier the
-    fewer the excesses are.
+    The model is that of peaks over a threshold (Pickands, Annals of Statistics 3, 1975), with an exponential
+    distribution above the threshold. Since the scale is estimated from few excesses, the predictive distribution of a
+    new value is Lomax's. Its tail is heavier the fewer the excesses are.
 
     Parameters
     ----------
@@ -25,9 +25,9 @@ class ExponentialTail:
     rate
         Share of the references above it.
     scale
-        Mean excess above it.
+        Mean excess over it.
     excesses
-        How many independent excesses the scale rests on.
+        Number of independent excesses from which the scale was estimated.
     """
 
     threshold: float
@@ -37,16 +37,16 @@ class ExponentialTail:
 
     @classmethod
     def fit(cls, values: Values, quantile: float = 0.95, overlap: float = 1.0) -> ExponentialTail:
-        """Fit the tail of the references' values.
+        """Fit the tail to the values of references.
 
         Parameters
         ----------
         values
-            One a window, at least one.
+            ``(n,)``: one value a window, at least one.
         quantile
-            Where the tail begins.
+            Quantile of the values that is the threshold.
         overlap
-            How many windows share what one independent window would see.
+            Number of overlapping windows that count as one independent window.
         """
         threshold = float(np.quantile(values, quantile))
         excess = values[values > threshold] - threshold
@@ -54,10 +54,10 @@ class ExponentialTail:
         return cls(threshold, 1 - quantile, max(scale, 1e-3), max(len(excess) / overlap, 1.0))
 
     def surprisal(self, values: Values) -> Values:
-        """Return, for each of n values, about -log of the chance that the largest of n references exceeds it.
+        """Return for each of n values about -log of the probability that the largest of n references exceeds it.
 
-        The size of the image is so accounted for: over right images the largest surprise exceeds x in a share of about
-        exp(-x), however many windows they have.
+        The surprisal accounts for the size of the image. The largest surprisal of an image without defects exceeds x
+        with a probability of about exp(-x), whatever the number of its windows.
         """
         beyond = np.maximum(values - self.threshold, 0) / self.scale
         return np.asarray(self.excesses * np.log1p(beyond / self.excesses) - np.log(max(self.rate * len(values), 1e-9)))

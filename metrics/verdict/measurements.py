@@ -1,4 +1,4 @@
-"""What is measured of an image: its windows, its tiles and its courses against the periodic image."""
+"""Measure the windows, the tiles and the courses of an image against the periodic image."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import Values
 
 from ..ncc.periodic import Periodic
-from .courses import Strips, strips
-from .tiles import Tiles, inspect
+from .courses import Courses, measure_courses
+from .tiles import Tiles, measure_tiles
 from .windows import RegisteredWindows, register_windows
 
 
@@ -22,30 +22,30 @@ class Measurements:
     ----------
     image
         The image.
-    seen
-        What is compared with the periodic image: the image, or its detail.
+    prepared
+        The image that is compared with the periodic image: ``image``, or its detail.
     periodic
-        What it should follow.
+        The periodic image.
     windows
-        Its windows, two tiles wide.
+        The windows, two tiles wide.
     tiles
-        Its tiles, at the phase that most windows share.
+        The tiles, at the phase that most windows share.
     """
 
     image: Image
-    seen: Values
+    prepared: Values
     periodic: Periodic
     windows: RegisteredWindows
     tiles: Tiles
 
     @classmethod
-    def at(cls, image: Image, periodic: Periodic, seen: Values | None = None) -> Measurements:
-        """Register the windows of ``seen`` (None: of the image), then inspect its tiles at their phase."""
-        seen = image if seen is None else seen
-        windows = register_windows(seen, periodic)
-        return cls(image, seen, periodic, windows, inspect(seen, periodic, windows.phase))
+    def at(cls, image: Image, periodic: Periodic, prepared: Values | None = None) -> Measurements:
+        """Register the windows of ``prepared`` (None: of the image), then measure its tiles at their phase."""
+        prepared = image if prepared is None else prepared
+        windows = register_windows(prepared, periodic)
+        return cls(image, prepared, periodic, windows, measure_tiles(prepared, periodic, windows.phase))
 
     @cached_property
-    def strips(self) -> Strips:
-        """Its courses, each slid along the periodic image as a whole."""
-        return strips(self.seen, self.tiles.lattice, self.periodic)
+    def courses(self) -> Courses:
+        """The courses, each compared as a whole with the periodic image slid along it."""
+        return measure_courses(self.prepared, self.tiles.lattice, self.periodic)

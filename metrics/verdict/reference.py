@@ -19,43 +19,44 @@ from nrbench.plugins.forms import Again, NoLatticeFound, Observation, Shape, Tex
 from ..ncc.periodic import LARGE, WINDOW_TILES, Periodic, tile_box, window_shape
 from . import limits
 from .measurements import Measurements
-from .windows import fit_drift, moved, register_windows, spread
+from .windows import displace_lattice, fit_drift, register_windows, stretch_matrix
 
 Origin = Literal["model", "given", "dominance"]
 NO_LATTICE = "not applicable: no lattice in the truth"
 _DIGITS = 9
-"""Decimals, px, to which the origin of a canonical lattice is rounded."""
+"""Decimals to which the origin of a canonical lattice, in px, is rounded."""
 FIRST_DRAW = 1 << 16
 """Number of the first fresh draw of the reference; the oracle and the planted defects use smaller numbers."""
 DRAWS = 3
-"""Fresh draws looked at: of :data:`~.periodic.LARGE` tiles a side, some 150 tiles and 600 one-tile windows."""
+"""Number of fresh draws. With :data:`~.periodic.LARGE` tiles a side they hold 150 tiles and 600 one-tile windows."""
 LATTICE_UNCERTAINTY = 0.02
-"""How far a lattice that was given for a photograph may be off, as a fraction of its vectors: three pixels over the
-five to six tiles of a sample of 128 px, which is what marking it by hand comes to."""
+"""Largest relative error of the vectors of a lattice that is given for a photograph. It corresponds to marking the
+lattice by hand with an error of three pixels over the five to six tiles of a sample of 128 px."""
 _LEAST_TILES_A_SIDE = 5
-"""Fewest tiles along each side of a fresh draw, where :data:`~.periodic.LARGE` would be too large."""
+"""Least number of tiles along each side of a fresh draw, for tiles so large that :data:`~.periodic.LARGE` exceeds the
+largest side."""
 _SIDES = (128, 320)
-"""Least and largest side of a fresh draw, px, as long as the fewest tiles fit."""
+"""Smallest and largest side of a fresh draw, px; the side is larger if the least number of tiles needs it."""
 _DETAIL = 0.2
-"""Standard deviation, in s, of the blur that detail is without: colors that differ from tile to tile are gone then,
-joints are not."""
+"""Standard deviation, in s, of the blur that is subtracted to get the detail. This removes colors that differ from tile
+to tile, but not the joints."""
 _WINDOWS, _MOST = 1.5, 0.7
-"""A part of the sample is this many windows long, but no more than that share of the sample."""
+"""Length of a part of the sample: in windows, and at most as a share of the sample."""
 
 
 @dataclass(frozen=True)
 class KnownLattice:
-    """The lattice of the sample, as all metrics use it.
+    """The lattice of the sample that all metrics use.
 
     Parameters
     ----------
     lattice
-        In the canonical basis, its origin the point nearest to (0, 0); None if the sample has no lattice.
+        In the canonical basis, with the point nearest to (0, 0) as origin; None if the sample has no lattice.
     origin
-        Where the lattice comes from. ``"model"``: the model of the texture. ``"given"``: the user, for a photograph;
-        the lattice is then uncertain. ``"dominance"``: that detector found it in the sample.
+        Source of the lattice. ``"model"``: the model of the texture. ``"given"``: the user, for a photograph; the
+        lattice is then uncertain. ``"dominance"``: the detector of that name, applied to the sample.
     reason
-        Why there is no lattice.
+        Reason why there is no lattice.
     """
 
     lattice: Lattice | None
@@ -66,11 +67,11 @@ class KnownLattice:
 def find_known_lattice(observation: Observation) -> KnownLattice:
     """Return the lattice of the sample: that of the truth, else what the detector ``dominance`` finds in the sample.
 
-    A model, or a truth of kind ``"stochastic"``, without a lattice is believed. The lattice that the method received
-    or used does not count: outputs of different methods are compared by one lattice of their sample.
+    If a model, or a truth of kind ``"stochastic"``, has no lattice, no detector is used. The lattice that the method
+    received or used does not count: outputs of different methods are compared by one lattice of their sample.
 
     The detector is ``dominance`` because no synthesizer uses it by default (``rsgf`` and ``tile-set`` use
-    ``consensus``): a score must not share the lattice finder of a method that it ranks.
+    ``consensus``). A score must not use the detector of a method that it ranks.
     """
     truth, again = observation.truth, observation.again
     if truth is not None and truth.lattice is not None:
@@ -86,7 +87,7 @@ def find_known_lattice(observation: Observation) -> KnownLattice:
 
 
 def canonical_lattice(lattice: Lattice) -> Lattice:
-    """Return the lattice in its canonical basis, its origin the point nearest to (0, 0)."""
+    """Return the lattice in its canonical basis, with the point nearest to (0, 0) as origin."""
     canonical = lattice.canonical()
     x, y = (round(float(value), _DIGITS) for value in canonical.wrap(canonical.origin))
     return Lattice(canonical.t1, canonical.t2, (x, y))
@@ -102,7 +103,7 @@ class ReferenceImage:
 
 @dataclass(frozen=True)
 class Reference:
-    """What an output is compared with.
+    """The periodic image and the images without defects that an output is compared with.
 
     Parameters
     ----------
@@ -114,14 +115,14 @@ class Reference:
     images
         Images of the texture without defects.
     regular_share
-        Variance of the regular part over the whole variance, in [0, 1].
+        Variance of the regular part over the total variance, in [0, 1].
     known
         The known lattice.
     fit
-        2 x 2 matrix that takes the vectors of the known lattice to those of :attr:`lattice`, which is fitted to the
+        2 x 2 matrix that maps the vectors of the known lattice to those of :attr:`lattice`, which is fitted to the
         sample.
     detail
-        Standard deviation, px, of the blur that is subtracted from images before they are compared; 0: none is.
+        Standard deviation, px, of the blur that is subtracted from images before they are compared; 0: no blur.
     """
 
     source: Literal["model", "sample"]
@@ -132,28 +133,29 @@ class Reference:
     fit: Points = field(default_factory=lambda: np.eye(2))
     detail: float = 0.0
 
-    def view(self, image: Values) -> Values:
-        """Return what is compared of an image: all of it, or its detail."""
-        return _detail(image, self.detail)
+    def prepare_image(self, image: Values) -> Values:
+        """Return the image that is compared with the periodic image: the image itself, or its detail."""
+        return _subtract_blur(image, self.detail)
 
     @cached_property
     def measurements(self) -> tuple[Measurements, ...]:
         """Measurements of the reference images."""
-        return tuple(Measurements.at(one.image, one.periodic, self.view(one.image)) for one in self.images)
+        return tuple(Measurements.at(one.image, one.periodic, self.prepare_image(one.image)) for one in self.images)
 
     @property
     def lattice(self) -> Lattice:
         """The true lattice, in its canonical basis, in the sample's coordinates."""
         return self.periodic.lattice
 
-    def forgiven(self, drift: Points) -> bool:
-        """Return whether an output's affine displacement may come from the uncertainty of the lattice.
+    def allows_drift(self, drift: Points) -> bool:
+        """Return whether the uncertainty of the lattice explains an output's affine displacement.
 
-        Never where a model knows it. Else the output's lattice must lie within :data:`LATTICE_UNCERTAINTY` of the one
-        that was given, like the sample's own: what fitting the sample took of it is not allowed once more.
+        It does not if a model gives the lattice. Otherwise the lattice of the output must lie within
+        :data:`LATTICE_UNCERTAINTY` of the given one. The lattice that was fitted to the sample is not used for this
+        comparison, because the fit has used a part of the uncertainty already.
         """
-        away = spread(drift) @ self.fit - np.eye(2)
-        return self.source == "sample" and float(np.linalg.norm(away, 2)) <= LATTICE_UNCERTAINTY
+        difference = stretch_matrix(drift) @ self.fit - np.eye(2)
+        return self.source == "sample" and float(np.linalg.norm(difference, 2)) <= LATTICE_UNCERTAINTY
 
 
 def make_reference(observation: Observation, known: KnownLattice) -> Reference:
@@ -165,9 +167,10 @@ def make_reference(observation: Observation, known: KnownLattice) -> Reference:
 
 
 def reference_from_sample(sample: Image, lattice: Lattice, origin: Origin = "given") -> Reference:
-    """Return the reference of a sample, or of its detail if the whole sample has too little that is regular.
+    """Return the reference of a sample, or of its detail if the regular share of the sample is too small.
 
-    Large differences of color between tiles hide the joints, by which people still see the lattice.
+    Large differences of color between tiles dominate the variance and hide the joints, which still show the lattice to
+    people.
     """
     whole = fold_reference(sample, lattice, origin)
     if whole.regular_share >= limits.SURE_SHARE:
@@ -176,8 +179,8 @@ def reference_from_sample(sample: Image, lattice: Lattice, origin: Origin = "giv
     return fine if fine.regular_share > whole.regular_share else whole
 
 
-def _detail(image: Values, sigma: float) -> Values:
-    """Return an image less its blur; the image where ``sigma`` is 0."""
+def _subtract_blur(image: Values, sigma: float) -> Values:
+    """Return an image less its Gaussian blur; the image itself if ``sigma`` is 0."""
     if not sigma:
         return image
     return np.asarray(image - ndimage.gaussian_filter(image, (sigma, sigma, 0), mode="reflect"), np.float32)
@@ -200,33 +203,42 @@ def reference_from_model(truth: Texture, lattice: Lattice, again: Again) -> Refe
     periodic = Periodic(lattice, ideal, variance)
     share = truth.regular_share
     if share is None:
-        share = _share(_ideal(draws[0]), float(departures.mean()))
+        share = _regular_share(_ideal(draws[0]), float(departures.mean()))
     images = tuple(ReferenceImage(quantize(draw.image), periodic) for draw in draws)
     return Reference("model", periodic, images, share, KnownLattice(lattice, "model"))
 
 
 def fold_reference(sample: Image, lattice: Lattice, origin: Origin = "given", detail: float = 0.0) -> Reference:
-    """Return the reference of a sample, or of its detail, of which only the lattice is known.
+    """Return the reference of a sample without a model.
 
     The lattice is first fitted to the sample, within :data:`LATTICE_UNCERTAINTY`.
+
+    Parameters
+    ----------
+    sample
+        The sample.
+    lattice, origin
+        The lattice of the sample, and its source.
+    detail
+        Standard deviation, px, of the blur that is subtracted from the sample; 0: no blur.
     """
-    seen = _detail(sample, detail)
+    prepared = _subtract_blur(sample, detail)
     known = KnownLattice(canonical_lattice(lattice), origin)
     everywhere = np.ones(sample.shape[:2], np.bool_)
     assert known.lattice is not None
-    rough = _folded(seen, known.lattice, everywhere)
-    drift = fit_drift(register_windows(seen, rough))
-    if not 0 < np.linalg.norm(spread(drift) - np.eye(2), 2) <= LATTICE_UNCERTAINTY:
+    rough = _fold_periodic(prepared, known.lattice, everywhere)
+    drift = fit_drift(register_windows(prepared, rough))
+    if not 0 < np.linalg.norm(stretch_matrix(drift) - np.eye(2), 2) <= LATTICE_UNCERTAINTY:
         drift = np.zeros((2, 2))
-    periodic = _folded(seen, moved(known.lattice, drift, np.zeros(2)), everywhere)
-    parts = _parts(sample.shape[:2], periodic.lattice)
-    images = tuple(_crossed(sample, seen, periodic.lattice, part) for part in parts)
-    share = _sample_share(seen, periodic.lattice)
-    return Reference("sample", periodic, images, share, known, spread(drift), detail)
+    periodic = _fold_periodic(prepared, displace_lattice(known.lattice, drift, np.zeros(2)), everywhere)
+    parts = _split_sample(sample.shape[:2], periodic.lattice)
+    images = tuple(_cross_fit_part(sample, prepared, periodic.lattice, part) for part in parts)
+    share = _sample_regular_share(prepared, periodic.lattice)
+    return Reference("sample", periodic, images, share, known, stretch_matrix(drift), detail)
 
 
-def _parts(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of two ends of the sample's longer side: halves, or more where windows would not fit."""
+def _split_sample(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks of the two ends of the sample's longer side: halves, or longer parts if windows would not fit."""
     axis = int(shape[1] >= shape[0])
     length = int(np.clip(_WINDOWS * window_shape(lattice, WINDOW_TILES)[axis], shape[axis] / 2, _MOST * shape[axis]))
     along = np.arange(shape[axis])
@@ -235,41 +247,41 @@ def _parts(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[n
     return first, last
 
 
-def _crossed(sample: Image, seen: Values, lattice: Lattice, part: NDArray[np.bool_]) -> ReferenceImage:
-    """Return one part of the sample as a reference image whose periodic image is the mean tile of the rest."""
+def _cross_fit_part(sample: Image, prepared: Values, lattice: Lattice, part: NDArray[np.bool_]) -> ReferenceImage:
+    """Return one part of the sample as a reference image, with the mean tile of the rest as its periodic image."""
     rows, columns = np.flatnonzero(part.any(1)), np.flatnonzero(part.any(0))
     crop = sample[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    rest = _folded(seen, lattice, ~part)
+    rest = _fold_periodic(prepared, lattice, ~part)
     shifted = lattice.shifted((-float(columns[0]), -float(rows[0])))
-    return ReferenceImage(crop, rest.on(shifted))
+    return ReferenceImage(crop, rest.with_lattice(shifted))
 
 
-def _folded(sample: Values, lattice: Lattice, mask: NDArray[np.bool_]) -> Periodic:
-    """Return the sample's mean tile, and its variance across tiles: a mean of n tiles takes 1/n of it."""
+def _fold_periodic(sample: Values, lattice: Lattice, mask: NDArray[np.bool_]) -> Periodic:
+    """Return the sample's mean tile, and the variance across tiles, corrected for the share 1/n that a mean takes."""
     tile = fold(sample, lattice, mask)
     cells = max(float(mask.sum()) / lattice.area, 1.5)
     departures = ((sample - tile.unfold(sample.shape[:2])) ** 2).mean(-1, keepdims=True)
     return Periodic(lattice, tile, fold(departures * np.float32(cells / (cells - 1)), lattice, mask))
 
 
-def _sample_share(sample: Values, lattice: Lattice) -> float:
-    """Return the regular share of a sample, on the scale of a model's.
+def _sample_regular_share(sample: Values, lattice: Lattice) -> float:
+    """Return the regular share of a sample, comparable with that of a model.
 
-    Folding smooths: with one sample a pixel the mean tile loses a fourth of the variance of thin joints. So the tile is
-    sampled twice as finely, what a second folding loses is put back, and 1/n of the departures, which a mean of n tiles
-    keeps, is taken out.
+    Folding smooths: with one sample per pixel the mean tile loses a fourth of the variance of thin joints. Therefore
+    the tile is sampled twice as finely, and the loss is estimated by a second folding and added. A mean of n tiles also
+    contains 1/n of the variance of the departures, which is subtracted.
     """
     rows, columns = tile_grid(lattice)
     grid, shape = (2 * rows, 2 * columns), sample.shape[:2]
     once = fold(sample, lattice, grid=grid).unfold(shape)
     twice = fold(once, lattice, grid=grid).unfold(shape)
     total, regular, kept = (float(one.var((0, 1), dtype=np.float64).mean()) for one in (sample, once, twice))
-    share, left = regular**2 / max(kept * total, 1e-12), lattice.area / (shape[0] * shape[1])
-    return float(np.clip((share - left) / max(1 - left, 1e-12), 0, 1))
+    share, bias = regular**2 / max(kept * total, 1e-12), lattice.area / (shape[0] * shape[1])
+    return float(np.clip((share - bias) / max(1 - bias, 1e-12), 0, 1))
 
 
-def _share(ideal: Values, departures: float) -> float:
-    """Return the variance of the periodic image (mean over channels) over that plus the departures'."""
+def _regular_share(ideal: Values, departures: float) -> float:
+    """Return the variance of the periodic image, mean over channels, over the total variance."""
     regular = float(ideal.var((0, 1), dtype=np.float64).mean())
     return regular / max(regular + departures, 1e-12)
 

@@ -1,4 +1,4 @@
-"""The verdict: whether an output kept its lattice, from its windows, tiles and courses beside those of references."""
+"""The verdict on regularity: compare windows, tiles and courses of an output with those of its references."""
 
 from __future__ import annotations
 
@@ -13,38 +13,39 @@ from nrbench.lattice.geometry import Points
 
 from ..ncc.periodic import TOLERANCE
 from . import limits
-from .courses import course_excess, strip_excess
+from .courses import course_gain_excess, course_slide_excess
 from .measurements import Measurements
 from .reference import Reference
-from .tiles import Tiles, breakage_excess, displacement_excess, elsewhere_excess, inspect
-from .windows import OwnLattice, fit_drift, neighborhood_excess, own_lattice, register_windows, scatter_excess
+from .tiles import Tiles, breakage_excess, displacement_excess, elsewhere_excess, measure_tiles
+from .windows import OwnLattice, fit_drift, fit_own_lattice, neighborhood_excess, register_windows, scatter_excess
 
 Flags = NDArray[np.bool_]
 Ratios = NDArray[np.float64]
 _OVERLAP = 0.55
-"""Tiles whose distance times this stays within the Voronoi cell overlap: 0.5 would be tiles that touch."""
+"""Two bad places count as one tile if their distance times this factor lies within the Voronoi cell. With a factor of
+0.5 they would be one tile if their cells touch."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """An output beside its references.
+    """The verdict on an output, and the statistics from which it follows.
 
     Parameters
     ----------
     reference
-        What it is compared with.
+        The reference that the output is compared with.
     output
-        The output.
+        Measurements of the output.
     drift
         2 x 2 matrix: the affine part of the output's displacement.
-    own
-        The least-squares lattice of the output; None where it has too few windows.
+    own_lattice
+        The least-squares lattice of the output; None if it has too few windows.
     """
 
     reference: Reference
     output: Measurements
     drift: Points
-    own: OwnLattice | None
+    own_lattice: OwnLattice | None
 
     @property
     def references(self) -> tuple[Measurements, ...]:
@@ -54,8 +55,8 @@ class Verdict:
     @cached_property
     def scatter(self) -> float:
         """95th percentile of the misplacement of the windows of the references, in s."""
-        own = np.concatenate([image.windows.misplacement for image in self.references])
-        return float(np.quantile(own, 0.95)) if len(own) else 0.0
+        reference = np.concatenate([image.windows.misplacement for image in self.references])
+        return float(np.quantile(reference, 0.95)) if len(reference) else 0.0
 
     @property
     def limit(self) -> float:
@@ -63,37 +64,37 @@ class Verdict:
         return float(np.clip(2 * self.scatter, TOLERANCE, 2 * limits.REFERENCE_SCATTER))
 
     @cached_property
-    def misplaced(self) -> Flags:
+    def misplaced_windows(self) -> Flags:
         """Which windows of the output are out of place."""
         return self.output.windows.misplacement > self.limit
 
     @cached_property
     def reference_misplaced(self) -> float:
-        """Share of windows out of place in the references."""
-        own = np.concatenate([image.windows.misplacement for image in self.references])
-        return float((own > self.limit).mean()) if len(own) else 1.0
+        """Share of the references' windows that are out of place."""
+        reference = np.concatenate([image.windows.misplacement for image in self.references])
+        return float((reference > self.limit).mean()) if len(reference) else 1.0
 
     @cached_property
     def structure(self) -> float:
         """Median NCC of the output's windows over that of the references'."""
-        own = np.concatenate([image.windows.structure for image in self.references])
-        return float(np.median(self.output.windows.structure) / max(np.median(own), 1e-6))
+        reference = np.concatenate([image.windows.structure for image in self.references])
+        return float(np.median(self.output.windows.structure) / max(np.median(reference), 1e-6))
 
     @cached_property
     def displacement_excess(self) -> Ratios:
-        """For each tile, the ratio of its better fit elsewhere to the limit: above 1 the tile is displaced."""
+        """For each tile, the ratio of its better fit elsewhere to the limits; above 1 the tile is displaced."""
         return displacement_excess(self.output.tiles, self._reference_tiles, self.reference.regular_share)
 
     @cached_property
     def breakage_excess(self) -> Ratios:
-        """For each tile, the ratio of its bad fit at its place to the limit: above 1 the tile is broken."""
+        """For each tile, the ratio of its bad fit in its place to the limits; above 1 the tile is broken."""
         return breakage_excess(self.output.tiles, self._reference_tiles)
 
     @property
     def worst_tile_displacement(self) -> float:
-        """Displacement, in s, of the tile whose fit elsewhere is better by most."""
+        """Displacement, in s, of the tile that gains most by a fit elsewhere."""
         tiles = self.output.tiles
-        return float(np.hypot(*tiles.moved[tiles.gain.argmax()]) / tiles.lattice.s)
+        return float(np.hypot(*tiles.displacements[tiles.gain.argmax()]) / tiles.lattice.s)
 
     @property
     def _reference_tiles(self) -> list[Tiles]:
@@ -107,9 +108,11 @@ class Verdict:
     @cached_property
     def structure_spread(self) -> float | None:
         """Interquartile range of the NCC of the windows over that of the references; None if theirs is negligible."""
-        own = np.concatenate([image.windows.structure for image in self.references])
-        usual, seen = (float(np.ptp(np.quantile(some, (0.25, 0.75)))) for some in (own, self.output.windows.structure))
-        return seen / usual if usual > limits.LEAST_SPREAD else None
+        reference = np.concatenate([image.windows.structure for image in self.references])
+        usual, spread = (
+            float(np.ptp(np.quantile(some, (0.25, 0.75)))) for some in (reference, self.output.windows.structure)
+        )
+        return spread / usual if usual > limits.LEAST_SPREAD else None
 
     @property
     def usual_misplacement(self) -> float:
@@ -127,17 +130,17 @@ class Verdict:
         return self.breakage_excess > 1
 
     @cached_property
-    def moved(self) -> Flags:
-        """Which tiles lie in a window that is out of place, or in a course that has slid."""
-        around = self.misplaced[self.output.windows.nearest(self.output.tiles.centers)]
+    def in_displaced_region(self) -> Flags:
+        """Which tiles lie in a displaced region: in a window that is out of place, or in a course that has slid."""
+        around = self.misplaced_windows[self.output.windows.find_nearest(self.output.tiles.centers)]
         return np.asarray(around | (self.course_excess > 1))
 
     @cached_property
     def course_excess(self) -> Ratios:
-        """For each tile, the ratio of the slip of its worst course to the limit: above 1 the course has slid."""
-        tiles, own = self.output.tiles, [image.strips for image in self.references]
-        slid = strip_excess(self.output.strips, own, tiles)
-        return np.maximum(course_excess(tiles, self._reference_tiles), slid)
+        """For each tile, the ratio of the slide of its worst course to the limits; above 1 the course has slid."""
+        tiles, references = self.output.tiles, [image.courses for image in self.references]
+        slide_excess = course_slide_excess(self.output.courses, references, tiles)
+        return np.maximum(course_gain_excess(tiles, self._reference_tiles), slide_excess)
 
     @property
     def bad(self) -> Flags:
@@ -147,7 +150,7 @@ class Verdict:
     @property
     def score(self) -> float:
         """Share of tiles in place and intact."""
-        return float(1 - (self.bad | self.moved).mean())
+        return float(1 - (self.bad | self.in_displaced_region).mean())
 
     @cached_property
     def excesses(self) -> dict[str, float]:
@@ -156,7 +159,7 @@ class Verdict:
         windows, references = self.output.windows, [image.windows for image in self.references]
         model = self.reference.source == "model"
         return {
-            "misplaced windows": float(self.misplaced.mean()) / most,
+            "misplaced windows": float(self.misplaced_windows.mean()) / most,
             "worst neighborhood": neighborhood_excess(windows, references, self.limit, model),
             "bent": scatter_excess(windows, references) if model else 0.0,
             "structure": (1 - self.structure) / (1 - limits.STRUCTURE),
@@ -174,7 +177,7 @@ class Verdict:
     def faults(self) -> tuple[str, ...]:
         """A sentence for each fault beyond its limit; empty if there is none."""
         sentences = {
-            "misplaced windows": f"{self.misplaced.mean():.0%} of the windows are out of place",
+            "misplaced windows": f"{self.misplaced_windows.mean():.0%} of the windows are out of place",
             "worst neighborhood": f"a neighborhood is off by {self.worst_neighborhood:.2f} s",
             "bent": "the content is bent",
             "structure": f"the structure is {self.structure:.2f} of the references'",
@@ -212,7 +215,7 @@ class Verdict:
         if min(self.output.windows.grid) < limits.LEAST_WINDOWS:
             return None
         if self.lack_of_power:
-            return False if self.misplaced.mean() > limits.GROSS_SHARE + 2 * self.reference_misplaced else None
+            return False if self.misplaced_windows.mean() > limits.GROSS_SHARE + 2 * self.reference_misplaced else None
         return False if self.faults else (self.reference.regular_share >= limits.SURE_SHARE or None)
 
     @property
@@ -230,7 +233,7 @@ class Verdict:
 
     @cached_property
     def bad_places(self) -> Points:
-        """``(n, 2)``: middles (x, y) px of the bad tiles, worst first; those of one tile are counted once."""
+        """``(n, 2)``: middles (x, y) px of the bad tiles, worst first. Windows of one tile count once."""
         tiles = self.output.tiles
         index = np.flatnonzero(self.bad)
         index = index[np.argsort(tiles.here[index], kind="stable")]
@@ -243,7 +246,7 @@ class Verdict:
 
     @property
     def obstacle(self) -> str:
-        """Why output and reference cannot be compared; empty if they can."""
+        """Reason why output and reference cannot be compared; empty if they can."""
         if self.reference.regular_share < limits.NO_SHARE:
             return f"undecided: the lattice explains {self.reference.regular_share:.0%} of the sample's variance"
         for name, images in (("output", (self.output,)), (self.reference.source, self.references)):
@@ -256,13 +259,16 @@ class Verdict:
         return "fresh draws" if self.reference.source == "model" else "sample"
 
 
-def compare(output: Image, reference: Reference) -> Verdict:
-    """Return the verdict on an output; a drift that the uncertainty of the lattice allows is left out."""
-    seen = reference.view(output)
-    windows = register_windows(seen, reference.periodic)
+def compute_verdict(output: Image, reference: Reference) -> Verdict:
+    """Return the verdict on an output.
+
+    A drift that the uncertainty of the lattice allows is subtracted from all displacements.
+    """
+    prepared = reference.prepare_image(output)
+    windows = register_windows(prepared, reference.periodic)
     drift = fit_drift(windows)
-    left_out = drift if reference.forgiven(drift) else np.zeros((2, 2))
-    placed = windows.without(left_out)
-    tiles = inspect(seen, reference.periodic, placed.phase, left_out)
-    measurements = Measurements(output, seen, reference.periodic, placed, tiles)
-    return Verdict(reference, measurements, drift, own_lattice(windows, drift))
+    allowed_drift = drift if reference.allows_drift(drift) else np.zeros((2, 2))
+    aligned = windows.subtract_drift(allowed_drift)
+    tiles = measure_tiles(prepared, reference.periodic, aligned.phase, allowed_drift)
+    measurements = Measurements(output, prepared, reference.periodic, aligned, tiles)
+    return Verdict(reference, measurements, drift, fit_own_lattice(windows, drift))

@@ -16,18 +16,18 @@ from nrbench.lattice.geometry import Lattice, Points
 from .elements import SAMPLES, Cutter
 
 Rows = NDArray[np.float64]
-"""``(n, p)``: one tile's departures from the mean tile a row."""
+"""``(n, p)``: each row holds the departures of one tile from the mean tile."""
 Levels = NDArray[np.float64]
 _LEAST_RATIO = 2.0
 _MOST_DIRECTIONS = 24
 _CUTS, _ASIDE = 16, (-0.2, 0.0, 0.2, 0.0)
-"""Directions of the cuts through a tile, and their distances from its middle in turn, in cells."""
+"""Number of directions of the cuts through a tile, and the distances of successive cuts from its middle, in cells."""
 _PARTNERS = (3, 7, 11, 17)
 """Each tile is joined to the tiles this many rows before it."""
 _WIDE = 2 * SAMPLES + 1
-"""Samples of the windows that are blurred: half a cell more on every side."""
+"""Samples along each side of the windows that are blurred, which are larger by half a cell on every side."""
 _MOST_ALTERED = 48
-"""Windows of an image that are altered; second moments need no more."""
+"""Largest number of windows of an image that are altered to estimate second moments."""
 _BLURS = (1.5, 3.0, 6.0)
 """Standard deviations of the blurs, px."""
 _BENDS, _BEND, _SHIFT = 64, 0.05, 0.05
@@ -47,7 +47,7 @@ class WholeTiles:
     rows
         ``(n, p)``: their departures from their mean.
     altered
-        ``(p, p)``: second moments of what :func:`alteration_moments` adds to them.
+        ``(p, p)``: second moments of the changes by alterations, from :func:`alteration_moments`.
     """
 
     rows: Rows
@@ -146,11 +146,11 @@ def alteration_moments(cutter: Cutter, middles: Points) -> Rows:
         ``(n, 2)``: middles of at least one window inside the image.
     """
     middles = middles[:: -(-len(middles) // _MOST_ALTERED)]
-    wide = cutter.around(middles, _WIDE, _WIDE / SAMPLES)
+    wide = cutter.cut_around(middles, _WIDE, _WIDE / SAMPLES)
     side = (_WIDE - SAMPLES) // 2
     own, channels = _rows(wide[:, side:-side, side:-side]), wide.shape[-1]
     flat = wide.reshape(len(wide), -1, channels)
-    total = _moments(_rows(cutter.around(middles, bends=_bends(cutter.lattice))) - own)
+    total = _moments(_rows(cutter.cut_around(middles, bends=_bends(cutter.lattice))) - own)
     total += _moments(np.repeat(_lights(cutter.lattice), channels, 1))
     cut = np.resize(_cut_masks(own.shape[1]), own.shape)
     for deviation in _BLURS:

@@ -66,7 +66,7 @@ class Cutter:
         self._tracked: tuple[cKDTree, Points] | None = None
 
     @classmethod
-    def following(cls, measurements: Measurements, noise: Points) -> Cutter:
+    def from_measurements(cls, measurements: Measurements, noise: Points) -> Cutter:
         """Return a cutter that follows the displacements of an image's tiles.
 
         Parameters
@@ -86,14 +86,16 @@ class Cutter:
         points = _points(self.lattice, self.shape, (float(place[0]), float(place[1])))
         offsets = np.zeros_like(points)
         if self._tracked is not None:
-            tree, moved = self._tracked
-            offsets = moved[tree.query(points)[1]]
+            tree, displacements = self._tracked
+            offsets = displacements[tree.query(points)[1]]
         middles = points + offsets
         reach = np.abs(self._steps(samples, cells)).reshape(-1, 2).max(0)
         inside = (middles >= reach).all(1) & (middles <= np.array(self.shape[::-1]) - 1 - reach).all(1)
-        return Windows(middles[inside], self.around(middles[inside], samples, cells))
+        return Windows(middles[inside], self.cut_around(middles[inside], samples, cells))
 
-    def around(self, middles: Points, samples: int = SAMPLES, cells: float = 1.0, bends: Bends | None = None) -> Values:
+    def cut_around(
+        self, middles: Points, samples: int = SAMPLES, cells: float = 1.0, bends: Bends | None = None
+    ) -> Values:
         """Return windows around middles, ``(n, samples, samples, C)``; beyond the image its border is repeated.
 
         Parameters
@@ -103,7 +105,7 @@ class Cutter:
         samples, cells
             Samples and size of a window along each of the lattice's vectors.
         bends
-            Affine maps that bend the content of the windows, used in turn; None if it is not bent.
+            Affine maps that bend the content of the windows, one for each window in turn; None: no bending.
         """
         steps = self._steps(samples, cells)
         if bends is None:
@@ -127,7 +129,7 @@ def _points(lattice: Lattice, shape: Shape, place: Vector) -> Points:
     return Lattice(lattice.t1, lattice.t2, (float(origin[0]), float(origin[1]))).points(shape)
 
 
-def departures(values: Values) -> NDArray[np.float64]:
+def subtract_mean(values: Values) -> NDArray[np.float64]:
     """Return windows ``(n, SAMPLES, SAMPLES, C)`` less their mean, ``(n, p)``."""
     flat = values.reshape(len(values), -1).astype(np.float64)
     return flat - flat.mean(0) if len(flat) else flat

@@ -58,12 +58,12 @@ class Case:
 
     def verdict(self, output: Image, model: bool = True) -> Verdict:
         """Return the verdict on an output."""
-        verdict = examine(self.seen(output, model)).verdict
+        verdict = examine(self.observe(output, model)).verdict
         assert isinstance(verdict, Verdict)
         return verdict
 
-    def seen(self, output: Image, model: bool = True) -> Observation:
-        """Return what a metric gets to see, with or without the model."""
+    def observe(self, output: Image, model: bool = True) -> Observation:
+        """Return the observation of an output, with or without the model."""
         truth = self.texture if model else Texture(self.texture.image, self.texture.lattice)
         again = self.again if model else None
         return Observation(self.texture.image, output, truth, again=again, rng=np.random.default_rng(0))

@@ -28,7 +28,7 @@ Cases = Callable[[str], Case]
 
 
 def appearance(observation: Observation) -> Score:
-    """Score, and check that every None has its reason."""
+    """Return the score, and check that every None has its reason."""
     score = Appearance().score(observation)
     assert set(score.values) == set(Appearance.columns)
     assert all(score.reasons.get(column) for column, value in score.values.items() if value is None)
@@ -38,12 +38,12 @@ def appearance(observation: Observation) -> Score:
 @cache
 def fresh_values(name: str, k: int, side: int = 192) -> Mapping[str, Any]:
     """Return the scores of a fresh draw."""
-    return appearance(make_case(name).seen(make_case(name).fresh(side, k))).values
+    return appearance(make_case(name).observe(make_case(name).fresh(side, k))).values
 
 
 def value(case: Case, image: Image, column: str) -> float:
     """Return one column."""
-    found = appearance(case.seen(image)).values[column]
+    found = appearance(case.observe(image)).values[column]
     assert found is not None
     return float(found)
 
@@ -88,7 +88,7 @@ def test_each_score_follows_its_defect(
 def test_scores_ignore_other_defects(case: Cases, kind: str, size: float, columns: tuple[str, ...]) -> None:
     """A defect of one kind leaves the scores for other defects within the range of fresh draws."""
     image, _ = case("hexagon").planted(kind, size)
-    own = appearance(case("hexagon").seen(image)).values
+    own = appearance(case("hexagon").observe(image)).values
     fresh = [fresh_values("hexagon", k) for k in range(4)]
     for column in columns:
         usual = [float(one[column]) for one in fresh]
@@ -98,7 +98,9 @@ def test_scores_ignore_other_defects(case: Cases, kind: str, size: float, column
 def test_the_phase_of_the_output_does_not_matter(case: Cases) -> None:
     """Cropping the output elsewhere changes no score by more than fresh draws scatter."""
     wide = case("hexagon").fresh(210)
-    one, other = (appearance(case("hexagon").seen(wide[y : y + 200, x : x + 200])).values for x, y in ((0, 0), (7, 4)))
+    one, other = (
+        appearance(case("hexagon").observe(wide[y : y + 200, x : x + 200])).values for x, y in ((0, 0), (7, 4))
+    )
     for column in ("sharpness", "sharpness_worst", "seam"):
         assert one[column] == pytest.approx(other[column], abs=0.2)
     assert one["color"] == pytest.approx(other["color"], abs=0.005)
@@ -110,7 +112,7 @@ def test_the_seam_is_drawn_where_it_is(case: Cases) -> None:
     image[:, 70:] = np.clip(image[:, 70:] + 0.1, 0, 1)
     step, _ = find_worst_lines(quantize(image), case("weave").texture.lattice)
     assert [x for x, _ in step.ends] == pytest.approx([69.5, 69.5], abs=1.5)
-    marked = appearance(case("weave").seen(quantize(image))).pictures["seam"]
+    marked = appearance(case("weave").observe(quantize(image))).pictures["seam"]
     assert set(np.flatnonzero((marked != quantize(image)).any((0, 2)))) <= {68, 69, 70, 71}
 
 
@@ -152,20 +154,20 @@ def test_distances_are_those_of_wasserstein() -> None:
 
 def test_photographs_are_compared_with_the_sample(case: Cases) -> None:
     """Without fresh draws the sample is the reference, and its distance to itself is 0."""
-    score = appearance(case("brick").seen(case("brick").texture.image, model=False))
+    score = appearance(case("brick").observe(case("brick").texture.image, model=False))
     assert score.records["reference"] == "sample"
     assert score.values["color"] == 0 and score.values["seam"] == pytest.approx(1)
 
 
 def test_a_texture_without_lattice_is_scored(case: Cases) -> None:
     """Appearance needs no lattice."""
-    seen = case("brick").seen(case("brick").fresh(), model=False)
-    assert appearance(replace(seen, truth=None)).values["seam"] is not None
+    observation = case("brick").observe(case("brick").fresh(), model=False)
+    assert appearance(replace(observation, truth=None)).values["seam"] is not None
 
 
 def test_small_outputs_leave_the_seam_open(case: Cases) -> None:
     """The seam of an output of 12 px is undecided."""
-    score = appearance(case("brick").seen(case("brick").fresh()[:12, :12], model=False))
+    score = appearance(case("brick").observe(case("brick").fresh()[:12, :12], model=False))
     assert score.reasons["seam"].startswith("undecided")
 
 
@@ -195,10 +197,10 @@ def test_a_periodic_tile_has_no_visible_border() -> None:
 )
 def test_claimed_tiles_are_measured(case: Cases, extras: Mapping[str, NDArray[Any]], size: int) -> None:
     """The border and size of a tile in the extras, or of an output that claims to be tileable, are measured."""
-    seen = replace(case("brick").seen(case("brick").fresh()), extras=extras)
-    values = appearance(seen).values
+    observation = replace(case("brick").observe(case("brick").fresh()), extras=extras)
+    values = appearance(observation).values
     assert values["tileable"] is not None and values["tileable"] > 0
-    assert values["tile_bytes"] == pytest.approx(size / seen.sample.size)
+    assert values["tile_bytes"] == pytest.approx(size / observation.sample.size)
 
 
 @pytest.mark.parametrize(
@@ -212,18 +214,18 @@ def test_claimed_tiles_are_measured(case: Cases, extras: Mapping[str, NDArray[An
 )
 def test_no_claim_is_no_score(case: Cases, extras: Mapping[str, NDArray[Any]], why: str) -> None:
     """Without a usable tile or a claim both columns are None, with the reason."""
-    score = appearance(replace(case("brick").seen(case("brick").fresh(64)), extras=extras))
+    score = appearance(replace(case("brick").observe(case("brick").fresh(64)), extras=extras))
     assert why in score.reasons["tileable"] and why in score.reasons["tile_bytes"]
 
 
 def test_basis_and_origin_of_the_truth_do_not_matter(case: Cases) -> None:
     """Another basis or origin changes the seam by less than fresh draws scatter, and no other score."""
-    seen = case("hexagon").seen(case("hexagon").fresh())
-    assert seen.truth is not None and seen.truth.lattice is not None
-    a, b = np.array(seen.truth.lattice.t1), np.array(seen.truth.lattice.t2)
+    observation = case("hexagon").observe(case("hexagon").fresh())
+    assert observation.truth is not None and observation.truth.lattice is not None
+    a, b = np.array(observation.truth.lattice.t1), np.array(observation.truth.lattice.t2)
     other = Lattice(tuple(2 * a + b), tuple(a + b), (3.3, 7.1))
-    moved = appearance(replace(seen, truth=replace(seen.truth, lattice=other))).values
-    own = appearance(seen).values
+    moved = appearance(replace(observation, truth=replace(observation.truth, lattice=other))).values
+    own = appearance(observation).values
     assert moved.pop("seam") == pytest.approx(own["seam"], abs=0.1)
     assert moved == {name: own[name] for name in moved}
 

@@ -115,7 +115,7 @@ def test_the_lattice_alone_is_enough() -> None:
 
 def test_missing_scores_have_reasons(case: Cases) -> None:
     """Without a lattice, contrast, enough tiles or the texture in the output the scores are None, with a reason."""
-    one = case("hexagon").seen(case("hexagon").fresh())
+    one = case("hexagon").observe(case("hexagon").fresh())
     none = Deformation().score(replace(one, truth=Texture(one.sample)))
     assert set(none.values.values()) == {None}
     assert set(none.reasons.values()) == {"not applicable: no lattice in the truth"}

@@ -51,14 +51,14 @@ def test_one_tile_repeated_lacks_appearance(case: Cases) -> None:
     one = case("hexagon")
     drawn = one.again((192, 192), 0)
     assert drawn is not None and drawn.ideal is not None
-    fresh, paper = (GeometryAppearance().score(one.seen(image)).values for image in (drawn.image, drawn.ideal))
+    fresh, paper = (GeometryAppearance().score(one.observe(image)).values for image in (drawn.image, drawn.ideal))
     assert fresh["a_ratio"] == pytest.approx(1, abs=0.25)
     assert paper["a_ratio"] is not None and paper["a_ratio"] < 0.3
 
 
 def test_no_lattice_is_not_applicable(case: Cases) -> None:
     """Without a lattice every column is None, with that reason."""
-    one = case("brick").seen(case("brick").fresh())
+    one = case("brick").observe(case("brick").fresh())
     score = GeometryAppearance().score(replace(one, truth=Texture(one.sample)))
     assert set(score.values.values()) == {None}
     assert set(score.reasons.values()) == {"not applicable: no lattice in the truth"}

@@ -38,7 +38,7 @@ def learned() -> Iterator[None]:
 
 
 def integrity(observation: Observation) -> Score:
-    """Score, and check that every None has its reason."""
+    """Return the score, and check that every None has its reason."""
     score = Integrity().score(observation)
     assert set(score.values) == set(Integrity.columns)
     assert all(score.reasons.get(column) for column, value in score.values.items() if value is None)
@@ -48,7 +48,7 @@ def integrity(observation: Observation) -> Score:
 @pytest.mark.parametrize("name", MODELS)
 def test_a_fresh_draw_is_whole(case: Cases, name: str) -> None:
     """Fresh draws have no broken tile, and evidence of about 1."""
-    values = [integrity(case(name).seen(case(name).fresh(k=k))).values for k in range(3)]
+    values = [integrity(case(name).observe(case(name).fresh(k=k))).values for k in range(3)]
     assert [one["broken_tiles"] for one in values] == [0, 0, 0]
     assert np.mean([one["evidence_p90"] for one in values]) == pytest.approx(1, abs=0.3)
 
@@ -63,7 +63,7 @@ def test_the_share_of_broken_tiles_grows_with_that_of_two_tone_ones(
     """Over single images the rank correlation is at least 0.95, up to where threads across tiles are whole again."""
     pairs = [(size, seed) for seed, size in enumerate(sizes)]
     images = [case(name).planted("two-tone", size, seed)[0] for size, seed in pairs]
-    shares = [integrity(case(name).seen(image)).values["broken_share"] for image in images]
+    shares = [integrity(case(name).observe(image)).values["broken_share"] for image in images]
     assert spearmanr([size for size, _ in pairs], shares).statistic >= 0.95
 
 
@@ -77,7 +77,7 @@ def test_one_two_tone_brick_is_found_in_its_place(case: Cases) -> None:
     off = np.abs(across @ np.array([-along[1], along[0]]))
     half = (across @ along > 0) & (across @ along < 12) & (off < 4.5)
     image[half] = image[half][:, [2, 1, 0]]
-    score = integrity(case("brick").seen(quantize(image)))
+    score = integrity(case("brick").observe(quantize(image)))
     assert score.values["broken_tiles"] == 1
     assert np.hypot(*(np.array(score.records["places"][0]) - place)) < texture.lattice.s
 
@@ -88,7 +88,7 @@ def test_a_method_that_cuts_bricks_breaks_them(case: Cases, model: bool) -> None
     texture = case("brick").texture
     task = Task(texture.image, (192, 192), texture.lattice, np.random.default_rng(0))
     made = quantize(Rsgf(block=20, border=5, seam="blend", subpixel=False).synthesize(task).image)
-    score = integrity(case("brick").seen(made, model))
+    score = integrity(case("brick").observe(made, model))
     assert score.values["broken_share"] > 0.2
     assert score.pictures["broken"].shape == (192, 192, 3)
     assert score.pictures["worst"].ndim == 3
@@ -109,30 +109,33 @@ def test_a_method_that_cuts_bricks_breaks_them(case: Cases, model: bool) -> None
 @pytest.mark.parametrize("name", MODELS)
 def test_other_defects_break_no_tile(case: Cases, name: str, kind: str, size: float) -> None:
     """At most 2 % of tiles that change alike, are blurred, lit or bent count as broken."""
-    score = integrity(case(name).seen(case(name).planted(kind, size)[0]))
+    score = integrity(case(name).observe(case(name).planted(kind, size)[0]))
     assert score.values["broken_share"] is not None
     assert score.values["broken_share"] <= 0.02
 
 
 def test_origin_and_basis_of_the_truth_do_not_matter(case: Cases) -> None:
     """Another basis leaves every score; another origin hardly changes them."""
-    seen = case("brick").seen(case("brick").planted("two-tone", 0.3)[0])
-    assert seen.truth is not None and seen.truth.lattice is not None
+    observation = case("brick").observe(case("brick").planted("two-tone", 0.3)[0])
+    assert observation.truth is not None and observation.truth.lattice is not None
     t1, t2, origin = (
-        np.array(part) for part in (seen.truth.lattice.t1, seen.truth.lattice.t2, seen.truth.lattice.origin)
+        np.array(part)
+        for part in (observation.truth.lattice.t1, observation.truth.lattice.t2, observation.truth.lattice.origin)
     )
-    own = integrity(seen).values
+    own = integrity(observation).values
     sheared = Lattice(tuple(t1 + t2), tuple(t1 + 2 * t2), tuple(origin))
-    assert integrity(replace(seen, truth=replace(seen.truth, lattice=sheared))).values == pytest.approx(own, abs=1e-6)
-    moved = Lattice(tuple(t1), tuple(t2), tuple(origin + 0.37 * t1 + 0.21 * t2))
-    again = integrity(replace(seen, truth=replace(seen.truth, lattice=moved))).values
+    assert integrity(replace(observation, truth=replace(observation.truth, lattice=sheared))).values == pytest.approx(
+        own, abs=1e-6
+    )
+    shifted = Lattice(tuple(t1), tuple(t2), tuple(origin + 0.37 * t1 + 0.21 * t2))
+    again = integrity(replace(observation, truth=replace(observation.truth, lattice=shifted))).values
     assert again["broken_share"] == pytest.approx(own["broken_share"], abs=0.06)
 
 
 def test_the_phase_of_the_output_does_not_matter(case: Cases) -> None:
     """Cropping the output elsewhere changes the share only by the tiles at its border."""
     wide = case("brick").planted("two-tone", 0.4, side=230)[0]
-    values = [integrity(case("brick").seen(wide[y : y + 200, x : x + 200])).values for x, y in ((0, 0), (9, 5))]
+    values = [integrity(case("brick").observe(wide[y : y + 200, x : x + 200])).values for x, y in ((0, 0), (9, 5))]
     assert values[0]["broken_share"] == pytest.approx(values[1]["broken_share"], abs=0.08)
 
 
@@ -140,7 +143,7 @@ def test_without_power_the_share_is_undecided() -> None:
     """If bricks have no tone of their own, joined bricks look whole, and the share is undecided."""
     model = Brick(color=0.0, intensity=0.0, noise=0.1)
     plain = Case(model, model.render((128, 128), np.random.default_rng(0)))
-    score = integrity(plain.seen(plain.fresh()))
+    score = integrity(plain.observe(plain.fresh()))
     assert score.values["broken_share"] is None
     assert score.values["detection_power"] is not None and score.values["detection_power"] < 0.1
     assert score.reasons["broken_share"].startswith("undecided: only")
@@ -148,10 +151,10 @@ def test_without_power_the_share_is_undecided() -> None:
 
 def test_missing_scores_have_reasons(case: Cases) -> None:
     """Without a lattice the scores are not applicable; with few tiles they are undecided."""
-    seen = case("brick").seen(case("brick").fresh())
-    bare = integrity(replace(seen, truth=Texture(seen.sample)))
+    observation = case("brick").observe(case("brick").fresh())
+    bare = integrity(replace(observation, truth=Texture(observation.sample)))
     assert set(bare.reasons.values()) == {"not applicable: no lattice in the truth"}
-    small = integrity(case("brick").seen(case("brick").fresh()[:60, :60]))
+    small = integrity(case("brick").observe(case("brick").fresh()[:60, :60]))
     assert all(reason.startswith("undecided") for reason in small.reasons.values())
 
 

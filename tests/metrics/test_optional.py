@@ -42,7 +42,7 @@ def test_absent_packages_are_named(
 ) -> None:
     """Without the package the column is None, and the reason names what to install."""
     monkeypatch.setattr(module, "find_spec", lambda name: None)
-    score = metric().score(case("brick").seen(case("brick").fresh()))
+    score = metric().score(case("brick").observe(case("brick").fresh()))
     assert score.values == {column: None}
     assert "pip install 'nrbench[perceptual]'" in score.reasons[column]
 
@@ -50,7 +50,7 @@ def test_absent_packages_are_named(
 def test_statistics_are_compared_with_fresh_draws(case: Cases, present: None) -> None:
     """A fresh draw has a small distance, a blurred one a larger one."""
     found = [
-        Portilla().score(case("brick").seen(image)).values["distance"]
+        Portilla().score(case("brick").observe(image)).values["distance"]
         for image in (case("brick").fresh(), case("brick").planted("blurred-band", 0.3)[0])
     ]
     assert found[0] is not None and found[1] is not None
@@ -59,12 +59,12 @@ def test_statistics_are_compared_with_fresh_draws(case: Cases, present: None) ->
 
 def test_missing_scores_have_reasons(case: Cases, present: None) -> None:
     """Photographs, small outputs and textures without further draws have no distance."""
-    photograph = Portilla().score(case("brick").seen(case("brick").fresh(), model=False))
+    photograph = Portilla().score(case("brick").observe(case("brick").fresh(), model=False))
     assert photograph.reasons["distance"].startswith("not applicable")
-    small = Portilla().score(case("brick").seen(case("brick").fresh()[:100]))
+    small = Portilla().score(case("brick").observe(case("brick").fresh()[:100]))
     assert small.reasons["distance"].startswith("undecided")
-    seen = case("brick").seen(case("brick").fresh())
-    ended = Portilla().score(replace(seen, again=lambda shape, k: None))
+    observation = case("brick").observe(case("brick").fresh())
+    ended = Portilla().score(replace(observation, again=lambda shape, k: None))
     assert ended.reasons["distance"].startswith("not applicable")
 
 
@@ -78,7 +78,7 @@ def test_departures_are_z_scores() -> None:
 def test_absent_weights_are_named(case: Cases, present: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Without the weights nothing is downloaded, and the reason names the files."""
     monkeypatch.setattr(perceptual, "torch", SimpleNamespace(hub=SimpleNamespace(get_dir=lambda: str(tmp_path))))
-    score = Perceptual().score(case("brick").seen(case("brick").fresh()))
+    score = Perceptual().score(case("brick").observe(case("brick").fresh()))
     assert score.values == {"dists": None}
     assert "dists_weights.pt" in score.reasons["dists"] and str(tmp_path) in score.reasons["dists"]
 
@@ -90,7 +90,7 @@ def test_the_network_compares_output_and_draws(case: Cases, monkeypatch: pytest.
     contrast = lambda network, one, other: abs(float(np.abs(np.diff(one, axis=0)).mean()) - 0.2) + 0.01  # noqa: E731
     monkeypatch.setattr(perceptual, "_distance", contrast)
     fresh, blurred = case("brick").fresh(), case("brick").planted("blurred-band", 0.5)[0]
-    own, worse = (Perceptual().score(case("brick").seen(image)).values["dists"] for image in (fresh, blurred))
+    own, worse = (Perceptual().score(case("brick").observe(image)).values["dists"] for image in (fresh, blurred))
     assert own == pytest.approx(1, abs=0.05)
     assert worse is not None and worse > 1.03
 
@@ -112,7 +112,7 @@ def test_the_network_gets_the_pixels(case: Cases, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(perceptual, "torch", fake)
     monkeypatch.setattr(perceptual, "piq", SimpleNamespace(DISTS=lambda: network))
     output = case("brick").fresh()
-    score = Perceptual().score(case("brick").seen(output))
+    score = Perceptual().score(case("brick").observe(output))
     assert score.values["dists"] == pytest.approx(3)
     assert len(shown) == 6
     assert (shown[0] == np.moveaxis(output, -1, 0)[np.newaxis]).all()

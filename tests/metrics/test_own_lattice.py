@@ -4,14 +4,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.verdict.windows import RegisteredWindows, fit_drift, moved, own_lattice
+from nrbench.metrics.verdict.windows import RegisteredWindows, displace_lattice, fit_drift, fit_own_lattice
 
 LATTICE = Lattice((20.0, 3.0), (-4.0, 17.0), (2.0, 1.0))
 _SMALL = st.floats(-0.04, 0.04)
 
 
-def seen(true: Lattice, drift: np.ndarray, rows: int = 14, columns: int = 16) -> RegisteredWindows:
-    """Return what windows of an image read whose content has drifted."""
+def make_windows(true: Lattice, drift: np.ndarray, rows: int = 14, columns: int = 16) -> RegisteredWindows:
+    """Return the windows of an image whose content has drifted."""
     y, x = np.meshgrid(15 * np.arange(rows), 15 * np.arange(columns), indexing="ij")
     corners = np.stack([x.ravel(), y.ravel()], -1)
     bare = RegisteredWindows(
@@ -24,21 +24,21 @@ def seen(true: Lattice, drift: np.ndarray, rows: int = 14, columns: int = 16) ->
 @settings(max_examples=25, deadline=None)
 @given(_SMALL, _SMALL, _SMALL, _SMALL)
 def test_the_lattice_of_a_drifted_image_is_found(a: float, b: float, c: float, d: float) -> None:
-    """The least-squares lattice is the true one as the drift has moved it: its points map back onto true points."""
+    """The least-squares lattice is the true one displaced by the drift: its points map back onto true points."""
     drift = np.array([[a, b], [c, d]])
-    placement = seen(LATTICE, drift)
-    found = own_lattice(placement, fit_drift(placement))
-    assert found is not None and found.followers == 1
-    at = found.lattice.points((200, 240))
+    windows = make_windows(LATTICE, drift)
+    own = fit_own_lattice(windows, fit_drift(windows))
+    assert own is not None and own.followers == 1
+    at = own.lattice.points((200, 240))
     back = at - (at @ drift.T + (3.0, -2.0))
     assert np.abs(LATTICE.wrap(back - LATTICE.origin)).max() < 0.02
 
 
 def test_vectors_and_area_are_those_of_the_stretch() -> None:
-    """A stretch of 3 % reads as 3 % on the vectors, 6 % on the area, and is no longer exact on long vectors."""
+    """A stretch of 3 % gives an error of 3 % of the vectors and 6 % of the area. Long vectors are then not exact."""
     long = Lattice((60.0, 0.0), (0.0, 50.0))
-    placement = seen(long, np.eye(2) * (1 - 1 / 1.03))
-    own = own_lattice(placement, fit_drift(placement))
+    windows = make_windows(long, np.eye(2) * (1 - 1 / 1.03))
+    own = fit_own_lattice(windows, fit_drift(windows))
     assert own is not None
     error = own.error(long, (240, 240))
     assert error is not None and error.relation == "wrong"
@@ -47,21 +47,21 @@ def test_vectors_and_area_are_those_of_the_stretch() -> None:
 
 
 def test_scattered_windows_share_no_lattice() -> None:
-    """Where few windows lie on one lattice it is not compared."""
-    rng, placement = np.random.default_rng(0), seen(LATTICE, np.zeros((2, 2)))
+    """A lattice on which few windows lie is not compared."""
+    rng, windows = np.random.default_rng(0), make_windows(LATTICE, np.zeros((2, 2)))
     torn = RegisteredWindows(
-        *list(vars(placement).values())[:4], LATTICE.wrap(rng.uniform(-40, 40, (224, 2))), np.ones(224)
+        *list(vars(windows).values())[:4], LATTICE.wrap(rng.uniform(-40, 40, (224, 2))), np.ones(224)
     )
-    own = own_lattice(torn, fit_drift(torn))
+    own = fit_own_lattice(torn, fit_drift(torn))
     assert own is not None and own.followers < 0.5
     assert own.error(LATTICE, (200, 200)) is None
 
 
 def test_two_windows_have_no_lattice() -> None:
-    """Fewer than 3 x 3 windows have none of their own."""
-    assert own_lattice(seen(LATTICE, np.zeros((2, 2)), rows=2), np.zeros((2, 2))) is None
+    """Fewer than 3 x 3 windows have no lattice of their own."""
+    assert fit_own_lattice(make_windows(LATTICE, np.zeros((2, 2)), rows=2), np.zeros((2, 2))) is None
 
 
-def test_no_drift_moves_by_the_constant_alone() -> None:
-    """Without drift a lattice keeps its vectors, and its origin moves."""
-    assert moved(LATTICE, np.zeros((2, 2)), np.array([1.5, -2.0])) == LATTICE.shifted((1.5, -2.0))
+def test_without_drift_only_the_origin_changes() -> None:
+    """Without drift a lattice keeps its vectors, and its origin is displaced by the constant."""
+    assert displace_lattice(LATTICE, np.zeros((2, 2)), np.array([1.5, -2.0])) == LATTICE.shifted((1.5, -2.0))

@@ -39,7 +39,7 @@ def fresh_tiles() -> Iterator[None]:
 
 
 def randomness(observation: Observation) -> Score:
-    """Score, and check that every None has its reason."""
+    """Return the score, and check that every None has its reason."""
     score = Randomness().score(observation)
     assert set(score.values) == set(Randomness.columns)
     assert all(score.reasons.get(column) for column, value in score.values.items() if value is None)
@@ -77,7 +77,7 @@ def copier(case: Case, side: int = 160, seed: int = 0) -> Image:
 @pytest.mark.parametrize("name", MODELS)
 def test_a_fresh_draw_varies_like_itself_and_repeats_nothing(case: Cases, name: str) -> None:
     """Fresh draws have a variation of about 1 and a repetition of about 0."""
-    values = [randomness(case(name).seen(case(name).fresh(160, k))).values for k in range(3)]
+    values = [randomness(case(name).observe(case(name).fresh(160, k))).values for k in range(3)]
     assert np.mean([one["variation"] for one in values]) == pytest.approx(1, abs=0.12)
     assert np.mean([one["repetition"] for one in values]) == pytest.approx(0, abs=0.15)
 
@@ -86,7 +86,7 @@ def test_a_fresh_draw_varies_like_itself_and_repeats_nothing(case: Cases, name: 
 @pytest.mark.parametrize("model", [True, False])
 def test_one_tile_repeated_hardly_varies_and_repeats_all(case: Cases, name: str, model: bool) -> None:
     """One tile repeated has a variation of about 0, and a repetition of about the number of sources."""
-    score = randomness(case(name).seen(one_tile_repeated(case(name)), model))
+    score = randomness(case(name).observe(one_tile_repeated(case(name)), model))
     assert score.values["variation"] < 0.1
     assert score.values["repetition"] > 0.8 * score.records["sources"]
 
@@ -94,7 +94,7 @@ def test_one_tile_repeated_hardly_varies_and_repeats_all(case: Cases, name: str,
 @pytest.mark.parametrize("name", MODELS)
 def test_the_best_copier_scores_about_one(case: Cases, name: str) -> None:
     """A uniform choice among the sample's tiles has a variation and a repetition of about 1."""
-    values = [randomness(case(name).seen(copier(case(name), seed=seed))).values for seed in range(3)]
+    values = [randomness(case(name).observe(copier(case(name), seed=seed))).values for seed in range(3)]
     assert 0.6 < np.mean([one["variation"] for one in values]) < 1.3
     assert 0.5 < np.mean([one["repetition"] for one in values]) < 2
 
@@ -104,7 +104,7 @@ def test_a_crop_repeated_scores_worse_than_the_best_copier(case: Cases, name: st
     """The largest commensurate crop repeated has no more twins than the best copier, but a larger repetition."""
     sample = case(name).texture
     task = Task(sample.image, (192, 192), sample.lattice, np.random.default_rng(0))
-    score = randomness(case(name).seen(quantize(Supertile().synthesize(task).image)))
+    score = randomness(case(name).observe(quantize(Supertile().synthesize(task).image)))
     assert score.records["twins"]["1"] * score.records["sources"] < 1.5
     assert 2 < score.values["repetition"] < score.records["sources"] / 3
 
@@ -117,7 +117,7 @@ def test_each_score_follows_its_own_defect(case: Cases, kind: str, most: float, 
     """Over single images of 8 sizes, the rank correlation of a defect with its own scores is at least 0.95."""
     cells = [(size, seed) for size in most * np.arange(1, 9) / 8 for seed in range(2)]
     images = [case("hexagon").planted(kind, float(size), seed, 208)[0] for size, seed in cells]
-    rows = [randomness(case("hexagon").seen(image)).values for image in images]
+    rows = [randomness(case("hexagon").observe(image)).values for image in images]
     for column, sign in columns.items():
         found = spearmanr([size for size, _ in cells], [row[column] for row in rows]).statistic
         assert sign * found >= 0.95, (column, found)
@@ -128,7 +128,7 @@ def test_variation_measures_how_far_tiles_depart() -> None:
     strong, weak = Brick(color=0.4, intensity=0.0, noise=0.0), Brick(color=0.2, intensity=0.0, noise=0.0)
     texture = strong.render((128, 128), np.random.default_rng(0))
     one, other = Case(strong, texture), Case(weak, texture)
-    values = [randomness(one.seen(other.fresh(k=k))).values for k in range(3)]
+    values = [randomness(one.observe(other.fresh(k=k))).values for k in range(3)]
     assert np.mean([value["variation"] for value in values]) == pytest.approx(0.25, abs=0.05)
 
 
@@ -145,7 +145,7 @@ def test_tiles_laid_in_another_order_vary_as_they_did() -> None:
     order = np.random.default_rng(1).permutation(len(tiles))
     laid = fresh.copy()
     laid[inner] = tiles[order].reshape(rows, columns, 20, 28, 3).swapaxes(1, 2).reshape(20 * rows, -1, 3)
-    before, after = (randomness(case.seen(image)).values["variation"] for image in (fresh, laid))
+    before, after = (randomness(case.observe(image)).values["variation"] for image in (fresh, laid))
     assert (laid != fresh).mean() > 0.5
     assert after == pytest.approx(before, rel=0.01)
 
@@ -153,14 +153,14 @@ def test_tiles_laid_in_another_order_vary_as_they_did() -> None:
 def test_the_phase_of_the_output_does_not_matter(case: Cases) -> None:
     """Cropping the output elsewhere hardly changes the variation."""
     wide = case("hexagon").fresh(230)
-    values = [randomness(case("hexagon").seen(wide[y : y + 200, x : x + 200])).values for x, y in ((0, 0), (9, 5))]
+    values = [randomness(case("hexagon").observe(wide[y : y + 200, x : x + 200])).values for x, y in ((0, 0), (9, 5))]
     assert values[0]["variation"] == pytest.approx(values[1]["variation"], abs=0.1)
 
 
 def test_lost_regularity_is_not_scored(case: Cases) -> None:
     """If regularity is lost every column is None, with that reason."""
     image, _ = case("weave").planted("off-lattice", 0.3)
-    score = randomness(case("weave").seen(image))
+    score = randomness(case("weave").observe(image))
     assert set(score.values.values()) == {None}
     assert all(reason.startswith("not scored: regularity is lost") for reason in score.reasons.values())
 
@@ -168,22 +168,24 @@ def test_lost_regularity_is_not_scored(case: Cases) -> None:
 def test_threads_longer_than_a_tile_vary_alike_at_all_sizes(case: Cases) -> None:
     """Small and large fresh draws of a weave, whose threads run through the image, have a variation of about 1."""
     for side in (130, 208):
-        found = [randomness(case("weave").seen(case("weave").fresh(side, k))).values["variation"] for k in range(6)]
+        found = [randomness(case("weave").observe(case("weave").fresh(side, k))).values["variation"] for k in range(6)]
         assert np.mean(found) == pytest.approx(1, abs=0.13)
 
 
 def test_the_sample_is_measured_at_the_outputs_extent(case: Cases) -> None:
     """Without the model, fresh draws four times as large as the sample vary as the sample does."""
-    found = [randomness(case("weave").seen(case("weave").fresh(256, k), False)).values["variation"] for k in range(3)]
+    found = [
+        randomness(case("weave").observe(case("weave").fresh(256, k), False)).values["variation"] for k in range(3)
+    ]
     assert np.mean(found) == pytest.approx(1, abs=0.3)
 
 
 def test_noise_does_not_improve_the_distance(case: Cases) -> None:
     """One tile repeated stays far from fresh draws if noise of the missing strength is added."""
-    tiled, fresh = one_tile_repeated(case("brick"), 192), randomness(case("brick").seen(case("brick").fresh()))
+    tiled, fresh = one_tile_repeated(case("brick"), 192), randomness(case("brick").observe(case("brick").fresh()))
     strength = fresh.records["deviation"]["reference"]
     grain = np.random.default_rng(0).normal(0, strength, tiled.shape).astype(np.float32)
-    noisy = randomness(case("brick").seen(quantize(np.clip(tiled + grain, 0, 1))))
+    noisy = randomness(case("brick").observe(quantize(np.clip(tiled + grain, 0, 1))))
     assert noisy.values["variation"] > 0.6
     assert noisy.values["distance"] > 50 * abs(fresh.values["distance"])
     assert noisy.values["distance"] > 0.1
@@ -192,7 +194,7 @@ def test_noise_does_not_improve_the_distance(case: Cases) -> None:
 def test_what_is_copied_is_found_in_the_sample(case: Cases) -> None:
     """Windows of the best copier are copies, those of fresh draws are not, and copies have no distance."""
     values, fresh = (
-        randomness(case("hexagon").seen(i)).values for i in (copier(case("hexagon")), case("hexagon").fresh())
+        randomness(case("hexagon").observe(i)).values for i in (copier(case("hexagon")), case("hexagon").fresh())
     )
     assert values["copied"] > 0.5
     assert abs(fresh["copied"]) < 0.05
@@ -204,23 +206,23 @@ def test_damage_survives_or_not() -> None:
     worn, sound = Brick(color=0.2, missing=0.08), Brick(color=0.2)
     texture = worn.render((128, 128), np.random.default_rng(5))
     one, other = Case(worn, texture), Case(sound, texture)
-    found = [randomness(one.seen(one.fresh(224, k))).values["survival"] for k in range(3)]
+    found = [randomness(one.observe(one.fresh(224, k))).values["survival"] for k in range(3)]
     assert np.mean([value for value in found if value is not None]) == pytest.approx(1, abs=0.4)
-    assert randomness(one.seen(other.fresh(224))).values["survival"] == pytest.approx(0, abs=0.05)
+    assert randomness(one.observe(other.fresh(224))).values["survival"] == pytest.approx(0, abs=0.05)
     clean = Case(sound, sound.render((128, 128), np.random.default_rng(5)))
-    assert "no element of the sample is damaged" in randomness(clean.seen(clean.fresh())).reasons["survival"]
+    assert "no element of the sample is damaged" in randomness(clean.observe(clean.fresh())).reasons["survival"]
 
 
 def test_basis_and_origin_do_not_matter(case: Cases) -> None:
     """Another basis of the lattice, and another of its points as origin, hardly change the scores."""
-    seen = case("hexagon").seen(case("hexagon").fresh())
+    observation = case("hexagon").observe(case("hexagon").fresh())
     lattice = case("hexagon").texture.lattice
-    assert lattice is not None and seen.truth is not None
+    assert lattice is not None and observation.truth is not None
     a, b = lattice.matrix
     t1, t2, start = (tuple(float(x) for x in v) for v in (2 * a + b, a + b, np.array(lattice.origin) + 3 * a - b))
-    other = replace(seen, truth=replace(seen.truth, lattice=Lattice(t1, t2, start)))
+    other = replace(observation, truth=replace(observation.truth, lattice=Lattice(t1, t2, start)))
     values = randomness(other).values
-    for column, value in randomness(seen).values.items():
+    for column, value in randomness(observation).values.items():
         tolerance = {"distance": 2e-4}.get(column, 0.012)
         assert values[column] == (value if value is None else pytest.approx(value, abs=tolerance)), column
 
@@ -229,17 +231,17 @@ def test_a_texture_that_does_not_vary_is_not_applicable() -> None:
     """Every column of a perfectly regular texture is None, with that reason."""
     model = Brick(color=0.0, intensity=0.0, noise=0.0)
     exact = Case(model, model.render((128, 128), np.random.default_rng(0)))
-    score = randomness(exact.seen(exact.fresh()))
+    score = randomness(exact.observe(exact.fresh()))
     assert set(score.values.values()) == {None}
     assert all(reason.startswith("not applicable") for reason in score.reasons.values())
 
 
 def test_missing_scores_have_reasons(case: Cases) -> None:
     """Without a lattice the scores are not applicable; with hardly a tile they are undecided."""
-    seen = case("brick").seen(case("brick").fresh())
-    bare = randomness(replace(seen, truth=Texture(seen.sample)))
+    observation = case("brick").observe(case("brick").fresh())
+    bare = randomness(replace(observation, truth=Texture(observation.sample)))
     assert set(bare.reasons.values()) == {"not applicable: no lattice in the truth"}
-    small = randomness(case("brick").seen(case("brick").fresh()[:30, :30]))
+    small = randomness(case("brick").observe(case("brick").fresh()[:30, :30]))
     assert all(reason.startswith("undecided") for reason in small.reasons.values())
 
 

@@ -10,7 +10,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.verdict.examination import examine
 from nrbench.metrics.verdict.limits import SURE_SHARE
 from nrbench.metrics.verdict.reference import DRAWS, Reference, fold_reference, reference_from_sample
-from nrbench.metrics.verdict.verdict import compare
+from nrbench.metrics.verdict.verdict import compute_verdict
 from nrbench.plugins.forms import Observation, Texture
 
 from .conftest import MODELS, Case
@@ -19,7 +19,7 @@ Cases = Callable[[str], Case]
 
 
 def reference_of(observation: Observation) -> Reference:
-    """Return what the output of an observation is compared with."""
+    """Return the reference of an observation."""
     reference = examine(observation).reference
     assert isinstance(reference, Reference)
     return reference
@@ -27,8 +27,8 @@ def reference_of(observation: Observation) -> Reference:
 
 @pytest.mark.parametrize("name", MODELS)
 def test_the_reference_of_a_model_is_its_ideal_image(case: Cases, name: str) -> None:
-    """With the model, the periodic image is the ideal one, and the references are draws that no output is."""
-    reference = reference_of(case(name).seen(case(name).fresh()))
+    """With the model, the periodic image is the ideal one, and no reference image equals an output."""
+    reference = reference_of(case(name).observe(case(name).fresh()))
     assert reference.source == "model"
     np.testing.assert_array_equal(reference.periodic.image((70, 60)), case(name).again((70, 60), 0).ideal)  # type: ignore[union-attr]
     assert len(reference.images) == DRAWS
@@ -39,8 +39,8 @@ def test_the_reference_of_a_model_is_its_ideal_image(case: Cases, name: str) -> 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_the_reference_of_a_sample_comes_near_the_ideal_image(case: Cases, name: str) -> None:
-    """Without the model the mean tile resembles the ideal image, and the regular share is of the right size."""
-    reference = reference_of(case(name).seen(case(name).fresh(), model=False))
+    """Without the model the mean tile resembles the ideal image, and the regular share is near that of the model."""
+    reference = reference_of(case(name).observe(case(name).fresh(), model=False))
     assert reference.source == "sample"
     folded, ideal = reference.periodic.image((90, 90)), case(name).again((90, 90), 0).ideal  # type: ignore[union-attr]
     assert np.corrcoef(folded.ravel(), ideal.ravel())[0, 1] > 0.93
@@ -48,8 +48,8 @@ def test_the_reference_of_a_sample_comes_near_the_ideal_image(case: Cases, name:
 
 
 def test_varying_pixels_weigh_less(case: Cases) -> None:
-    """Joints, which are alike in all tiles, weigh more than faces, which are not."""
-    reference = reference_of(case("hexagon").seen(case("hexagon").fresh()))
+    """Joints, which are equal in all tiles, have larger weights than faces, which are not."""
+    reference = reference_of(case("hexagon").observe(case("hexagon").fresh()))
     ideal, weights = reference.periodic.image((80, 80)).mean(-1), reference.periodic.weights((80, 80))
     joints = ideal >= np.quantile(ideal, 0.95)
     assert weights[joints].mean() > 2 * weights[~joints].mean()
@@ -58,7 +58,7 @@ def test_varying_pixels_weigh_less(case: Cases) -> None:
 
 @pytest.mark.parametrize("error", [-0.012, 0.012])
 def test_a_lattice_that_is_a_little_off_is_fitted_to_the_sample(case: Cases, error: float) -> None:
-    """Vectors off by 1.2 % are mended to 0.3 % before the sample is folded."""
+    """An error of the vectors of 1.2 % is reduced to 0.3 % before the sample is folded."""
     true = case("brick").texture.lattice
     assert true is not None
     true = true.reduced()
@@ -68,14 +68,14 @@ def test_a_lattice_that_is_a_little_off_is_fitted_to_the_sample(case: Cases, err
 
 
 def test_a_truth_without_a_lattice_has_no_reference(case: Cases) -> None:
-    """No lattice in the truth, or no truth: nothing to compare with."""
-    seen = case("brick").seen(case("brick").fresh())
-    for truth in (Texture(seen.sample), None):
-        assert examine(replace(seen, truth=truth)).reference == "not applicable: no lattice in the truth"
+    """Without a truth, or with a truth without a lattice, there is no reference."""
+    observation = case("brick").observe(case("brick").fresh())
+    for truth in (Texture(observation.sample), None):
+        assert examine(replace(observation, truth=truth)).reference == "not applicable: no lattice in the truth"
 
 
-def test_each_part_of_a_sample_is_judged_by_the_rest(case: Cases) -> None:
-    """A sample with a stain in one half: only the other half's template shows it."""
+def test_each_part_of_a_sample_is_compared_with_the_rest(case: Cases) -> None:
+    """If one half of the sample is darker, the template of the other half is darker, and not its own."""
     sample = np.array(case("brick").texture.image)
     sample[:, :64] *= 0.5
     assert case("brick").texture.lattice is not None
@@ -86,7 +86,7 @@ def test_each_part_of_a_sample_is_judged_by_the_rest(case: Cases) -> None:
 
 @pytest.mark.parametrize("name", MODELS)
 def test_a_samples_regular_share_is_on_the_scale_of_its_models(case: Cases, name: str) -> None:
-    """What folding smooths away, and what a mean of few tiles keeps of the departures, is made up for."""
+    """The regular share is corrected for the smoothing by folding and for the departures in a mean of few tiles."""
     image, lattice = case(name).fresh(256), case(name).texture.lattice
     assert lattice is not None
     share = fold_reference(image, lattice).regular_share
@@ -96,7 +96,7 @@ def test_a_samples_regular_share_is_on_the_scale_of_its_models(case: Cases, name
 
 
 def test_detail_is_compared_where_colors_hide_the_joints() -> None:
-    """The detail of bricks in different colors is compared: a fresh draw is preserved, one of twice the size lost."""
+    """For bricks in different colors the detail is compared. A fresh draw is preserved, an enlarged sample is lost."""
     model = Brick(width=18, height=18, joint=2, bond="stack", color=0.9, intensity=0.3, noise=0.03)
     texture = model.render((128, 128), np.random.default_rng(0))
     sample, lattice = quantize(texture.image), texture.lattice
@@ -106,6 +106,6 @@ def test_detail_is_compared_where_colors_hide_the_joints() -> None:
     reference = reference_from_sample(sample, lattice)
     assert reference.detail
     assert fold_reference(sample, lattice).regular_share < SURE_SHARE < reference.regular_share
-    assert compare(quantize(fresh.image), reference).preserved is True
-    enlarged = compare(np.repeat(np.repeat(sample, 2, 0), 2, 1), reference)
+    assert compute_verdict(quantize(fresh.image), reference).preserved is True
+    enlarged = compute_verdict(np.repeat(np.repeat(sample, 2, 0), 2, 1), reference)
     assert enlarged.faults == ("many tiles fit better elsewhere",)

@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from nrbench.imaging.fold import Tile
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.ncc.refinement import Cell, refined
+from nrbench.metrics.ncc.refinement import Cell, refine_displacements
 from nrbench.metrics.verdict.reference import Reference, reference_from_model
 from nrbench.metrics.verdict.windows import register_windows
 
@@ -22,37 +22,37 @@ CORNERS = np.array([(0, 0), (13, 5), (40, 31)])
 
 
 def measure(case: Case) -> Reference:
-    """Return the yardstick of a case."""
+    """Return the reference of a case."""
     assert case.texture.lattice is not None
     return reference_from_model(case.texture, case.texture.lattice, case.again)
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
-def test_a_displacement_is_found_wherever_between_two_pixels_it_lies(x: float, y: float, dx: float, dy: float) -> None:
-    """From half a pixel away the displacement of a periodic image is found to 0.003 px, with a correlation of 1."""
+def test_displacements_are_exact_at_any_fraction_of_a_pixel(x: float, y: float, dx: float, dy: float) -> None:
+    """From a start 0.6 px away the displacement of a periodic image is refined to 0.003 px, with a correlation of 1."""
     image = TILE.unfold((70, 80), (x, y))
-    at, ncc = refined(image, CELL, CORNERS, (34, 36), np.array([(x + dx, y + dy)] * 3))
+    at, ncc = refine_displacements(image, CELL, CORNERS, (34, 36), np.array([(x + dx, y + dy)] * 3))
     np.testing.assert_allclose(at, [(x, y)] * 3, atol=0.003)
     np.testing.assert_allclose(ncc, 1, atol=1e-4)
 
 
-def test_light_moves_nothing() -> None:
-    """Brightness and contrast change neither place nor correlation; a negative correlates as much below zero."""
+def test_light_does_not_change_the_displacement() -> None:
+    """Brightness and contrast change neither displacement nor correlation. A negative has a correlation of -1."""
     image = TILE.unfold((70, 80), (0.3, -0.4))
     for gain, sign in ((0.3, 1), (-1.0, -1)):
-        at, ncc = refined(gain * image + np.float32(0.2), CELL, CORNERS, (34, 36), np.zeros((3, 2)))
+        at, ncc = refine_displacements(gain * image + np.float32(0.2), CELL, CORNERS, (34, 36), np.zeros((3, 2)))
         np.testing.assert_allclose(at, [(0.3, -0.4)] * 3, atol=0.01)
         np.testing.assert_allclose(ncc, sign, atol=1e-3)
 
 
-def test_what_shows_nothing_stays() -> None:
-    """Flat windows and noise keep the displacement from which they started, to the reach of a search."""
+def test_windows_without_the_pattern_keep_their_displacement() -> None:
+    """Flat windows and noise keep their initial displacement to 1.5 px, the limit of the refinement."""
     rough = np.array([(3.0, 2.0)] * 3)
-    at, ncc = refined(np.full((70, 80, 3), 0.5, np.float32), CELL, CORNERS, (34, 36), rough)
+    at, ncc = refine_displacements(np.full((70, 80, 3), 0.5, np.float32), CELL, CORNERS, (34, 36), rough)
     np.testing.assert_allclose(at, rough, atol=1.5)
     assert np.abs(ncc).max() < 0.01
-    at, ncc = refined(RNG.random((70, 80, 3)).astype(np.float32), CELL, CORNERS, (34, 36), rough)
+    at, ncc = refine_displacements(RNG.random((70, 80, 3)).astype(np.float32), CELL, CORNERS, (34, 36), rough)
     assert np.hypot(*(at - rough).T).max() <= 1.5
     assert np.abs(ncc).max() < 0.3
 
@@ -63,6 +63,6 @@ def test_windows_of_the_periodic_image_lie_in_their_places(name: str) -> None:
     periodic = measure(make_case(name)).periodic
     ideal = periodic.image((150, 150))
     for left, top in ((0, 0), (5, 3), (2, 11)):
-        found = register_windows(np.ascontiguousarray(ideal[top:, left:]), periodic)
-        assert np.hypot(*periodic.lattice.wrap(np.add(found.phase, (left, top)))) < 0.02
-        assert np.hypot(*found.offsets.T).max() < 0.05
+        windows = register_windows(np.ascontiguousarray(ideal[top:, left:]), periodic)
+        assert np.hypot(*periodic.lattice.wrap(np.add(windows.phase, (left, top)))) < 0.02
+        assert np.hypot(*windows.offsets.T).max() < 0.05

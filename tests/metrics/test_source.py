@@ -8,7 +8,7 @@ SAMPLE = np.zeros((32, 48, 3), np.float32)
 
 
 def use(source: SourceMap | None) -> Score:
-    """Score a source map, and check that every None has its reason."""
+    """Return the score of a source map, and check that every None has its reason."""
     output = SAMPLE if source is None else np.zeros((*source.shape[:2], 3), np.float32)
     score = SourceUse().score(Observation(SAMPLE, output, source=source))
     assert set(score.values) == set(SourceUse.columns)

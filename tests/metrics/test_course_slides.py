@@ -7,9 +7,9 @@ import pytest
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.ncc import strip_template
-from nrbench.metrics.ncc.strip_template import StripTemplate
-from nrbench.metrics.verdict.courses import strip_excess, strips
+from nrbench.metrics.ncc import course_template
+from nrbench.metrics.ncc.course_template import CourseTemplate
+from nrbench.metrics.verdict.courses import course_slide_excess, measure_courses
 from nrbench.metrics.verdict.windows import scatter_excess
 
 from .conftest import MODELS, Case
@@ -20,65 +20,65 @@ Cases = Callable[[str], Case]
 
 @pytest.mark.parametrize("name", MODELS)
 def test_no_course_of_a_fresh_draw_has_slid(case: Cases, name: str) -> None:
-    """Every course of a fresh draw is likelier in its place than elsewhere, and none is suspected."""
+    """Every course of a fresh draw is more likely in its place than elsewhere, and none exceeds the limits."""
     verdict = case(name).verdict(case(name).fresh(256))
-    seen = verdict.output.strips
-    assert max(gain.max() for gain in seen.gain) < 0
-    own = [look.strips for look in verdict.references]
-    assert strip_excess(seen, own, verdict.output.tiles).max() < 0.8
+    courses = verdict.output.courses
+    assert max(gain.max() for gain in courses.gain) < 0
+    references = [image.courses for image in verdict.references]
+    assert course_slide_excess(courses, references, verdict.output.tiles).max() < 0.8
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_course_that_slid_by_little_is_seen(case: Cases, name: str) -> None:
-    """A course that slid by 0.15 s, within most of its windows' tolerance, is called lost."""
+def test_a_course_that_slid_by_little_is_detected(case: Cases, name: str) -> None:
+    """If a course slid by 0.15 s, which the windows alone hardly show, regularity is lost."""
     image, _ = case(name).planted("slipped-course", 0.15, seed=2, side=256)
     verdict = case(name).verdict(image)
     assert verdict.preserved is False
     assert "a course of tiles has slid" in verdict.faults
-    slide = verdict.output.strips.worst_slide
+    slide = verdict.output.courses.worst_slide
     assert slide is not None and slide / verdict.reference.lattice.s == pytest.approx(0.15, abs=0.03)
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_a_course_within_the_tolerance_has_not_slid(case: Cases, name: str) -> None:
-    """A course that slid by 0.06 s, less than windows may be off, is no fault, though its exact place is unlikely."""
+    """A course that slid by 0.06 s, less than the tolerance, is no fault, although its exact place is unlikely."""
     image, _ = case(name).planted("slipped-course", 0.06, seed=2, side=256)
     verdict = case(name).verdict(image)
     assert verdict.course_excess.max() <= 1
 
 
 @pytest.mark.parametrize("seed", [1, 4])
-def test_a_course_of_yarns_that_differ_is_seen(seed: int) -> None:
-    """At a regular share of 0.4 a slip of 0.15 s is seen in a weave whose yarns differ; fresh draws stay in place."""
+def test_a_course_of_yarns_that_differ_is_detected(seed: int) -> None:
+    """At a regular share of 0.4 a slide of 0.15 s is detected in a weave of different yarns, none in a fresh draw."""
     model = Weave(rotation=7.0 * (seed - 1), color=0.55, intensity=0.25, noise=0.05)
     texture = model.render((128, 128), np.random.default_rng(seed))
     one = Case(model, replace(texture, image=quantize(texture.image)))
     slid = one.verdict(one.planted("slipped-course", 0.15, seed=seed, side=256)[0])
     assert slid.course_excess.max() > 1
-    right = one.verdict(one.fresh(256))
-    assert right.course_excess.max() < 0.8
+    fresh = one.verdict(one.fresh(256))
+    assert fresh.course_excess.max() < 0.8
 
 
 def test_a_color_added_everywhere_moves_no_course(case: Cases) -> None:
-    """Likelihoods do not change when every pixel is brighter by the same color."""
+    """The gains do not change if the same color is added to every pixel."""
     one = case("weave")
     periodic, image = measure(one).periodic, one.fresh(128)
     brighter = image + np.array([0.05, -0.03, 0.1], np.float32)
-    here, there = (strips(some, periodic.lattice, periodic) for some in (image, brighter))
+    here, there = (measure_courses(some, periodic.lattice, periodic) for some in (image, brighter))
     for first, second in zip(here.gain, there.gain, strict=True):
-        seen = np.isfinite(first)
-        assert np.allclose(first[seen], second[seen], atol=1e-3)
+        finite = np.isfinite(first)
+        assert np.allclose(first[finite], second[finite], atol=1e-3)
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_bent_content_is_seen(case: Cases, name: str) -> None:
-    """A warp of 0.15 s at most scatters windows more than fresh draws do; a fresh draw does not."""
+def test_bent_content_is_detected(case: Cases, name: str) -> None:
+    """A warp of up to 0.15 s scatters windows more than fresh draws do, and a further fresh draw does not."""
     one = case(name)
     bent = one.verdict(one.planted("warp", 0.15, seed=2, side=256)[0])
     assert "the content is bent" in bent.faults
-    right = one.verdict(one.fresh(256, 1))
-    references = [look.windows for look in right.references]
-    assert scatter_excess(right.output.windows, references) < 0.6
+    fresh = one.verdict(one.fresh(256, 1))
+    references = [image.windows for image in fresh.references]
+    assert scatter_excess(fresh.output.windows, references) < 0.6
 
 
 def test_courses_follow_the_lattice_origin(case: Cases) -> None:
@@ -87,17 +87,20 @@ def test_courses_follow_the_lattice_origin(case: Cases) -> None:
     periodic, image = measure(one).periodic, one.fresh(128)
     lattice = periodic.lattice
     away = lattice.from_cell((2.0, -1.0)) - lattice.from_cell((0.0, 0.0))
-    here, there = strips(image, lattice, periodic), strips(image, lattice.shifted((away[0], away[1])), periodic)
+    here, there = (
+        measure_courses(image, lattice, periodic),
+        measure_courses(image, lattice.shifted((away[0], away[1])), periodic),
+    )
     for first, second in zip(here.gain, there.gain, strict=True):
-        seen = np.isfinite(first)
-        assert len(first) == len(second) and np.allclose(first[seen], second[np.isfinite(second)], atol=0.02)
+        finite = np.isfinite(first)
+        assert len(first) == len(second) and np.allclose(first[finite], second[np.isfinite(second)], atol=0.02)
 
 
 @pytest.mark.parametrize("direction", range(4))
 def test_no_sample_of_a_template_is_left_out(direction: int) -> None:
-    """Where rows of pixels meet every second sample of an oblique course alone, the others take their neighbors'."""
+    """If pixels fall on every second sample of an oblique course only, the others use their neighbors' pixels."""
     lattice = Lattice((21.99866, 0.0), (10.99933, 19.0514), (-7.6336, 0.98495))
-    template = StripTemplate.of(
+    template = CourseTemplate.of(
         lattice, np.ones((153, 197, 3), np.float32), np.zeros((153, 197), np.float32), direction
     )
     assert np.allclose(template.mean, 1)
@@ -106,20 +109,20 @@ def test_no_sample_of_a_template_is_left_out(direction: int) -> None:
 @pytest.mark.parametrize("at_once", [1, 1 << 22])
 @pytest.mark.parametrize("half", [0, 1])
 def test_products_are_those_with_the_slid_template(half: int, at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sums over half a course are weighed as the template rolled by k columns weighs them, however many at once."""
-    monkeypatch.setattr(strip_template, "_AT_ONCE", at_once)
+    """The products equal direct sums with the template rolled by k columns, for any number of rows at a time."""
+    monkeypatch.setattr(course_template, "_AT_ONCE", at_once)
     rng, lattice = np.random.default_rng(half), Lattice((9.0, 0.0), (2.0, 8.0))
     image, variance = rng.random((64, 64, 3), np.float32), rng.random((64, 64), np.float32)
-    template = StripTemplate.of(lattice, image, variance, 1)
+    template = CourseTemplate.of(lattice, image, variance, 1)
     middle = template.grid.rows // 2
     halves = rng.random((3, middle, template.grid.columns, 5))
-    fit, weight, lacks = template.correlated(halves, half)
+    fit, weight, differences = template.compare_halves(halves, half)
     rows = slice(half * middle, (half + 1) * middle)
     for k in range(template.grid.columns):
-        mean, spread = np.roll(template.mean[rows], k, 1), np.roll(template.variance[rows], k, 1)
+        mean, variances = np.roll(template.mean[rows], k, 1), np.roll(template.variance[rows], k, 1)
         count, values, squares = halves[..., 0], halves[..., 1:4], halves[..., 4]
         square = count * (mean**2).sum(-1) - 2 * (values * mean).sum(-1) + squares
-        assert np.allclose(fit[:, k], (square / spread + 3 * count * np.log(spread)).sum((1, 2)))
-        assert np.allclose(weight[:, k], (count / spread).sum((1, 2)))
-        lack = (values - count[..., np.newaxis] * mean) / spread[..., np.newaxis]
-        assert np.allclose(lacks[..., k], lack.sum((1, 2)).T)
+        assert np.allclose(fit[:, k], (square / variances + 3 * count * np.log(variances)).sum((1, 2)))
+        assert np.allclose(weight[:, k], (count / variances).sum((1, 2)))
+        difference = (values - count[..., np.newaxis] * mean) / variances[..., np.newaxis]
+        assert np.allclose(differences[..., k], difference.sum((1, 2)).T)
