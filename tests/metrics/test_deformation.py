@@ -23,7 +23,7 @@ Cases = Callable[[str], Case]
 SQUARE = Lattice((20.0, 0.0), (0.0, 20.0), (3.0, 5.0))
 
 
-def seen(model: Model, output: Model | None = None, side: int = 192, again: bool = False) -> Observation:
+def make_observation(model: Model, output: Model | None = None, side: int = 192, again: bool = False) -> Observation:
     """Return a sample of a model and a draw of another on the same lattice."""
     texture = model.render((128, 128), np.random.default_rng(5))
     texture = replace(texture, image=quantize(texture.image))
@@ -78,12 +78,12 @@ def test_folded_cells_are_counted(amplitude: float, share: float) -> None:
 def test_output_and_sample_are_compared_alike() -> None:
     """An output as warped as its sample has ratios near 1, also to fresh draws; a straight one far below 1."""
     warped = Weave(color=0.15, noise=0.02, bend=0.4)
-    alike = Deformation().score(seen(warped, side=256, again=True))
+    alike = Deformation().score(make_observation(warped, side=256, again=True))
     assert isinstance(Deformation(), Metric) and set(alike.values) == set(Deformation.columns)
     for column in ("amplitude_ratio", "amplitude_to_fresh", "length_to_fresh"):
         value = alike.values[column]
         assert value is not None and 0.7 < value < 1.4, column
-    straight = Deformation().score(seen(warped, replace(warped, bend=0.0), side=256))
+    straight = Deformation().score(make_observation(warped, replace(warped, bend=0.0), side=256))
     ratio = straight.values["amplitude_ratio"]
     assert ratio is not None and ratio < 0.2
     assert straight.reasons["amplitude_to_fresh"] == "not measured: the texture has no fresh draws"
@@ -92,7 +92,7 @@ def test_output_and_sample_are_compared_alike() -> None:
 
 def test_brightness_and_contrast_do_not_count() -> None:
     """Halved contrast and another brightness hardly change the amplitude."""
-    first = seen(Weave(color=0.1, noise=0.02, bend=0.4))
+    first = make_observation(Weave(color=0.1, noise=0.02, bend=0.4))
     dim = replace(first, output=np.asarray(0.5 * first.output + 0.2, np.float32))
     before, after = (Deformation().score(one).values["amplitude"] for one in (first, dim))
     assert before is not None
@@ -101,7 +101,7 @@ def test_brightness_and_contrast_do_not_count() -> None:
 
 def test_the_lattice_alone_is_enough() -> None:
     """Without the model, even without a lattice, the amplitude is nearly the same; a lattice given does not count."""
-    first = seen(Weave(color=0.15, noise=0.02, bend=0.4))
+    first = make_observation(Weave(color=0.15, noise=0.02, bend=0.4))
     assert first.truth is not None and first.truth.lattice is not None
     lattice = first.truth.lattice
     alone = replace(first, truth=Texture(first.sample, lattice))

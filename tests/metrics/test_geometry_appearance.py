@@ -12,7 +12,7 @@ from nrbench.metrics.geometry_appearance import GeometryAppearance
 from nrbench.plugins.forms import Metric, Texture
 
 from .conftest import Case
-from .test_deformation import seen
+from .test_deformation import make_observation
 
 Cases = Callable[[str], Case]
 PLAIN = Weave(color=0.0, intensity=0.0, noise=0.0)
@@ -20,7 +20,7 @@ PLAIN = Weave(color=0.0, intensity=0.0, noise=0.0)
 
 def test_a_perfect_texture_has_neither() -> None:
     """Identical tiles on a regular lattice have a G under 0.01 s and an A under the error of resampling."""
-    values = GeometryAppearance().score(seen(PLAIN)).values
+    values = GeometryAppearance().score(make_observation(PLAIN)).values
     assert isinstance(GeometryAppearance(), Metric) and set(values) == set(GeometryAppearance.columns)
     assert values["g"] is not None and values["a"] is not None
     assert values["g"] < 0.01 and values["a"] < 0.02
@@ -28,7 +28,7 @@ def test_a_perfect_texture_has_neither() -> None:
 
 def test_appearance_measures_noise() -> None:
     """A is the standard deviation of grain, less what bilinear resampling removes, and G stays small."""
-    values = GeometryAppearance().score(seen(replace(PLAIN, noise=0.08))).values
+    values = GeometryAppearance().score(make_observation(replace(PLAIN, noise=0.08))).values
     assert values["a"] is not None and values["g"] is not None
     assert 0.05 < values["a"] < 0.08
     assert values["g"] < 0.02
@@ -38,7 +38,7 @@ def test_each_score_responds_to_its_own_departure() -> None:
     """Color changes A and hardly G; a warp changes G and hardly A."""
     g, a = [], []
     for departure in ({}, {"color": 0.2}, {"color": 0.4}, {"bend": 0.2}, {"bend": 0.4}):
-        values = GeometryAppearance().score(seen(Weave(noise=0.02, **{"color": 0.1, **departure}))).values
+        values = GeometryAppearance().score(make_observation(Weave(noise=0.02, **{"color": 0.1, **departure}))).values
         g.append(values["g"])
         a.append(values["a"])
     assert a[0] < a[1] < a[2] and a[2] > 2 * a[0]

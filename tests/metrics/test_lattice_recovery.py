@@ -57,8 +57,8 @@ def test_without_a_lattice_nothing_is_scored(used: Lattice | None, truth: Lattic
 
 def test_a_detectors_lattice_comes_with_its_confidence() -> None:
     """The answer of the detector stands beside the comparison."""
-    seen = dataclasses.replace(observed(TRUTH), detected=FoundLattice(TRUTH, 0.1, confidence=0.75))
-    score = LatticeRecovery().score(seen)
+    observation = dataclasses.replace(observed(TRUTH), detected=FoundLattice(TRUTH, 0.1, confidence=0.75))
+    score = LatticeRecovery().score(observation)
     assert (score.values["found"], score.values["confidence"], score.values["exact"]) == (True, 0.75, True)
     assert not score.reasons
 
