@@ -110,6 +110,8 @@ def _column_page(page: dict[str, Any], column: str) -> list[dict[str, Any]]:
 
 
 def _page(kind: str, plugin: Any) -> dict[str, Any]:
+    from nrbench.plugins.parameters import fields_by_call
+
     cls = plugin.cls
     page = {
         "kind": kind,
@@ -117,7 +119,7 @@ def _page(kind: str, plugin: Any) -> dict[str, Any]:
         "distribution": plugin.distribution,
         "version": plugin.version,
         "page": inspect.getdoc(cls) or "",
-        "parameters": {field.name: _default(field) for field in dataclasses.fields(cls)},
+        "parameters": {field.name: _default(field) for field in fields_by_call(cls)},
         "bibtex": inspect.cleandoc(getattr(cls, "paper", "")),
     }
     if kind == "metrics":

@@ -97,6 +97,14 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f" (known: {', '.join(options)})" if options else " (there are none)"
 
 
+def fields_by_call(cls: type[Any]) -> list[dataclasses.Field[Any]]:
+    """Return the fields of a plugin in the order of its constructor: keyword-only fields come last.
+
+    A method inherits shared parameters as keyword-only fields, so its own parameters come first, as on its page.
+    """
+    return sorted(dataclasses.fields(cls), key=lambda field: field.kw_only)
+
+
 def append_parameters(cls: type[Any], base: type[Any]) -> None:
     """Append the parameters that a base class documents to the docstring of a class that inherits them.
 

@@ -1,4 +1,3 @@
-import dataclasses
 import inspect
 import itertools
 import math
@@ -16,6 +15,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.source import SourceUse
 from nrbench.plugins.forms import Observation, Refused, Synthesis, Task
+from nrbench.plugins.parameters import fields_by_call
 from nrbench.running.phases import checked_synthesis, is_picture
 from nrbench.spectra.harmonics import Harmonics
 from nrbench.synthesizers.ann_pixel import AnnPixel
@@ -275,10 +275,11 @@ def test_parameters_that_make_no_sense_are_refused(parameters: dict[str, Any]) -
 
 @pytest.mark.parametrize("method", [AnnPixel, FftmPatch, FftmPixel])
 def test_all_fields_are_documented(method: type[Any]) -> None:
-    """Each parameter, inherited ones included, has its paragraph on the method's page, under one heading."""
+    """The page describes each parameter under one heading, inherited ones last, in the order of the defaults."""
     page = inspect.getdoc(method) or ""
     assert page.count("\nParameters\n") == 1
-    assert all(f"\n{field.name}\n" in page for field in dataclasses.fields(method))
+    places = [page.index(f"\n{field.name}\n") for field in fields_by_call(method)]
+    assert places == sorted(places)
 
 
 def seam_ratio(image: Image) -> float:
