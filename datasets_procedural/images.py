@@ -16,9 +16,9 @@ import numpy as np
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image
-from nrbench.imaging.truth import TruthTable
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Region, Shape, Texture
+from nrbench.truth import TruthTable
 
 from .modelling.model import check
 
@@ -184,7 +184,7 @@ def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:
     Raises
     ------
     BadInput
-        When the table is malformed (see :class:`~nrbench.imaging.truth.TruthTable`), or a line names no
+        When the table is malformed (see :class:`~nrbench.truth.TruthTable`), or a line names no
         file in the folder.
     """
     rows = TruthTable.read(folder).rows

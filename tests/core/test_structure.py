@@ -33,7 +33,7 @@ FLOORS = (
     ("nrbench.plugins",),
     ("nrbench.spectra",),
     ("nrbench.tracking",),
-    ("nrbench.imaging",),
+    ("nrbench.imaging", "nrbench.truth"),
     ("nrbench.lattice",),
     ("nrbench.errors", "nrbench.streams", "nrbench.storage", "nrbench.jit", "nrbench.checkout"),
 )
