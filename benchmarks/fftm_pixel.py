@@ -59,7 +59,7 @@ def drawn(model: object, side: int, seed: int = 0) -> Texture:
 
 def guided(method: FftmPixel, sample: Image, mask: TextureMask, side: int) -> Synthesis:
     """Return an output of this side."""
-    return method.follow(Task(sample, (side, side), None, np.random.default_rng(1)), mask)
+    return method.synthesize_with_mask(Task(sample, (side, side), None, np.random.default_rng(1)), mask)
 
 
 def row(name: str, call: Callable[[], object], pixels: int, repeats: int = 5) -> None:

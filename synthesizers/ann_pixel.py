@@ -54,13 +54,13 @@ class AnnPixel(SearchParameters):
         Refused
             If the sample does not hold a neighborhood.
         """
-        neighborhood = Neighborhood.growing(self.neighborhood, masked=False)
+        neighborhood = Neighborhood.first_pass(self.neighborhood, masked=False)
         layers = stack_layers(task.sample)
         candidates = find_candidates(layers, neighborhood, task.rng)
         (height, width), (left, top, right, bottom) = task.shape, neighborhood.box
         start = scatter_pixels(layers, (height + top + bottom, width + left + right), task.rng)
         growth = Growth(task, start, (top, left))
-        growth.grow(candidates.stock(layers, neighborhood, self, 1.0), range(height), range(width))
+        growth.grow(candidates.build_stock(layers, neighborhood, self, 1.0), range(height), range(width))
         image, source = growth.result()
         task.progress(1.0)
         return Synthesis(image, source=source)

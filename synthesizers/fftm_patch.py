@@ -14,7 +14,7 @@ from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
 from .masks.texture_mask import MaskParameters, TextureMask
-from .patchwork.patchwork import PatchPlacer, Patchwork, SeamHeat, scan_lines
+from .patchwork.patchwork import PatchPlacer, Patchwork, SeamHeat, scan_windows
 from .patchwork.translations import Features
 
 SeamValues = Literal["color", "mask"]
@@ -118,9 +118,9 @@ class FftmPatch(MaskParameters):
             If the sample has no regular part or is smaller than the patch, or the output cannot be tiled.
         """
         mask, seconds = self.find_mask_of(task)
-        return replace(self.follow(task, mask), detection_seconds=seconds)
+        return replace(self.synthesize_with_mask(task, mask), detection_seconds=seconds)
 
-    def follow(self, task: Task, mask: TextureMask) -> Synthesis:
+    def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
         """Return the synthesis guided by a mask of the task's sample, and raise as :meth:`synthesize` does."""
         output_mask = self.fit_to_output(mask, task.shape).draw(task.shape)
         image, source = self.lay_patches(task, mask, output_mask).result()
@@ -147,14 +147,14 @@ class FftmPatch(MaskParameters):
         work = Patchwork(task.sample, features, task.shape, self.normalized, self.tileable)
         placer = PatchPlacer(work, colors, self.randomness, task.rng, guide, round(self.reach * min(size)))
         step_y, step_x = (max(1, round(side * (1 - self.overlap))) for side in size)
-        windows = list(scan_lines(task.shape, size, (step_y, step_x), self.tileable))
+        windows = list(scan_windows(task.shape, size, (step_y, step_x), self.tileable))
         steps = len(windows) * (1 + self.refinements)
         for number, window in enumerate(windows):
-            placer.cover(window)
+            placer.cover_window(window)
             task.progress(number / steps)
         heat = SeamHeat(work, size)
         for number in range(len(windows), steps):
-            placer.improve(heat)
+            placer.improve_worst_window(heat)
             task.progress(number / steps)
         return work
 

@@ -112,9 +112,9 @@ class FftmPixel(MaskParameters, SearchParameters):
             If the sample has no regular part or does not hold a neighborhood, or the output cannot be tiled.
         """
         mask, seconds = self.find_mask_of(task)
-        return replace(self.follow(task, mask), detection_seconds=seconds)
+        return replace(self.synthesize_with_mask(task, mask), detection_seconds=seconds)
 
-    def follow(self, task: Task, mask: TextureMask) -> Synthesis:
+    def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
         """Return the synthesis guided by a mask of the task's sample, and raise as :meth:`synthesize` does."""
         synthesis = _GuidedGrowth(self, task, mask)
         synthesis.grow()
@@ -153,17 +153,17 @@ class _GuidedGrowth:
         """Synthesize all pixels; of tileable outputs those near the border once more."""
         size, masked = self.method.neighborhood, self.method.match == "full"
         height, width = self.task.shape
-        groups = None if masked else self.clusters.of_output(self.growth.layers, self.task.shape, self.growth.corner)
-        self.growth.grow(self._stock(Neighborhood.growing(size, masked)), range(height), range(width), groups)
+        groups = None if masked else self.clusters.label_output(self.growth.layers, self.task.shape, self.growth.corner)
+        self.growth.grow(self._stock(Neighborhood.first_pass(size, masked)), range(height), range(width), groups)
         if self.method.tileable:
-            stock = self._stock(Neighborhood.closing(size, masked))
+            stock = self._stock(Neighborhood.second_pass(size, masked))
             for rows in _border(height, size):
                 self.growth.grow(stock, rows, range(width), groups)
             for columns in _border(width, size):
                 self.growth.grow(stock, range(height), columns, groups)
 
     def _stock(self, neighborhood: Neighborhood) -> Stock:
-        return self.candidates.stock(self.layers, neighborhood, self.method, self.method.weight)
+        return self.candidates.build_stock(self.layers, neighborhood, self.method, self.method.weight)
 
 
 def _border(length: int, reach: int) -> tuple[range, range]:
@@ -201,7 +201,7 @@ class Clusters:
         used, labels = np.unique(vq(vectors, centers)[0], return_inverse=True)
         return cls(neighborhood, centers[used], labels.astype(np.int64))
 
-    def of_output(self, layers: Layers, shape: Shape, corner: tuple[int, int]) -> Integers:
+    def label_output(self, layers: Layers, shape: Shape, corner: tuple[int, int]) -> Integers:
         """Return the cluster of each pixel of an output of ``shape`` whose layers have a border, ``(H, W)``."""
         height, width = shape
         columns = np.arange(width) + corner[1]

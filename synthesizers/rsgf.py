@@ -214,7 +214,7 @@ class GapFiller:
             trials = _STOCHASTIC_TRIALS if self.method.prefer_unused else 1
             return self.sampler.draw(self.task.rng.integers(shape[::-1], size=(trials, 2)))
         border = self.grid.border
-        equal = self._block_places.find(self._corner(row, column) - border)
+        equal = self._block_places.find_places(self._corner(row, column) - border)
         candidates: NDArray[Any] = (
             _places_inside(round_places(equal), shape) if self.method.subpixel else nearest_pixels(equal, shape)
         )
@@ -231,7 +231,7 @@ class GapFiller:
         if self.lattice is None or self.method.search != "lattice":
             ratings = self.matcher.rate_everywhere(template, hole)
             return self.sampler.draw(np.argwhere(ratings == ratings.max())[:, ::-1]), None
-        equal = self._keep_off_edge(self._gap_places.find(self._corner(row, column)))
+        equal = self._keep_off_edge(self._gap_places.find_places(self._corner(row, column)))
         candidates = nearby_pixels(equal, self._gap_places.margin, self.matcher.search_shape)
         self._require_candidates(candidates, row, column, self.grid.block)
         ratings = self.matcher.rate(template, hole, candidates)

@@ -100,12 +100,12 @@ def _mean_window(sample: Image, lattice: Lattice, corner: Points, shape: tuple[i
     size, last = np.array(shape[::-1]), np.array(sample.shape[1::-1]) - 0.5
     room = sample.shape[0] + shape[0] - 1, sample.shape[1] + shape[1] - 1
     patches = Patches(sample)
-    for place in round_places(EqualPlaces(lattice, room).find(corner + size - 1) - size + 1):
+    for place in round_places(EqualPlaces(lattice, room).find_places(corner + size - 1) - size + 1):
         left, top = np.maximum(np.ceil(-0.5 - place), 0).astype(int)
         right, bottom = np.minimum(np.floor(last - place).astype(int) + 1, size)
         if left < right and top < bottom:
             part = np.s_[top:bottom, left:right]
-            total[part] += patches.cut(place + np.array([left, top]), (bottom - top, right - left))[0]
+            total[part] += patches.cut_patch(place + np.array([left, top]), (bottom - top, right - left))[0]
             count[part] += 1
     return np.asarray(total / np.maximum(count, 1)[..., np.newaxis], np.float32)
 

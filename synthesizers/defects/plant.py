@@ -455,7 +455,7 @@ def _source(site: Site, halves: _Halves, corner: NDArray[np.intp]) -> NDArray[np
     x0, y0, x1, y1 = halves.source
     room = (y1 - y0 - halves.height + 1, x1 - x0 - halves.width + 1)
     at: Vector = (float(corner[0] - x0), float(corner[1] - y0))
-    places = EqualPlaces(site.lattice, room).find(at)
+    places = EqualPlaces(site.lattice, room).find_places(at)
     if not len(places):
         return None
     pixels = np.floor(places + 0.5)

@@ -76,7 +76,7 @@ class BlockCanvas:
         """Place a block. Its borders must lie inside the sample, too."""
         self.places[row, column] = place
         window, block = self.window(row, column), self.grid.block
-        self.image[window], self.source[window] = self.patches.cut(place, (block, block))
+        self.image[window], self.source[window] = self.patches.cut_patch(place, (block, block))
         self.known[window] = True
 
     def extend_placed(self) -> None:
@@ -143,7 +143,7 @@ class BlockCanvas:
         y0, y1, x0, x1 = box
         first = np.add(place, (x0, y0))
         if field is None:
-            return self.patches.cut(first, (y1 - y0, x1 - x0))
+            return self.patches.cut_patch(first, (y1 - y0, x1 - x0))
         points = first + pixel_grid(x1 - x0, y1 - y0) + field
         last = np.array(self.patches.sample.shape[1::-1]) - 0.5
         return self.patches.read_with_source(np.clip(points, -0.5, last))

@@ -102,7 +102,7 @@ class Patchwork:
         rows, columns = np.arange(y0, y1) % self.shape[0], np.arange(x0, x1) % self.shape[1]
         return rows[:, np.newaxis], columns[np.newaxis]
 
-    def lay(self, window: Window, place: tuple[int, int], reach: int = 0) -> int:
+    def lay_patch(self, window: Window, place: tuple[int, int], reach: int = 0) -> int:
         """Cut a patch into a window: all of it where nothing is known, else the part for which the seams cost least.
 
         Parameters
@@ -119,7 +119,7 @@ class Patchwork:
         int
             The number of new pixels.
         """
-        around, ring = self._add_ring(self._extend(window, place, reach))
+        around, ring = self._add_ring(self._extend_window(window, place, reach))
         pixels = self.pixels(around)
         known, origin = np.ascontiguousarray(self.known[pixels]), np.ascontiguousarray(self.origin[pixels])
         forced = np.zeros_like(known)
@@ -146,7 +146,7 @@ class Patchwork:
         ring[_within(window, around)] = False
         return around, ring
 
-    def _extend(self, window: Window, place: tuple[int, int], reach: int) -> Window:
+    def _extend_window(self, window: Window, place: tuple[int, int], reach: int) -> Window:
         """Return a window extended on all sides, as far as sample and output go."""
         ends: list[int] = []
         for axis in (0, 1):
@@ -292,7 +292,7 @@ class PatchPlacer:
         The values that every pixel of the output should have, known or not, and the same of the sample's pixels: two
         ``int32 (H, W, M)``, of the output and of the sample; None: no guide.
     reach
-        How far, px, beyond a window its patch may replace pixels as well: see :meth:`Patchwork.lay`.
+        How far, px, beyond a window its patch may replace pixels as well: see :meth:`Patchwork.lay_patch`.
     """
 
     def __init__(
@@ -308,21 +308,21 @@ class PatchPlacer:
         self.guide, self.reach = guide, reach
         self._translations = Translations((colors,) if guide is None else (colors, guide[1]))
 
-    def cover(self, window: Window) -> int:
+    def cover_window(self, window: Window) -> int:
         """Lay a patch into a window, and return the number of new pixels; 0 if nothing would be better."""
         pixels = self.work.pixels(window)
         known = self.work.known[pixels]
         layers = [Layer(self.work.read(self.colors, window), None if known.all() else known)]
         if self.guide is not None:
             layers.append(Layer(self.guide[0][pixels]))
-        costs = self._translations.rate(layers)
+        costs = self._translations.compute_costs(layers)
         scale = self.randomness * self._variance * known.size
-        return self.work.lay(window, draw_translation(costs, scale, self.rng), self.reach)
+        return self.work.lay_patch(window, draw_translation(costs, scale, self.rng), self.reach)
 
-    def improve(self, heat: SeamHeat) -> int:
+    def improve_worst_window(self, heat: SeamHeat) -> int:
         """Cover the window whose seams are worst again, and return the number of new pixels."""
         window = heat.find_worst()
-        new = self.cover(window)
+        new = self.cover_window(window)
         heat.update(window, self.reach)
         return new
 
@@ -334,7 +334,7 @@ class PatchPlacer:
         return (count * squares - sum(int(total) ** 2 for total in values.sum(0))) / count**2
 
 
-def scan_lines(shape: tuple[int, int], size: tuple[int, int], step: tuple[int, int], wrap: bool) -> Iterator[Window]:
+def scan_windows(shape: tuple[int, int], size: tuple[int, int], step: tuple[int, int], wrap: bool) -> Iterator[Window]:
     """Yield windows of a size that cover an output, line by line, each ``step`` (rows, columns) after the last.
 
     The last window of a line, and the last line, are cropped at the output's edge; where it wraps, they go beyond.

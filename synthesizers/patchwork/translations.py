@@ -53,7 +53,7 @@ class Translations:
 
     layers: tuple[Features, ...]
 
-    def rate(self, window: Sequence[Layer]) -> Costs:
+    def compute_costs(self, window: Sequence[Layer]) -> Costs:
         """Return the sum of squared differences between a window and the part of the sample at each place.
 
         Parameters
@@ -111,7 +111,7 @@ def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tu
     Parameters
     ----------
     costs
-        Costs from :meth:`Translations.rate`.
+        Costs from :meth:`Translations.compute_costs`.
     scale
         The paper's k sigma^2 (section 4) times the number of the window's pixels, in the unit of the costs. 0: one of
         the best places is drawn.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .pixel_growing_kernels import UNBOUNDED, TreeArrays, build, search_all
+from .pixel_growing_kernels import UNBOUNDED, TreeArrays, build_tree, search_queries
 
 Points = NDArray[np.int16]
 """``int16 (n, d)``. Points and queries are within 32 767 of each other, so that differences fit 16 bits and squared
@@ -152,7 +152,7 @@ class KdTree:
         bounds = np.concatenate([[0], np.cumsum(np.bincount(labels))])
         roots = np.zeros(len(bounds) - 1, np.int64)
         lows, highs = (reduce.reduceat(points[order], bounds[:-1]) for reduce in (np.minimum, np.maximum))
-        nodes = build(points, order, bounds, roots, leaf)
+        nodes = build_tree(points, order, bounds, roots, leaf)
         placed = (np.arange(n) if ranks is None else ranks)[order]
         return cls((np.ascontiguousarray(points[order]), placed, nodes, lows, highs), roots, order)
 
@@ -181,5 +181,5 @@ class KdTree:
         """
         keys, places = np.full((len(queries), k), UNBOUNDED), np.full((len(queries), k), -1, np.int64)
         labels = np.zeros(len(queries), np.int64) if groups is None else groups
-        search_all(self.arrays, self.roots, labels, queries, (1.0 + eps) ** 2, keys, places)
+        search_queries(self.arrays, self.roots, labels, queries, (1.0 + eps) ** 2, keys, places)
         return np.where(places < 0, -1, self.order[places]), np.where(places < 0, -1, keys >> 32)

@@ -30,7 +30,7 @@ StockArrays = tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDA
 inverse, -1 where the neighborhood is incomplete; ``similar (n, k)``: the places most like each; the sample's width."""
 QueryArrays = tuple[NDArray[np.int64], NDArray[np.int16], NDArray[np.int32], int, NDArray[np.int64]]
 """A neighborhood: ``steps (D,)`` from a pixel's first value to its neighborhood's; the projection's ``matrix``,
-``shift`` and ``bits``; ``causes (m, 2)``: the offsets (x, y) whose sources are continued."""
+``shift`` and ``bits``; ``texture_offsets (m, 2)``: the offsets (x, y) whose sources are continued."""
 TREE = "Tuple((int16[:, ::1], int64[::1], int32[:, ::1], int16[:, ::1], int16[:, ::1]))"
 CANVAS = "Tuple((uint8[::1], int64[:, ::1], int64[::1]))"
 STOCK = "Tuple((uint8[:, ::1], int64[::1], int64[::1], int64[:, ::1], int64))"
@@ -38,7 +38,7 @@ QUERY = "Tuple((int64[::1], int16[:, ::1], int32[::1], int64, int64[:, ::1]))"
 
 
 @kernel("void(int16[::1], int64[::1], int64, int64, int64)")
-def split(values: NDArray[np.int16], order: NDArray[np.int64], start: int, stop: int, middle: int) -> None:
+def split_at_middle(values: NDArray[np.int16], order: NDArray[np.int64], start: int, stop: int, middle: int) -> None:
     """Move the values from ``start`` to ``stop`` so that none before ``middle`` exceeds one from there on.
 
     ``order`` moves along. Hoare's selection, O(stop - start) on average, with equal values shared between both sides.
@@ -82,7 +82,7 @@ def widest_axis(points: NDArray[np.int16], order: NDArray[np.int64], start: int,
 
 
 @kernel("int32[:, ::1](int16[:, ::1], int64[::1], int64[::1], int64[::1], int64)")
-def build(
+def build_tree(
     points: NDArray[np.int16],
     order: NDArray[np.int64],
     bounds: NDArray[np.int64],
@@ -124,7 +124,7 @@ def build(
                 middle = (start + stop) // 2
                 for i in range(start, stop):
                     values[i] = points[order[i], axis]
-                split(values, order, start, stop, middle)
+                split_at_middle(values, order, start, stop, middle)
                 node[2], node[3], node[4] = axis, values[start:middle].max(), values[middle:stop].min()
                 todo[top, 0], todo[top, 1], todo[top, 2] = middle, stop, count
                 todo[top + 1, 0], todo[top + 1, 1], todo[top + 1, 2] = start, middle, -1
@@ -151,7 +151,7 @@ def key_of(query: NDArray[np.int16], points: NDArray[np.int16], ranks: NDArray[n
 
 
 @kernel(f"void({TREE}, int64, int64, int16[::1], float64, int64[::1], int64[::1], int64[:, ::1], int64[::1])")
-def search(
+def search_tree(
     tree: TreeArrays,
     group: int,
     root: int,
@@ -232,7 +232,7 @@ def search(
 
 
 @kernel(f"void({TREE}, int64[::1], int64[::1], int16[:, ::1], float64, int64[:, ::1], int64[:, ::1])")
-def search_all(
+def search_queries(
     tree: TreeArrays,
     roots: NDArray[np.int64],
     groups: NDArray[np.int64],
@@ -241,15 +241,15 @@ def search_all(
     keys: NDArray[np.int64],
     places: NDArray[np.int64],
 ) -> None:
-    """Run :func:`search` for each of ``queries (q, d)`` in its group; keys and places are ``(q, k)``."""
+    """Run :func:`search_tree` for each of ``queries (q, d)`` in its group; keys and places are ``(q, k)``."""
     stack, gaps = np.empty((DEEPEST, 4), np.int64), np.empty(queries.shape[1], np.int64)
     for q in range(queries.shape[0]):
         group = groups[q]
-        search(tree, group, roots[group], queries[q], shrink, keys[q], places[q], stack, gaps)
+        search_tree(tree, group, roots[group], queries[q], shrink, keys[q], places[q], stack, gaps)
 
 
 @kernel("void(uint8[::1], int64, int64[::1], int16[:, ::1], int32[::1], int64, int16[::1], int16[::1])")
-def project(
+def project_neighborhood(
     values: NDArray[np.uint8],
     at: int,
     steps: NDArray[np.int64],
@@ -271,7 +271,7 @@ def project(
 
 
 @kernel(f"void({CANVAS}, int64, int64, int64, uint8[::1])")
-def put(canvas: CanvasArrays, row: int, column: int, source: int, color: NDArray[np.uint8]) -> None:
+def write_pixel(canvas: CanvasArrays, row: int, column: int, source: int, color: NDArray[np.uint8]) -> None:
     """Write a pixel; if the canvas wraps, also its copies in the border."""
     values, sources, frame = canvas
     height, width, channels = sources.shape[0], sources.shape[1], color.size
@@ -283,7 +283,7 @@ def put(canvas: CanvasArrays, row: int, column: int, source: int, color: NDArray
 
 
 @kernel(f"void({CANVAS}, {STOCK}, {QUERY}, {TREE}, int64[::1], int64[:, ::1], int64[::1], float64, float64, boolean)")
-def grow(
+def grow_box(
     canvas: CanvasArrays,
     stock: StockArrays,
     query: QueryArrays,
@@ -311,14 +311,14 @@ def grow(
         A neighbor's continued source is preferred if its squared distance is at most so many times the best's; 0: it
         has no advantage.
     shrink
-        See :func:`search`.
+        See :func:`search_tree`.
     everywhere
         Whether the tree is searched. If not, the candidates are the neighbors' continued sources and the places similar
         to them; only a pixel without any searches the tree.
     """
     values, sources, frame = canvas
     colors, pixels, places, similar, stride = stock
-    steps, matrix, shift, bits, causes = query
+    steps, matrix, shift, bits, texture_offsets = query
     points, ranks, nodes = tree[0], tree[1], tree[2]
     channels, width = colors.shape[1], sources.shape[1]
     buffer, point = np.zeros(matrix.shape[1], np.int16), np.zeros(matrix.shape[0], np.int16)
@@ -327,16 +327,16 @@ def grow(
     for y in range(box[0], box[1]):
         for x in range(box[2], box[3]):
             row, column = y + frame[2], x + frame[3]
-            project(values, (row * width + column) * channels, steps, matrix, shift, bits, buffer, point)
+            project_neighborhood(values, (row * width + column) * channels, steps, matrix, shift, bits, buffer, point)
             group = groups[y - box[0], x - box[2]]
             start, stop = nodes[roots[group], 0], nodes[roots[group], 1]
             nearest, near = UNBOUNDED, np.int64(-1)
             keys[0], best[0] = UNBOUNDED, -1
-            for m in range(causes.shape[0]):
-                source = sources[row + causes[m, 1], column + causes[m, 0]]
+            for m in range(texture_offsets.shape[0]):
+                source = sources[row + texture_offsets[m, 1], column + texture_offsets[m, 0]]
                 if source < 0:
                     continue
-                source -= causes[m, 1] * stride + causes[m, 0]
+                source -= texture_offsets[m, 1] * stride + texture_offsets[m, 0]
                 if source < 0 or source >= places.size:
                     continue
                 place = places[source]
@@ -356,8 +356,8 @@ def grow(
             if everywhere or (near < 0 and best[0] < 0):
                 if factor > 0 and near >= 0:
                     keys[0] = np.int64(math.ceil((nearest >> 32) / factor)) << 32
-                search(tree, group, roots[group], point, shrink, keys, best, stack, gaps)
+                search_tree(tree, group, roots[group], point, shrink, keys, best, stack, gaps)
             elif near >= 0 and (nearest < keys[0] or (factor > 0 and (nearest >> 32) <= factor * (keys[0] >> 32))):
                 best[0] = -1
             chosen = pixels[near if best[0] < 0 else best[0]]
-            put(canvas, row, column, chosen, colors[chosen])
+            write_pixel(canvas, row, column, chosen, colors[chosen])

@@ -15,7 +15,7 @@ from nrbench.plugins.forms import Refused, SourceMap, Task
 from nrbench.plugins.parameters import append_parameters
 
 from .neighbor_search import Integers, KdTree, Projection
-from .pixel_growing_kernels import CanvasArrays, QueryArrays, StockArrays, grow
+from .pixel_growing_kernels import CanvasArrays, QueryArrays, StockArrays, grow_box
 
 Search = Literal["ann", "exhaustive", "k-coherence"]
 Layers = NDArray[np.uint8]
@@ -95,7 +95,7 @@ class Neighborhood:
     taps: Integers
 
     @classmethod
-    def growing(cls, size: int, masked: bool) -> Neighborhood:
+    def first_pass(cls, size: int, masked: bool) -> Neighborhood:
         """Return the window of ``size`` x ``size`` px from -size//2 on: N_upper in the texture, N_lower in the mask.
 
         N_upper are the pixels before its own in scan-line order, N_lower its own and those behind (Nicoll et al. 2005,
@@ -106,7 +106,7 @@ class Neighborhood:
         return cls(np.stack([x, y, lower], -1)[masked | ~lower])
 
     @classmethod
-    def closing(cls, size: int, masked: bool) -> Neighborhood:
+    def second_pass(cls, size: int, masked: bool) -> Neighborhood:
         """Return the window of size//2 px on all sides in the texture, and the pixel itself in the mask."""
         x, y = _window(size // 2 * 2 + 1)
         own = (y == 0) & (x == 0)
@@ -119,7 +119,7 @@ class Neighborhood:
         return cls(np.stack([x, y, np.ones_like(x)], -1))
 
     @property
-    def causes(self) -> Integers:
+    def texture_offsets(self) -> Integers:
         """``(m, 2)``: the offsets (x, y) that are compared in the texture."""
         return np.ascontiguousarray(self.taps[self.taps[:, 2] == 0, :2])
 
@@ -140,7 +140,7 @@ class Neighborhood:
         pixels = (layer * height + y) * width + x
         return np.asarray((pixels[:, np.newaxis] * channels + np.arange(channels)).ravel())
 
-    def complete(self, shape: tuple[int, int]) -> Integers:
+    def find_complete(self, shape: tuple[int, int]) -> Integers:
         """Return the pixels of a (height, width) whose whole neighborhood lies inside, as row * width + column."""
         (height, width), (left, top, right, bottom) = shape, self.box
         numbers = np.arange(height * width).reshape(height, width)
@@ -189,7 +189,7 @@ class Candidates:
     ranks: Integers
     groups: Integers | None = None
 
-    def stock(self, layers: Layers, neighborhood: Neighborhood, rules: SearchParameters, weight: float) -> Stock:
+    def build_stock(self, layers: Layers, neighborhood: Neighborhood, rules: SearchParameters, weight: float) -> Stock:
         """Return the candidates ready to be searched, O(n D dimensions + n log n).
 
         Parameters
@@ -231,7 +231,7 @@ def find_candidates(layers: Layers, neighborhood: Neighborhood, rng: np.random.G
         If there are none.
     """
     _, height, width, _ = layers.shape
-    pixels = neighborhood.complete((height, width))
+    pixels = neighborhood.find_complete((height, width))
     if not len(pixels):
         left, top, right, bottom = neighborhood.box
         raise Refused(
@@ -275,10 +275,10 @@ class Stock:
         places[placed] = np.arange(len(placed))
         return self.layers[0].reshape(-1, channels), placed, places, self.similar, width
 
-    def query(self, layers: Layers) -> QueryArrays:
+    def query_arrays(self, layers: Layers) -> QueryArrays:
         """Return the neighborhood and projection as kernels read them, for the layers of an output."""
         steps, projection = self.neighborhood.steps(layers), self.projection
-        return steps, projection.matrix, projection.shift, projection.bits, self.neighborhood.causes
+        return steps, projection.matrix, projection.shift, projection.bits, self.neighborhood.texture_offsets
 
 
 class Growth:
@@ -319,13 +319,13 @@ class Growth:
         groups
             ``(height, width)`` of the output: the group of the stock that each pixel is taken from; None: the only one.
         """
-        query, rules = stock.query(self.layers), stock.rules
+        query, rules = stock.query_arrays(self.layers), stock.rules
         for start in range(rows.start, rows.stop, BAND):
             box = np.array([start, min(start + BAND, rows.stop), columns.start, columns.stop])
             among = np.zeros((box[1] - start, len(columns)), np.int64)
             if groups is not None:
                 among[:] = groups[start : box[1], columns.start : columns.stop]
-            grow(
+            grow_box(
                 self.arrays, stock.arrays, query, stock.tree.arrays, stock.tree.roots, among, box,
                 float(rules.coherence) ** 2, (1.0 + rules.eps) ** 2, rules.search != "k-coherence",
             )  # fmt: skip

@@ -68,7 +68,7 @@ class TileFrame:
             return sample, None
         pixels = pixel_grid(*self.shape[::-1]).astype(np.float64)
         inside = self.holds(pixels, sample.shape)
-        return patches.read(self.to_sample(pixels)), None if inside.all() else inside
+        return patches.read_points(self.to_sample(pixels)), None if inside.all() else inside
 
     def holds(self, pixels: Points, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         """Return which points of the scaled image lie inside a sample of ``shape``."""

@@ -59,7 +59,7 @@ class WangTiles:
 
     def pictures(self, patches: Patches, frame: TileFrame) -> dict[str, NDArray[Any]]:
         """Return the images of the tiles, ``tile-01`` and on, and ``edges``."""
-        tiles = patches.read(frame.to_sample(self.sources))
+        tiles = patches.read_points(frame.to_sample(self.sources))
         return {**{f"tile-{number:02d}": tile for number, tile in enumerate(tiles, 1)}, "edges": self.edges}
 
     def lay_out(self, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.int64]:
@@ -186,7 +186,7 @@ class Cutter:
             places = places[np.sort(self.rng.choice(len(places), most, replace=False))]
         rows, columns = self.frame.size
         points = places[:, np.newaxis, np.newaxis] + pixel_grid(columns, rows)
-        return Pieces(places - at, self.patches.read(self.frame.to_sample(points)))
+        return Pieces(places - at, self.patches.read_points(self.frame.to_sample(points)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ class EqualPlaces:
 
     Examples
     --------
-    >>> EqualPlaces(Lattice((30, 0), (0, 24)), (25, 60)).find((95, 200)).tolist()
+    >>> EqualPlaces(Lattice((30, 0), (0, 24)), (25, 60)).find_places((95, 200)).tolist()
     [[5.0, 8.0], [35.0, 8.0]]
     """
 
@@ -48,7 +48,7 @@ class EqualPlaces:
     search_shape: SearchShape
     margin: float = 0.0
 
-    def find(self, position: ArrayLike) -> Points:
+    def find_places(self, position: ArrayLike) -> Points:
         """Return the places equal to a patch's (x, y) px in the output, ``(n, 2)``, row by row, possibly none."""
         # The lattice vectors that can lead into the sample are listed once: a call only moves and filters them.
         at = np.asarray(position, np.float64)

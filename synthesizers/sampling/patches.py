@@ -45,7 +45,7 @@ class Patches:
 
     Examples
     --------
-    >>> image, source = Patches(np.eye(8, dtype=np.float32)[..., np.newaxis]).cut(np.array([2.0, 1.0]), (2, 2))
+    >>> image, source = Patches(np.eye(8, dtype=np.float32)[..., np.newaxis]).cut_patch(np.array([2.0, 1.0]), (2, 2))
     >>> image[..., 0].tolist(), source[0, 0].tolist()
     ([[0.0, 0.0], [1.0, 0.0]], [2.0, 1.0, 1.0])
     """
@@ -63,7 +63,7 @@ class Patches:
     def _coefficients(self) -> NDArray[np.float32]:
         return self._spline.astype(np.float32)
 
-    def cut(self, place: Points, shape: tuple[int, int]) -> tuple[Image, Source]:
+    def cut_patch(self, place: Points, shape: tuple[int, int]) -> tuple[Image, Source]:
         """Return the patch at a place, and where its pixels come from.
 
         Whole-pixel places give copies. Between pixels the fraction is the same all over the patch, so rows and columns
@@ -102,17 +102,17 @@ class Patches:
         source[..., 2] = np.outer(1 - np.abs(rows - near[1]), 1 - np.abs(columns - near[0]))
         return source
 
-    def read(self, points: Points) -> Image:
+    def read_points(self, points: Points) -> Image:
         """Return the values at points (x, y) of the sample, ``(..., 2)``, clipped to [0, 1]: ``(..., C)``."""
         values = quintic_at(self._spline, np.ascontiguousarray(points, np.float64).reshape(-1, 2))
         return np.asarray(np.clip(values, 0, 1)).reshape(*points.shape[:-1], self.sample.shape[2])
 
     def read_with_source(self, points: Points) -> tuple[Image, Source]:
-        """Return the values at points (x, y) of the sample, ``(h, w, 2)``, and where they come from, as :meth:`cut`."""
+        """Return the values at points (x, y) of the sample, ``(h, w, 2)``, and where they come from."""
         nearest = np.clip(np.rint(points), 0, np.array(self.sample.shape[1::-1]) - 1)
         weight = np.clip(1 - np.abs(points - nearest), 0, 1).prod(-1, keepdims=True)
         x, y = np.moveaxis(nearest.astype(np.intp), -1, 0)
-        image = np.where(weight == 1, self.sample[y, x], self.read(points))
+        image = np.where(weight == 1, self.sample[y, x], self.read_points(points))
         return image, np.concatenate([nearest, weight], -1).astype(np.float32)
 
 

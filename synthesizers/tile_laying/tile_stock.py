@@ -153,7 +153,7 @@ def _shifted_bytes(image: Image, parts: int) -> Iterator[NDArray[np.uint8]]:
     patches, shape = Patches(image), image.shape[:2]
     for fy in range(parts):
         for fx in range(parts):
-            yield to_bytes(patches.cut(np.array([fx, fy]) / parts, shape)[0])
+            yield to_bytes(patches.cut_patch(np.array([fx, fy]) / parts, shape)[0])
 
 
 class Overlap(NamedTuple):

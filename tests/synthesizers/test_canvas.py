@@ -60,7 +60,7 @@ def test_patches_that_continue_each_other_leave_no_trace(seam: SeamMethod) -> No
                 canvas.place_block(row, column, place)
         if not canvas.known.all():
             canvas.extend_placed()
-    whole, _ = Patches(sample).cut(np.array([9.25, 8.5]), (49, 65))
+    whole, _ = Patches(sample).cut_patch(np.array([9.25, 8.5]), (49, 65))
     np.testing.assert_allclose(canvas.output()[0], whole, atol=1e-5)
 
 

@@ -23,7 +23,7 @@ def test_room_counts_the_places_wholly_inside() -> None:
 
 def test_all_equal_places_are_found_and_no_others() -> None:
     """On an upright whole-pixel lattice the candidates are the places of equal remainder."""
-    places = nearest_pixels(EqualPlaces(Lattice((30, 0), (0, 24)), (69, 69)).find((95.0, 200.0)), (69, 69))
+    places = nearest_pixels(EqualPlaces(Lattice((30, 0), (0, 24)), (69, 69)).find_places((95.0, 200.0)), (69, 69))
     assert sorted(map(tuple, places.tolist())) == [(x, y) for x in (5, 35, 65) for y in (8, 32, 56)]
 
 
@@ -32,7 +32,7 @@ def test_places_are_equal_by_the_lattice_and_round_into_the_room(x: float, y: fl
     """For any rotated lattice each place differs by a lattice vector and is inside, and none is missing."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     lattice = Lattice((21.37 * c, 21.37 * s), (-18.81 * s, 18.81 * c))
-    places = EqualPlaces(lattice, (69, 89)).find((x, y))
+    places = EqualPlaces(lattice, (69, 89)).find_places((x, y))
     np.testing.assert_allclose(lattice.wrap(places - (x, y)), 0, atol=1e-8)
     pixels = nearest_pixels(places, (69, 89))
     assert len(pixels) == len(places)
@@ -45,7 +45,7 @@ def test_around_equals_brute_force(x: float, y: float, tolerance: float) -> None
     """Nearby pixels are all those within the tolerance, each once, and always the nearest one."""
     lattice = Lattice((7.3, 1.1), (-2.2, 6.1))
     room = (19, 23)
-    centers = EqualPlaces(lattice, room, max(tolerance, 0.5)).find((x, y))
+    centers = EqualPlaces(lattice, room, max(tolerance, 0.5)).find_places((x, y))
     found = nearby_pixels(centers, tolerance, room)
     rows, columns = np.indices(room)
     everywhere = np.stack([columns, rows], -1).reshape(-1, 1, 2)

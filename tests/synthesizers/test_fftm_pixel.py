@@ -58,7 +58,7 @@ def repeated(tile: Image, shape: tuple[int, int], grain: float = 0.0, seed: int 
 
 def synthesize(method: FftmPixel, sample: Image, shape: tuple[int, int], mask: TextureMask, seed: int = 1) -> Synthesis:
     """Run the method by a known mask."""
-    return method.follow(Task(sample, shape, None, np.random.default_rng(seed)), mask)
+    return method.synthesize_with_mask(Task(sample, shape, None, np.random.default_rng(seed)), mask)
 
 
 def mean_run(made: Synthesis, sample: Image) -> float:
@@ -201,7 +201,7 @@ def test_progress_rises_to_one(tileable: bool) -> None:
     """Progress is told band by band."""
     told: list[float] = []
     task = Task(noise(30, 30), (66, 63), None, np.random.default_rng(0), progress=told.append)
-    FftmPixel(tileable=tileable).follow(task, mask_of(soft_tile(11, 9)))
+    FftmPixel(tileable=tileable).synthesize_with_mask(task, mask_of(soft_tile(11, 9)))
     assert told == sorted(told)
     assert told[-1] == 1
     assert len(told) > 8

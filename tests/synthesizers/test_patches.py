@@ -24,7 +24,7 @@ def grid(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:  # type: ign
 def test_whole_pixel_places_are_copies() -> None:
     """At whole pixels, up to rounding errors, a patch is an exact copy, and its map says so."""
     sample = quantize(np.random.default_rng(0).random((30, 40, 3), np.float32))
-    patch, source = Patches(sample).cut(np.array([5 + 1e-9, 7 - 1e-9]), (8, 9))
+    patch, source = Patches(sample).cut_patch(np.array([5 + 1e-9, 7 - 1e-9]), (8, 9))
     np.testing.assert_array_equal(patch, sample[7:15, 5:14])
     x, y = grid(8, 9)
     np.testing.assert_array_equal(source, np.stack([x + 5, y + 7, np.ones((8, 9))], -1))
@@ -35,7 +35,7 @@ def test_between_pixels_a_wave_keeps_its_place_and_height(place: tuple[float, fl
     """At fractional places a smooth texture is interpolated to 0.2 gray levels, except near edges."""
     x, y = grid(60, 60)
     sample = waves(x, y)
-    patch, _ = Patches(sample).cut(np.array(place), (20, 20))
+    patch, _ = Patches(sample).cut_patch(np.array(place), (20, 20))
     px, py = grid(20, 20)
     truth = waves(px + place[0], py + place[1])
     inner = np.s_[8:, 8:]
@@ -46,7 +46,7 @@ def test_short_waves_are_not_blurred() -> None:
     """Half a pixel aside a wave of 4 px keeps more than 97 % of its height, where bilinear interpolation keeps 71 %."""
     x, _ = grid(64, 64)
     sample = (0.5 + 0.4 * np.cos(2 * math.pi * (x + 0.5) / 4))[..., np.newaxis].astype(np.float32)
-    patch, _ = Patches(sample).cut(np.array([20.5, 20.0]), (20, 20))
+    patch, _ = Patches(sample).cut_patch(np.array([20.5, 20.0]), (20, 20))
     assert np.ptp(patch) / 0.8 > 0.97
 
 
@@ -54,8 +54,8 @@ def test_all_readings_of_a_place_agree() -> None:
     """A patch has the same pixels if cut at once, in part, or point by point, also at the sample's edges."""
     sample = quantize(np.random.default_rng(1).random((25, 31, 3), np.float32))
     patches, place = Patches(sample), np.array([-0.375, 9.25])
-    whole, source = patches.cut(place, (15, 31))
-    part, _ = patches.cut(np.add(place, (4, 3)), (5, 6))
+    whole, source = patches.cut_patch(place, (15, 31))
+    part, _ = patches.cut_patch(np.add(place, (4, 3)), (5, 6))
     np.testing.assert_allclose(part, whole[3:8, 4:10], atol=1e-6)
     points, their_source = patches.read_with_source(np.stack(grid(15, 31), -1) + place)
     np.testing.assert_allclose(points, whole, atol=2e-6)
@@ -64,7 +64,7 @@ def test_all_readings_of_a_place_agree() -> None:
 
 def test_the_map_names_the_nearest_pixel_inside_the_sample() -> None:
     """Half a pixel outside, the nearest pixel is the edge's, with the bilinear weight of that distance."""
-    _, source = Patches(np.zeros((10, 12, 1), np.float32)).cut(np.array([-0.5, 3.25]), (4, 12))
+    _, source = Patches(np.zeros((10, 12, 1), np.float32)).cut_patch(np.array([-0.5, 3.25]), (4, 12))
     assert source[0, 0].tolist() == [0, 3, 0.5 * 0.75]
     assert source[..., 0].max() == 11 and source[..., 2].min() > 0
 

@@ -14,7 +14,7 @@ from nrbench.synthesizers.patchwork.patchwork import (
     SeamHeat,
     Window,
     cut_least_seams,
-    scan_lines,
+    scan_windows,
 )
 from nrbench.synthesizers.patchwork.patchwork_kernels import UNIT, link_choices
 from nrbench.synthesizers.patchwork.translations import Features, Layer, Translations, draw_translation
@@ -36,7 +36,7 @@ def cover(work: Patchwork, rng: np.random.Generator, size: tuple[int, int], coun
     for top, left in starts:
         bottom, right = top + size[0], left + size[1]
         window = (top, bottom, left, right) if work.wrap else (top, min(bottom, height), left, min(right, width))
-        work.lay(window, anywhere(work, rng, window), reach=int(rng.integers(4)))
+        work.lay_patch(window, anywhere(work, rng, window), reach=int(rng.integers(4)))
 
 
 def anywhere(work: Patchwork, rng: np.random.Generator, window: Window) -> tuple[int, int]:
@@ -96,7 +96,7 @@ def test_a_patch_over_what_is_known_never_makes_seams_cost_more(
     for _ in range(10):
         before, (top, left) = work.cost, rng.integers((12, 15))
         window = (int(top), int(top) + 6, int(left), int(left) + 5)
-        if work.lay(window, anywhere(work, rng, window), int(rng.integers(9))) == 0:
+        if work.lay_patch(window, anywhere(work, rng, window), int(rng.integers(9))) == 0:
             assert work.cost == before
         assert work.cost <= before
 
@@ -145,7 +145,7 @@ def test_patches_that_continue_each_other_have_no_seam() -> None:
     work = Patchwork(sample, np.rint(sample * 255).astype(np.int32), (50, 60))
     for top, left in itertools.product(range(0, 50, 5), range(0, 60, 8)):
         place = (left % 7 + 7 * (left % 2), top % 6)
-        work.lay((top, min(top + 8, 50), left, min(left + 11, 60)), place)
+        work.lay_patch((top, min(top + 8, 50), left, min(left + 11, 60)), place)
     assert work.cost == 0
     np.testing.assert_array_equal(work.result()[0], np.tile(tile, (9, 9, 1))[:50, :60])
 
@@ -156,7 +156,7 @@ def test_seams_across_the_edges_count_where_the_output_wraps() -> None:
     for wrap in (False, True):
         work = patchwork(rng, (12, 12), (10, 10), wrap=wrap)
         for top, left in itertools.product((0, 5), (0, 5)):
-            work.lay((top, top + 5, left, left + 5), (left, top))
+            work.lay_patch((top, top + 5, left, left + 5), (left, top))
         assert (work.seams[0, :, :-1] == 0).all() and (work.seams[1, :-1] == 0).all()
         assert bool(work.seams[0, :, -1].any() and work.seams[1, -1].any()) is wrap
 
@@ -166,21 +166,21 @@ def test_a_bad_patch_is_covered_and_a_good_one_stays() -> None:
     rng = np.random.default_rng(5)
     for normalized in (False, True):
         work = patchwork(rng, (40, 40), (30, 30), normalized=normalized)
-        work.lay((0, 30, 0, 30), (4, 6))
+        work.lay_patch((0, 30, 0, 30), (4, 6))
         work.origin[10:16, 12:20] = np.stack(np.meshgrid(np.arange(8), np.arange(6)), -1)
         work.seams[...] = np.rint(seams_of(work) * UNIT)
         assert work.cost > 0
-        assert work.lay((11, 13, 14, 17), (18, 17), reach=20) == 48
+        assert work.lay_patch((11, 13, 14, 17), (18, 17), reach=20) == 48
         assert work.cost == 0
-        assert work.lay((5, 25, 8, 28), (0, 0)) == 0
+        assert work.lay_patch((5, 25, 8, 28), (0, 0)) == 0
 
 
 def test_a_patch_never_fills_more_than_its_window() -> None:
     """However far it reaches: beyond, only what is known changes."""
     rng = np.random.default_rng(2)
     work = patchwork(rng, (30, 30), (60, 60))
-    work.lay((10, 30, 10, 30), (0, 0))
-    work.lay((20, 40, 20, 40), (5, 5), reach=50)
+    work.lay_patch((10, 30, 10, 30), (0, 0))
+    work.lay_patch((20, 40, 20, 40), (5, 5), reach=50)
     known = np.zeros((60, 60), bool)
     known[10:30, 10:30] = known[20:40, 20:40] = True
     np.testing.assert_array_equal(work.known, known)
@@ -208,13 +208,13 @@ def placement(
     st.tuples(st.floats(0.1, 1), st.floats(0.1, 1)),
     st.booleans(),
 )
-def test_scan_lines_cover_the_output(
+def test_scan_windows_cover_the_output(
     shape: tuple[int, int], size: tuple[int, int], share: tuple[float, float], wrap: bool
 ) -> None:
     """Every pixel is in a window, no window is larger than asked, and without wrapping none leaves the output."""
     step = max(1, int(size[0] * share[0])), max(1, int(size[1] * share[1]))
     covered = np.zeros(shape, bool)
-    for y0, y1, x0, x1 in scan_lines(shape, size, step, wrap):
+    for y0, y1, x0, x1 in scan_windows(shape, size, step, wrap):
         assert 0 < y1 - y0 <= size[0] and 0 < x1 - x0 <= size[1]
         assert wrap or (y1 <= shape[0] and x1 <= shape[1])
         covered[np.ix_(np.arange(y0, y1) % shape[0], np.arange(x0, x1) % shape[1])] = True
@@ -226,7 +226,7 @@ def test_where_nothing_is_known_the_guide_alone_places() -> None:
     found = set()
     for seed in range(60):
         made = placement(whole(32, 32), (40, 40), guided=True)
-        PatchPlacer(made.work, made.colors, 0.01, np.random.default_rng(seed), made.guide).cover((3, 19, 5, 21))
+        PatchPlacer(made.work, made.colors, 0.01, np.random.default_rng(seed), made.guide).cover_window((3, 19, 5, 21))
         found.add(tuple(made.work.origin[3, 5]))
     assert found == {(x, y) for x in (5, 13) for y in (3, 11)}
 
@@ -234,8 +234,8 @@ def test_where_nothing_is_known_the_guide_alone_places() -> None:
 def test_what_is_known_is_continued() -> None:
     """Without randomness a patch goes on where the sample does, when the sample shows it."""
     made = placement(whole(40, 40), (30, 30), randomness=0.0)
-    made.work.lay((0, 15, 0, 15), (2, 7))
-    made.cover((5, 25, 5, 25))
+    made.work.lay_patch((0, 15, 0, 15), (2, 7))
+    made.cover_window((5, 25, 5, 25))
     assert made.work.cost == 0
     np.testing.assert_array_equal(made.work.origin[24, 24], (26, 31))
 
@@ -245,12 +245,12 @@ def test_what_is_known_is_continued() -> None:
 def test_improving_never_makes_seams_cost_more_and_often_less(wrap: bool, guided: bool) -> None:
     """Step by step the cost of all seams falls or stays, and in the end it is less."""
     made = placement(whole(40, 40), (64, 72), randomness=0.05, guided=guided, wrap=wrap)
-    for window in scan_lines(made.work.shape, (16, 16), (12, 12), wrap):
-        made.cover(window)
+    for window in scan_windows(made.work.shape, (16, 16), (12, 12), wrap):
+        made.cover_window(window)
     costs = [made.work.cost]
     heat = SeamHeat(made.work, (16, 16))
     for _ in range(40):
-        made.improve(heat)
+        made.improve_worst_window(heat)
         costs.append(made.work.cost)
     assert (np.diff(costs) <= 0).all()
     assert costs[-1] < 0.995 * costs[0]
@@ -261,8 +261,8 @@ def test_the_same_stream_places_the_same() -> None:
     maps = []
     for _ in range(2):
         made = placement(whole(30, 30), (40, 40), randomness=0.5)
-        for window in scan_lines((40, 40), (12, 12), (9, 9), False):
-            made.cover(window)
+        for window in scan_windows((40, 40), (12, 12), (9, 9), False):
+            made.cover_window(window)
         maps.append(made.work.origin)
     np.testing.assert_array_equal(*maps)
 
@@ -270,8 +270,8 @@ def test_the_same_stream_places_the_same() -> None:
 def test_a_flat_sample_takes_any_place() -> None:
     """Where all places are equal all are drawn, and no seam costs anything."""
     made = placement(np.full((20, 20, 1), 100, np.int32), (30, 30))
-    for window in scan_lines((30, 30), (8, 8), (6, 6), False):
-        made.cover(window)
+    for window in scan_windows((30, 30), (8, 8), (6, 6), False):
+        made.cover_window(window)
     assert made.work.cost == 0
     assert len(np.unique(made.work.origin[::8, ::8].reshape(-1, 2), axis=0)) > 8
 
@@ -370,7 +370,7 @@ def test_ratings_are_the_sums_of_squared_differences_to_the_last_bit(
         Layer(pixels(rng, size, channels), None if everywhere else rng.random(size) < 0.5)
         for channels, everywhere in layers
     ]
-    np.testing.assert_array_equal(Translations(sample).rate(window), by_hand(sample, window))
+    np.testing.assert_array_equal(Translations(sample).compute_costs(window), by_hand(sample, window))
 
 
 def test_what_does_not_count_may_hold_anything() -> None:
@@ -387,7 +387,7 @@ def test_as_many_layers_are_asked_as_the_sample_has() -> None:
     """A window that lacks a layer is no window of this sample."""
     sample = np.zeros((9, 9, 1), np.int32)
     with pytest.raises(ValueError, match="zip"):
-        Translations((sample, sample)).rate([Layer(sample)])
+        Translations((sample, sample)).compute_costs([Layer(sample)])
 
 
 def test_places_are_drawn_by_their_costs() -> None:
