@@ -23,16 +23,17 @@ from .pixel_growing.pixel_growth import (
 class AnnPixel(SearchParameters):
     """Pixel-based synthesis by nearest neighborhoods, without a mask (Nicoll et al. 2005, section 5, figure 7).
 
-    Each pixel takes, in scan-line order, the one of the sample whose neighborhood of pixels synthesized before is the
-    nearest: Wei and Levoy's method, with the search of :class:`~nrbench.synthesizers.fftm_pixel.FftmPixel`. It knows of
-    the lattice only what the window shows, so that it needs windows as large as the structures, and errors add up.
-    Beyond the output's top and sides are random pixels of the sample.
+    This is the method of Wei and Levoy, with the search of :class:`~nrbench.synthesizers.fftm_pixel.FftmPixel`. The
+    output is synthesized in scan-line order. Each pixel is copied from the pixel of the sample that has the most
+    similar neighborhood; only pixels that are synthesized already are compared. The method knows the lattice only as
+    far as a window shows it. It therefore needs windows as large as the structures, and position errors add up. Above
+    the output and at its sides, neighborhoods contain random pixels of the sample.
 
     Parameters
     ----------
     neighborhood
-        Side N in px, 2 to 10, of the window from -N//2 to N - 1 - N//2 around the pixel; the pixels before it are
-        compared. (The paper: 5, 6, 8, 10.)
+        Side N of the window in px, 2 to 10. The window reaches from -N//2 to N - 1 - N//2 around the pixel; the pixels
+        before it in scan-line order are compared. (The paper uses 5, 6, 8 and 10.)
     """
 
     neighborhood: int = 8
@@ -52,7 +53,7 @@ class AnnPixel(SearchParameters):
         Raises
         ------
         Refused
-            If the sample does not hold a neighborhood.
+            If the sample is smaller than a neighborhood.
         """
         neighborhood = Neighborhood.first_pass(self.neighborhood, masked=False)
         layers = stack_layers(task.sample)

@@ -20,9 +20,9 @@ from .patchwork.translations import Features
 SeamValues = Literal["color", "mask"]
 
 LEAST_PATCH = 24
-"""px: the least side of an automatic patch, if the sample is large enough. A patch holds several smaller tiles."""
+"""px: least side of an automatic patch if the sample is large enough. Small tiles are joined until they reach it."""
 PATCH_WITHOUT_TILE = 40
-"""px: the side of an automatic patch if no upright rectangle is a tile (the example of the paper's section 5)."""
+"""px: side of an automatic patch if no upright rectangle is a tile (the example in section 5 of the paper)."""
 LARGEST_WEIGHT = 10.0
 HALF_PIXEL = 0.5
 """px: the largest distance of whole-pixel sides from a period of the mask."""
@@ -34,49 +34,49 @@ class FftmPatch(MaskParameters):
 
     The mask is the regular part of the sample, a sum of waves, and is drawn at the output's size
     (:class:`~nrbench.synthesizers.masks.texture_mask.MaskParameters`). Its frequencies are found by
-    :func:`nrbench.spectra.harmonics.analyze`. Each pixel is described by its color and its mask value, which is
-    multiplied by the weight. The output is divided into overlapping windows, which are covered line by line, each by a
-    part of the sample. All parts of the window's size are compared with the window (sub-patch matching, Kwatra et al.
-    2003, section 4): in color where the output is synthesized already, in the mask everywhere. A minimum cut then finds
-    which pixels of the window are replaced. Afterwards the windows whose seams cost most are covered again; no such
-    step increases the cost of all seams together.
+    :func:`nrbench.spectra.harmonics.analyze`. Each pixel is described by its color and by its mask value times the
+    weight. The output is divided into overlapping windows. Line by line, each window is covered by a patch, a part of
+    the sample of the same size. To choose the patch, the method compares all such parts with the window (sub-patch
+    matching, Kwatra et al. 2003, section 4): in color where the output is synthesized already, in the mask everywhere.
+    A minimum cut then determines which pixels of the window the patch replaces. Finally the windows with the most
+    expensive seams are covered again. No such step increases the total cost of the seams.
 
     The paper prints the compared sum as d_MM + c d_TT, with the weight on the texture, which contradicts its section
-    4.1. Here c multiplies the mask, so that d_MM is multiplied by c squared, and the mask has no effect at 0. Two
-    additions keep elements whole that the paper's patches cut: seams prefer places where the texture varies strongly,
-    and a patch may extend beyond the window that was compared. ``reach=0, normalized=false`` is the paper's method.
-    Kwatra et al. force at least one pixel of each new patch into the output; here a patch that improves nothing is
-    dropped. A larger reach and more refinements join patches into larger ones: fewer tiles are broken, and more are
-    repeated.
+    4.1. Here c multiplies the mask, so that d_MM is multiplied by c squared; at c = 0 the mask has no effect. Two
+    additions keep elements whole that the paper's method cuts: seams prefer places where the texture varies strongly,
+    and a patch may extend beyond its window. ``reach=0, normalized=false`` is the paper's method. Kwatra et al. force
+    at least one pixel of each new patch into the output; here a patch that does not reduce the cost is dropped. With a
+    larger reach and more refinements, patches grow together: fewer tiles are broken, but more are repeated.
 
-    If a lattice is given, the search for the waves starts from it, unless the waves are free; otherwise the lattice is
-    found, too.
+    If a lattice is given, the search for the waves starts from it, unless the waves are free; otherwise the method also
+    finds the lattice.
 
     Parameters
     ----------
     weight
-        c, 0 to 10: the weight of the mask against the colors. (The paper: about 1; below 0.1 the mask has no effect,
-        above 5 it is too strong.)
+        c, 0 to 10: the weight of the mask; colors have weight 1. (The paper uses about 1. Below 0.1 the mask has no
+        effect; above 5 it is too strong.)
     patch
-        Side of a patch, px. 0: automatic, from the smallest upright tile of the mask: a whole number of tiles, the
-        least that is 24 px or more, along each side; 40 px if there is no such tile; at most half the sample.
+        Side of a patch in px. 0: automatic. An automatic patch is as many of the mask's smallest upright tiles as are
+        needed for 24 px along each side; 40 px if there is no such tile; at most half the sample.
     overlap
         Share of a patch, along each side, that overlaps earlier patches; 0 to 0.9.
     reach
-        How far a patch may replace known pixels beyond its window, as a share of its shorter side; 0 to 2. (In Kwatra
-        et al. the whole sample is placed.)
+        Distance beyond its window within which a patch may replace known pixels, as a share of its shorter side; 0 to
+        2. (Kwatra et al. place the whole sample.)
     randomness
-        k, 0 or more: the part of the sample is drawn with a probability proportional to exp(-cost / (k sigma^2)). The
-        cost is the mean squared difference, sigma^2 the variance of the sample (Kwatra et al., section 4: k is 0.001 to
-        1). 0: one of the best parts.
+        k, 0 or more. Patches are drawn with a probability proportional to exp(-cost / (k sigma^2)); the cost is the
+        mean squared difference, sigma^2 is the variance of the sample (Kwatra et al., section 4; they use 0.001 to 1).
+        0: one of the patches of least cost.
     refinements
         Number of windows that are covered again, as a multiple of the number of windows.
     seam
-        The values that the cost of a seam is computed from: ``"mask"``, color and weighted mask (the paper's six
-        dimensions), or ``"color"``.
+        The values from which the cost of a seam is computed. ``"mask"``: color and weighted mask, as in the paper.
+        ``"color"``: color alone.
     normalized
         Whether the cost of a seam is divided by the gradients along it (section 5 of Kwatra et al.), so that seams
-        prefer places where the texture varies strongly. False: differences alone (their equation 1, the paper's).
+        prefer places where the texture varies strongly. False: the differences alone, as in the paper (equation 1 of
+        Kwatra et al.).
     """
 
     weight: float = 2.0
@@ -105,7 +105,7 @@ class FftmPatch(MaskParameters):
         if not 0 <= self.reach <= 2:
             raise BadInput(f"reach {self.reach}; choose a share of the patch from 0 to 2")
         if not 0 <= self.randomness < math.inf:
-            raise BadInput(f"randomness {self.randomness}; choose 0 (one of the best) or more")
+            raise BadInput(f"randomness {self.randomness}; choose 0 (always a patch of least cost) or more")
         if self.refinements < 0:
             raise BadInput(f"refinements {self.refinements}; choose 0 or more passes")
 
@@ -115,20 +115,20 @@ class FftmPatch(MaskParameters):
         Raises
         ------
         Refused
-            If the sample has no regular part or is smaller than the patch, or the output cannot be tiled.
+            If the sample has no regular part or is smaller than the patch, or if the output cannot tile.
         """
         mask, seconds = self.find_mask_of(task)
         return replace(self.synthesize_with_mask(task, mask), detection_seconds=seconds)
 
     def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
-        """Return the synthesis guided by a mask of the task's sample, and raise as :meth:`synthesize` does."""
+        """Return the synthesis guided by a given mask of the sample. Exceptions are those of :meth:`synthesize`."""
         output_mask = self.fit_to_output(mask, task.shape).draw(task.shape)
         image, source = self.lay_patches(task, mask, output_mask).result()
         task.progress(1.0)
         return Synthesis(image, mask.lattice, source, {"mask": output_mask})
 
     def lay_patches(self, task: Task, mask: TextureMask, output_mask: Image) -> Patchwork:
-        """Return the output after all windows are covered and refined; raise as :meth:`synthesize` does.
+        """Return the output after all windows are covered and refined. Exceptions are those of :meth:`synthesize`.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class FftmPatch(MaskParameters):
         size = (self.patch, self.patch) if self.patch else automatic_size(mask, (height, width))
         margin = 2 if self.tileable else 0
         if min(task.shape) <= margin:
-            raise Refused("an output of less than 3 px a side has no inside to its edges; leave tileable out")
+            raise Refused("a tileable output needs at least 3 px a side; choose a larger size, or leave tileable out")
         return min(size[0], task.shape[0] - margin), min(size[1], task.shape[1] - margin)
 
 
@@ -183,7 +183,7 @@ def to_gray_levels(image: Image, weight: float = 1.0) -> Features:
 
 
 def automatic_size(mask: TextureMask, shape: Shape) -> Shape:
-    """Return the (height, width) of patches, px, that suits a mask and a sample of (height, width) ``shape``."""
+    """Return the (height, width) px of automatic patches for a mask and a sample of ``shape``."""
     half = (max(shape[0] // 2, 1), max(shape[1] // 2, 1))
     tile = mask.find_period(HALF_PIXEL, float(max(half)))
     if tile is None:

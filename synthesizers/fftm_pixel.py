@@ -29,11 +29,11 @@ from .pixel_growing.pixel_growth import (
 Match = Literal["full", "cluster"]
 
 CLUSTERS = 64
-"""Default number of clusters: each holds some hundred pixels of a sample of 128 x 128."""
+"""Default number of clusters. In a sample of 128 x 128 px, each cluster holds a few hundred pixels."""
 CLUSTER_BAND = 32
-"""Rows of the output that are sorted into clusters at a time."""
+"""Number of output rows that are sorted into clusters at a time."""
 CLUSTER_CHANGE = 0.1
-"""Gray levels: the clustering stops when the mean distance to the centers falls by less."""
+"""Gray levels. The clustering stops when the mean distance to the centers decreases by less than this."""
 
 
 @dataclass(frozen=True)
@@ -42,37 +42,38 @@ class FftmPixel(MaskParameters, SearchParameters):
 
     The mask is the regular part of the sample, a sum of waves, and is drawn at the output's size
     (:class:`~nrbench.synthesizers.masks.texture_mask.MaskParameters`). Its frequencies are found by
-    :func:`nrbench.spectra.harmonics.analyze`. The output is then synthesized pixel by pixel in scan-line order: each
-    takes the pixel of the sample whose neighborhood is nearest. Pixels synthesized before (N_upper) are compared in the
-    texture, the pixel itself and those after it (N_lower) in the mask, by the sum of squared differences
-    d_TT + c d_MM (equations 8 and 9): one vector, so that one tree finds it. The weight c always belongs to the mask;
-    section 4.2 prints d_MM + c d_TT, which contradicts what 4.1 says of small and large c.
+    :func:`nrbench.spectra.harmonics.analyze`. The output is then synthesized pixel by pixel in scan-line order. Each
+    pixel is copied from the pixel of the sample that has the most similar neighborhood. The distance of two
+    neighborhoods is the sum of squared differences d_TT + c d_MM (equations 8 and 9). d_TT compares the texture at the
+    pixels that are synthesized already (N_upper). d_MM compares the mask at the current pixel and at the later ones
+    (N_lower). The weight c always belongs to the mask; section 4.2 prints d_MM + c d_TT, which contradicts what section
+    4.1 says about small and large c.
 
-    The paper's best results owe their quality to a search library that happens to favor neighbors of the sample (its
-    figure 5). Here that is the parameter ``coherence``: among sources that fit about as well the one is taken that
-    continues a neighbor's. Beyond the output's top and sides the mask replaces the texture. Equally good sources are
-    chosen by a random order, drawn once.
+    The paper's best results rely on a search library that happens to favor neighboring pixels of the sample (its figure
+    5). Here the parameter ``coherence`` has this effect: among sources of similar distance, the method prefers the one
+    that continues the source of a neighbor. Above the output and at its sides, the mask replaces the texture. Ties
+    between sources are broken by a random order, which is drawn once.
 
-    Distances are integers: principal components are rounded to fractions of a gray level, and so are the mask's colors,
-    so that the nearest neighborhood is the same on every machine. The cost is linear in the pixels of the output; each
-    costs the logarithm of the sample's pixels (ann), all of them (exhaustive), or a constant (k-coherence).
+    Distances are integers: principal components and the mask's colors are rounded to fractions of a gray level, so that
+    the nearest neighborhood is the same on every machine. The time is linear in the number of output pixels. The time
+    per pixel is logarithmic in the number of sample pixels (ann), linear (exhaustive), or constant (k-coherence).
 
-    If a lattice is given, the search for the mask's waves starts from it; otherwise the lattice is found, too. A
-    tileable output gets a second pass: neighborhoods continue at the opposite side, and the pixels within N px of the
-    border are replaced. All pixels around them are then known and compared in the texture. (The paper replaces only
-    those whose opposite neighborhoods were missing: lines too thin to mediate between both sides.)
+    If a lattice is given, the search for the mask's waves starts from it; otherwise the method also finds the lattice.
+    For a tileable output, a second pass replaces the pixels within N px of the border. Neighborhoods then continue at
+    the opposite side, so that all pixels around are known and are compared in the texture. (The paper replaces only the
+    pixels whose neighborhoods were incomplete. These lines are too thin for a transition between both sides.)
 
     Parameters
     ----------
     neighborhood
-        Side N in px, 2 to 6, of the window from -N//2 to N - 1 - N//2 around the pixel. (The paper: 2 for simple
-        structures, 3, 6 for knitted wool.)
+        Side N of the window in px, 2 to 6. The window reaches from -N//2 to N - 1 - N//2 around the pixel. (The paper
+        uses 2 and 3 for simple structures, and 6 for knitted wool.)
     weight
-        c, 0 to 100: the weight of squared differences in the mask against those in the texture. (The paper: about 1;
-        below 0.1 the mask has no effect, above 5 it is too strong.) Only for match ``full``.
+        c, 0 to 100: the weight of squared differences in the mask; those in the texture have weight 1. (The paper uses
+        about 1. Below 0.1 the mask has no effect; above 5 it is too strong.) Only for match ``full``.
     match
-        ``"full"``: as above. ``"cluster"``: pixels are sorted by the mask around them (k-means over the whole window);
-        the candidates are the sample's pixels in the output pixel's cluster, compared by d_TT alone.
+        ``"full"``: as above. ``"cluster"``: pixels are clustered by the mask in the whole window around them (k-means).
+        The candidates for an output pixel are the sample's pixels of the same cluster; only d_TT compares them.
     clusters
         Number of clusters, 2 to 4096, only for match ``cluster``. None: 64.
     """
@@ -109,13 +110,13 @@ class FftmPixel(MaskParameters, SearchParameters):
         Raises
         ------
         Refused
-            If the sample has no regular part or does not hold a neighborhood, or the output cannot be tiled.
+            If the sample has no regular part or is smaller than a neighborhood, or if the output cannot tile.
         """
         mask, seconds = self.find_mask_of(task)
         return replace(self.synthesize_with_mask(task, mask), detection_seconds=seconds)
 
     def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
-        """Return the synthesis guided by a mask of the task's sample, and raise as :meth:`synthesize` does."""
+        """Return the synthesis guided by a given mask of the sample. Exceptions are those of :meth:`synthesize`."""
         synthesis = _GuidedGrowth(self, task, mask)
         synthesis.grow()
         image, source = synthesis.growth.result()
@@ -145,12 +146,12 @@ class _GuidedGrowth:
 
     @cached_property
     def clusters(self) -> Clusters:
-        """The sample's pixels sorted by the mask around them."""
+        """The clusters of the sample's pixels by the mask around them."""
         window, count = Neighborhood.of_mask(self.method.neighborhood), self.method.clusters or CLUSTERS
         return Clusters.fit(self.layers, window, self.candidates.pixels, count, self.task.rng)
 
     def grow(self) -> None:
-        """Synthesize all pixels; of tileable outputs those near the border once more."""
+        """Synthesize all pixels, and then, for a tileable output, those near the border again."""
         size, masked = self.method.neighborhood, self.method.match == "full"
         height, width = self.task.shape
         groups = None if masked else self.clusters.label_output(self.growth.layers, self.task.shape, self.growth.corner)
@@ -167,7 +168,7 @@ class _GuidedGrowth:
 
 
 def _border(length: int, reach: int) -> tuple[range, range]:
-    """Return the last and the first pixels along a side, in the order in which they follow each other around it."""
+    """Return the last and the first ``reach`` pixels along a side, in the order in which tiled copies show them."""
     return range(max(length - reach, 0), length), range(min(reach, length))
 
 
@@ -193,7 +194,7 @@ class Clusters:
     def fit(
         cls, layers: Layers, neighborhood: Neighborhood, pixels: Integers, count: int, rng: np.random.Generator
     ) -> Clusters:
-        """Cluster the neighborhoods of some pixels by k-means, from ``count`` of them drawn at random (or all)."""
+        """Cluster the neighborhoods of some pixels by k-means, starting from ``count`` random ones (or all)."""
         vectors = neighborhood.vectors(layers, pixels).astype(np.float64)
         distinct = np.unique(vectors, axis=0)
         guess = distinct[np.sort(rng.permutation(len(distinct))[:count])]
@@ -202,7 +203,17 @@ class Clusters:
         return cls(neighborhood, centers[used], labels.astype(np.int64))
 
     def label_output(self, layers: Layers, shape: Shape, corner: tuple[int, int]) -> Integers:
-        """Return the cluster of each pixel of an output of ``shape`` whose layers have a border, ``(H, W)``."""
+        """Return the cluster of each output pixel, ``(H, W)``.
+
+        Parameters
+        ----------
+        layers
+            The output's layers, with their border.
+        shape
+            (height, width) of the output.
+        corner
+            Rows and columns of the border at the top and at the left.
+        """
         height, width = shape
         columns = np.arange(width) + corner[1]
         labels = np.empty(shape, np.int64)

@@ -22,38 +22,39 @@ from nrbench.spectra.harmonics import Channels, Harmonic, Harmonics, Signal, ana
 from ..sampling.two_periods import shows_two_periods
 
 FINEST = 2.5
-"""px: of a finer lattice no wave, or one alone, is below Nyquist and clear of it."""
+"""px: lattices with s up to this are ignored. They have at most one wave well below the Nyquist frequency."""
 SLACK = 0.1
-"""Share of s by which the mask may be stretched or sheared over the whole output, so that it repeats."""
+"""Share of s by which the mask may be stretched or sheared over the whole output, so that it tiles."""
 LONGEST = 4096
-"""px: waves longer than that along a side do not vary along it."""
+"""px: a wave with a longer period along an axis counts as constant along this axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MaskParameters:
-    """The parameters of a mask, shared by all methods that follow one: they inherit from this class.
+    """The parameters of a mask. All methods that are guided by a mask inherit from this class.
 
     The descriptions below are appended to the page of each method.
 
     Parameters
     ----------
     tileable
-        Whether the output continues at its opposite edges (section 4.3). The mask is then fitted to the output's size,
-        which must be a period of the mask up to a tenth of s; other sizes are refused, with the nearest valid ones.
+        Whether copies of the output can be laid side by side without a seam (section 4.3). The mask is then fitted to
+        the output's size, which must be a period of the mask up to a tenth of s. Other sizes are refused; the message
+        names the nearest valid size.
     threshold
-        Least amplitude of a wave of the mask, units of 1/255; 0: automatic. Tied waves must then stand out of the
-        irregular structure at their frequency; free waves must exceed what noise reaches with probability 0.01. Above a
-        given threshold all free waves are regular, as in the paper. All harmonics of tied waves are then regular if
-        one wave of their group stands out of its surroundings.
+        Least amplitude of a wave of the mask, in units of 1/255; 0: automatic. With 0, tied waves must exceed the
+        irregular structure at their frequency, and free waves must exceed the amplitude that noise reaches with
+        probability 0.01. With a positive threshold, the mask has all free waves above it, as in the paper, and all
+        tied harmonics above it of each group of which one wave exceeds the irregular structure around it.
     harmonics
-        ``"tied"``: waves are integer combinations of the fundamentals of regular groups. ``"free"``: each wave is
-        independent (the paper's); such a mask cannot tile.
+        ``"tied"``: the frequencies are integer combinations of the fundamentals of regular groups. ``"free"``: the
+        frequencies are independent, as in the paper; such a mask cannot tile.
     signal
-        How waves are searched: ``"real"``, or ``"analytic"`` (the paper's; where tied, for the waves that propose
-        fundamentals).
+        The signal in which waves are searched: ``"real"``, or ``"analytic"`` as in the paper. For tied harmonics the
+        analytic signal serves only the waves that propose fundamentals.
     channels
-        ``"joint"``: a wave has one frequency in all channels. ``"each"``: every channel is analyzed by itself (the
-        paper's), so that the frequencies of one wave may differ.
+        ``"joint"``: a wave has the same frequency in all channels. ``"each"``: every channel is analyzed separately, as
+        in the paper, so that the frequencies of a wave may differ between channels.
     """
 
     tileable: bool = False
@@ -63,7 +64,7 @@ class MaskParameters:
     channels: Channels = "joint"
 
     def __init_subclass__(cls) -> None:
-        """Complete a method's page."""
+        """Append these parameters to the method's page."""
         super().__init_subclass__()
         append_parameters(cls, MaskParameters)
 
@@ -83,59 +84,62 @@ class MaskParameters:
         sample
             ``(H, W, 1 or 3)``.
         lattice
-            The sample's lattice, right within about 2 %: tied waves then start from its dual, even if it is coarser
-            than necessary. It is ignored if the sample does not show two periods of it, or if it is too fine for
-            pixels. None: the lattice is found.
+            The sample's lattice, with an error of at most about 2 %. The search for tied waves starts from its dual,
+            even if the lattice is coarser than necessary. It is ignored if the sample shows less than two periods, or
+            if s is at most :data:`FINEST`. None: the lattice is found.
 
         Raises
         ------
         Refused
-            If no group of waves is regular, or none is above the threshold: there is no regular part.
+            If the sample has no regular part: no group of waves is regular, or no wave is above the threshold.
         """
         planes = rgb2ypbpr(sample.astype(np.float64)) if sample.shape[2] == 3 else sample.astype(np.float64)
         usable = lattice is not None and lattice.s > FINEST and shows_two_periods(lattice, planes.shape)
         given = lattice.reduced().dual().matrix if lattice is not None and usable else None
         waves = analyze(planes, self.threshold or None, self.harmonics, self.channels, signal=self.signal, given=given)
         if not len(waves.frequencies):
-            limit = f" and reaches the threshold of {self.threshold:g}" if self.threshold else ""
-            raise Refused(f"no wave of the sample stands out of its noise{limit}: there is no regular part for a mask")
+            limit = f" and the threshold of {self.threshold:g}" if self.threshold else ""
+            raise Refused(f"no wave of the sample exceeds its noise{limit}: there is no regular part for a mask")
         return TextureMask(waves, self.harmonics == "tied")
 
     def find_mask_of(self, task: Task) -> tuple[TextureMask, float]:
-        """Return the mask of a task's sample, and the seconds that finding its lattice took; raise as `find_mask`."""
+        """Return the mask of a task's sample, and the seconds that the search took; 0 if a lattice is given.
+
+        Exceptions are those of :meth:`find_mask`.
+        """
         start = time.perf_counter()
         mask = self.find_mask(task.sample, task.lattice)
         return mask, 0.0 if task.lattice else time.perf_counter() - start
 
     def fit_to_output(self, mask: TextureMask, shape: Shape) -> TextureMask:
-        """Return the mask to draw at the output's (height, width): see :func:`tileable_mask` if it should tile."""
+        """Return the mask for an output of (height, width); if it is tileable, fitted by :func:`tileable_mask`."""
         return tileable_mask(mask, shape) if self.tileable else mask
 
 
 @dataclass(frozen=True)
 class TextureMask:
-    """A mask (section 3.2).
+    """The regular part of a sample as a sum of waves, which can be drawn at any size (section 3.2).
 
     Parameters
     ----------
     harmonics
-        The waves of the planes: Y, Pb, Pr of color samples (YCbCr without its offsets), else gray.
+        The waves: of the planes Y, Pb and Pr for color samples (YCbCr without its offsets), else of the gray values.
     tied
-        Whether they are tied to common fundamentals.
+        Whether the frequencies are integer combinations of common fundamentals.
     """
 
     harmonics: Harmonics = field(repr=False)
     tied: bool = True
 
     def draw(self, shape: Shape, offset: Vector = (0.0, 0.0)) -> Image:
-        """Return the mask in any window, clipped to [0, 1], in the sample's channels (equation 6).
+        """Return the mask in a window at any place, clipped to [0, 1], with the sample's channels (equation 6).
 
         Parameters
         ----------
         shape
             (height, width) px.
         offset
-            (x, y) px of the window's first pixel in the sample's coordinates.
+            (x, y) px of the window's first pixel, in coordinates of the sample.
         """
         planes = self.harmonics.evaluate(shape, offset)
         colors: NDArray[np.float64] = ypbpr2rgb(planes) if planes.shape[2] == 3 else planes
@@ -143,16 +147,16 @@ class TextureMask:
 
     @property
     def groups(self) -> tuple[NDArray[np.float64], ...]:
-        """The fundamentals of the groups that have harmonics, ``(1 or 2, 2)`` cycles/px; of all groups if none has.
+        """The fundamentals of each group of several waves, ``(1 or 2, 2)`` cycles/px, the group of most energy first.
 
-        The group whose waves have most energy comes first.
+        If each group has only one wave, the fundamentals of all groups.
         """
         several = tuple(fundamentals for fundamentals, count in self._groups_by_energy if count > 1)
         return several or tuple(fundamentals for fundamentals, _ in self._groups_by_energy)
 
     @cached_property
     def _groups_by_energy(self) -> list[tuple[NDArray[np.float64], int]]:
-        """The fundamentals of each group and its number of waves, the group of most energy first."""
+        """The fundamentals and the number of waves of each group, the group of most energy first."""
         ends = np.cumsum(self.harmonics.groups)[:-1]
         fundamentals = np.split(self.harmonics.fundamentals, ends)
         members = np.stack([block.any(1) for block in np.split(self.harmonics.orders, ends, 1)])
@@ -161,7 +165,7 @@ class TextureMask:
 
     @cached_property
     def lattice(self) -> Lattice | None:
-        """The lattice dual to the strongest group of two fundamentals, or to those of two gratings; else None."""
+        """The lattice dual to the strongest group of two fundamentals, else to two crossed gratings, else None."""
         if not self.tied:
             return None
         pairs = [group for group in self.groups if len(group) == 2]
@@ -172,7 +176,7 @@ class TextureMask:
     def find_period(self, tolerance: float, limit: float = 1024.0) -> CommonPeriod | None:
         """Return the smallest upright rectangle of whole px that is a period of all groups within ``tolerance`` px.
 
-        None if there is none up to ``limit`` px, or if the waves are free: they have no common period.
+        None if no side up to ``limit`` px is a period, or if the waves are free and thus have no common period.
         """
         return find_common_period(self.groups, tolerance, int(limit)) if self.tied else None
 
@@ -192,9 +196,9 @@ class CommonPeriod:
     size
         (width, height), whole px.
     error
-        px: the largest distance of its sides from periods, of the group that fits worst.
+        px: the largest distance of a side from the nearest period, over all groups.
     free
-        For width and height, whether it may be any length, as nothing varies along it (stripes).
+        For width and height, whether any length is a period, because nothing varies along this side (stripes).
     """
 
     size: tuple[int, int]
@@ -212,23 +216,24 @@ def find_common_period(
 ) -> CommonPeriod | None:
     """Return the smallest upright rectangle of whole px that is a period of all groups of frequencies.
 
-    Either side is the shortest that is near a period of every group: a lattice vector, or, of stripes, a step from
-    stripe to stripe. The paper (Nicoll et al. 2005, equation 7) divides by the components of the lowest frequency,
-    which may be 0; here a side along which nothing varies is free, and as long as the other.
+    Each side is the shortest length that is near a period of every group. A period of a lattice is a lattice vector; a
+    period of stripes is the distance between stripes along the side. The paper (Nicoll et al. 2005, equation 7) divides
+    by the components of the lowest frequency, which may be 0. Here a side along which nothing varies is free, and gets
+    the length of the other one.
 
     Parameters
     ----------
     groups
         The fundamentals of each group, ``(1 or 2, 2)`` cycles/px.
     tolerance
-        px: how far a side may be from a period of any group; at least 0, and less than half of the shortest one.
+        px: the largest allowed distance of a side from a period; at least 0, and less than half the shortest period.
     limit
         The longest side that is examined, px.
 
     Returns
     -------
     CommonPeriod or None
-        None if there is no group, or no such side within ``limit``.
+        None if there is no group, or if no length up to ``limit`` is a period.
 
     Raises
     ------
@@ -254,7 +259,7 @@ def find_common_period(
 
 
 def _period_errors(fundamentals: NDArray[np.float64], axis: int, limit: int) -> NDArray[np.float64]:
-    """Return how far each length from 1 to ``limit`` px along an axis is from a period, px, ``(limit,)``."""
+    """Return the distance in px of each length 1, 2, ..., ``limit`` px along an axis from a period, ``(limit,)``."""
     if len(fundamentals) == 2:
         basis = Lattice.from_basis(np.linalg.inv(fundamentals).T).reduced().matrix
         turns = np.outer(np.arange(1, limit + 1), np.linalg.inv(basis)[axis])
@@ -264,7 +269,11 @@ def _period_errors(fundamentals: NDArray[np.float64], axis: int, limit: int) -> 
 
 
 def _shortest_side(errors: NDArray[np.float64], tolerance: float) -> tuple[int, bool] | None:
-    """Return the shortest length within the tolerance, past those near 0; or the longest, free."""
+    """Return the shortest period, and whether any length is one; None if there is none.
+
+    Lengths near 0 are within the tolerance of the period 0 and do not count. If this holds far beyond the tolerance,
+    nothing varies along the side, and the length is the longest of these.
+    """
     beyond = np.flatnonzero(errors > tolerance)
     first = int(beyond[0]) if len(beyond) else len(errors)
     if first > 2 * tolerance + 1:
@@ -274,11 +283,11 @@ def _shortest_side(errors: NDArray[np.float64], tolerance: float) -> tuple[int, 
 
 
 def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
-    """Return the mask with its fundamentals fitted to the output: a whole number of waves along each side.
+    """Return the mask with fundamentals that have a whole number of waves along each side of the output.
 
-    Equation 7 divides by the components of one frequency pair, which can be 0. Here a side is a period if it is a
+    Equation 7 divides by the components of one frequency pair, which can be 0. Here a side is accepted if it is a
     vector of the mask's lattice (or a period of its stripes) up to :data:`SLACK`, and the lattice is then fitted to it.
-    Further groups of waves are stretched by up to half a period over the whole output.
+    Other groups of waves are stretched by at most half a period over the whole output.
 
     Parameters
     ----------
@@ -290,21 +299,23 @@ def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
     Raises
     ------
     Refused
-        If a side is no period; the message names the nearest sizes that are.
+        If a side is no period; the message names the nearest valid size.
     """
     height, width = shape
     fundamentals = mask.groups[0] if mask.lattice is None else mask.lattice.dual().matrix
     near = [_nearest_period(fundamentals, axis, side) for axis, side in enumerate((width, height))]
     if near != [width, height]:
         sides = "x".join("?" if side is None else str(side) for side in near)
-        raise Refused(f"{width}x{height} px is no period of the mask, so that the output cannot tile; nearest: {sides}")
+        raise Refused(
+            f"{width}x{height} px is no period of the mask, so the output cannot tile; nearest valid size: {sides}"
+        )
     harmonics = mask.harmonics
     fitted = np.rint(harmonics.fundamentals * (width, height)) / (width, height)
     return replace(mask, harmonics=replace(harmonics, fundamentals=fitted, frequencies=harmonics.orders @ fitted))
 
 
 def _nearest_period(fundamentals: NDArray[np.float64], axis: int, side: int) -> int | None:
-    """Return the length along an axis nearest to ``side`` that is a period; any, where nothing varies along it."""
+    """Return the period along an axis that is nearest to ``side``; ``side`` itself if nothing varies along the axis."""
     waves = np.abs(fundamentals[:, axis])
     slack = SLACK * float(np.hypot(*np.linalg.pinv(fundamentals)).min())
     reach = 1 / waves[waves > 1 / LONGEST].min(initial=1.0)

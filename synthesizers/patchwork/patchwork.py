@@ -1,4 +1,4 @@
-"""Patch-based synthesis: an output of patches of a sample, cut into it along the least visible seams.
+"""Patch-based synthesis: patches of a sample are cut into an output along the least visible seams.
 
 Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts), sections 3, 4.
 """
@@ -25,44 +25,46 @@ Window = tuple[int, int, int, int]
 Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 BLOCKS_PER_SIDE = 6
-"""The search for the worst window steps by this part of the window's shorter side."""
+"""Number of blocks along the shorter side of a window; the search for the worst window moves in steps of a block."""
 
 
 class Patchwork:
-    """An output of patches, empty at first.
+    """An output that is assembled from patches; it is empty at first.
 
-    Every pixel is a copy, so that the map of sources determines everything: which patch a pixel is from, what that
-    patch, continued, would show beside it, and so the cost of every seam. Laying a patch finds the part of it to show
-    for which all seams together, old and new, cost least. That is the paper's graph with its seam nodes (section 3.1):
-    the cost of seams is a metric on patches (equation 1), and then each choice between old and new is a cut without
-    further nodes, the move of Boykov, Veksler and Zabih 2001 (Fast approximate energy minimization via graph cuts). The
-    rim of a patch is not constrained: outside the window, old pixels are ordinary neighbors.
+    Every pixel is a copy of a pixel of the sample. The source map therefore determines the patch of each pixel, the
+    pixels that this patch would show beside it, and thus the cost of every seam. When a patch is laid, a minimum cut
+    determines which of its pixels are shown, so that the total cost of old and new seams is least. The paper's graph
+    with seam nodes (section 3.1) has the same result. Seam nodes are not needed because the cost of seams is a metric
+    on patches (equation 1); see the expansion move of Boykov, Veksler and Zabih 2001 (Fast approximate energy
+    minimization via graph cuts). The rim of a patch is not constrained: old pixels outside the window are ordinary
+    neighbors.
 
     Parameters
     ----------
     sample
         ``(H, W, C)``.
     features
-        ``int32 (H, W, F)``: the values by which seams are judged, in gray levels: the sample's colors, or more.
+        ``int32 (H, W, F)``: the values from which the cost of seams is computed, in gray levels; for example colors.
     shape
         (height, width) of the output, px.
     normalized
-        False: a change from patch A to B between pixels s and t costs ``|A(s) - B(s)| + |A(t) - B(t)|``, Euclidean over
-        the features (equation 1). True: the square of that sum over the gradients of both patches at both pixels along
-        the link (after section 5). That is no metric: an old seam that costs more than two new ones counts as those two
-        in the cut, which is then not always the least, but never costs more than the seams before.
+        False: a seam between patch A at pixel s and patch B at pixel t costs ``|A(s) - B(s)| + |A(t) - B(t)|``,
+        Euclidean over the features (equation 1). True: the cost is the square of that sum, divided by the gradients of
+        both patches at both pixels along the link (after section 5). This is no metric. In the cut, an old seam that
+        costs more than the two seams that could replace it then counts only as much as these. The cut may therefore
+        miss the minimum, but the total cost never increases.
     wrap
-        Whether the output's edges meet their opposites.
+        Whether opposite edges of the output are adjacent.
 
     Attributes
     ----------
     origin
         ``int64 (H, W, 2)``: the (x, y) in the sample of each known pixel.
     known
-        ``bool (H, W)``: where the output has been synthesized.
+        ``bool (H, W)``: the pixels that are synthesized already.
     seams
-        ``int64 (2, H, W)``: the costs of the links to the right of, and below, each pixel, in 1 / :data:`UNIT` gray
-        levels; 0 inside a patch.
+        ``int64 (2, H, W)``: the cost of the link to the right of each pixel and of the link below it, in 1 /
+        :data:`UNIT` gray levels; 0 inside a patch.
     """
 
     def __init__(
@@ -92,32 +94,37 @@ class Patchwork:
         return self.read(self.sample, (0, self.shape[0], 0, self.shape[1])), source
 
     def read(self, values: NDArray[Any], window: Window) -> NDArray[Any]:
-        """Return the values, given for the sample's pixels, in a window, ``(h, w, ...)``; any value where unknown."""
+        """Return the values of a window's source pixels, ``(h, w, ...)``, from those of the sample's pixels.
+
+        The values of unknown pixels are arbitrary.
+        """
         x, y = np.moveaxis(self.origin[self.pixels(window)], -1, 0)
         return np.asarray(values[y, x])
 
     def pixels(self, window: Window) -> Pixels:
-        """Return the rows and columns of a window, for indexing; they wrap where the output does."""
+        """Return the rows and columns of a window as indices; they wrap if the output does."""
         y0, y1, x0, x1 = window
         rows, columns = np.arange(y0, y1) % self.shape[0], np.arange(x0, x1) % self.shape[1]
         return rows[:, np.newaxis], columns[np.newaxis]
 
     def lay_patch(self, window: Window, place: tuple[int, int], reach: int = 0) -> int:
-        """Cut a patch into a window: all of it where nothing is known, else the part for which the seams cost least.
+        """Cut a patch into a window so that the seams cost least. All unknown pixels of the window are filled.
 
         Parameters
         ----------
         window
-            Inside the output; where it wraps, also beyond its edges, but two px less than it high and wide.
+            A window inside the output. If the output wraps, it may cross the edges, but must be at least two px less
+            high and wide than the output.
         place
-            (x, y) in the sample of the window's first pixel; the window lies wholly inside the sample.
+            (x, y) in the sample of the window's first pixel. The patch lies inside the sample.
         reach
-            How far, px, the patch may also replace known pixels beyond the window, as far as the sample goes.
+            Distance beyond the window in px within which the patch may also replace known pixels, as far as the sample
+            extends.
 
         Returns
         -------
         int
-            The number of new pixels.
+            The number of pixels that now show the patch.
         """
         around, ring = self._add_ring(self._extend_window(window, place, reach))
         pixels = self.pixels(around)
@@ -136,7 +143,7 @@ class Patchwork:
         return int(new.sum())
 
     def _add_ring(self, window: Window) -> tuple[Window, Mask]:
-        """Return a window with the ring of pixels around it, and that ring."""
+        """Return a window extended by one pixel on each side, and a mask of the added ring."""
         y0, y1, x0, x1 = window
         if self.wrap:
             around = (y0 - 1, y1 + 1, x0 - 1, x1 + 1)
@@ -147,7 +154,7 @@ class Patchwork:
         return around, ring
 
     def _extend_window(self, window: Window, place: tuple[int, int], reach: int) -> Window:
-        """Return a window extended on all sides, as far as sample and output go."""
+        """Return a window extended by ``reach`` px on all sides, but not beyond the sample or the output."""
         ends: list[int] = []
         for axis in (0, 1):
             start, stop, first = window[2 * axis], window[2 * axis + 1], window[2 * axis] - place[1 - axis]
@@ -161,27 +168,27 @@ class Patchwork:
 
 
 def _within(window: Window, around: Window) -> tuple[slice, slice]:
-    """Return the rows and columns of a window in one around it."""
+    """Return the slices of a window inside a larger one around it."""
     y0, y1, x0, x1 = window
     return slice(y0 - around[0], y1 - around[0]), slice(x0 - around[2], x1 - around[2])
 
 
 def cut_least_seams(choices: NDArray[np.int64], fixed_old: Mask, fixed_new: Mask) -> Mask:
-    """Return which pixels of a window become new such that its links cost least.
+    """Return the pixels of a window that become new, so that the total cost of its links is least.
 
     Parameters
     ----------
     choices
         Costs from :func:`~nrbench.synthesizers.patchwork.patchwork_kernels.link_choices`.
     fixed_old, fixed_new
-        ``bool (h, w)``: pixels that must stay, or become new.
+        ``bool (h, w)``: pixels that must stay, and pixels that must become new.
 
     Notes
     -----
-    A link that costs c when both its pixels s and t stay, b when s becomes new, a when t does and 0 when both do is,
-    up to a constant, a link of (a + b - c) / 2 between them, with (b - a - c) / 2 when s becomes new and
-    (a - b - c) / 2 when t does. c counts as a + b where it is more (which with a metric never happens). All costs are
-    doubled, and stay integers.
+    Let a link cost c if both its pixels s and t stay, b if only s becomes new, a if only t becomes new, and 0 if both
+    do. Up to a constant, this is a link of cost (a + b - c) / 2 between s and t, plus (b - a - c) / 2 if s becomes new,
+    plus (a - b - c) / 2 if t becomes new. If c exceeds a + b, which no metric allows, c is replaced by a + b. All costs
+    are doubled, so that they stay integers.
     """
     stay, second, first = np.moveaxis(choices.astype(np.float64), 1, 0)
     stay = np.minimum(stay, first + second)
@@ -195,14 +202,14 @@ def cut_least_seams(choices: NDArray[np.int64], fixed_old: Mask, fixed_new: Mask
 
 
 def _link_costs(choices: NDArray[np.int64], new: Mask, axis: int) -> NDArray[np.int64]:
-    """Return the costs of the links of one axis once pixels are new."""
+    """Return the costs of the links along one axis after the pixels of the mask ``new`` are replaced."""
     there = np.roll(new, -1, 1 - axis)
     one = np.where(new, choices[FIRST], choices[SECOND])
     return np.where(new & there, 0, np.where(new | there, one, choices[STAY]))
 
 
 def _links_of(ring: Mask) -> Mask:
-    """Return which links ``(2, h, w)`` have a pixel off the ring."""
+    """Return the links, ``(2, h, w)``, with at least one pixel that is not on the ring."""
     inside = ~ring
     links = np.stack([inside, inside])
     links[0, :, :-1] |= inside[:, 1:]
@@ -211,9 +218,9 @@ def _links_of(ring: Mask) -> Mask:
 
 
 class SeamHeat:
-    """The costs of an output's seams, summed over blocks; they are halved with each try to improve them.
+    """The costs of an output's seams, summed over blocks, and the number of tries to reduce them.
 
-    Blocks keep the search for the worst window cheap: a step costs O(H W / q^2) for blocks of q px, and only the blocks
+    With blocks the search for the worst window is cheap: it takes O(H W / q^2) for blocks of q px, and only the blocks
     that a new patch changes are summed again.
 
     Parameters
@@ -221,7 +228,7 @@ class SeamHeat:
     work
         The output.
     size
-        (height, width) px of the windows that are compared, not larger than the output.
+        (height, width) px of the windows, not larger than the output.
 
     Attributes
     ----------
@@ -230,7 +237,7 @@ class SeamHeat:
     costs
         ``float64 (rows, columns)``: the cost of each block's seams.
     tries
-        ``int64 (rows, columns)``: how often each block has been tried.
+        ``int64 (rows, columns)``: how many times each block was in a window that was covered again.
     """
 
     def __init__(self, work: Patchwork, size: tuple[int, int]) -> None:
@@ -240,7 +247,7 @@ class SeamHeat:
         self.tries = np.zeros(self.costs.shape, np.int64)
 
     def _sum_blocks(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the cost of the seams in each block of some rows and columns of blocks, in rising order."""
+        """Return the cost of the seams in each block; ``rows`` and ``columns`` are ascending numbers of blocks."""
         y, x = ((numbers[:, np.newaxis] * self.block + np.arange(self.block)).ravel() for numbers in (rows, columns))
         y, x = y[y < self.work.shape[0]], x[x < self.work.shape[1]]
         seams = self.work.seams[:, y[:, np.newaxis], x].sum(0)
@@ -248,7 +255,7 @@ class SeamHeat:
         return np.add.reduceat(by_rows, np.searchsorted(x, columns * self.block), 1).astype(np.float64)
 
     def find_worst(self) -> Window:
-        """Return the window whose seams cost most, each block's cost halved with each try."""
+        """Return the window whose seams cost most. The cost of a block is halved for each earlier try."""
         heat = self.costs * 0.5 ** np.minimum(self.tries, 50)
         height, width = (min(-(-side // self.block), most) for side, most in zip(self.size, heat.shape, strict=True))
         if self.work.wrap:
@@ -260,39 +267,39 @@ class SeamHeat:
         return y, y + self.size[0], x, x + self.size[1]
 
     def update(self, window: Window, reach: int = 0) -> None:
-        """Count a try to improve a window, and sum the blocks with pixels up to ``reach`` px from it again."""
+        """Count a try for the blocks of a window, and sum the blocks up to ``reach`` px from it again."""
         y0, y1, x0, x1 = window
         rows, columns = self._blocks(y0 - 1 - reach, y1 + reach, 0), self._blocks(x0 - 1 - reach, x1 + reach, 1)
         self.costs[np.ix_(rows, columns)] = self._sum_blocks(rows, columns)
         self.tries[np.ix_(self._blocks(*window[:2], 0), self._blocks(*window[2:], 1))] += 1
 
     def _blocks(self, start: int, stop: int, axis: int) -> NDArray[np.int64]:
-        """Return the blocks of the pixels from ``start`` up to ``stop`` along an axis."""
+        """Return the numbers of the blocks that contain the pixels ``start`` to ``stop`` - 1 along an axis."""
         side = self.work.shape[axis]
         pixels = np.arange(start, stop) % side if self.work.wrap else np.arange(max(start, 0), min(stop, side))
         return np.unique(pixels // self.block)
 
 
 class PatchPlacer:
-    """Covers windows of an output with patches that match what is known there (sub-patch matching, section 4).
+    """Covers windows of an output with patches that match their known pixels (sub-patch matching, section 4).
 
     Parameters
     ----------
     work
         The output.
     colors
-        ``int32 (H, W, C)``: the values by which the sample's pixels are matched.
+        ``int32 (H, W, C)``: the values of the sample's pixels that are compared with known pixels.
     randomness
-        The paper's k: places are drawn with a probability proportional to exp(-cost / (k sigma^2)), the cost being the
-        mean squared difference of the window's pixels, sigma the standard deviation of the sample's colors, channels
-        summed in both. 0: one of the best.
+        The paper's k: places are drawn with a probability proportional to exp(-cost / (k sigma^2)). The cost is the
+        mean squared difference of the window's pixels; sigma is the standard deviation of the sample's colors. Both
+        are summed over channels. 0: one of the places of least cost is drawn.
     rng
         The generator that draws places.
     guide
-        The values that every pixel of the output should have, known or not, and the same of the sample's pixels: two
-        ``int32 (H, W, M)``, of the output and of the sample; None: no guide.
+        Values that are compared at all pixels, known or not: ``int32 (H, W, M)`` of the output, and the same of the
+        sample. None: there is no guide.
     reach
-        How far, px, beyond a window its patch may replace pixels as well: see :meth:`Patchwork.lay_patch`.
+        See :meth:`Patchwork.lay_patch`.
     """
 
     def __init__(
@@ -309,7 +316,7 @@ class PatchPlacer:
         self._translations = Translations((colors,) if guide is None else (colors, guide[1]))
 
     def cover_window(self, window: Window) -> int:
-        """Lay a patch into a window, and return the number of new pixels; 0 if nothing would be better."""
+        """Lay a patch into a window, and return the number of replaced pixels; 0 if no replacement reduces the cost."""
         pixels = self.work.pixels(window)
         known = self.work.known[pixels]
         layers = [Layer(self.work.read(self.colors, window), None if known.all() else known)]
@@ -320,7 +327,7 @@ class PatchPlacer:
         return self.work.lay_patch(window, draw_translation(costs, scale, self.rng), self.reach)
 
     def improve_worst_window(self, heat: SeamHeat) -> int:
-        """Cover the window whose seams are worst again, and return the number of new pixels."""
+        """Cover the window whose seams cost most again, and return the number of replaced pixels."""
         window = heat.find_worst()
         new = self.cover_window(window)
         heat.update(window, self.reach)
@@ -328,16 +335,17 @@ class PatchPlacer:
 
     @cached_property
     def _variance(self) -> float:
-        """The sample's variance, channels summed; in integers, so that it is the same on every machine."""
+        """The sample's variance, summed over channels, from integer sums so that it is the same on every machine."""
         values = self.colors.reshape(-1, self.colors.shape[2]).astype(np.int64)
         count, squares = len(values), int((values**2).sum())
         return (count * squares - sum(int(total) ** 2 for total in values.sum(0))) / count**2
 
 
 def scan_windows(shape: tuple[int, int], size: tuple[int, int], step: tuple[int, int], wrap: bool) -> Iterator[Window]:
-    """Yield windows of a size that cover an output, line by line, each ``step`` (rows, columns) after the last.
+    """Yield windows of a size that cover an output, line by line, at distances of ``step`` (rows, columns).
 
-    The last window of a line, and the last line, are cropped at the output's edge; where it wraps, they go beyond.
+    The last window of a line and the windows of the last line are cropped at the output's edge. If the output wraps,
+    they cross the edge instead.
     """
     for top in range(0, shape[0] if wrap else max(shape[0] - size[0] + step[0], 1), step[0]):
         for left in range(0, shape[1] if wrap else max(shape[1] - size[1] + step[1], 1), step[1]):

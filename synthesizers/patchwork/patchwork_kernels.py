@@ -1,4 +1,4 @@
-"""The compiled loops of patch-based synthesis: the costs of a window's links with and without a new patch."""
+"""The compiled loops of patch-based synthesis: the costs of a window's links with the old and the new patch."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from nrbench.jit import kernel
 UNIT = 16.0
 """Costs are integers, in units of 1 / UNIT gray levels, so that flows are exact."""
 STAY, SECOND, FIRST = 0, 1, 2
-"""Cases of a link: both pixels stay; only the second becomes new; only the first does. If both do it costs nothing."""
+"""Cases of a link: both pixels stay; only the second becomes new; only the first becomes new. If both become new, the
+link costs nothing."""
 
 
 @kernel("int64(int32[:, :, ::1], int32[:, :, ::1], int64, boolean, int64, int64, int64, int64)")
@@ -24,10 +25,10 @@ def step_cost(
     v: int,
     u: int,
 ) -> int:
-    """Return the cost of a change between two patches on a link to the right (axis 0) or below (axis 1).
+    """Return the cost of a seam between two patches on a link to the right (axis 0) or downward (axis 1).
 
-    See :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`. (y, x) and (v, u) are the places in the sample of
-    the link's first pixel in both patches, continued; beyond the sample's edge its last pixels are repeated.
+    See :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`. (y, x) and (v, u) are the places of the link's
+    first pixel in the sample, for either patch. Beyond the sample's edges its outermost pixels are repeated.
     """
     if y == v and x == u:
         return 0
@@ -61,25 +62,26 @@ def link_choices(
     x: int,
     y: int,
 ) -> NDArray[np.int64]:
-    """Return the cost of each link of a window in each case, depending on which of its pixels a new patch replaces.
+    """Return the cost of each link of a window for each case of replaced pixels.
 
     Parameters
     ----------
     features, slopes, normalized
-        The sample's features, their gradients ``(2, H, W)``, and the kind of cost: see
+        The sample's features, their gradients ``(2, H, W)``, and the type of cost: see
         :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`.
     source
         ``(h, w, 2)``: (x, y) in the sample of the window's pixels.
     known
-        ``(h, w)``: which of them are known.
+        ``(h, w)``: whether they are known.
     x, y
         The place in the sample of the new patch's first pixel.
 
     Returns
     -------
     NDArray
-        ``(2, 3, h, w)``: of the links to the right of, and below, each pixel: :data:`STAY`, :data:`SECOND`,
-        :data:`FIRST`. 0 where there is no link, or where a pixel that would stay is unknown. O(h w F).
+        ``(2, 3, h, w)``: for the link to the right of each pixel and the link below it, the costs in the cases
+        :data:`STAY`, :data:`SECOND` and :data:`FIRST`. 0 if there is no link, or if a pixel that stays is unknown.
+        The time is O(h w F).
     """
     height, width = known.shape
     costs = np.zeros((2, 3, height, width), np.int64)

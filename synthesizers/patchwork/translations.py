@@ -1,4 +1,4 @@
-"""The cost of every translation of a sample against a window of an output, all computed at once.
+"""Compare a window of an output with the sample at every translation, by Fourier transforms.
 
 Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts), section 4.
 """
@@ -19,14 +19,14 @@ from nrbench.imaging.box_sums import box_sums_from, integral_image
 from ..seams.minimum_cut import Mask
 
 Features = NDArray[np.int32]
-"""``int32 (H, W, F)``: the values by which pixels are compared; integers, so that sums and ties are exact."""
+"""``int32 (H, W, F)``: the values of the pixels that are compared. They are integers, so that sums are exact."""
 Costs = NDArray[np.float64]
-"""``float64 (rows, columns)``: the cost of each place (y, x) of the window's first pixel, for windows wholly inside."""
+"""``float64 (rows, columns)``: the cost of each place (y, x) of the window's first pixel in the sample."""
 _Spectra = NDArray[np.complex128]
 
 
 class Layer(NamedTuple):
-    """One group of a window's channels, with the pixels at which it is compared.
+    """A group of channels of a window, and the pixels at which they are compared.
 
     Parameters
     ----------
@@ -42,13 +42,13 @@ class Layer(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Translations:
-    """The translations of a sample that cover a window, with what their comparison precomputes (sub-patch matching).
+    """The translations of a sample that cover a window (sub-patch matching), with the sample's precomputed spectra.
 
     Parameters
     ----------
     layers
-        The sample's channels in groups, ``int32 (H, W, C)`` each, for example its colors and the values of a mask. Each
-        group may be compared at other pixels of a window. Sums of squares over the sample must stay below 2^47.
+        Groups of the sample's channels, ``int32 (H, W, C)`` each, for example its colors and the values of a mask. Each
+        group has its own set of compared pixels. Sums of squares over the sample must be below 2^47.
     """
 
     layers: tuple[Features, ...]
@@ -59,7 +59,7 @@ class Translations:
         Parameters
         ----------
         window
-            As many layers as the sample has, all ``(h, w)``, not larger than the sample.
+            One layer for each of the sample's, all ``(h, w)``, not larger than the sample.
 
         Returns
         -------
@@ -68,8 +68,9 @@ class Translations:
 
         Notes
         -----
-        The square is multiplied out (section 5 of the paper). Products are computed by Fourier transforms, squares by
-        integral images, or by transforms if not all pixels are compared. O(F H W log(H W)) for windows of any size.
+        The square of the difference is expanded (section 5 of the paper). Fourier transforms compute the products.
+        Integral images compute the sums of squares, or transforms if not all pixels are compared. The time is
+        O(F H W log(H W)) for windows of any size.
         """
         height, width = window[0].values.shape[:2]
         rows, columns = self.layers[0].shape[0] - height + 1, self.layers[0].shape[1] - width + 1
@@ -114,7 +115,7 @@ def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tu
         Costs from :meth:`Translations.compute_costs`.
     scale
         The paper's k sigma^2 (section 4) times the number of the window's pixels, in the unit of the costs. 0: one of
-        the best places is drawn.
+        the places of least cost is drawn.
     rng
         The generator; one number is drawn from it.
     """

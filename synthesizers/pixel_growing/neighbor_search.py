@@ -1,4 +1,4 @@
-"""Nearest neighborhoods: projection of pixel values to points of few dimensions, and a k-d tree of these points."""
+"""Search for nearest neighborhoods: projection of pixel values to few dimensions, and a k-d tree of the points."""
 
 from __future__ import annotations
 
@@ -10,41 +10,41 @@ from numpy.typing import NDArray
 from .pixel_growing_kernels import UNBOUNDED, TreeArrays, build_tree, search_queries
 
 Points = NDArray[np.int16]
-"""``int16 (n, d)``. Points and queries are within 32 767 of each other, so that differences fit 16 bits and squared
-distances 31."""
+"""``int16 (n, d)``. Points and queries are within 32 767 of each other, so that differences fit into 16 bits and
+squared distances into 31 bits."""
 Integers = NDArray[np.int64]
 Vectors = NDArray[np.uint8]
 """``uint8 (n, D)``: pixel values, channel by channel."""
 
 FARTHEST = 30000.0
-"""Greatest distance of two points: differences fit 16 bits, squared distances 31."""
+"""Largest distance of two points, so that differences fit into 16 bits and squared distances into 31 bits."""
 FINEST = 16
-"""The largest number of units of a gray level: finer ones change nothing that 8 bits can show."""
+"""Largest number of units per gray level. Values of 8 bits need no finer units."""
 BLOCK = 1 << 15
-"""Vectors that are processed at a time: memory does not grow with the sample by more than its vectors."""
+"""Number of vectors that are converted to floats at a time, to limit the memory."""
 LANES = 16
-"""Dimensions are filled up with zeros to a multiple of this, for vector instructions."""
+"""Dimensions are padded with zeros to a multiple of this, for vector instructions."""
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
     """A linear mapping of pixel values to points: ``(matrix @ values + shift) >> bits``.
 
-    It is computed in floating point, once, and rounded. All that follows is integer arithmetic, so that no order of
-    summation and no machine changes which neighborhoods are alike. (The last bits of an eigenvector, which differ
-    between linear algebra libraries, are lost in the rounding, except for the rare coefficient halfway between two
-    integers.)
+    The matrix is computed once in floating point and rounded to integers. All later arithmetic is in integers, so that
+    neither the order of summation nor the machine changes which neighborhood is nearest. (The last bits of an
+    eigenvector differ between linear algebra libraries. The rounding removes this difference, except for a rare
+    coefficient halfway between two integers.)
 
     Parameters
     ----------
     matrix
         ``int16 (d, D)``.
     shift
-        ``int32 (d,)``: takes the mean of the vectors to 0.
+        ``int32 (d,)``: moves the mean of the vectors to 0.
     bits
-        Binary digits of the matrix behind the point.
+        Number of binary digits of the matrix after the point.
     units
-        Units of a point's coordinates in a gray level.
+        Units of a point's coordinates per gray level.
     """
 
     matrix: NDArray[np.int16]
@@ -54,7 +54,7 @@ class Projection:
 
     @classmethod
     def fit(cls, vectors: Vectors, weights: NDArray[np.float64], dimensions: int) -> Projection:
-        """Return the projection on the vectors' principal components.
+        """Return the projection on the principal components of the vectors.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ class Projection:
         weights
             ``(D,)``: weight of each value's squared difference, at least 0.
         dimensions
-            Number of components; 0, or as many as there are values: all values themselves, weighted.
+            Number of components. 0, or at least D: the weighted values themselves, without principal components.
         """
         width, roots = vectors.shape[1], np.sqrt(weights)
         rows = _components(vectors, roots, dimensions) if 0 < dimensions < width else np.eye(width)
@@ -78,7 +78,7 @@ class Projection:
         return cls(matrix, (-(total // len(vectors))).astype(np.int32), bits, units)
 
     def points(self, vectors: Vectors) -> Points:
-        """Return the points of some vectors, ``int16 (n, d)``, exactly as compiled loops project them."""
+        """Return the points of some vectors, ``int16 (n, d)``, equal to those that compiled loops compute."""
         matrix = self.matrix[:, : vectors.shape[1]].astype(np.float64)
         points = np.empty((len(vectors), len(matrix)), np.int16)
         for start in range(0, len(vectors), BLOCK):
@@ -88,7 +88,7 @@ class Projection:
 
 
 def _components(vectors: Vectors, scales: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the strongest principal components of the vectors, each value scaled, ``(count, D)``, orthonormal.
+    """Return the strongest principal components of the scaled vectors, ``(count, D)``, orthonormal.
 
     The second moments are sums of integers, exact in float64.
     """
@@ -110,15 +110,15 @@ def _round_up(count: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class KdTree:
-    """A k-d tree over each of several groups of integer points.
+    """A k-d tree for each of several groups of integer points.
 
-    scipy's ``cKDTree`` cannot stand in for it: it breaks ties of distance arbitrarily, in floating point, and cannot be
-    searched from inside a compiled loop, where each query depends on the pixels before it.
+    :class:`scipy.spatial.cKDTree` is no alternative: it computes in floating point, breaks ties arbitrarily, and cannot
+    be searched inside a compiled loop, where each query depends on earlier pixels.
 
     Parameters
     ----------
     arrays
-        The tree as kernels read it, see :data:`~.pixel_growing_kernels.TreeArrays`.
+        The arrays of the tree for compiled loops, see :data:`~.pixel_growing_kernels.TreeArrays`.
     roots
         ``(g,)``: the root node of each group.
     order
@@ -140,11 +140,12 @@ class KdTree:
         points
             At least one.
         ranks
-            ``(n,)``, in [0, 2^32): of points at one distance the one of least rank is the nearest. None: the first.
+            ``(n,)``, in [0, 2^32): of points at the same distance, the one of least rank counts as the nearest. None:
+            the number of the point.
         groups
-            ``(n,)``: each point's group, from 0 on, none empty; groups are searched separately. None: one for all.
+            ``(n,)``: each point's group, from 0 on, none empty. Groups are searched separately. None: one group.
         leaf
-            The largest number of points of a leaf; with n the search is exhaustive.
+            The largest number of points of a leaf. With n the search is exhaustive.
         """
         n = len(points)
         labels = np.zeros(n, np.int64) if groups is None else groups
@@ -159,7 +160,7 @@ class KdTree:
     def nearest(
         self, queries: Points, k: int = 1, eps: float = 0.0, groups: Integers | None = None
     ) -> tuple[Integers, Integers]:
-        """Return the k points that are nearest to each query, nearest first.
+        """Find the k points nearest to each query, the nearest first.
 
         Parameters
         ----------
@@ -168,16 +169,17 @@ class KdTree:
         k
             Number of points.
         eps
-            Each point returned is at most (1 + eps) times as far as the exact one; 0: exact, ties broken by rank.
+            The distance of each returned point is at most (1 + eps) times the exact one. 0: the search is exact, and
+            ranks break ties.
         groups
             ``(q,)``: the group to search. None: the first.
 
         Returns
         -------
         numbers
-            ``(q, k)``: numbers of points; -1 where the group has fewer.
+            ``(q, k)``: the numbers of the points; -1 if the group has fewer points.
         distances
-            ``(q, k)``: squared; -1 there.
+            ``(q, k)``: their squared distances; -1 if the group has fewer points.
         """
         keys, places = np.full((len(queries), k), UNBOUNDED), np.full((len(queries), k), -1, np.int64)
         labels = np.zeros(len(queries), np.int64) if groups is None else groups

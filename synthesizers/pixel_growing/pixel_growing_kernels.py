@@ -1,7 +1,7 @@
-"""The compiled loops of pixel-based synthesis: build and search a k-d tree, grow an output pixel by pixel.
+"""The compiled loops of pixel-based synthesis: build and search a k-d tree, and synthesize an output pixel by pixel.
 
-Coordinates are integers of 16 bits, and so are their differences; squared distances fit 32 bits. All sums are exact: no
-order of summation, and no machine, changes which point is nearest.
+Coordinates and their differences are integers of 16 bits; squared distances fit into 32 bits. All sums are exact, so
+that neither the order of summation nor the machine changes which point is nearest.
 """
 
 from __future__ import annotations
@@ -14,20 +14,22 @@ from numpy.typing import NDArray
 from nrbench.jit import kernel
 
 UNBOUNDED = np.int64(2**63 - 1)
-"""A key beyond that of any point."""
+"""A key larger than that of any point."""
 DEEPEST = 160
-"""Rows of a search's stack: two a level, of trees of at most 2^32 points split at their medians."""
+"""Rows of a search's stack: two per level, for trees of at most 2^32 points that are split at their medians."""
 TreeArrays = tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int32], NDArray[np.int16], NDArray[np.int16]]
 """A k-d tree: ``points (n, d)`` in the tree's order, their ``ranks (n,)``, ``nodes (m, 6)``, and the ``lows`` and
-``highs (g, d)`` of each root's box. A node holds its first point, last point + 1, axis (-1: a leaf), the greatest
-coordinate of its left child along it, the least of its right, and the number of the right child; the left one follows
-it."""
+``highs (g, d)`` of each root's box. The columns of a node are its first point, its last point + 1, its axis (-1: a
+leaf), the largest coordinate of its left child along this axis, the smallest of its right child, and the number of the
+right child. The left child is the next node."""
 CanvasArrays = tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]
-"""The output: ``values`` of the canvas' layers, flat, with their border; ``sources (P, Q)``: each pixel's source in the
-sample, -1: none; ``frame``: rows and columns after which the canvas repeats, and the border at its top and left."""
+"""The output: the flat ``values`` of its layers, with their border; ``sources (P, Q)``: each pixel's source in the
+sample, -1 if it has none; ``frame``: the number of rows and of columns after which the output repeats, and the rows and
+columns of the border at its top and left."""
 StockArrays = tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], int]
-"""The sample: its ``colors (h w, C)``; ``pixels (n,)``: the pixel at each place of the tree; ``places (h w,)``: its
-inverse, -1 where the neighborhood is incomplete; ``similar (n, k)``: the places most like each; the sample's width."""
+"""The sample: its ``colors (h w, C)``; ``pixels (n,)``: the pixel at each place of the tree; ``places (h w,)``: the
+place of each pixel, -1 if its neighborhood is incomplete; ``similar (n, k)``: the places most similar to each; the
+sample's width."""
 QueryArrays = tuple[NDArray[np.int64], NDArray[np.int16], NDArray[np.int32], int, NDArray[np.int64]]
 """A neighborhood: ``steps (D,)`` from a pixel's first value to its neighborhood's; the projection's ``matrix``,
 ``shift`` and ``bits``; ``texture_offsets (m, 2)``: the offsets (x, y) whose sources are continued."""
@@ -39,9 +41,10 @@ QUERY = "Tuple((int64[::1], int16[:, ::1], int32[::1], int64, int64[:, ::1]))"
 
 @kernel("void(int16[::1], int64[::1], int64, int64, int64)")
 def split_at_middle(values: NDArray[np.int16], order: NDArray[np.int64], start: int, stop: int, middle: int) -> None:
-    """Move the values from ``start`` to ``stop`` so that none before ``middle`` exceeds one from there on.
+    """Reorder the values from ``start`` to ``stop`` so that no value before ``middle`` exceeds a later one.
 
-    ``order`` moves along. Hoare's selection, O(stop - start) on average, with equal values shared between both sides.
+    ``order`` is reordered in the same way. This is Hoare's selection, O(stop - start) on average; values equal to the
+    pivot go to both sides.
     """
     low, high = start, stop - 1
     while low < high:
@@ -67,7 +70,7 @@ def split_at_middle(values: NDArray[np.int16], order: NDArray[np.int64], start: 
 
 @kernel("int64(int16[:, ::1], int64[::1], int64, int64)")
 def widest_axis(points: NDArray[np.int16], order: NDArray[np.int64], start: int, stop: int) -> int:
-    """Return the axis along which points vary most (by the sum of squares about the mean); -1: all are equal."""
+    """Return the axis with the largest variance of the points' coordinates; -1 if all points are equal."""
     count, best, axis = np.int64(stop - start), np.int64(0), -1
     for a in range(points.shape[1]):
         total, squares = np.int64(0), np.int64(0)
@@ -89,20 +92,20 @@ def build_tree(
     roots: NDArray[np.int64],
     leaf: int,
 ) -> NDArray[np.int32]:
-    """Return the nodes of a tree over each group of points, halved at the median of their widest axis.
+    """Return the nodes of a tree for each group of points. A node is split at the median of its widest axis.
 
     Parameters
     ----------
     points
         ``(n, d)``.
     order
-        ``(n,)``: numbers of the points, group after group; rearranged into the trees' order.
+        ``(n,)``: the numbers of the points, group after group; reordered in place to the order of the trees.
     bounds
         ``(g + 1,)``: the start of each group, and n.
     roots
-        ``(g,)``, written: each group's root.
+        ``(g,)``: output, the root node of each group.
     leaf
-        The largest number of points of a leaf; equal points make one leaf, however many.
+        The largest number of points of a leaf. Any number of equal points make one leaf.
     """
     nodes = np.empty((2 * order.size + 1, 6), np.int32)
     values = np.empty(order.size, np.int16)
@@ -145,7 +148,7 @@ def squared_distance(one: NDArray[np.int16], other: NDArray[np.int16]) -> np.int
 
 @kernel("int64(int16[::1], int16[:, ::1], int64[::1], int64)")
 def key_of(query: NDArray[np.int16], points: NDArray[np.int16], ranks: NDArray[np.int64], place: int) -> np.int64:
-    """Return the key by which points are compared: squared distance times 2^32 plus rank, so that ranks break ties."""
+    """Return the key of a point for a query: squared distance times 2^32 plus rank, so that ranks break ties."""
     key: np.int64 = (np.int64(squared_distance(query, points[place])) << 32) + ranks[place]
     return key
 
@@ -162,10 +165,11 @@ def search_tree(
     stack: NDArray[np.int64],
     gaps: NDArray[np.int64],
 ) -> None:
-    """Find the points of one group that are nearest to a query, nearer than the known ones.
+    """Find the points of one group that are nearest to a query, and nearer than the known ones.
 
-    Boxes are skipped whose distance shows that they hold nothing nearer (Arya and Mount's incremental distances: one
-    axis changes at each step down). O(log n) where the points' intrinsic dimension is small, O(n) at worst.
+    A box is skipped if it is farther than the known points. Its distance is updated along one axis at each step down
+    the tree (incremental distances, Arya and Mount). O(log n) if the points' intrinsic dimension is small, O(n) at
+    worst.
 
     Parameters
     ----------
@@ -176,11 +180,11 @@ def search_tree(
     query
         ``(d,)``.
     shrink
-        (1 + eps)^2: boxes are skipped that hold nothing nearer by this factor (squared); 1 is exact.
+        (1 + eps)^2: the squared distance of a box is multiplied by this before it is compared. 1: the search is exact.
     keys
-        ``(k,)``, rising, read and written: see :func:`key_of`.
+        ``(k,)``, ascending: input, the keys of the known points; output, the least keys. See :func:`key_of`.
     places
-        ``(k,)``, written: places of the points in the tree's order; unchanged where no point is nearer than the key.
+        ``(k,)``: output, the places of the new points in the tree's order; entries of known points are shifted along.
     stack, gaps
         Buffers: ``(DEEPEST, 4)`` and ``(d,)``.
     """
@@ -259,7 +263,7 @@ def project_neighborhood(
     buffer: NDArray[np.int16],
     point: NDArray[np.int16],
 ) -> None:
-    """Write the point of the neighborhood around the pixel whose first value is ``at``; ``buffer`` takes its values."""
+    """Compute the point of a neighborhood into ``point``; ``at`` is the index of the pixel's first value."""
     for i in range(steps.size):
         buffer[i] = values[at + steps[i]]
     for a in range(matrix.shape[0]):
@@ -272,7 +276,7 @@ def project_neighborhood(
 
 @kernel(f"void({CANVAS}, int64, int64, int64, uint8[::1])")
 def write_pixel(canvas: CanvasArrays, row: int, column: int, source: int, color: NDArray[np.uint8]) -> None:
-    """Write a pixel; if the canvas wraps, also its copies in the border."""
+    """Write a pixel and, if the output wraps, its copies in the border."""
     values, sources, frame = canvas
     height, width, channels = sources.shape[0], sources.shape[1], color.size
     for r in range(row % frame[0], height, frame[0]):
@@ -302,19 +306,19 @@ def grow_box(
     canvas, stock, query
         See :data:`CanvasArrays`, :data:`StockArrays`, :data:`QueryArrays`.
     tree, roots
-        The sample's neighborhoods, by groups.
+        The tree of the sample's neighborhoods, and its root nodes by groups.
     groups
         ``(rows, columns)`` of the box: the group of each pixel's source.
     box
         (y0, y1, x0, x1) of the output.
     factor
-        A neighbor's continued source is preferred if its squared distance is at most so many times the best's; 0: it
-        has no advantage.
+        The continuation of a neighbor's source is preferred if its squared distance is at most this multiple of the
+        least one; 0: it is not preferred.
     shrink
         See :func:`search_tree`.
     everywhere
-        Whether the tree is searched. If not, the candidates are the neighbors' continued sources and the places similar
-        to them; only a pixel without any searches the tree.
+        Whether the tree is searched for every pixel. If not, the candidates are the continuations of the neighbors'
+        sources and the places similar to them; the tree is searched only if there are no candidates.
     """
     values, sources, frame = canvas
     colors, pixels, places, similar, stride = stock

@@ -1,4 +1,4 @@
-"""Pixel-based synthesis: an output grown pixel by pixel from the sample's pixels whose neighborhoods fit best."""
+"""Pixel-based synthesis: each output pixel is copied from the sample's pixel with the most similar neighborhood."""
 
 from __future__ import annotations
 
@@ -22,33 +22,36 @@ Layers = NDArray[np.uint8]
 """``uint8 (L, H, W, C)``: the texture, and (L = 2) its mask."""
 
 BAND = 8
-"""Rows that are synthesized between two reports of progress."""
+"""Number of rows that are synthesized between two reports of progress."""
 SIMILAR = 4
+"""Default number of similar pixels of search ``k-coherence``."""
 LEAF = 8
+"""Largest number of points of a leaf of the k-d tree."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchParameters:
-    """The parameters of the search for sources, shared by all pixel-based methods: they inherit from this class.
+    """The parameters of the search for sources. All pixel-based methods inherit from this class.
 
     The descriptions below are appended to the page of each method.
 
     Parameters
     ----------
     search
-        ``"ann"``: k-d tree, exact with ``eps`` 0. ``"exhaustive"``: every candidate. ``"k-coherence"``: the candidates
-        are, for each pixel synthesized in the window, the continuation of its source and the pixels most similar to
-        that in the sample (Tong et al. 2002).
+        How sources are searched. ``"ann"``: by a k-d tree, exactly if ``eps`` is 0. ``"exhaustive"``: among all pixels
+        of the sample. ``"k-coherence"``: among the continuations of the sources of the pixels in the window, and the
+        pixels of the sample most similar to these (Tong et al. 2002). The continuation of a neighbor's source is the
+        pixel that lies beside that source as the current pixel lies beside the neighbor.
     coherence
-        The continuation of a neighbor's source is preferred if its distance is at most so many times the best's: 1 or
-        more; 0: it has no advantage.
+        1 or more: the continuation of a neighbor's source is preferred if its distance is at most this multiple of the
+        least distance. 0: it is not preferred.
     eps
-        A source may be (1 + eps) times as far as the nearest: 0 or more, only for search ``ann``. The continuation of a
-        neighbor's source may be farther by both factors.
+        0 or more, only for search ``ann``: the distance of a source may be (1 + eps) times the least distance. For the
+        continuation of a neighbor's source, the factor is multiplied by ``coherence``.
     dimensions
-        Number of principal components that are compared; 0, or as many as there are values: all values.
+        Number of principal components that are compared. 0, or at least the number of values: all values are compared.
     similar
-        Number of similar pixels, 1 to 64, only for search ``k-coherence``. None: 4.
+        Number of similar pixels for each continuation, 1 to 64, only for search ``k-coherence``. None: 4.
     """
 
     search: Search = "ann"
@@ -58,7 +61,7 @@ class SearchParameters:
     similar: int | None = None
 
     def __init_subclass__(cls) -> None:
-        """Complete a method's page."""
+        """Append these parameters to the method's page."""
         super().__init_subclass__()
         append_parameters(cls, SearchParameters)
 
@@ -84,22 +87,22 @@ _check = checker("pixels")
 
 @dataclass(frozen=True, eq=False)
 class Neighborhood:
-    """The offsets around a pixel that are compared, in the texture and in its mask.
+    """The offsets around a pixel at which the texture and its mask are compared.
 
     Parameters
     ----------
     taps
-        ``int64 (t, 3)``: (x, y, layer): 0 is the texture, 1 the mask.
+        ``int64 (t, 3)``: (x, y, layer). Layer 0 is the texture, layer 1 the mask.
     """
 
     taps: Integers
 
     @classmethod
     def first_pass(cls, size: int, masked: bool) -> Neighborhood:
-        """Return the window of ``size`` x ``size`` px from -size//2 on: N_upper in the texture, N_lower in the mask.
+        """Return the neighborhood of the first pass: N_upper in the texture and, if ``masked``, N_lower in the mask.
 
-        N_upper are the pixels before its own in scan-line order, N_lower its own and those behind (Nicoll et al. 2005,
-        figure 4); without a mask N_upper is all.
+        Both lie in the window of ``size`` x ``size`` px that starts at -size//2. N_upper are the offsets before the
+        pixel in scan-line order; N_lower are the pixel itself and the offsets after it (Nicoll et al. 2005, figure 4).
         """
         x, y = _window(size)
         lower = (y > 0) | ((y == 0) & (x >= 0))
@@ -107,25 +110,28 @@ class Neighborhood:
 
     @classmethod
     def second_pass(cls, size: int, masked: bool) -> Neighborhood:
-        """Return the window of size//2 px on all sides in the texture, and the pixel itself in the mask."""
+        """Return the neighborhood of the second pass: the texture around the pixel, and the mask at the pixel.
+
+        It reaches size//2 px to all sides. The mask is included if ``masked``.
+        """
         x, y = _window(size // 2 * 2 + 1)
         own = (y == 0) & (x == 0)
         return cls(np.stack([x, y, own], -1)[masked | ~own])
 
     @classmethod
     def of_mask(cls, size: int) -> Neighborhood:
-        """Return the whole window, in the mask."""
+        """Return the whole window of ``size`` x ``size`` px in the mask."""
         x, y = _window(size)
         return cls(np.stack([x, y, np.ones_like(x)], -1))
 
     @property
     def texture_offsets(self) -> Integers:
-        """``(m, 2)``: the offsets (x, y) that are compared in the texture."""
+        """``(m, 2)``: the offsets (x, y) at which the texture is compared."""
         return np.ascontiguousarray(self.taps[self.taps[:, 2] == 0, :2])
 
     @property
     def box(self) -> tuple[int, int, int, int]:
-        """(left, top, right, bottom): how far the offsets reach from the pixel."""
+        """(left, top, right, bottom): the extent of the offsets from the pixel, px."""
         (x0, y0), (x1, y1) = self.taps[:, :2].min(0), self.taps[:, :2].max(0)
         return max(-int(x0), 0), max(-int(y0), 0), max(int(x1), 0), max(int(y1), 0)
 
@@ -134,14 +140,14 @@ class Neighborhood:
         return np.repeat(np.where(self.taps[:, 2] == 1, weight, 1.0), channels)
 
     def steps(self, layers: Layers) -> Integers:
-        """Return how far the values lie from a pixel's first one in the flat array, ``(t C,)``."""
+        """Return the steps from a pixel's first value to those of its neighborhood in the flat array, ``(t C,)``."""
         _, height, width, channels = layers.shape
         x, y, layer = self.taps.T
         pixels = (layer * height + y) * width + x
         return np.asarray((pixels[:, np.newaxis] * channels + np.arange(channels)).ravel())
 
     def find_complete(self, shape: tuple[int, int]) -> Integers:
-        """Return the pixels of a (height, width) whose whole neighborhood lies inside, as row * width + column."""
+        """Return the pixels, as row * width + column, whose neighborhoods lie inside an image of ``shape``."""
         (height, width), (left, top, right, bottom) = shape, self.box
         numbers = np.arange(height * width).reshape(height, width)
         return numbers[top : max(height - bottom, 0), left : max(width - right, 0)].ravel()
@@ -161,7 +167,7 @@ def _window(size: int) -> tuple[Integers, Integers]:
 
 
 def stack_layers(*pictures: Image) -> Layers:
-    """Return the texture, and its mask, as layers."""
+    """Return the layers of a texture and, if it is given, of its mask."""
     return np.stack([to_bytes(picture) for picture in pictures])
 
 
@@ -180,9 +186,9 @@ class Candidates:
     pixels
         ``(n,)``: row * width + column.
     ranks
-        ``(n,)``: of two that fit equally well the one of lower rank is taken.
+        ``(n,)``: of two candidates at the same distance, the one of lower rank becomes the source.
     groups
-        ``(n,)``: the group of each; a pixel of the output has candidates of one group. None: one for all.
+        ``(n,)``: the group of each. The candidates of an output pixel belong to one group. None: there is one group.
     """
 
     pixels: Integers
@@ -190,16 +196,16 @@ class Candidates:
     groups: Integers | None = None
 
     def build_stock(self, layers: Layers, neighborhood: Neighborhood, rules: SearchParameters, weight: float) -> Stock:
-        """Return the candidates ready to be searched, O(n D dimensions + n log n).
+        """Return the search tree of the candidates' neighborhoods, O(n D dimensions + n log n).
 
         Parameters
         ----------
         layers
-            The sample, and its mask.
+            The sample and its mask.
         neighborhood
             The offsets that are compared.
         rules
-            How sources are searched.
+            The parameters of the search.
         weight
             Weight of the mask's squared differences.
         """
@@ -223,39 +229,40 @@ class Candidates:
 
 
 def find_candidates(layers: Layers, neighborhood: Neighborhood, rng: np.random.Generator) -> Candidates:
-    """Return the pixels of a sample whose neighborhoods are complete, in a random order of preference.
+    """Return the pixels of a sample whose neighborhoods lie inside, with random ranks.
 
     Raises
     ------
     Refused
-        If there are none.
+        If there are none, because the sample is smaller than a neighborhood.
     """
     _, height, width, _ = layers.shape
     pixels = neighborhood.find_complete((height, width))
     if not len(pixels):
         left, top, right, bottom = neighborhood.box
         raise Refused(
-            f"a neighborhood takes {left + right + 1}x{top + bottom + 1} px, the sample is {width}x{height} px"
+            f"a neighborhood takes {left + right + 1}x{top + bottom + 1} px, the sample is {width}x{height} px; "
+            "choose a larger sample or a smaller neighborhood"
         )
     return Candidates(pixels, rng.permutation(len(pixels)))
 
 
 @dataclass(frozen=True, eq=False)
 class Stock:
-    """The sample's neighborhoods, ready to be searched.
+    """The sample's neighborhoods, with the structures that the search needs.
 
     Parameters
     ----------
     layers, neighborhood, rules
         As in :meth:`Candidates.stock`.
     projection
-        From neighborhood vectors to points.
+        The mapping of neighborhood vectors to points.
     tree
         The tree of the points of ``pixels``.
     pixels
         ``(n,)``: row * width + column.
     similar
-        ``(n, k)``: for each place of the tree the places most like it, -1 where there are fewer.
+        ``(n, k)``: for each place of the tree, the k most similar places; -1 if there are fewer.
     """
 
     layers: Layers
@@ -268,7 +275,7 @@ class Stock:
 
     @cached_property
     def arrays(self) -> StockArrays:
-        """The stock as kernels read it."""
+        """The arrays of the stock for compiled loops."""
         _, height, width, channels = self.layers.shape
         placed = self.pixels[self.tree.order]
         places = np.full(height * width, -1, np.int64)
@@ -276,22 +283,22 @@ class Stock:
         return self.layers[0].reshape(-1, channels), placed, places, self.similar, width
 
     def query_arrays(self, layers: Layers) -> QueryArrays:
-        """Return the neighborhood and projection as kernels read them, for the layers of an output."""
+        """Return the arrays of the neighborhood and the projection for compiled loops, for the layers of an output."""
         steps, projection = self.neighborhood.steps(layers), self.projection
         return steps, projection.matrix, projection.shift, projection.bits, self.neighborhood.texture_offsets
 
 
 class Growth:
-    """An output while it grows, with the border that its first pixels' neighborhoods reach into.
+    """An output during synthesis, with a border that contains the neighborhoods of its outermost pixels.
 
     Parameters
     ----------
     task
         The sample, the output's shape, progress.
     layers
-        ``uint8 (L, P, Q, C)``: initial values of the texture, overwritten as it is synthesized, and the mask.
+        ``uint8 (L, P, Q, C)``: the initial values of the texture, which the synthesis overwrites, and the mask.
     corner
-        Rows and columns of the border at the top and left.
+        Rows and columns of the border at the top and at the left.
     wraps
         Whether neighborhoods continue at the opposite side: the border then repeats the pixels there.
     """
@@ -303,7 +310,7 @@ class Growth:
 
     @property
     def arrays(self) -> CanvasArrays:
-        """The output as kernels read and write it."""
+        """The arrays of the output for compiled loops, which read and write them."""
         period = self.task.shape if self.wraps else self.sources.shape
         return self.layers.reshape(-1), self.sources, np.array([*period, *self.corner])
 
@@ -315,9 +322,9 @@ class Growth:
         stock
             The candidates for sources.
         rows, columns
-            Of the output.
+            Rows and columns of the output.
         groups
-            ``(height, width)`` of the output: the group of the stock that each pixel is taken from; None: the only one.
+            ``(height, width)`` of the output: the group of each pixel's source. None: there is one group.
         """
         query, rules = stock.query_arrays(self.layers), stock.rules
         for start in range(rows.start, rows.stop, BAND):

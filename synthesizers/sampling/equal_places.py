@@ -14,7 +14,7 @@ from nrbench.lattice.geometry import Lattice, Points, integers_within
 Pixels = NDArray[np.int64]
 """``int64 (n, 2)``: whole-pixel (x, y) of a patch's first pixel."""
 SearchShape = tuple[int, int]
-"""Rows and columns of the whole-pixel places at which a patch lies inside a sample."""
+"""Number of rows and of columns of whole-pixel places at which a patch lies inside a sample."""
 
 
 def search_shape(size: int, shape: tuple[int, int]) -> SearchShape:
@@ -26,8 +26,8 @@ def search_shape(size: int, shape: tuple[int, int]) -> SearchShape:
 class EqualPlaces:
     """Finds the places ``position + a t1 + b t2`` (a, b integers) at which a patch lies inside a sample.
 
-    Places are real-valued. Rounding a place misplaces it by at most half a pixel anywhere in the output; with rounded
-    lattice vectors the error would grow with a and b.
+    Places are real-valued. Rounding a place changes it by at most half a pixel anywhere in the output; with rounded
+    lattice vectors, the error would increase with a and b.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class EqualPlaces:
     search_shape
         See :func:`search_shape`. A place counts if it rounds to one of these whole-pixel places.
     margin
-        Distance in px by which a place may also lie outside.
+        Distance in px by which a place may lie outside.
 
     Examples
     --------
@@ -50,7 +50,7 @@ class EqualPlaces:
 
     def find_places(self, position: ArrayLike) -> Points:
         """Return the places equal to a patch's (x, y) px in the output, ``(n, 2)``, row by row, possibly none."""
-        # The lattice vectors that can lead into the sample are listed once: a call only moves and filters them.
+        # The lattice vectors that can lead into the sample are listed once. A call only shifts and filters them.
         at = np.asarray(position, np.float64)
         places = at - np.floor(at @ self._inverse) @ self._basis + self._steps
         low, high = -0.5 - self.margin, np.array(self.search_shape[::-1]) - 0.5 + self.margin
@@ -81,15 +81,15 @@ def pixel_grid(width: int, height: int, left: int = 0, top: int = 0) -> NDArray[
 
 
 def nearest_pixels(positions: Points, search_shape: SearchShape) -> Pixels:
-    """Return places rounded to whole pixels, halves up, each once, row by row."""
+    """Return places rounded to whole pixels (halves up), row by row, without repetitions."""
     return _unique(_round(positions), search_shape)
 
 
 def nearby_pixels(positions: Points, tolerance: float, search_shape: SearchShape) -> Pixels:
     """Return the whole-pixel places within ``tolerance`` px of any of ``positions``, along x and along y.
 
-    Each place occurs once, row by row. The nearest pixel always counts, however small the tolerance is (RSGF, section
-    4.2: 3 px).
+    Places are in the order of rows, without repetitions. The nearest pixel always counts, however small the tolerance
+    is (RSGF, section 4.2, uses 3 px).
     """
     reach = max(tolerance, 0.5) + 1e-9
     steps = np.arange(-math.floor(reach + 0.5), math.floor(reach + 0.5) + 1)

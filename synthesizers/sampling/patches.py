@@ -20,13 +20,13 @@ from .equal_places import pixel_grid
 from .quintic_kernels import PAD, quintic_at
 
 ORDER: Final = 5
-"""Order of the interpolating B-spline. Half a pixel aside it keeps 0.93 of the height of a wave of 3 px."""
+"""Order of the interpolating B-spline. Halfway between pixels it keeps 0.93 of the amplitude of a wave of 3 px."""
 PLACE_STEP: Final = 1 / 64
-"""px to which places are rounded, so that a place within a rounding error of a whole pixel is copied."""
+"""px: places are rounded to multiples of this, so that a place within a rounding error of a whole pixel is copied."""
 Source = NDArray[np.float32]
-"""``float32 (h, w, 3)``: nearest pixel (x, y) of the sample and its bilinear weight, 1 where a pixel is copied."""
+"""``float32 (h, w, 3)``: the nearest pixel (x, y) of the sample and its bilinear weight, 1 where a pixel is copied."""
 _BAND = 1 << 18
-"""Pixels resampled at a time."""
+"""Number of pixels that are resampled at a time."""
 
 
 def round_places(places: Points) -> Points:
@@ -64,15 +64,15 @@ class Patches:
         return self._spline.astype(np.float32)
 
     def cut_patch(self, place: Points, shape: tuple[int, int]) -> tuple[Image, Source]:
-        """Return the patch at a place, and where its pixels come from.
+        """Return the patch at a place, and its :data:`Source`.
 
-        Whole-pixel places give copies. Between pixels the fraction is the same all over the patch, so rows and columns
-        are interpolated one after the other: O(h w).
+        At whole-pixel places the patch is a copy. Between pixels the fraction is the same in the whole patch, so rows
+        and columns are interpolated separately: O(h w).
 
         Parameters
         ----------
         place
-            (x, y) in the sample of the patch's first pixel. All pixels must lie at most half a pixel outside.
+            (x, y) in the sample of the patch's first pixel. No pixel may lie more than half a pixel outside.
         shape
             Height and width in px.
         """
@@ -108,7 +108,7 @@ class Patches:
         return np.asarray(np.clip(values, 0, 1)).reshape(*points.shape[:-1], self.sample.shape[2])
 
     def read_with_source(self, points: Points) -> tuple[Image, Source]:
-        """Return the values at points (x, y) of the sample, ``(h, w, 2)``, and where they come from."""
+        """Return the values at points (x, y) of the sample, ``(h, w, 2)``, and their :data:`Source`."""
         nearest = np.clip(np.rint(points), 0, np.array(self.sample.shape[1::-1]) - 1)
         weight = np.clip(1 - np.abs(points - nearest), 0, 1).prod(-1, keepdims=True)
         x, y = np.moveaxis(nearest.astype(np.intp), -1, 0)
@@ -126,13 +126,13 @@ def _weighted_rows(window: Image, weights: tuple[np.float32, ...], count: int) -
 
 @lru_cache(maxsize=256)
 def _spline_weights(fraction: float) -> tuple[np.float32, ...]:
-    """Return the weights of the six coefficients from 2 before to 3 after a pixel, ``fraction`` px after it."""
+    """Return the weights of six coefficients, from 2 px before a pixel to 3 px after it, ``fraction`` px after it."""
     element = BSpline.basis_element(np.arange(ORDER + 2) - (ORDER + 1) / 2, extrapolate=False)
     return tuple(np.float32(weight) for weight in np.nan_to_num(element(fraction - np.arange(-2, 4))))
 
 
 def resample(task: Task, points: Callable[[Points], Points], patches: Patches | None = None) -> tuple[Image, Source]:
-    """Compute the output whose pixels show given points of the sample, and its source map.
+    """Compute an output whose pixels show given points of the sample, and its source map.
 
     Parameters
     ----------

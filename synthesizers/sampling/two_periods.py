@@ -1,4 +1,4 @@
-"""Check that a sample shows two periods: with less, no two of its tiles can differ."""
+"""Check that a sample shows two periods. With less, a method cannot learn how its tiles differ."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused
 
 PERIOD_SLACK: Final = 0.05
-"""px by which a sample may fall short of a whole number of periods. No period is measured more exactly."""
+"""px by which a sample may be smaller than two periods. Periods are not measured more accurately than this."""
 
 
 def require_two_periods(lattice: Lattice, shape: tuple[int, ...]) -> None:
@@ -20,7 +20,7 @@ def require_two_periods(lattice: Lattice, shape: tuple[int, ...]) -> None:
     Raises
     ------
     Refused
-        If the sample is less than twice as wide or as high as the lattice's two shortest vectors reach.
+        If the sample is narrower or lower than twice the extent of the lattice's two shortest vectors.
     """
     if not shows_two_periods(lattice, shape):
         extent = _extent(lattice)
@@ -36,5 +36,5 @@ def shows_two_periods(lattice: Lattice, shape: tuple[int, ...]) -> bool:
 
 
 def _extent(lattice: Lattice) -> NDArray[np.float64]:
-    """Return how far, px along x and y, the longer-reaching of the two shortest vectors reaches."""
+    """Return the extent of the two shortest vectors along x and along y: the larger component of both, px."""
     return np.asarray(np.abs(lattice.canonical().matrix).max(0))

@@ -50,8 +50,8 @@ def dynamic_seam(error: NDArray[Any]) -> NDArray[np.int64]:
 def corner_seam(difference: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
     """Compute the cheapest cut between two pieces that overlap in a quarter of a tile.
 
-    The cut runs from the first pixel to the last. It is a staircase that moves right or down at each pixel, so that
-    every pixel lies on one side. It keeps off the edges of the quarter, except near its two ends. In coordinates
+    The cut is a staircase from the first pixel to the last one. It moves right or down at each pixel, so that every
+    pixel lies on one side. It avoids the edges of the quarter, except near its two ends. In coordinates
     (x + y, x - y) the cut is a seam from top to bottom whose columns change by 1.
 
     Parameters

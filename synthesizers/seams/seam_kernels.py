@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from nrbench.jit import kernel
 
 SOURCE, SINK = 1, 2
-"""The trees of a minimum cut; 0 is neither."""
+"""The two trees of a minimum cut; 0 marks a node in neither."""
 GRAY_LEVEL = 1 / 255
 """Added to gradients, so that flat regions have a finite cost."""
 _ROOT, _ORPHAN, _NONE = 4, 5, 6
-"""Values of a node's parent that are no direction (0 right, 1 left, 2 down, 3 up; ``d ^ 1`` is the opposite of d)."""
+"""Values of a node's parent besides the directions 0 right, 1 left, 2 down, 3 up (``d ^ 1`` is the opposite of d)."""
 
 
 @kernel("int64[::1](float64[:, ::1])")
@@ -20,7 +20,8 @@ def cheapest_path(error: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the columns, row by row, of the 8-connected path from top to bottom with the least sum of errors.
 
     Dynamic programming (Efros and Freeman 2001, section 2.1): E[i, j] = e[i, j] + min of E[i-1, j-1], E[i-1, j] and
-    E[i-1, j+1]. Ties go to the straight step, then to the left one, and to the leftmost end. O(h w).
+    E[i-1, j+1]. Of steps of equal cost the straight one is preferred, then the left one; of ends of equal cost, the
+    leftmost one. O(h w).
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def cheapest_path(error: NDArray[np.float64]) -> NDArray[np.int64]:
 
 @kernel("uint8[::1](float64[:, ::1], float64[::1], int64)")
 def grow_trees(residual: NDArray[np.float64], terminal: NDArray[np.float64], width: int) -> NDArray[np.uint8]:
-    """Saturate a grid of links, and return the tree that each node is in at the end.
+    """Compute the maximum flow of a grid, and return the tree of each node at the end.
 
     Parameters
     ----------
@@ -64,25 +65,25 @@ def grow_trees(residual: NDArray[np.float64], terminal: NDArray[np.float64], wid
         outermost nodes of the grid are a ring without links.
     terminal
         ``(n,)``: capacity from the source to a node or, if negative, from the node to the sink; changed in place.
-        Infinite terminals are never used up.
+        Infinite capacities stay infinite.
     width
         Nodes in a row, including the ring.
 
     Returns
     -------
     NDArray
-        ``uint8 (n,)``: :data:`SOURCE` where the source still reaches the node, which is the smallest source side of all
-        minimum cuts; :data:`SINK` where the node reaches the sink; else 0.
+        ``uint8 (n,)``: :data:`SOURCE` if residual links lead from the source to the node, :data:`SINK` if they lead
+        from the node to the sink, else 0. The nodes of :data:`SOURCE` are the smallest source side of all minimum cuts.
 
     Notes
     -----
     Boykov and Kolmogorov 2004 (An experimental comparison of min-cut/max-flow algorithms), section 3, with marked
-    distances. Two trees grow until they touch, the path between their roots is saturated, and the nodes that this cuts
-    off find new parents. The flow is valid after every step, so the cut is exact whatever the order of steps.
+    distances. Two trees grow until they touch. The path between their roots is then saturated, and the nodes that lose
+    their parents by this find new ones. The flow is valid after every step, so the cut is exact for any order of steps.
 
-    Most of the time goes into walking up the trees. Parents are unsigned node numbers, which are followed without a
-    test for negative indices. This is one function because calls between kernels pass a dozen arrays each: split into
-    one function for each of the three steps it takes 2.2 times as long (grids of 48 x 48 and 80 x 80 pixels).
+    Most of the time is spent in walks up the trees. Parents are unsigned node numbers, so that the compiled code does
+    not test for negative indices. All three steps are in one function because calls between kernels pass a dozen arrays
+    each: with one function for each step it takes 2.2 times as long (grids of 48 x 48 and 80 x 80 pixels).
     """
     n = terminal.size
     offset = np.array([1, -1, width, -width])
@@ -184,7 +185,8 @@ def grow_trees(residual: NDArray[np.float64], terminal: NDArray[np.float64], wid
             parent[k] = _ORPHAN
             orphans[end] = k
             end += 1
-        # Give each orphan the parent nearest to its tree's root, or free it and orphan its children.
+        # Give each orphan the parent nearest to the root of its tree. If there is none, free the orphan; its children
+        # then become orphans.
         while begin != end:
             i = orphans[begin]
             begin = (begin + 1) % (n + 1)

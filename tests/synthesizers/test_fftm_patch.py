@@ -200,9 +200,9 @@ def test_an_output_that_is_no_period_is_not_tileable(monkeypatch: pytest.MonkeyP
     """The refusal says which size nearby is; so it does for outputs too small to have an inside."""
     tile = smooth(20, 24)
     method, sample = FftmPatch(tileable=True), varied(tile, 60, 60, 0.3)
-    with pytest.raises(Refused, match=r"nearest: 9[678]x100"):
+    with pytest.raises(Refused, match=r"nearest valid size: 9[678]x100"):
         synthesize(method, sample, (100, 100), waves_of(tile), monkeypatch)
-    with pytest.raises(Refused, match=r"nearest: 24x[12]"):
+    with pytest.raises(Refused, match=r"nearest valid size: 24x[12]"):
         synthesize(method, sample, (2, 24), waves_of(tile), monkeypatch)
     with pytest.raises(BadInput, match="choose harmonics 'tied'"):
         FftmPatch(tileable=True, harmonics="free")

@@ -324,7 +324,7 @@ def test_a_size_that_is_no_period_is_refused_with_the_nearest_ones_that_work() -
     """The refusal names sizes; asked for those, the output tiles, though the mask's period is a fraction of a pixel."""
     tile, sample = soft_tile(11, 13), repeated(soft_tile(11, 13), (64, 64), 0.05)
     mask = mask_of(tile, 1.03)
-    with pytest.raises(Refused, match="nearest: 68x67"):
+    with pytest.raises(Refused, match="nearest valid size: 68x67"):
         synthesize(FftmPixel(tileable=True), sample, (64, 73), mask)
     made = synthesize(FftmPixel(tileable=True), sample, (67, 68), mask)
     assert seam_ratio(made.extras["mask"]) < 1.1
@@ -339,5 +339,5 @@ def test_stripes_tile_along_themselves_at_any_length() -> None:
     )  # fmt: skip
     sample, mask = noise(30, 30, 1), TextureMask(harmonics)
     assert synthesize(FftmPixel(tileable=True), sample, (17, 40), mask).image.shape == (17, 40, 1)
-    with pytest.raises(Refused, match="nearest: 40x17"):
+    with pytest.raises(Refused, match="nearest valid size: 40x17"):
         synthesize(FftmPixel(tileable=True), sample, (17, 43), mask)
