@@ -1,1 +1,1 @@
-"""Wave analysis of pictures: waves of real frequencies and their groups, for FFTM masks and the detector frdft."""
+"""Wave analysis of images: waves of real-valued frequencies and their groups, for FFTM masks and the detector frdft."""

@@ -17,52 +17,55 @@ from nrbench.spectra.wave_fit import Waves
 from nrbench.spectra.wave_search import WaveDetection
 
 LEAST_DISTANCE = 0.75
-"""Bins between two waves at least: the amplitudes of nearer ones cannot be told apart."""
+"""Bins: least distance of two waves. The amplitudes of nearer waves cannot be separated."""
 FARTHEST = 0.95
-"""Cycles/px along either axis up to which harmonics are examined: pixels average over their area, blind to 1."""
+"""Cycles/px along either axis up to which harmonics are examined. A pixel is the mean over its area, so that waves of
+1 cycle/px have no effect."""
 FARTHEST_STRIPES = 3.0
-"""The same for one fundamental, whose harmonics are few: stripes drawn without such averaging fold more."""
+"""The same for groups of one fundamental, which have few harmonics. Stripes that are drawn without such means have
+harmonics far beyond 1 cycle/px."""
 
-STRAY = 0.1
+STRAY_SHARE = 0.1
 """Prior share of waves that belong to no lattice."""
 PROPOSERS = 12
 """Number of the strongest waves that, with their sums and differences, propose fundamentals."""
 SHORTEST = 1.5
-"""Bins: a fundamental below that has fewer than 1.5 periods in the picture, and nothing repeats."""
+"""Bins: least length of a fundamental. Shorter ones have fewer than 1.5 periods in the picture."""
 FINALISTS = 20
-"""Pairs of fundamentals that are fitted to the waves, the best by their first evidence."""
+"""Number of pairs of fundamentals that are fitted to the waves: those of the highest evidence before the fit."""
 
 TOLERANCE = 0.05
-"""Bins that a wave may lie off its lattice beside its own error: departures from regularity shift waves."""
+"""Bins: standard deviation of a wave from its lattice in addition to its own error, as departures from regularity shift
+waves."""
 SHIFT = math.sqrt(6) / (2 * math.pi)
-"""Standard error of a wave's frequency, bins a component, times the root of its power over the noise's: the Cramer-Rao
-bound sqrt(24) / (2 pi) noise / (amplitude sqrt(n)), with amplitude^2 n / (4 noise^2) for that ratio."""
+"""Bins: standard error of each component of a wave's frequency, times the root of the ratio of its power to that of the
+noise. The Cramer-Rao bound is sqrt(24) / (2 pi) noise / (amplitude sqrt(n)), the ratio amplitude^2 n / (4 noise^2)."""
 EMPHASIS = 0.75
-"""Exponent of a wave's energy in its weight: with 1 the strongest alone decides, with 0 a crowd of faint ones."""
-CONVINCED = 14.0
-"""Log-likelihood, beyond the two best waves, above which two fundamentals are a lattice: odds of a million to one, as
-ten thousands of pairs were tried. About four waves of a lattice reach it."""
-SUPPORTED = 3.0
-"""The same of the waves off one line, without the best of them: one more at least, or stripes of any profile would be a
-lattice with any other wave."""
+"""Exponent of a wave's energy in its weight. With 1 the strongest waves decide; with 0 the many faint waves decide."""
+LATTICE_EVIDENCE = 14.0
+"""Least evidence (a log-likelihood ratio) of two fundamentals for a lattice, without their two best waves. The odds are
+a million to one because tens of thousands of pairs are tried. About four waves of a lattice reach it."""
+OFF_LINE_EVIDENCE = 3.0
+"""Least evidence of the waves that do not lie on one line, without the best of them. Otherwise stripes and any single
+other wave would be a lattice."""
 UNCERTAINTIES = (0.03, 0.01, 0.003)
-"""Relative uncertainties of given fundamentals, before and after they are fitted."""
+"""Relative uncertainties of given fundamentals before the first, the second and the third fit."""
 LARGEST_INDEX = 6
-"""Index of the finest lattice of frequencies that is tried where waves remain between the points of one."""
-BETWEEN = 4
-"""Waves between the points that prove it, at least."""
+"""Index of the finest lattice of frequencies that is tried if waves remain between the points of a lattice."""
+FEWEST_WAVES = 4
+"""Least number of waves at the points of a finer lattice."""
 MAJORITY = 0.6
-"""Share of the residual power that they have, at least: some irregular waves lie there by chance."""
+"""Least share of these waves in the residual power. Some irregular waves lie at such points by chance."""
 REPEATED = 2.0
-"""Bins: of a fundamental below that the picture holds fewer than two periods, so that parts of a tile are seen once."""
+"""Bins: least length of a fundamental of which the picture shows two periods. With less, parts of a tile occur once."""
 SUPERCELL_CHANCE = 1e-3
-"""Probability at which colors drawn at random are taken for a larger tile, for each that is tried."""
+"""Probability that a tested tile is accepted although the colors are random."""
 FEWEST_SUMS = 3
-"""Neighboring sums that the test of a larger tile needs to have any power."""
+"""Least number of neighboring sums for the test of a larger tile."""
 
 
 def fold_frequencies(frequencies: Array) -> Array:
-    """Return frequencies as pixels show them (aliased), each component within half a cycle/px."""
+    """Return the aliases of frequencies, with each component within half a cycle/px."""
     return np.asarray(frequencies - np.rint(frequencies))
 
 
@@ -101,13 +104,13 @@ def _orders_of_group(fundamentals: Array) -> Array:
 
 
 def are_inside(frequencies: Array, size: Array) -> NDArray[np.bool_]:
-    """Return which frequencies are within the spectrum, and a bin from its border and from the mean."""
+    """Return whether each frequency lies in the spectrum, at least a bin from its border and from frequency 0."""
     within = (np.abs(frequencies) < 0.5 - LEAST_DISTANCE / size).all(1)
     return np.asarray(within & (np.hypot(*(frequencies * size).T) > LEAST_DISTANCE))
 
 
 def select_spaced(frequencies: Array, priority: Array, size: Array) -> NDArray[np.intp]:
-    """Return which frequencies ``(n, 2)`` are nearer than a bin to none of higher priority ``(n,)``, highest first."""
+    """Return the indices of the frequencies ``(n, 2)`` without one of higher priority ``(n,)`` near, highest first."""
     order = np.argsort(-priority, kind="stable")
     f, n = _on_torus(frequencies[order], size), len(order)
     both = np.concatenate([f, _on_torus(-frequencies[order], size)])
@@ -119,7 +122,7 @@ def select_spaced(frequencies: Array, priority: Array, size: Array) -> NDArray[n
 
 
 def are_near(frequencies: Array, others: Array, size: Array) -> NDArray[np.bool_]:
-    """Return which frequencies pixels can hardly tell from some other or its mirror image, ``(n,)``."""
+    """Return whether each frequency, ``(n,)``, is nearly an alias of one of the others or of its mirror image."""
     if not len(others):
         return np.zeros(len(frequencies), np.bool_)
     both = np.concatenate([_on_torus(others, size), _on_torus(-others, size)])
@@ -133,7 +136,7 @@ def _on_torus(frequencies: Array, size: Array) -> Array:
 
 
 class Peaks(NamedTuple):
-    """The peaks of a spectrum that fundamentals should explain, strongest first.
+    """The peaks of a spectrum from which fundamentals are estimated, strongest first.
 
     Parameters
     ----------
@@ -160,9 +163,9 @@ class Basis(NamedTuple):
     orders
         ``(n, 1 or 2)`` integers: the combination nearest to each peak.
     explained
-        ``(n,)``: which peaks lie nearer to it than they would by chance.
+        ``(n,)``: whether each peak is more likely at this combination than at a random place.
     evidence
-        ``(n,)``: weighted log-likelihood of each peak's place against a place anywhere.
+        ``(n,)``: weighted log-likelihood ratio of each peak's place, for the lattice against a random place.
     """
 
     vectors: Array
@@ -183,16 +186,16 @@ def collect_peaks(
 
 
 def find_fundamentals(peaks: Peaks, finalists: int = FINALISTS) -> Basis | None:
-    """Return the two fundamentals with the highest evidence; None where no two peaks are independent.
+    """Return the two fundamentals with the highest evidence; None if no two peaks are independent.
 
-    A wave of the lattice lies at one of its points, but for its error; any other wave lies anywhere. The ratio of the
-    two densities, area / (2 pi s^2) exp(-d^2 / 2 s^2) with the area of the lattice's cell, is the evidence of one wave:
-    so a lattice k times finer pays log k for every wave it explains, and wins only where it explains waves that the
-    coarser one leaves. That is the coarsest lattice of frequencies, the smallest tile. No lattice is preferred for
-    holding the lowest waves: they may be missing.
+    A wave of the lattice lies at one of its points, up to an error; any other wave lies at a random place. The evidence
+    of a wave is the logarithm of the ratio of the two densities, area / (2 pi s^2) exp(-d^2 / 2 s^2), where area is
+    that of the lattice's cell. A lattice that is k times finer loses log k for every wave that it explains. It wins
+    only if it explains waves that the coarser lattice does not. The result is the coarsest lattice of frequencies that
+    explains the waves, thus the smallest tile. The lowest waves need not be present.
 
-    The strongest peaks, their sums and differences are paired. The best pairs, fitted to all peaks that they explain,
-    then compete with their own sublattices and superlattices of index 2 and 3.
+    The strongest peaks, their sums and their differences are paired. The best pairs are fitted to all peaks that they
+    explain, and are then compared with their sublattices and superlattices of index 2 and 3.
 
     Parameters
     ----------
@@ -210,32 +213,35 @@ def find_fundamentals(peaks: Peaks, finalists: int = FINALISTS) -> Basis | None:
 
 
 def find_fundamental(peaks: Peaks) -> Basis:
-    """Return the fundamental whose multiples are the strongest peak (at least one) and most peaks on its line."""
+    """Return the fundamental with the highest evidence among the strongest peak and its integer fractions."""
     first = peaks.places[0]
     candidates = ((first / k)[np.newaxis] for k in range(1, 9) if k == 1 or np.hypot(*(first / k)) >= SHORTEST)
     return _basis(_best_fit(candidates, peaks)[1], peaks)
 
 
 def propose_basis(peaks: Peaks) -> Basis:
-    """Return two fundamentals where they explain more peaks than any two would, some off one line; else one."""
+    """Return two fundamentals if their evidence is sufficient, on one line and off it; else one fundamental."""
     pair = find_fundamentals(peaks)
     if (
         pair is None
-        or surplus_evidence(pair, peaks.weights) <= CONVINCED
-        or off_line_evidence(pair, peaks.weights) <= SUPPORTED
+        or surplus_evidence(pair, peaks.weights) <= LATTICE_EVIDENCE
+        or off_line_evidence(pair, peaks.weights) <= OFF_LINE_EVIDENCE
     ):
         return find_fundamental(peaks)
     return pair
 
 
 def surplus_evidence(basis: Basis, weights: Array) -> float:
-    """Return the unweighted evidence beyond the best peaks, which any such fundamentals would explain."""
+    """Return the unweighted evidence without the best peaks, as many as there are fundamentals.
+
+    Fundamentals can always be chosen to explain that many peaks.
+    """
     evidence = np.sort(np.where(basis.explained, basis.evidence / weights, 0))
     return float(evidence[: -len(basis.vectors)].sum())
 
 
 def off_line_evidence(basis: Basis, weights: Array) -> float:
-    """Return the unweighted evidence of the peaks off the line that has most of it, without the best of them."""
+    """Return the unweighted evidence of the peaks that are not on the line of most evidence, without the best one."""
     evidence = (basis.evidence / weights)[basis.explained]
     x, y = basis.orders[basis.explained].T
     line = int(np.argmax((np.outer(x, y) == np.outer(y, x)) @ evidence))
@@ -260,7 +266,7 @@ def _propose_pairs(peaks: Peaks) -> Array:
 
 
 def _are_sound(pairs: Array) -> NDArray[np.bool_]:
-    """Return which reduced pairs are independent and not shorter than is allowed."""
+    """Return whether each reduced pair is independent and not too short (:data:`SHORTEST`)."""
     a, b = pairs[:, 0], pairs[:, 1]
     area, short = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.hypot(*a.T)
     return np.asarray((short >= SHORTEST) & (area > 0.2 * short * np.hypot(*b.T)))
@@ -271,14 +277,14 @@ def _reduce(basis: Array) -> Array:
 
 
 def _is_sound(basis: Array) -> bool:
-    """Return whether no combination is shorter than is allowed, and two are independent."""
+    """Return whether one vector is not 0, or two are independent and have no too short combination."""
     if len(basis) == 1:
         return bool(np.hypot(*basis[0]) > 0)
     return bool(_are_sound(_reduce(basis)[np.newaxis])[0])
 
 
 def _nearest_orders(bases: Array, places: Array) -> tuple[Array, Array]:
-    """Return each place's nearest orders ``(m, n, g)`` and its squared distance from there, bins^2, ``(m, n)``."""
+    """Return the nearest orders of each place, ``(m, n, g)``, and the squared distances, bins^2, ``(m, n)``."""
     orders = np.rint(places @ np.linalg.pinv(bases))
     return orders, ((places - orders @ bases) ** 2).sum(2)
 
@@ -287,12 +293,12 @@ def _evidence(bases: Array, peaks: Peaks, slack: float) -> Array:
     """Return the evidence of each peak for each basis, ``(m, n)``; ``slack`` widens the errors of unfitted bases."""
     orders, square = _nearest_orders(bases, peaks.places)
     variance = (slack * peaks.spreads) ** 2
-    # Of one fundamental the area is its length times that of the shortest that could be.
+    # For one fundamental, the area is its length times the least length of a fundamental.
     two = bases.shape[1] == 2
     area = np.abs(np.linalg.det(bases)) if two else np.hypot(*bases[:, 0].T) * SHORTEST
-    near = (1 - STRAY) * area[:, np.newaxis] / (2 * np.pi * variance) * np.exp(-square / (2 * variance))
+    near = (1 - STRAY_SHARE) * area[:, np.newaxis] / (2 * np.pi * variance) * np.exp(-square / (2 * variance))
     near = np.where((orders == 0).all(2), 0.0, near)
-    return np.asarray(peaks.weights * np.log(near + STRAY))
+    return np.asarray(peaks.weights * np.log(near + STRAY_SHARE))
 
 
 def _fit_basis(basis: Array, peaks: Peaks) -> Array:
@@ -303,15 +309,15 @@ def _fit_basis(basis: Array, peaks: Peaks) -> Array:
         if np.linalg.matrix_rank(orders) < len(basis):
             break
         weights = 1 / peaks.spreads[explained, np.newaxis]
-        moved = np.linalg.lstsq(orders * weights, peaks.places[explained] * weights, rcond=None)[0]
-        if not _is_sound(moved):
+        fitted = np.linalg.lstsq(orders * weights, peaks.places[explained] * weights, rcond=None)[0]
+        if not _is_sound(fitted):
             break
-        basis = moved
+        basis = fitted
     return basis
 
 
 def _best_fit(bases: Iterable[Array], peaks: Peaks) -> tuple[float, Array]:
-    """Return the evidence and the vectors of the best of some bases (at least one) fitted to the peaks."""
+    """Fit some bases (at least one) to the peaks, and return the highest evidence and its vectors."""
     best: tuple[float, Array] | None = None
     for basis in bases:
         fitted = _fit_basis(basis, peaks)
@@ -328,7 +334,7 @@ _CHANGES = [*_INDEX_FORMS, *np.linalg.inv(_INDEX_FORMS)]
 
 
 def _improve_by_index(score: float, basis: Array, peaks: Peaks) -> Array:
-    """Return the best basis reached by replacing a basis with relatives of small index as long as they are better."""
+    """Replace a basis by a sublattice or superlattice of small index as long as this increases the evidence."""
     while True:
         relatives = [_fit_basis(_reduce(change @ basis), peaks) for change in _CHANGES]
         relatives = [r for r in relatives if _is_sound(r)]
@@ -352,7 +358,7 @@ def fit_given_fundamentals(detection: WaveDetection, given: Array) -> tuple[Arra
     detection
         Waves of a picture.
     given
-        ``(2, 2)`` cycles/px, right within about 2 %; they are returned where too few waves are near.
+        ``(2, 2)`` cycles/px, with an error of at most about 2 %. They are returned unchanged if too few waves are near.
 
     Returns
     -------
@@ -377,14 +383,14 @@ def fit_given_fundamentals(detection: WaveDetection, given: Array) -> tuple[Arra
 def find_finer_fundamentals(
     detection: WaveDetection, order: NDArray[np.intp], fundamentals: Array
 ) -> tuple[Array, Array] | None:
-    """Return a finer lattice of frequencies, a larger tile, that holds most of a lattice's residual waves.
+    """Return a finer lattice of frequencies (a larger tile) that contains most waves of a lattice's residual.
 
     Parameters
     ----------
     detection
         Waves of the picture less the lattice's waves.
     order
-        Numbers of the waves that count.
+        Indices of the waves that count.
     fundamentals
         ``(2, 2)`` cycles/px.
 
@@ -392,7 +398,7 @@ def find_finer_fundamentals(
     -------
     tuple or None
         The fundamentals, ``(2, 2)`` cycles/px, of the lowest index, and the waves' orders, ``(n, 2)``; None if no
-        lattice up to :data:`LARGEST_INDEX` holds most of the waves.
+        lattice up to :data:`LARGEST_INDEX` contains most of the waves.
     """
     size = detection.waves.spectrum.size
     f, power = detection.waves.frequencies[order], detection.powers[order].sum(1)
@@ -401,7 +407,7 @@ def find_finer_fundamentals(
             finer = form @ fundamentals / index
             orders = np.rint(f @ np.linalg.inv(finer))
             near = np.hypot(*((f - orders @ finer) * size).T) < 3 * TOLERANCE
-            most = near.sum() >= BETWEEN and power[near].sum() > MAJORITY * power.sum()
+            most = near.sum() >= FEWEST_WAVES and power[near].sum() > MAJORITY * power.sum()
             seen = most and shortest_length(finer * size) >= REPEATED
             if seen and is_supercell(detection.waves.spectrum, orders[near] @ finer, fundamentals):
                 return finer, orders[near]
@@ -415,14 +421,15 @@ def shortest_length(vectors: Array) -> float:
 
 
 def is_supercell(spectrum: Spectrum, frequencies: Array, fundamentals: Array) -> bool:
-    """Return whether waves between the points of a lattice of frequencies prove a larger tile, beyond chance.
+    """Return whether waves between the points of a lattice of frequencies indicate a larger tile.
 
-    If each element departs from a lattice by itself, as threads do that have a color each, the departures have a
-    spectrum that repeats with the lattice of frequencies: however many waves lie at one offset from its points, they
-    are one number, drawn at random, that shows again and again. So the power of the waves of the strongest offset is
-    compared with the same sums a bin and more beside them, on the line that leads to the next point: for random colors
-    the ratio has the F distribution of 2 and twice as many degrees of freedom as there are sums beside. A tile that is
-    repeated only twice leaves too few sums for a test; then the answer is True.
+    If the elements depart independently from a lattice, for example threads with random colors, the spectrum of the
+    departures repeats with the lattice of frequencies. All waves at the same offset from its points are then
+    copies of one random number, and their number is no evidence for a larger tile. The test takes the offset with the
+    strongest waves, and compares the sum of their powers with the same sums at distances of one bin and more, on the
+    line to the next point. For random colors, the ratio has the F distribution with 2 and 2 n degrees of freedom, where
+    n is the number of neighboring sums. If the tile is repeated only twice, there are too few sums for a test, and the
+    result is True.
 
     Parameters
     ----------
@@ -451,7 +458,7 @@ def is_supercell(spectrum: Spectrum, frequencies: Array, fundamentals: Array) ->
 
 
 def _offsets_from_lattice(frequencies: Array, fundamentals: Array, size: Array) -> Array:
-    """Return the shortest frequencies that differ from these, or their mirror images, by points of a lattice."""
+    """Return the shortest frequencies that differ from the given ones, or their mirror images, by lattice points."""
     corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)]) @ fundamentals
     numbers = frequencies @ np.linalg.inv(fundamentals)
     rests = ((numbers - np.floor(numbers)) @ fundamentals)[:, np.newaxis] - corners

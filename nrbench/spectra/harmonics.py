@@ -26,14 +26,14 @@ class Harmonics:
     Parameters
     ----------
     frequencies
-        ``(n, 2)``: (f_x, f_y) cycles/px, the strongest first; one of each pair f, -f. They are beyond half a cycle/px
-        where pixels have folded a wave back: at integer pixels it looks like the folded one.
+        ``(n, 2)``: (f_x, f_y) cycles/px, the strongest first; one of each pair f, -f. Components above half a cycle/px
+        belong to waves that are aliased: at integer pixels they equal a wave of lower frequency.
     cosine, sine
         ``(n, C)``: amplitudes, in units of the planes.
     mean
         ``(C,)``.
     fundamentals
-        ``(g, 2)`` cycles/px; of free waves the frequencies themselves.
+        ``(g, 2)`` cycles/px; for free waves, the frequencies themselves.
     orders
         ``(n, g)`` integers: ``frequencies = orders @ fundamentals``.
     groups
@@ -58,7 +58,7 @@ class Harmonics:
         return np.hypot(self.cosine, self.sine)
 
     def evaluate(self, shape: tuple[int, int], offset: tuple[float, float] = (0.0, 0.0)) -> Array:
-        """Return the picture in any window, ``(H, W, C)``, not clipped (equation 6 of the paper).
+        """Return the picture in a window at any place, ``(H, W, C)``, not clipped (equation 6 of the paper).
 
         Parameters
         ----------
@@ -87,37 +87,38 @@ def analyze(
     (:func:`~nrbench.spectra.wave_search.find_waves`). Tied waves are then sorted into groups of harmonics
     (:func:`~nrbench.spectra.regular_part.find_regular_part`).
 
-    Differences from the paper: real waves are fitted as cosine and sine, not by way of an analytic signal (``signal``
-    selects it), so that a wave and its mirror image do not disturb each other. The residual after a subtraction is
-    known in closed form, not transformed again. All waves are fitted after each round, not only at the end, which also
-    replaces the alternating one-dimensional searches.
+    The method differs from the paper as follows. Real waves are fitted as cosine and sine instead of an analytic signal
+    (``signal`` selects it), so that a wave and its mirror image do not interfere. The residual after a subtraction is
+    computed in closed form instead of by another transform. All waves are fitted after each round instead of only at
+    the end; this also replaces the alternating one-dimensional searches.
 
     Parameters
     ----------
     planes
         ``(H, W, C)``, any floating dtype; the paper takes YCbCr.
     threshold
-        Least amplitude of a wave, units of 1/255, in some channel. None: the amplitude that noise, its floor measured
-        in the spectrum, exceeds anywhere with probability ``false_alarms``.
+        Least amplitude of a wave in at least one channel, in units of 1/255. None: the amplitude that noise exceeds
+        anywhere with probability ``false_alarms``; the noise floor is measured in the spectrum.
     harmonics
         ``"free"``: every frequency is independent. ``"tied"``: frequencies are integer combinations of few
-        fundamentals, fitted jointly, and weaker waves are searched at the lattices' further harmonics. The inexact
-        frequencies that make masks interfere far from the sample (figure 10) are then exact multiples.
+        fundamentals, which are fitted jointly, and weaker waves are searched at the other harmonics of the lattices.
+        With free frequencies, small errors make masks interfere far from the sample (figure 10); tied frequencies are
+        exact multiples.
     channels
-        ``"joint"``: a wave has one frequency in all channels. ``"each"``: every channel is analyzed by itself, as in
-        the paper; waves then have amplitude 0 in the other channels.
+        ``"joint"``: a wave has the same frequency in all channels. ``"each"``: every channel is analyzed separately, as
+        in the paper; a wave then has amplitude 0 in the other channels.
     false_alarms
         Probability in (0, 1) that noise alone yields a wave.
     most
-        The largest number of waves (per channel, where each is analyzed by itself).
+        The largest number of waves (per channel, if channels are analyzed separately).
     signal
-        ``"real"``: waves are searched as cosine and sine. ``"analytic"``: the paper's search, one complex wave after
-        the other in the analytic signal, fitted jointly at the end only. Waves near the border of the half plane that
-        the analytic signal keeps (f_x within a few bins of 0) are then misplaced by some hundredths of a bin and found
-        as several; only the joint fit, which drops needless waves, corrects that. Where tied, such waves propose the
-        fundamentals; all amplitudes are then fitted to the picture.
+        ``"real"``: waves are searched as cosine and sine. ``"analytic"``: the paper's search for one complex wave after
+        the other in the analytic signal, with one joint fit at the end. The analytic signal keeps a half plane of
+        frequencies. Waves near its border (f_x within a few bins of 0) are misplaced by some hundredths of a bin, or
+        are found as several waves; the joint fit at the end corrects this and drops superfluous waves. With tied
+        harmonics such waves propose the fundamentals only; all amplitudes are then fitted to the picture.
     given
-        ``(2, 2)`` cycles/px: where tied, fundamentals of the first group that are known within about 2 %.
+        ``(2, 2)`` cycles/px: fundamentals of the first group of tied harmonics, with an error of at most about 2 %.
 
     Raises
     ------
@@ -189,7 +190,7 @@ def _sort_by_power(
 
 
 def _combine_channels(parts: list[Harmonics], planes: Planes) -> Harmonics:
-    """Return the waves of single channels as those of one picture."""
+    """Return the waves of separately analyzed channels as those of one picture."""
     fundamentals = [part.fundamentals for part in parts]
     orders = np.zeros((sum(len(p.orders) for p in parts), sum(len(f) for f in fundamentals)), np.int64)
     amplitudes = np.zeros((2, len(orders), len(parts)))

@@ -1,4 +1,4 @@
-"""The regular part of a picture: the groups of harmonics that stand out of its irregular structure."""
+"""The regular part of a picture: the groups of harmonics that are stronger than its irregular structure."""
 
 from __future__ import annotations
 
@@ -30,37 +30,37 @@ from nrbench.spectra.wave_fit import FixedWaves, Waves, fit_frequencies, registe
 from nrbench.spectra.wave_search import Search, WaveDetection, find_waves_quickly
 
 LEADERS = 24
-"""Waves that are searched to find a group's fundamentals."""
+"""Number of waves that are searched to find a group's fundamentals."""
 MOST_GROUPS = 16
 VOTERS = 60
-"""Number of the strongest waves to which the fundamentals are fitted: more hardly change them."""
+"""Number of the strongest waves to which the fundamentals are fitted. More waves hardly change them."""
 FINEST = 0.25
-"""Cycles/px: finer waves do not count in the fit of fundamentals, as waves beyond Nyquist are folded on them."""
-SAME = 0.3
-"""Bins between waves whose difference is taken to be an integer combination."""
-PROPOSING = 16.0
-"""Power over the irregular structure's, from which on a wave may propose fundamentals."""
-CLEAR = 100.0
-"""The same for a wave that no harmonic supports."""
-STRIPED = 8.0
-"""Log-likelihood, beyond the best wave, above which one fundamental with harmonics is regular."""
-ALIGNED = 2.5
-"""Part of it that a wave has for lying on the line at all: the colors of threads are waves on a line, too."""
+"""Cycles/px: higher frequencies are not used to fit the fundamentals, as aliases of other waves lie on them."""
+COINCIDENCE = 0.3
+"""Bins: waves coincide up to an integer combination of fundamentals if they are nearer than this."""
+PROPOSAL_RATIO = 16.0
+"""Least ratio of powers, wave over irregular structure, for a wave that proposes fundamentals."""
+LONE_WAVE_RATIO = 100.0
+"""Least ratio of powers for a single wave without harmonics."""
+STRIPES_EVIDENCE = 8.0
+"""Least evidence of one fundamental with harmonics, without the best wave, for regular stripes."""
+LINE_EVIDENCE = 2.5
+"""Evidence that is subtracted for each wave on the line. The random colors of threads are waves on a line, too."""
 FARTHEST_MOVE = 0.5
-"""Bins that a wave may move when its lattice is registered or replaced by a finer one."""
-HARMONIC = 4.0
-"""Power over the irregular structure's, from which on a wave at a point of a lattice is a harmonic."""
-FOLDED = 0.25
-"""Weight of the power of a wave beyond Nyquist, against that of one below that pixels cannot tell from it."""
-CROWD = 900
-"""Harmonics of a lattice that are fitted at most, those of the highest power."""
+"""Bins: the largest shift of a wave when its lattice is registered or replaced by a finer one."""
+HARMONIC_RATIO = 4.0
+"""Least ratio of powers, wave over irregular structure, for a harmonic at a point of a lattice."""
+FOLDED_WEIGHT = 0.25
+"""Weight of the power of a wave beyond the Nyquist frequency when it is compared with its alias below."""
+MOST_HARMONICS = 900
+"""Largest number of harmonics that are fitted: those of the highest power."""
 LEAST_SHARE = 0.1
-"""Share of a given threshold's power that the picture's spectrum must have at a harmonic for the wave to be fitted."""
+"""Least power of the spectrum at a harmonic that is fitted, as a share of a given threshold's power."""
 DIRECTIONS = 12
-REACH = 8
-"""Bins sampled along a line to either side."""
-FEWEST = 4
-"""Samples of a line that its median needs."""
+LINE_REACH = 8
+"""Number of bins that are sampled along a line to either side."""
+FEWEST_SAMPLES = 4
+"""Least number of samples for the median of a line."""
 
 
 class RegularPart(NamedTuple):
@@ -69,9 +69,9 @@ class RegularPart(NamedTuple):
     Parameters
     ----------
     waves
-        Waves of the frequencies ``orders @ fundamentals``, folded, fitted to the picture.
+        Waves of the frequencies ``orders @ fundamentals``, aliased to at most half a cycle/px, fitted to the picture.
     kept
-        ``(n, C)``: the channels in which each stands out of the irregular structure.
+        ``(n, C)``: the channels in which each wave is stronger than the irregular structure.
     fundamentals
         ``(g, 2)`` cycles/px.
     orders
@@ -79,7 +79,7 @@ class RegularPart(NamedTuple):
     groups
         The number of fundamentals, 1 or 2, of each group; they follow each other in ``fundamentals``.
     weights
-        ``(n, C)``: the inverse of the irregular structure's power at each wave, 0 where it is not kept.
+        ``(n, C)``: the inverse of the irregular structure's power at each wave; 0 in channels that are not kept.
     """
 
     waves: Waves
@@ -98,27 +98,29 @@ def find_regular_part(
     search: Search = find_waves_quickly,
     given: Array | None = None,
 ) -> RegularPart:
-    """Return the regular waves of a picture, group by group, as long as any is left.
+    """Find the regular waves of a picture, group by group.
 
-    The strongest waves propose a lattice of frequencies, or one fundamental. It is fitted to them, all its harmonics
-    are taken that stand out of the irregular structure at their frequencies, and it is fitted again to those. The
-    residual of the picture proposes the next group.
+    The strongest waves propose a lattice of frequencies or a single fundamental. The fundamentals are fitted to these
+    waves. Then all harmonics are kept that are stronger than the irregular structure at their frequencies, and the
+    fundamentals are fitted again to those. The residual of the picture proposes the next group, until no regular group
+    remains.
 
     Parameters
     ----------
     spectrum
         The picture's spectrum.
     threshold
-        Amplitude of a wave, units of 1/255, above which every harmonic is kept; None: those that stand out of the
-        irregular structure.
+        Amplitude, in units of 1/255, above which every harmonic is kept. None: harmonics that are stronger than the
+        irregular structure are kept.
     false_alarms
-        Probability that noise alone yields a wave of those that propose.
+        Probability that noise alone yields a proposing wave.
     most
         The largest number of waves.
     search
-        The search for the waves that propose.
+        The search for the proposing waves.
     given
-        ``(2, 2)`` cycles/px: fundamentals of the first group, right within about 2 %. None: they are searched.
+        ``(2, 2)`` cycles/px: fundamentals of the first group, with an error of at most about 2 %. None: they are
+        searched.
     """
     part = _empty_part(spectrum)
     if given is not None:
@@ -138,7 +140,7 @@ def _empty_part(spectrum: Spectrum) -> RegularPart:
 
 
 def _register(part: RegularPart, threshold: float | None, most: int) -> RegularPart:
-    """Return the part with its lattice registered; unchanged if that moved a wave by half a bin."""
+    """Return the part with its lattice registered to the picture; unchanged if that moves a wave too far."""
     fundamentals = register_fundamentals(part.waves, part.orders @ part.fundamentals, part.fundamentals)
     if _moves_far(part, fundamentals):
         return part
@@ -146,7 +148,7 @@ def _register(part: RegularPart, threshold: float | None, most: int) -> RegularP
 
 
 def _moves_far(part: RegularPart, fundamentals: Array) -> bool:
-    """Return whether other fundamentals move some wave of a part by half a bin or more."""
+    """Return whether other fundamentals move a wave of a part by more than :data:`FARTHEST_MOVE`."""
     bins = part.orders @ (part.fundamentals - fundamentals) * part.waves.spectrum.size
     return bool(np.abs(bins).max(initial=0.0) > FARTHEST_MOVE)
 
@@ -154,7 +156,7 @@ def _moves_far(part: RegularPart, fundamentals: Array) -> bool:
 def _find_next_group(
     part: RegularPart, threshold: float | None, false_alarms: float, most: int, search: Search
 ) -> RegularPart | None:
-    """Return the part with one more group, None if nothing regular is left."""
+    """Return the part with one more group; None if no regular group remains."""
     spectrum = part.waves.spectrum
     residual = Spectrum(part.waves.subtract(part.kept)) if part.groups else spectrum
     detection = search(residual, threshold, false_alarms, min(LEADERS, most))
@@ -182,20 +184,20 @@ def _find_next_group(
 def _is_regular(
     basis: Basis, peaks: Peaks, detection: WaveDetection, strongest: np.intp, threshold: float | None
 ) -> bool:
-    """Return whether fundamentals are those of a group: two, one with harmonics, or that of one clear wave."""
-    harmonics = surplus_evidence(basis, peaks.weights) - ALIGNED * (int(basis.explained.sum()) - 1)
-    return len(basis.vectors) == 2 or harmonics > STRIPED or _is_clear(detection, strongest, threshold)
+    """Return whether a basis is a regular group: a lattice, stripes with harmonics, or a single clear wave."""
+    harmonics = surplus_evidence(basis, peaks.weights) - LINE_EVIDENCE * (int(basis.explained.sum()) - 1)
+    return len(basis.vectors) == 2 or harmonics > STRIPES_EVIDENCE or _is_clear_alone(detection, strongest, threshold)
 
 
 def _lie_apart(detection: WaveDetection, part: RegularPart) -> NDArray[np.bool_]:
-    """Return which waves lie at no harmonic of the groups, nor at the mean or the border of the spectrum, ``(n,)``."""
+    """Return whether each wave, ``(n,)``, is far from all harmonics of the groups, from frequency 0 and the border."""
     f, size = detection.waves.frequencies, detection.waves.spectrum.size
     harmonics = fold_frequencies(lattice_orders(part.fundamentals, part.groups, size) @ part.fundamentals)
     return np.asarray(are_inside(f, size) & ~are_near(f, harmonics, size))
 
 
 def _drop_repeats(detection: WaveDetection, part: RegularPart, order: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the waves of ``order`` that differ from none before them by a vector of one of the groups."""
+    """Return ``order`` without waves that differ from an earlier one by an integer combination of a group."""
     size, start = detection.waves.spectrum.size, 0
     for count in part.groups:
         basis, start = part.fundamentals[start : start + count], start + count
@@ -204,33 +206,33 @@ def _drop_repeats(detection: WaveDetection, part: RegularPart, order: NDArray[np
         for sign in (1, -1):
             apart = f[:, np.newaxis] - sign * f
             rest = apart - np.rint(apart @ np.linalg.pinv(basis)) @ basis
-            alike |= np.hypot(*np.moveaxis(rest * size, 2, 0)) < SAME
+            alike |= np.hypot(*np.moveaxis(rest * size, 2, 0)) < COINCIDENCE
         order = order[~np.tril(alike, -1).any(1)]
     return order
 
 
 def _stand_out_of_lines(detection: WaveDetection) -> NDArray[np.bool_]:
-    """Return which waves stand out of the lines of the spectrum through them, ``(n,)``."""
+    """Return whether each wave, ``(n,)``, is much stronger than the lines of the spectrum through it."""
     waves = detection.waves
     power = np.abs(waves.residual_bins()) ** 2
     floor = line_floor(power, waves.spectrum.shape, waves.frequencies, np.zeros((0, 2)))
-    return np.asarray((detection.powers > PROPOSING * floor).any(1))
+    return np.asarray((detection.powers > PROPOSAL_RATIO * floor).any(1))
 
 
-def _is_clear(detection: WaveDetection, wave: np.intp, threshold: float | None) -> bool:
-    """Return whether a wave alone stands clearly out of all that is around it, other waves included."""
+def _is_clear_alone(detection: WaveDetection, wave: np.intp, threshold: float | None) -> bool:
+    """Return whether a wave is much stronger than all around it, including other waves, or a threshold is given."""
     if threshold is not None:
         return True
     f = detection.waves.frequencies[wave : wave + 1]
     alone = Waves(detection.waves.spectrum, f)
     floor = line_floor(np.abs(alone.residual_bins()) ** 2, alone.spectrum.shape, f, f)
-    return bool((alone.powers[0] > CLEAR * floor[0]).any())
+    return bool((alone.powers[0] > LONE_WAVE_RATIO * floor[0]).any())
 
 
 def _add_group(
     part: RegularPart, vectors: Array, seeds: Array, threshold: float | None, most: int
 ) -> RegularPart | None:
-    """Return the part with a group of given fundamentals and first waves, and all its harmonics; None if it has none.
+    """Return the part with a further group and all its harmonics; None if the group has no harmonics.
 
     Parameters
     ----------
@@ -263,7 +265,7 @@ def _add_group(
 
 
 def _fit_fundamentals(part: RegularPart) -> Array:
-    """Return the fundamentals fitted to the waves, each weighted by the irregular structure there."""
+    """Return the fundamentals fitted to the waves; weights are the inverse power of the irregular structure."""
     f = part.orders @ part.fundamentals
     for voters in ((np.abs(f) < FINEST).all(1), (np.abs(f) < 0.5).all(1)):
         if np.linalg.matrix_rank(part.orders[voters]) >= len(part.fundamentals):
@@ -275,7 +277,7 @@ def _fit_fundamentals(part: RegularPart) -> Array:
 def find_harmonics(
     spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...], threshold: float | None, most: int
 ) -> RegularPart:
-    """Return all harmonics of the groups that stand out of the irregular structure, or are above the threshold."""
+    """Return all harmonics of the groups that are above the threshold; None: stronger than the irregular structure."""
     height, width = spectrum.shape
     limit = ((threshold or 0.0) / 255 * height * width / 2) ** 2
     orders = _distinct_orders(spectrum, fundamentals, groups, LEAST_SHARE * limit)
@@ -284,35 +286,35 @@ def find_harmonics(
     floor = line_floor(np.abs(Spectrum(waves.subtract()).bins()) ** 2, spectrum.shape, f, f)
     power, least = waves.powers, 1e-12 * spectrum.energy.max() * spectrum.size.prod()
     if threshold is None:
-        kept = power > HARMONIC * floor + least
+        kept = power > HARMONIC_RATIO * floor + least
     else:
         kept = power > limit
         kept |= kept.any(1, keepdims=True)
     weights = kept / np.maximum(floor, least)
-    there = np.flatnonzero(kept.any(1))
-    there = there[np.argsort(-power[there].sum(1), kind="stable")[:most]]
-    return RegularPart(FixedWaves(spectrum, f[there]), kept[there], fundamentals, orders[there], groups, weights[there])
+    some = np.flatnonzero(kept.any(1))
+    best = some[np.argsort(-power[some].sum(1), kind="stable")[:most]]
+    return RegularPart(FixedWaves(spectrum, f[best]), kept[best], fundamentals, orders[best], groups, weights[best])
 
 
 def _distinct_orders(spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...], least: float) -> Array:
-    """Return the orders of harmonics of at least some power; of those that pixels cannot tell apart the strongest."""
+    """Return the orders of the harmonics whose power is at least ``least``; of aliases, only the strongest."""
     orders = lattice_orders(fundamentals, groups, spectrum.size)
     power = (np.abs(spectrum.values(fold_frequencies(orders @ fundamentals))) ** 2).sum(1)
     orders, power = orders[power >= least], power[power >= least]
     f = orders @ fundamentals
-    power *= np.where((np.abs(f) < 0.5).all(1), 1, FOLDED)
-    best = np.argsort(-power, kind="stable")[:CROWD]
+    power *= np.where((np.abs(f) < 0.5).all(1), 1, FOLDED_WEIGHT)
+    best = np.argsort(-power, kind="stable")[:MOST_HARMONICS]
     return np.asarray(orders[best[select_spaced(fold_frequencies(f[best]), power[best], spectrum.size)]])
 
 
 def line_floor(power: Array, shape: tuple[int, int], frequencies: Array, waves: Array) -> Array:
     """Return the mean power of the irregular structure at frequencies, ``(n, C)``.
 
-    Departures from regularity act on elements, and elements are not alike in all directions: the colors of threads
-    that keep them along their length lie on lines of the spectrum, through the very frequencies of the waves, and
-    exceed the spectrum beside the line. So the floor is the highest of the medians along twelve lines through a
-    frequency, each over ln 2 (the power of a coefficient is exponentially distributed about its mean). Bins beside a
-    wave are left out; where too few remain, the floor is that of the whole spectrum.
+    The power of the irregular structure depends on the direction. Threads, for example, have one color along their
+    length, so the power of their random colors lies on lines of the spectrum, and these lines contain the frequencies
+    of the waves. The floor at a frequency is therefore the highest of the medians along twelve lines through it, each
+    divided by ln 2 (the power of a coefficient is exponentially distributed). Bins next to a wave are left out. If too
+    few bins remain, the median of the whole spectrum is used.
 
     Parameters
     ----------
@@ -327,19 +329,19 @@ def line_floor(power: Array, shape: tuple[int, int], frequencies: Array, waves: 
     """
     usable = np.moveaxis(np.where(_beside_waves(waves, shape), np.inf, power), 0, 2)
     angles = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    steps = np.concatenate([np.arange(-REACH, -1), np.arange(2, REACH + 1)])
+    steps = np.concatenate([np.arange(-LINE_REACH, -1), np.arange(2, LINE_REACH + 1)])
     lines = steps[:, np.newaxis] * np.stack([np.cos(angles), np.sin(angles)], 1)[:, np.newaxis]
     rows, cols = _half_spectrum_bins(frequencies[:, np.newaxis, np.newaxis] * shape[::-1] + lines, shape)
     samples = np.sort(usable[rows, cols], axis=2)
     counts = np.isfinite(samples).sum(2)
     middle = np.take_along_axis(samples, np.maximum(counts - 1, 0)[:, :, np.newaxis] // 2, 2)[:, :, 0]
-    medians = np.where(counts >= FEWEST, middle, 0).max(1, initial=0)
+    medians = np.where(counts >= FEWEST_SAMPLES, middle, 0).max(1, initial=0)
     overall = np.median(power.reshape(len(power), -1), 1)
     return np.asarray(np.where(medians > 0, medians, overall) / math.log(2))
 
 
 def _beside_waves(waves: Array, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return which bins are a wave's nearest or next to it, and those of the mean, ``(H, W // 2 + 1)``."""
+    """Return a mask of the bins at a wave or at the mean, or next to one of these, ``(H, W // 2 + 1)``."""
     around = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), -1).reshape(-1, 2)
     places = np.concatenate([np.zeros((1, 2)), waves, -waves]) * np.array(shape[::-1])
     near = np.zeros((shape[0], shape[1] // 2 + 1), np.bool_)
@@ -348,7 +350,7 @@ def _beside_waves(waves: Array, shape: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def _half_spectrum_bins(bins: Array, shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return rows and columns of the half spectrum of bins (x, y), by its symmetry."""
+    """Return the rows and columns of bins (x, y) in the half spectrum, which is symmetric."""
     x, y = (np.rint(bins[..., k]).astype(np.intp) for k in (0, 1))
     x = (x + shape[1] // 2) % shape[1] - shape[1] // 2
     return np.where(x < 0, -y, y) % shape[0], np.abs(x)

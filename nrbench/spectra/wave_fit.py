@@ -21,24 +21,24 @@ from nrbench.spectra.spectrum import (
 )
 
 LONGEST_STEP = 0.25
-"""Bins that a frequency may move in one step: the fit is nearly quadratic within a quarter of the main lobe."""
+"""Bins: the largest step of a frequency. The misfit is nearly quadratic within a quarter of the main lobe."""
 RIDGE = 1e-9
-"""Added to the diagonals, as a share of the number of px: waves that coincide then share an amplitude."""
+"""Added to the diagonals, as a share of the number of px, so that waves that coincide share an amplitude."""
 WINDOW = 0.2
 """Standard deviation, in units of the shortest period, of the window in which gain and level are free."""
 GAIN_FLOOR = 0.05
-"""Share of the waves' mean variance added to that in a window: where they are flat, no gain is read from them."""
+"""Share of the waves' mean variance that is added to the variance in a window, so that flat windows have no gain."""
 MISFIT_FLOOR = 0.1
 """Share of the median misfit added to the misfit around a pixel, whose inverse is the pixel's weight."""
 
 
 @dataclass(frozen=True)
 class Waves:
-    """Waves of given frequencies, fitted to a picture: all inner products that their least squares needs.
+    """Waves of given frequencies, fitted to a picture by least squares.
 
-    With coordinates from the picture's center, cosines are orthogonal to sines, whatever the frequencies: two small
-    systems instead of one, every entry a Dirichlet kernel at the difference and at the sum of two frequencies. A wave
-    of frequency 0 stands for the mean. n waves cost O(n^3), whatever the picture's size.
+    Coordinates start at the picture's center, so that cosines are orthogonal to sines at all frequencies. Two small
+    systems of equations are then solved instead of one. Their entries are Dirichlet kernels at the differences and the
+    sums of frequencies. A wave of frequency 0 represents the mean. n waves take O(n^3), for any size of the picture.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Waves:
 
     @cached_property
     def powers(self) -> Array:
-        """|FT|^2 of each wave alone at its frequency, ``(n, C)``."""
+        """|FT|^2 of each single wave at its own frequency, ``(n, C)``."""
         p, q = self.amplitudes
         height, width = self.spectrum.shape
         return np.asarray((p[1:] ** 2 + q[1:] ** 2) * (height * width / 2) ** 2)
@@ -199,9 +199,9 @@ class Waves:
 
 @dataclass(frozen=True)
 class FixedWaves(Waves):
-    """Waves whose frequencies are not fitted: sums over rows and columns replace the kernels' closed forms.
+    """Waves whose frequencies are not fitted. Sums over rows and columns replace the closed forms of the kernels.
 
-    Four matrix products of n x width and n x height numbers: for hundreds of waves a tenth of the kernels' time.
+    Four matrix products of n x width and n x height numbers take a tenth of the time for hundreds of waves.
     """
 
     @cached_property
@@ -217,7 +217,7 @@ class FixedWaves(Waves):
 
 
 def _projected(bend: Array, crossing: Array, gram: Array, amplitudes: Array) -> Array:
-    """Return the slopes' inner products, weighted by the amplitudes, less the part that the waves explain."""
+    """Return the amplitude-weighted inner products of the slopes, minus the part that the waves explain."""
     n = len(gram)
     flat = np.concatenate(list(crossing), 1)
     shared = (flat.T @ np.linalg.solve(gram, flat)).reshape(2, n, 2, n).transpose(0, 2, 1, 3)
@@ -253,7 +253,7 @@ def fit_frequencies(
     spectrum
         The picture's spectrum.
     fundamentals
-        ``(g, 2)`` cycles/px: where to start; the frequencies should be right within half a bin.
+        ``(g, 2)`` cycles/px: the start of the fit. The errors of the frequencies should be less than half a bin.
     orders
         ``(n, g)`` integers: the frequencies are ``orders @ fundamentals``. None: each is its own fundamental.
     steps
@@ -324,12 +324,12 @@ def wave_sum(
 
 
 def register_fundamentals(waves: Waves, frequencies: Array, fundamentals: Array) -> Array:
-    """Return fundamentals registered to the picture: the affine strain at which their waves fit it best, ``(2, 2)``.
+    """Return fundamentals after an affine registration of their waves to the picture, ``(2, 2)``.
 
-    A plain fit of the waves moves towards elements of an unusual color, although the edges of these elements have not
-    moved. So the picture is compared with its waves as in image registration: gain and level of each channel are free
-    in a window of a part of a tile, and one Gauss-Newton step solves for the small affine displacement of the waves
-    that reduces the misfit. Each pixel is weighted by the inverse of the misfit around it.
+    A plain fit of the waves is biased by elements of unusual color, although the edges of these elements are in place.
+    Here the picture is compared with its waves as in image registration: gain and level of each channel are free in a
+    window smaller than a tile, and one Gauss-Newton step finds the small affine displacement of the waves that reduces
+    the misfit. Each pixel is weighted by the inverse of the misfit around it.
 
     Parameters
     ----------
@@ -338,7 +338,7 @@ def register_fundamentals(waves: Waves, frequencies: Array, fundamentals: Array)
     frequencies
         ``(n, 2)`` cycles/px: their frequencies, not folded.
     fundamentals
-        ``(2, 2)`` cycles/px; they should be right within a tenth of a period at the picture's border.
+        ``(2, 2)`` cycles/px. At the picture's border their error should be less than a tenth of a period.
     """
     sigma = WINDOW / float(np.linalg.svd(fundamentals)[1][0])
     planes = waves.spectrum.planes.astype(np.float64)
@@ -357,7 +357,7 @@ def register_fundamentals(waves: Waves, frequencies: Array, fundamentals: Array)
 
 
 def _model_and_moves(waves: Waves, frequencies: Array) -> tuple[Array, Array]:
-    """Return the waves' picture ``(H, W, C)``, and its derivatives by strain and displacement, ``(H, W, C, 6)``."""
+    """Return the picture of the waves, ``(H, W, C)``, and its derivatives by strain and shift, ``(H, W, C, 6)``."""
     cosine, sine, mean = waves.origin_amplitudes()
     (height, width), turns = waves.spectrum.shape, 2 * np.pi * frequencies[:, np.newaxis]
     model = wave_sum(frequencies, cosine, sine, mean, (height, width))

@@ -15,30 +15,31 @@ from scipy.ndimage import median_filter
 from nrbench.spectra.spectrum import Array, Complex, Planes, Spectrum, bin_numbers, dirichlet_sum
 from nrbench.spectra.wave_fit import Waves, fit_frequencies
 
-STRONG = 0.25
-"""A round takes all candidates of at least this share of the strongest one's power: the highest side lobe of a wave
-has 0.047 of its power, so it waits until the wave is subtracted."""
+ROUND_SHARE = 0.25
+"""Least power of the candidates of a round, as a share of the strongest one's. The highest side lobe of a wave has
+0.047 of its power, so that it is no candidate before the wave is subtracted."""
 APART = 0.75
-"""Bins between two waves that the picture can tell apart; of nearer ones the weaker is dropped."""
+"""Bins: least distance of two waves. Of two nearer waves, the weaker one is dropped."""
 SCALLOP = 0.164
-"""Share of a wave's power at the nearest bin, where it lies halfway between bins both ways: (2 / pi)^4."""
-GATHERED = 0.65
-"""Share of a wave's power that the four bins around it hold at least: four times :data:`SCALLOP`."""
-NEAREST = 0.9
-"""Share of a wave's power at the nearest of :data:`OFFSETS`, at least."""
+"""Share of a wave's power at the nearest bin if it lies halfway between bins along both axes: (2 / pi)^4."""
+GATHERED_SHARE = 0.65
+"""Least share of a wave's power in the four bins around it: four times :data:`SCALLOP`."""
+NEAREST_SHARE = 0.9
+"""Least share of a wave's power at the nearest of :data:`OFFSETS`."""
 ROUNDS = 20
 TRIES = 2
-"""Times a candidate may start a wave."""
+"""Number of times that a candidate may start a wave."""
 OFFSETS = np.linspace(-0.75, 0.75, 7)
 """Bins from a candidate, along x and along y, at which the magnitude is sampled before it is maximized."""
 GRID = np.stack(np.meshgrid(OFFSETS, OFFSETS), -1).reshape(-1, 2)
 LATER_STEPS = 6
-"""Steps of the joint fit after faint waves were dropped: the rest hardly move."""
+"""Number of steps of the joint fit after faint waves are dropped; the other waves hardly change."""
 CANDIDATES = 20
-"""Candidates examined for each wave that may be found: those that exceed the limit most."""
+"""Number of candidates that are examined, per wave of the largest number of waves: those that exceed the limit most."""
 
 FLOOR_BLOCK = 8
-"""Bins a side of the blocks whose medians are taken: 64 powers give the floor to 18 %, the nine around it to 6 %."""
+"""Side, in bins, of the blocks whose medians are computed. The error of the floor is 18 % from the 64 powers of one
+block, 6 % from nine blocks."""
 RING_RATIO = 1.3
 """Ratio of the radii of neighboring rings."""
 
@@ -47,7 +48,7 @@ ANALYTIC_GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9
 ANALYTIC_LINE = np.linspace(-1, 1, 9)
 """Steps of one search along an axis, in units of its reach."""
 ANALYTIC_REACHES = 0.25 ** np.arange(1, 7)
-"""Bins: how far each pair of searches, along x and along y, reaches; the last resolves 1e-4 bin."""
+"""Bins: the reach of each pair of searches along x and along y; the last one resolves 1e-4 bin."""
 
 
 class Effort(NamedTuple):
@@ -56,10 +57,10 @@ class Effort(NamedTuple):
     Parameters
     ----------
     passes
-        How often the threshold is set and candidates are collected, at least 1. One pass is half the work and misses
-        waves that stronger ones hide.
+        How many times the threshold is set and candidates are collected, at least 1. A single pass takes half the time,
+        but misses waves next to stronger ones.
     steps
-        Steps of the final joint fit. Three bring a wave within a hundredth of a bin.
+        Number of steps of the final joint fit. After three steps the error of a frequency is a hundredth of a bin.
     """
 
     passes: int
@@ -77,7 +78,7 @@ class WaveDetection:
     Parameters
     ----------
     waves
-        Fitted, in no order.
+        The fitted waves, in no particular order.
     floor
         ``(C, H, W // 2 + 1)``: mean power of the noise at the bins.
     limit
@@ -107,12 +108,13 @@ Search = Callable[[Spectrum, float | None, float, int], WaveDetection]
 def find_waves(
     spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int, effort: Effort = THOROUGH
 ) -> WaveDetection:
-    """Return the waves above a threshold, frequencies and amplitudes fitted jointly.
+    """Find the waves above a threshold; frequencies and amplitudes are fitted jointly.
 
-    Candidates are bins of the DFT above the threshold. The strongest start a wave each, at the highest of samples
-    within a bin of them. All waves are then fitted jointly, the residual is known at the candidates in closed form, and
-    the next strongest follow. The paper (section 3.1) takes one at a time and fits all at the end: interference then
-    shifts the weaker ones. A second pass sets the automatic threshold by the noise that the first pass left.
+    Candidates are bins of the DFT above the threshold. Each of the strongest candidates starts a wave, at the highest
+    of several samples within a bin of it. All waves are then fitted jointly, the residual is computed at the candidates
+    in closed form, and the next strongest candidates follow. The paper (section 3.1) adds one wave at a time and fits
+    all waves at the end, so that interference shifts the weaker ones. A second pass computes the automatic threshold
+    from the residual of the first.
 
     Parameters
     ----------
@@ -121,7 +123,7 @@ def find_waves(
     threshold
         Amplitude of a wave, units of 1/255; None: automatic, see :func:`power_limit`.
     false_alarms
-        Probability that noise alone yields a wave, where automatic.
+        Probability that noise alone yields a wave, for the automatic threshold.
     most
         The largest number of waves.
     effort
@@ -145,9 +147,10 @@ def find_waves_quickly(spectrum: Spectrum, threshold: float | None, false_alarms
 def power_limit(spectrum: Spectrum, floor: Array, threshold: float | None, false_alarms: float) -> Array:
     """Return the power that a wave must reach at each bin, ``(C, H, W // 2 + 1)``.
 
-    Automatic: noise exceeds t times its mean power with probability exp(-t). The maximum over all frequencies, which
-    lie denser than the bins, behaves as one over about 4 independent values a bin and channel, so that
-    t = ln(4 n C / false_alarms) is exceeded anywhere with at most that probability, whatever the channels share.
+    Without a threshold, the limit is t times the mean power of the noise. Noise exceeds it at a frequency with
+    probability exp(-t). The maximum over all frequencies, not only the bins, behaves like that over about 4 independent
+    values per bin and channel. With t = ln(4 n C / false_alarms), noise exceeds the limit anywhere with at most
+    probability ``false_alarms``, even if channels are correlated.
     """
     height, width = spectrum.shape
     if threshold is not None:
@@ -159,10 +162,10 @@ def power_limit(spectrum: Spectrum, floor: Array, threshold: float | None, false
 def noise_floor(power: Array) -> Array:
     """Return the local mean power of a spectrum's noise, ``(C, H, W // 2 + 1)``.
 
-    The power of a coefficient of noise is exponentially distributed about its mean, whatever the pixels' law, so the
-    mean is the median over ln 2; lines, which occupy few bins, hardly move a median. The floor is the higher of two:
-    the median of the blocks around a bin (for spectra with a direction) and that of its ring (for spectra steep towards
-    0, where a block holds too wide a range of powers).
+    The power of a coefficient of noise is exponentially distributed for any distribution of the pixels, so the mean is
+    the median divided by ln 2. Spectral lines occupy few bins and hardly change a median. The floor is the higher of
+    two: the median of the blocks around a bin (for spectra that depend on the direction), and the median of its ring
+    (for spectra that are steep near 0, where the powers in a block differ too much).
 
     Parameters
     ----------
@@ -183,7 +186,7 @@ def _block_medians(power: Array) -> Array:
 
 
 def _blocks(length: int) -> NDArray[np.intp]:
-    """Return the bins of each block, all of one size: neighbors share a bin where the length does not divide."""
+    """Return the bins of each block. All blocks have the same size."""
     parts = max(length // FLOOR_BLOCK, 1)
     return np.asarray((np.arange(parts) * length // parts)[:, np.newaxis] + np.arange(length // parts))
 
@@ -196,7 +199,7 @@ def _ring_medians(power: Array, rings: list[NDArray[np.intp]]) -> Array:
 
 
 def _rings(height: int, half: int) -> list[NDArray[np.intp]]:
-    """Return the flat numbers of the bins of each ring."""
+    """Return the flat indices of the bins of each ring."""
     y = np.minimum(np.arange(height), height - np.arange(height))[:, np.newaxis] / height
     radius = np.hypot(y, np.arange(half) / (2 * max(half - 1, 1)))
     ring = np.floor(np.log(np.maximum(radius * height, 1)) / math.log(RING_RATIO)).astype(np.int16).ravel()
@@ -205,12 +208,12 @@ def _rings(height: int, half: int) -> list[NDArray[np.intp]]:
 
 
 def _add_waves(waves: Waves, residual: Array, limit: Array, most: int) -> Waves:
-    """Return the waves and all those that start at candidates of the residual power ``(C, H, W // 2 + 1)``."""
+    """Return the waves with those added that start at candidates of the residual power ``(C, H, W // 2 + 1)``."""
     spectrum = waves.spectrum
     bins = _candidates(residual, limit, spectrum.shape, CANDIDATES * most)
     limits = _nearest_bins(limit, bins / spectrum.size, spectrum.shape)
     if len(bins):
-        promising = (_highest_near(waves, bins)[1] >= NEAREST * limits).any(1)
+        promising = (_highest_near(waves, bins)[1] >= NEAREST_SHARE * limits).any(1)
         bins, limits = bins[promising], limits[promising]
     values, tries = spectrum.values(bins / spectrum.size), np.zeros(len(bins), np.intp)
     for _ in range(ROUNDS if len(bins) else 0):
@@ -220,7 +223,7 @@ def _add_waves(waves: Waves, residual: Array, limit: Array, most: int) -> Waves:
         if not len(chosen):
             break
         starts, powers = _highest_near(waves, bins[chosen])
-        enough = (powers >= NEAREST * limits[chosen]).any(1)
+        enough = (powers >= NEAREST_SHARE * limits[chosen]).any(1)
         tries[chosen] += np.where(enough, 1, TRIES)
         if enough.any():
             more = np.concatenate([waves.frequencies, starts[enough]])
@@ -229,13 +232,13 @@ def _add_waves(waves: Waves, residual: Array, limit: Array, most: int) -> Waves:
 
 
 def _candidates(residual: Array, limit: Array, shape: tuple[int, int], most: int) -> Array:
-    """Return the bins (x, y) near which a wave may be left, ``(m, 2)``; of a pair f, -f only one."""
+    """Return the bins (x, y) near which a wave may remain, ``(m, 2)``; of a pair f, -f only one."""
     ky, kx = bin_numbers(shape)
     above = residual + np.roll(residual, 1, 1)
     blocks = np.pad(above[:, :, :-1] + above[:, :, 1:], ((0, 0), (0, 0), (1, 1)))
     columns = np.maximum(blocks[:, :, :-1], blocks[:, :, 1:])
     gathered = np.maximum(columns, np.roll(columns, -1, 1))
-    candidate = ((residual > SCALLOP * limit) & (gathered > GATHERED * limit)).any(0)
+    candidate = ((residual > SCALLOP * limit) & (gathered > GATHERED_SHARE * limit)).any(0)
     candidate &= ~((ky[:, np.newaxis] < 0) & ((kx == 0) | (2 * kx == shape[1])))
     candidate[0, 0] = False
     rows, cols = np.nonzero(candidate)
@@ -245,9 +248,9 @@ def _candidates(residual: Array, limit: Array, shape: tuple[int, int], most: int
 
 
 def _strongest(bins: Array, power: Array) -> NDArray[np.intp]:
-    """Return which candidates start a wave: strong ones, none within two bins of a stronger one."""
+    """Return the indices of the candidates that start a wave: strong ones without a stronger one within two bins."""
     order = np.argsort(-power, kind="stable")
-    order = order[power[order] >= max(STRONG * float(power.max(initial=0)), 1e-300)]
+    order = order[power[order] >= max(ROUND_SHARE * float(power.max(initial=0)), 1e-300)]
     kept: list[int] = []
     for k in order:
         if not kept or np.abs(bins[kept] - bins[k]).max(1).min() > 2:
@@ -256,7 +259,7 @@ def _strongest(bins: Array, power: Array) -> NDArray[np.intp]:
 
 
 def _highest_near(waves: Waves, bins: Array) -> tuple[Array, Array]:
-    """Return, for each bin, the frequency of the highest residual within a bin of it, and its power ``(m, C)``."""
+    """Return the frequency of the highest residual within a bin of each given bin, and its power ``(m, C)``."""
     spectrum, size = waves.spectrum, waves.spectrum.size
     residual = spectrum.around(bins / size, OFFSETS) - waves.transform_around(bins / size, OFFSETS)
     power = (np.abs(residual) ** 2).reshape(len(bins), -1, spectrum.channels)
@@ -265,7 +268,7 @@ def _highest_near(waves: Waves, bins: Array) -> tuple[Array, Array]:
 
 
 def _drop_doubles(waves: Waves) -> Waves:
-    """Return the waves without those that cannot be told from a stronger one or from the mean."""
+    """Return the waves without those that are too near to a stronger wave or to frequency 0."""
     size, f = waves.spectrum.size, waves.frequencies
     power = waves.powers.sum(1)
     near = (np.hypot(*np.moveaxis((f[:, np.newaxis] - f) * size, 2, 0)) < APART) | (
@@ -276,7 +279,7 @@ def _drop_doubles(waves: Waves) -> Waves:
 
 
 def _keep_significant(waves: Waves, limit: Array, steps: int = THOROUGH.steps) -> Waves:
-    """Return the waves that reach the limit ``(C, H, W // 2 + 1)`` once all are fitted, the rest fitted again."""
+    """Fit all waves, drop those below the limit ``(C, H, W // 2 + 1)``, and fit the others again."""
     waves = _drop_doubles(waves)
     while len(waves.frequencies):
         enough = (waves.powers >= _nearest_bins(limit, waves.frequencies, waves.spectrum.shape)).any(1)
@@ -295,11 +298,12 @@ def _nearest_bins(grid: Array, frequencies: Array, shape: tuple[int, int]) -> Ar
 
 
 def analytic_signal(planes: Planes) -> Complex:
-    """Return the planes, less their means, without one of each pair of coefficients f, -f, the other doubled.
+    """Return the analytic signal: one coefficient of each pair f, -f of the planes is doubled, the other is set to 0.
 
-    Kept are f_x > 0, and f_y > 0 where f_x = 0; both at the Nyquist frequency of x (the Hilbert transform along x,
-    after Bracewell, on the DFT). Waves between bins leak across that border, and what leaks is cut off or mirrored:
-    within a few bins of f_x = 0 the signal of a real wave is not one complex wave.
+    The means are removed. Coefficients with f_x > 0 are kept, those with f_y > 0 if f_x = 0, and both at the Nyquist
+    frequency of x (the Hilbert transform along x, after Bracewell, on the DFT). Waves between bins leak across the
+    border f_x = 0, where the leakage is cut off or mirrored. Within a few bins of this border the signal of a real wave
+    is therefore not a single complex wave.
 
     Parameters
     ----------
@@ -309,7 +313,7 @@ def analytic_signal(planes: Planes) -> Complex:
     Returns
     -------
     ndarray
-        ``(H, W, C)``, complex; its real part is ``planes`` less the means.
+        ``(H, W, C)``, complex; its real part is ``planes`` minus the means.
     """
     values = scipy.fft.fft2(planes - planes.mean((0, 1)), axes=(0, 1))
     ky, kx = (scipy.fft.fftfreq(n, 1 / n) for n in planes.shape[:2])
@@ -320,11 +324,11 @@ def analytic_signal(planes: Planes) -> Complex:
 
 
 def find_waves_analytic(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> WaveDetection:
-    """Return the waves above a threshold as the paper finds them (section 3.1), fitted to the picture at the end.
+    """Find the waves above a threshold by the method of the paper (section 3.1).
 
-    Each step takes the bin of the analytic signal's DFT with the largest coefficient, maximizes the fractional
-    transform within a bin of it, by samples and alternating one-dimensional searches, and subtracts that complex wave,
-    until no coefficient is above the threshold. Only then are all frequencies fitted jointly, to the real picture.
+    Each step takes the largest coefficient of the analytic signal's DFT, maximizes the fractional transform within a
+    bin of it, by samples and alternating one-dimensional searches, and subtracts that complex wave. The steps end when
+    no coefficient is above the threshold. All frequencies are then fitted jointly to the real picture.
 
     Parameters
     ----------
@@ -338,7 +342,9 @@ def find_waves_analytic(spectrum: Spectrum, threshold: float | None, false_alarm
 
 
 def find_complex_waves(spectrum: Spectrum, limit: Array, most: int) -> Array:
-    """Return the frequencies of the analytic signal's waves before the joint fit, ``(n, 2)`` cycles/px, in order.
+    """Return the frequencies of the analytic signal's waves before the joint fit, ``(n, 2)`` cycles/px.
+
+    They are in the order in which they are found.
 
     Parameters
     ----------
@@ -375,7 +381,7 @@ class _AnalyticSearch:
         self.amplitudes: list[Complex] = []
 
     def residual(self, f: Array) -> Complex:
-        """Return the transform of the signal less the waves, ``(m, C)``, at frequencies ``(m, 2)``."""
+        """Return the transform of the signal minus the waves, ``(m, C)``, at frequencies ``(m, 2)``."""
         value = _join_parts(self.spectrum.values(f))
         for g, amplitude in zip(self.frequencies, self.amplitudes, strict=True):
             value = value - self.kernel(f, g) * amplitude
@@ -387,7 +393,7 @@ class _AnalyticSearch:
         return (dirichlet_sum(f[:, 0] - g[0], width) * dirichlet_sum(f[:, 1] - g[1], height))[:, np.newaxis]
 
     def maximize(self, start: Array) -> Array:
-        """Return the frequency of the maximum within a bin of a bin, cycles/px."""
+        """Return the frequency of the maximum within a bin of ``start``, cycles/px."""
         size = self.spectrum.size
         best = self._best((start + ANALYTIC_GRID) / size)
         for reach in ANALYTIC_REACHES:
