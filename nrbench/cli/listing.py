@@ -1,4 +1,4 @@
-"""Verbs that show what is there: list, show."""
+"""The commands list and show."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ KINDS = ("datasets", "detectors", "synthesizers", "metrics", "reports", "suites"
 @click.argument("kind", type=click.Choice(KINDS), required=False)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def list_command(kind: str | None, as_json: bool) -> None:
-    """List plugins and suites; a broken plugin is listed with its error."""
-    found = {name: _entries(name) for name in ([kind] if kind else KINDS)}
+    """List plugins and suites. A broken plugin is listed with its error."""
+    listed = {name: _entries(name) for name in ([kind] if kind else KINDS)}
     if as_json:
-        print(json.dumps(found, indent=1))
+        print(json.dumps(listed, indent=1))
         return
-    for name, entries in found.items():
+    for name, entries in listed.items():
         print(name)
         for entry in entries:
             print(f"  {entry['name']:<18} {entry['about']}")
@@ -58,9 +58,10 @@ def _first_line(cls: type[Any]) -> str:
 @click.argument("name")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def show_command(name: str, as_json: bool) -> None:
-    """Show one plugin: its page, parameters with defaults, columns, BibTeX of its paper; or one suite.
+    """Show a plugin or a suite.
 
-    NAME may be one score, as METRIC.COLUMN.
+    For a plugin: its page, its parameters with defaults, its columns, and the BibTeX entry of its paper. NAME may also
+    be a single score, METRIC.COLUMN.
     """
     from nrbench.errors import BadInput
     from nrbench.plugins.parameters import nearest
@@ -81,7 +82,7 @@ def _all_names() -> list[str]:
 
 
 def _scores(name: str) -> list[str]:
-    """Return the scores of the metric that a name begins with."""
+    """Return the names of all scores of the metric in ``METRIC.COLUMN``."""
     from nrbench import plugins
 
     metric = name.partition(".")[0]
@@ -104,9 +105,9 @@ def _pages(name: str) -> list[dict[str, Any]]:
 
 
 def _column_page(page: dict[str, Any], column: str) -> list[dict[str, Any]]:
-    """Return the page of a metric cut down to one column; none where it has no such column."""
-    kept = {key: declared for key, declared in page["columns"].items() if key == column}
-    return [{**page, "page": page["page"].partition("\n")[0], "columns": kept}] if kept else []
+    """Return the page of a metric with a single column; an empty list if it has no such column."""
+    columns = {key: declared for key, declared in page["columns"].items() if key == column}
+    return [{**page, "page": page["page"].partition("\n")[0], "columns": columns}] if columns else []
 
 
 def _page(kind: str, plugin: Any) -> dict[str, Any]:
@@ -128,7 +129,7 @@ def _page(kind: str, plugin: Any) -> dict[str, Any]:
 
 
 def _declared(column: Any) -> dict[str, Any]:
-    """Return all that a column declares, JSON-ready: null at an end of the range that has no limit."""
+    """Return the declaration of a column for JSON; an infinite end of its range is null."""
     ends = [end if math.isfinite(end) else None for end in column.range]
     return {**dataclasses.asdict(column), "range": ends}
 

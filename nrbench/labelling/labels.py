@@ -36,16 +36,16 @@ _PIXEL_CHUNKS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
 
 @dataclass(frozen=True)
 class Item:
-    """One showing of an output.
+    """An output on a page. The same output may be two items.
 
     Parameters
     ----------
     id
-        Ten random letters without vowels: no spreadsheet takes them for a number, no reader for a word.
+        Ten random letters without vowels, so that the id is neither a number for a spreadsheet nor a word.
     cell
         Key of the cell; it is in the key file only, never on the page.
     again
-        Whether the output was shown before; the two answers tell how far a person agrees with themself.
+        Whether the output is shown for the second time. The two answers measure a person's self-agreement.
     """
 
     id: str
@@ -61,7 +61,7 @@ class LabelPage:
     items: Sequence[Item]
 
     def key_file(self, root: Path) -> Path:
-        """Return the path of the page's key, which tells the cell of each item."""
+        """Return the path of the page's key file, which lists the cell of each item."""
         return _folder(root) / f"{self.name}.json"
 
 
@@ -76,9 +76,9 @@ class Answer:
     answer
         One of :data:`ANSWERS`.
     seconds
-        Time from the picture to the answer.
+        Seconds from the display of the picture to the answer.
     order
-        Place in the order of showing, from 1.
+        Position of the item on the page, from 1.
     """
 
     item: Item
@@ -94,16 +94,16 @@ class Person:
     Parameters
     ----------
     name
-        The stem of the file that holds them.
+        The stem of the name of the file with the answers.
     answers
-        In the file's order.
+        The answers, in the order of the file.
     """
 
     name: str
     answers: Sequence[Answer]
 
     def by_cell(self, again: bool = False) -> dict[str, str]:
-        """Return the answers of the first showings, or of the second ones, by the cell's key."""
+        """Return the first answers, or with ``again`` the second answers, by the key of the cell."""
         return {each.item.cell: each.answer for each in self.answers if each.item.again == again}
 
 
@@ -120,16 +120,16 @@ def labelled_cells(run: Run) -> list[CellRecord]:
 
 
 def make_page(run: Run, repeat: float = 0.1, seed: int = 0) -> LabelPage:
-    """Return the items of a page in random order; equal run, share and seed give an equal page.
+    """Return a page with its items in random order. The same run, share and seed give the same page.
 
     Parameters
     ----------
     run
-        Its cells that have ended are shown.
+        The run whose finished cells are shown.
     repeat
-        Share of the outputs that are shown a second time, at least about ten items later, in [0, 1].
+        Share of the outputs, in [0, 1], that are shown a second time, about ten items later or more.
     seed
-        Seed of order, names and repeats. The random stream also depends on the cells, so that names differ between
+        Seed of order, ids and repetitions. The random stream also depends on the cells, so that ids differ between
         runs.
 
     Raises
@@ -150,7 +150,7 @@ def make_page(run: Run, repeat: float = 0.1, seed: int = 0) -> LabelPage:
 
 
 def _showings(count: int, repeats: int, rng: np.random.Generator) -> list[tuple[int, bool]]:
-    """Return (place in the order, whether again) of each showing."""
+    """Return (index of the output, whether it is shown for the second time) of each item."""
     gap = min(_LEAST_GAP, count // 2)
     early = max(count - gap, repeats)
     again = rng.choice(early, repeats, replace=False)
@@ -167,7 +167,7 @@ def _random_ids(count: int, rng: np.random.Generator) -> list[str]:
 
 
 def write_key(root: Path, page: LabelPage) -> Path:
-    """Write which cell each item of a page is, in the run's folder of labels, and return the path."""
+    """Write the key file of a page, which lists the cell of each item, and return its path."""
     path = page.key_file(root)
     write_json(path, {"sheet": page.name, "items": [asdict(item) for item in page.items]})
     return path
@@ -178,7 +178,7 @@ def _folder(root: Path) -> Path:
 
 
 def page_html(root: Path, page: LabelPage) -> str:
-    """Return a page as one HTML file with all pictures in it, and no name of a cell, method or texture.
+    """Return a page as one HTML file with all its pictures, without names of cells, methods or textures.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def content_hash(text: str) -> str:
 
 
 def _content(root: Path, page: LabelPage) -> dict[str, Any]:
-    """Return the data of the page's script; an item holds the numbers of its pictures, each of which is there once."""
+    """Return the data of the page's script. Each picture is stored once; items refer to pictures by number."""
     numbers: dict[str, int] = {}
     items = []
     for item in page.items:
@@ -219,7 +219,7 @@ def _content(root: Path, page: LabelPage) -> dict[str, Any]:
 
 
 def without_metadata(png: bytes) -> bytes:
-    """Return a PNG with its pixels only: texts, times and names of programs could reveal the method."""
+    """Return a PNG without texts, times and names of programs, which could reveal the method."""
     return png[:8] + b"".join(chunk for kind, chunk in _chunks(png) if kind in _PIXEL_CHUNKS)
 
 
@@ -233,13 +233,13 @@ def _chunks(png: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 def read_people(run: Run, files: Sequence[Path]) -> list[Person]:
-    """Return the answers in files that the run's pages saved, one person a file.
+    """Read the answers in files that pages of the run saved, one file for each person.
 
     Raises
     ------
     BadInput
-        Naming file and line, for a file that cannot be read, wrong columns, an unknown answer, an item that is
-        answered twice, or an item of no page of this run.
+        For a file that cannot be read, wrong columns, an unknown answer, an item that is answered twice, or an item
+        that is on no page of this run. The message names file and line.
     """
     if not files:
         return []
@@ -249,7 +249,7 @@ def read_people(run: Run, files: Sequence[Path]) -> list[Person]:
 
 
 def _person_names(files: Sequence[Path]) -> list[str]:
-    """Return the stems of the files; where two are equal, the whole paths."""
+    """Return the stems of the file names, or the complete paths of files with equal stems."""
     stems = [Path(file).stem for file in files]
     doubled = next((str(file) for i, file in enumerate(files) if file in files[:i]), None)
     if doubled:
@@ -271,14 +271,14 @@ def _read_answers(path: Path, items: Mapping[str, Item]) -> list[Answer]:
     ids = [each.item.id for each in answers]
     twice = next((id for id in ids if ids.count(id) > 1), None)
     if twice:
-        raise BadInput(f"{path}: item {twice!r} is answered twice; leave the answer that counts")
+        raise BadInput(f"{path}: item {twice!r} is answered twice; keep the answer that counts")
     if not answers:
-        raise BadInput(f"{path}: holds no answer; save the answers by the page's button first")
+        raise BadInput(f"{path} has no answers; save them with the button of the page first")
     return answers
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a file of answers, which a spreadsheet may have saved with a byte order mark."""
+    """Return the rows of a file of answers. Spreadsheets may have added a byte order mark."""
     try:
         text = path.read_text("utf-8-sig")
     except (UnicodeDecodeError, IsADirectoryError, FileNotFoundError) as error:

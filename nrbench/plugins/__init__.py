@@ -1,4 +1,4 @@
-"""Plugins: their registry, their parameters, and the forms that they have."""
+"""Plugins: their registry, their parameters, and their forms (protocols)."""
 
 from nrbench.plugins.registry import (
     FORMS,

@@ -390,7 +390,7 @@ class Observation:
     )
 
     def with_stream(self, rng: np.random.Generator) -> Observation:
-        """Return the same observation with the random stream of another metric; what metrics share stays shared."""
+        """Return the same observation with the random stream of another metric. Shared results stay shared."""
         observation = replace(self, rng=rng)
         object.__setattr__(observation, "_shared", self._shared)
         return observation
@@ -420,7 +420,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class Column:
-    """What a score's column means.
+    """The declaration of a score's column.
 
     Parameters
     ----------

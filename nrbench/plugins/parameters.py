@@ -1,4 +1,4 @@
-"""Parameters: from text or TOML to a plugin's typed fields, with one clear error."""
+"""Parameters: convert text and TOML values to the typed fields of a plugin, or raise a clear error."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from nrbench.errors import BadInput
 
 
 def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
-    """Split ``"name:param=value,param=value"``; a comma inside a value is kept unless ``word=`` follows it.
+    """Split ``"name:param=value,param=value"``. A comma belongs to the value unless ``word=`` follows it.
 
     Raises
     ------
     BadInput
-        When a part has no ``=``, or a parameter stands twice.
+        When a part has no ``=``, or a parameter occurs twice.
     """
     name, _, rest = text.partition(":")
     parameters: dict[str, Any] = {}
@@ -50,8 +50,8 @@ def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
     Raises
     ------
     BadInput
-        For an unknown parameter (naming the nearest valid one), a value of another type, one that is missing, or one
-        that the class itself refuses.
+        For an unknown parameter (the message names the nearest), a missing parameter, a value of the wrong type, or a
+        value that the class refuses.
     """
     hints = get_type_hints(cls)
     fields = {field.name: TypeAdapter(hints[field.name]) for field in dataclasses.fields(cls)}
@@ -80,7 +80,7 @@ def _convert(fields: Mapping[str, TypeAdapter[Any]], key: str, value: Any, where
 
 
 def _readings(value: Any) -> list[Any]:
-    """Return how a value may be meant: as it is; text also as "nothing" or as comma-separated numbers."""
+    """Return the possible meanings of a value: the value itself; for text also None or a comma-separated list."""
     if not isinstance(value, str):
         return [value]
     if value.lower() in ("none", "null"):
@@ -89,7 +89,7 @@ def _readings(value: Any) -> list[Any]:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return ``" (did you mean 'x'?)"``, or the known words where none is near."""
+    """Return ``" (did you mean 'x'?)"``, or a list of the known words if none is similar."""
     options = list(known)
     close = difflib.get_close_matches(word, options, n=1, cutoff=0.5)
     if close:

@@ -1,4 +1,4 @@
-"""The plugin registry: entry points and plain files, checked at registration, one door for all."""
+"""The plugin registry: plugins from entry points and from plain files, checked at registration."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from nrbench.plugins.parameters import nearest, validated
 
 @dataclass(frozen=True)
 class Form:
-    """What a kind of plugin must offer.
+    """The requirements of a kind of plugin.
 
     Parameters
     ----------
     noun
-        What one is called.
+        The word for one plugin of this kind, for messages.
     methods
-        Each with the number of arguments it is called with.
+        The required methods, each with its number of arguments.
     taken
-        Names of the arguments that :mod:`nrbench.api` takes beside the parameters: none of these may be called so.
+        Names that no parameter may have, because functions of :mod:`nrbench.api` have arguments of these names.
     """
 
     noun: str
@@ -41,7 +41,7 @@ class Form:
 
     @property
     def method(self) -> str:
-        """The method that tells this form from the others."""
+        """The first required method, by which the kind of a class is recognized."""
         return next(iter(self.methods))
 
 
@@ -56,20 +56,21 @@ FORMS: Mapping[str, Form] = {
 
 @dataclass(frozen=True)
 class Plugin:
-    """One registered plugin, or what kept it from being one.
+    """A registered plugin, or one that is broken.
 
     Parameters
     ----------
     kind, name
-        A key of :data:`FORMS`, and the name it is called by.
+        A key of :data:`FORMS`, and the name of the plugin.
     cls
-        The frozen dataclass; None where it is broken.
+        The frozen dataclass; None if the plugin is broken.
     distribution
-        The installed distribution (or file) it comes from.
+        The installed distribution or the file that defines it.
     version
-        What goes into keys: the class's ``version``, else the distribution's; for a plain file its hash as well.
+        The version in the keys of cells: the ``version`` of the class, else that of the distribution; for a plain file
+        also a hash of the file.
     error
-        The traceback or the finding, where it is broken or a duplicate; else empty.
+        The traceback or a message if the plugin is broken or a duplicate; else empty.
     """
 
     kind: str
@@ -91,7 +92,7 @@ def add_file(path: str | Path) -> None:
     Raises
     ------
     BadInput
-        When the file is missing, does not import, or defines no plugin.
+        When the file is missing, cannot be imported, or defines no plugin, or when a name is taken.
     """
     file = Path(path).resolve()
     if file in _files:
@@ -113,12 +114,12 @@ def files() -> list[str]:
 
 
 def names(kind: str) -> list[str]:
-    """Return the names registered for ``kind``, without loading anything."""
+    """Return the names of all plugins of a kind, without loading them."""
     return list(dict.fromkeys([*_entry_points(kind), *(plugin.name for plugin in _from_files(kind))]))
 
 
 def inventory(kind: str) -> list[Plugin]:
-    """Load every plugin of a kind; broken and duplicate ones are listed with their error, and harm no other."""
+    """Load every plugin of a kind. Broken and duplicate plugins are included, with their errors."""
     listed = [_load(kind, point, i > 0) for points in _entry_points(kind).values() for i, point in enumerate(points)]
     return listed + list(_from_files(kind))
 
@@ -129,7 +130,7 @@ def find(kind: str, name: str) -> Plugin:
     Raises
     ------
     BadInput
-        When there is none (naming the nearest), or it is broken.
+        When there is no such plugin (the message names the nearest), or it is broken.
     """
     for plugin in _from_files(kind):
         if plugin.name == name:
@@ -152,7 +153,7 @@ def build(kind: str, name: str, parameters: Mapping[str, Any] | None = None) -> 
     Raises
     ------
     BadInput
-        For an unknown plugin or parameter (naming the nearest), or a value of the wrong type or range.
+        For an unknown plugin or parameter (the message names the nearest), or a value of the wrong type or range.
     """
     cls = find(kind, name).cls
     assert cls is not None
@@ -160,7 +161,7 @@ def build(kind: str, name: str, parameters: Mapping[str, Any] | None = None) -> 
 
 
 def parameters_of(plugin: Any) -> dict[str, Any]:
-    """Return a plugin instance's parameters, defaults filled in, JSON-ready."""
+    """Return all parameters of a plugin instance, including defaults, as values that JSON can hold."""
     return {field.name: _plain(getattr(plugin, field.name)) for field in dataclasses.fields(plugin)}
 
 
@@ -172,7 +173,7 @@ def _plain(value: Any) -> Any:
 
 @cache
 def _entry_points(kind: str) -> dict[str, list[EntryPoint]]:
-    """Return the entry points of a kind by name, ours before anybody's of the same name."""
+    """Return the entry points of a kind by name; of the same name, those of nrbench come first."""
     found = sorted(entry_points(group=f"nrbench.{kind}"), key=lambda point: _distribution(point)[0] != "nrbench")
     grouped: dict[str, list[EntryPoint]] = {}
     for point in found:
@@ -203,7 +204,7 @@ def _load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
 
 
 def fault(kind: str, cls: Any) -> str:
-    """Return what keeps a class from being a plugin of ``kind``, in one sentence; empty where nothing does."""
+    """Return one sentence about why a class is no valid plugin of a kind; empty if it is valid."""
     checks = (_form_fault, _field_fault, _method_fault, _column_fault)
     return next((found for check in checks if (found := check(kind, cls))), "")
 
@@ -216,7 +217,7 @@ def _form_fault(kind: str, cls: Any) -> str:
         return f"{label} is not frozen; decorate it with @dataclass(frozen=True)"
     name = str(getattr(cls, "name", "x"))
     if not re.fullmatch(r"[\w.-]+", name):
-        return f"{label}: its name {name!r} cannot be called; use letters, digits, '.', '-' and '_'"
+        return f"{label}: its name {name!r} is not valid; use letters, digits, '.', '-' and '_'"
     own_page = cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
     return "" if own_page else f"{label} has no docstring; write one, it is the plugin's page"
 

@@ -1,4 +1,4 @@
-"""The cell: one texture, one method, one lattice source, one replicate - and the key that names its result."""
+"""The cell: one texture, one method, one lattice source and one replicate, and the key that names its result."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from nrbench.plugins.forms import Again, FoundLattice, Region, Shape, Texture
 from nrbench.streams import stream
 
 RESULTS_VERSION = 4
-"""Raised whenever a kernel changes an output or a score: results of other versions are never reused."""
+"""Increased whenever a change of the code changes an output or a score. Results of other versions are never reused."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a texture is drawn: dataset, parameters and the entropy of its streams.
+    """All that is needed to draw a texture: dataset, parameters and the entropy of its random streams.
 
     Parameters
     ----------
     dataset, parameters
-        The plugin's name and its parameters, defaults filled in.
+        The plugin's name and its parameters, including defaults.
     seed, texture, replicate
-        The suite's seed, the row's name and the replicate: the entropy of the streams.
+        The entropy of the random streams: the suite's seed, the row's name and the replicate.
     shape
         Shape (height, width) of the sample.
     """
@@ -45,7 +45,7 @@ class Recipe:
 
     @property
     def procedural(self) -> bool:
-        """Whether the texture comes from a model (rather than from a picture)."""
+        """Whether the texture is drawn by a model and not read from a picture."""
         return bool(getattr(plugins.find("datasets", self.dataset).cls, "procedural", True))
 
     def render(self) -> Texture:
@@ -68,39 +68,39 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Cell:
-    """All that decides a result, and what the tables say of it.
+    """All that determines a result, and the description of the result in tables.
 
     Parameters
     ----------
     suite, texture, family, kind, regular_share, description, region
-        What the tables print of the texture.
+        The description of the texture in tables.
     recipe
-        How the sample is drawn.
+        The recipe of the sample.
     method, version, parameters
-        The synthesizer, its version, and its parameters with defaults filled in.
+        The synthesizer, its version, and its parameters, including defaults.
     label
-        The method with only those parameters that differ from the defaults.
+        The method with those parameters that differ from their defaults.
     reference
-        Whether the row calibrates the scores and is never ranked.
+        Whether the method calibrates the scores and is never ranked.
     lattice_source
         ``given``, ``own``, a detector's name, the numbers ``x1,y1,x2,y2``, or ``none`` for a method that uses
         no lattice.
     detector
-        Name, version and parameters of the detector, where ``lattice_source`` is one.
+        Name, version and parameters of the detector, if ``lattice_source`` is one.
     lattice_given, lattice_truth
-        The lattice that the method is given, and the true one, in the sample's coordinates.
+        The lattice that the method gets, and the true one, in the sample's coordinates.
     detected
         The result of the detector, also if it found no lattice; None before it has run.
     replicate, seed
-        The draw, and the suite's seed.
+        The number of the draw, and the suite's seed.
     shape
         Shape (height, width) of the output.
     sample_hash
-        Hash of the sample's pixels; empty where the texture could not be drawn.
+        Hash of the sample's pixels; empty if the texture could not be drawn.
     procedural
-        Whether the texture comes from a model; a metric can then draw it again.
+        Whether the texture is drawn by a model; a metric can then draw it again.
     again_hash
-        For a picture and a reference method: hash of the region that the method is given.
+        For a picture and a reference method: hash of the region that the method gets.
     fault
         Why the cell cannot be run (the texture could not be drawn, no lattice was found); empty otherwise.
     fault_status
@@ -136,7 +136,7 @@ class Cell:
 
     @property
     def key(self) -> str:
-        """Hexadecimal hash of all that decides the result: the name of the cell's folder."""
+        """Hexadecimal hash of all that determines the result: the name of the cell's folder."""
         decides: dict[str, Any] = {
             "results": RESULTS_VERSION,
             "method": [self.method, self.version, dict(self.parameters)],
@@ -152,7 +152,7 @@ class Cell:
         return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the cell, JSON-ready."""
+        """Return the cell as a mapping that can be written as JSON."""
         mapping = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
         mapping["recipe"] = _recipe_dict(self.recipe)
         for name in ("lattice_given", "lattice_truth", "detected"):
@@ -162,7 +162,7 @@ class Cell:
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Cell:
-        """Rebuild a cell from :meth:`as_dict`."""
+        """Build a cell from the mapping of :meth:`as_dict`."""
         values = {key: value for key, value in mapping.items() if key != "key"}
         values["recipe"] = Recipe(**{**values["recipe"], "shape": tuple(values["recipe"]["shape"])})
         for name in ("lattice_given", "lattice_truth"):

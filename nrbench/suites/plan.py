@@ -1,4 +1,4 @@
-"""The plan of a suite: its samples, drawn, and every cell that a run has to fill."""
+"""The plan of a suite: its samples, and the cells of a run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from nrbench.suites.suite import Suite, TextureRow
 
 @dataclass(frozen=True)
 class Method:
-    """A synthesizer as a suite names it, checked.
+    """A synthesizer with parameters, as named in a suite.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Method:
 
     @classmethod
     def parse(cls, spec: str) -> Method:
-        """Read ``name:param=value,...``; raise BadInput for an unknown method or parameter, or a bad value."""
+        """Parse ``name:param=value,...``; raise BadInput for an unknown method or parameter, or a bad value."""
         name, given = parse_spec(spec)
         instance = plugins.build("synthesizers", name, given)
         plugin = plugins.find("synthesizers", name)
@@ -75,7 +75,7 @@ def _defaults(cls: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Source:
-    """Where a method's lattice comes from: ``given``, ``own``, ``none``, a detector, or the user.
+    """The source of a method's lattice: ``given``, ``own``, ``none``, a detector, or numbers from the user.
 
     Parameters
     ----------
@@ -93,9 +93,9 @@ class Source:
 
     @classmethod
     def parse(cls, text: str) -> Source:
-        """Read an entry of the lattice axis.
+        """Parse an entry of the lattice axis.
 
-        ``none`` is not accepted: a method itself declares that it uses no lattice.
+        ``none`` is not accepted, because methods themselves declare that they use no lattice.
 
         Raises
         ------
@@ -109,7 +109,7 @@ class Source:
         name, given = parse_spec(text)
         if name not in plugins.names("detectors"):
             known = ", ".join(["given", "own", "x1,y1,x2,y2 (px)", *plugins.names("detectors")])
-            raise BadInput(f"--lattice {text!r}: is not known; use one of: {known}")
+            raise BadInput(f"--lattice {text!r} is not known; use one of: {known}")
         parameters = plugins.parameters_of(plugins.build("detectors", name, given))
         return cls(text, (name, plugins.find("detectors", name).version, parameters))
 
@@ -138,8 +138,8 @@ class Origin:
     def of(cls, suite: Suite, row: TextureRow) -> Origin:
         """Return the origin of a row's samples.
 
-        A picture whose row has the recipe of a model is drawn by that recipe, if the recipe gives the picture's pixels
-        and the lattice that ``truth.csv`` has for it.
+        If the row of a picture has the recipe of a model, the texture is drawn by this recipe, provided that it gives
+        the pixels of the picture and its lattice in ``truth.csv``.
 
         Raises
         ------
@@ -173,7 +173,7 @@ class Origin:
 
 
 def _has_lattice_of(texture: Texture, picture: Texture) -> bool:
-    """Return whether the known lattice of a picture, if any, is that of a texture: vectors and origin to 1e-9 px."""
+    """Return whether a picture has the lattice of a texture, up to 1e-9 px, or no known lattice."""
     own, known = texture.lattice, picture.lattice
     if own is None or known is None:
         return known is None
@@ -183,12 +183,12 @@ def _has_lattice_of(texture: Texture, picture: Texture) -> bool:
 
 @dataclass(frozen=True)
 class Sample:
-    """A texture drawn for a run, shared by its cells.
+    """A texture that is drawn for a run, shared by its cells.
 
     Parameters
     ----------
     row, recipe
-        The suite's row, and how the texture was drawn.
+        The suite's row, and the recipe of the texture.
     texture
         The texture, its image rounded to 8 bits; None if drawing failed.
     shape
@@ -213,7 +213,7 @@ class Sample:
 
     @property
     def again(self) -> Image | None:
-        """The region of :attr:`again_hash`. It is cut on each call: a plan does not keep those of all pictures."""
+        """The region of :attr:`again_hash`. It is cut at each access, so that a plan does not hold all regions."""
         return _fresh_region(self.recipe, self.texture, self.shape) if self.again_hash and self.texture else None
 
 
@@ -226,9 +226,9 @@ class Plan:
     suite
         The suite, with the options of the command line.
     samples
-        One a texture and replicate.
+        One for each texture and replicate.
     cells
-        Each with its sample.
+        All cells, each with its sample.
     """
 
     suite: Suite
@@ -242,9 +242,9 @@ def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
     Parameters
     ----------
     suite
-        What to run.
+        The suite.
     textures
-        Shell patterns of texture names; all textures if empty.
+        Shell patterns of texture names. Empty: all textures.
 
     Raises
     ------

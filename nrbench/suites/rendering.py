@@ -1,7 +1,7 @@
 """Write textures as PNG files, with ``truth.csv``, ``truth.json`` and a contact sheet beside them.
 
-``truth.csv`` is for people and other programs: names, vectors, kinds. ``truth.json`` also holds the recipe of each
-picture, so that a run on the directory knows as much as a run of the suite that it was rendered from.
+``truth.csv`` holds names, vectors and kinds for people and other programs. ``truth.json`` also holds the recipe of each
+picture, so that a run on the directory has the same truth as a run of the suite from which it was rendered.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def model_suite(spec: str) -> Suite:
 def write_textures(samples: Iterable[Sample], directory: Path) -> list[Path]:
     """Write each texture as ``NAME.png`` (``NAME-REPLICATE.png`` from the second on), its truth, and a contact sheet.
 
-    Other pictures of an earlier render in ``directory`` stay, with their truth, and are on the contact sheet too. A
-    picture of the same name is replaced if a model can draw it again. Everything is checked before a file is written.
+    Other pictures of an earlier render in ``directory`` are kept with their truth, and are also on the contact sheet. A
+    picture of the same name is replaced if a model can draw it again. All checks precede the first write.
 
     Returns
     -------
@@ -55,8 +55,8 @@ def write_textures(samples: Iterable[Sample], directory: Path) -> list[Path]:
     Raises
     ------
     BadInput
-        When a texture cannot be drawn, two textures have one name, ``directory`` is a file, or a file would be lost:
-        truth files of another origin, or other pictures of the same names.
+        When a texture cannot be drawn, two textures have the same name, ``directory`` is a file, or a file would be
+        lost (a truth file of another origin, or another picture of the same name).
     """
     existing = _Rendered.read(directory)
     by_name = _by_name(samples)
@@ -78,7 +78,7 @@ def write_textures(samples: Iterable[Sample], directory: Path) -> list[Path]:
 
 
 def _by_name(samples: Iterable[Sample]) -> _ByName:
-    """Return textures by file name; names that differ only in case are equal on some systems."""
+    """Return textures by file name. Names that differ only in case are refused, as they are equal on some systems."""
     by_name: _ByName = {}
     taken = {SHEET}
     for sample in samples:
@@ -112,7 +112,7 @@ class _Rendered:
 
     @classmethod
     def read(cls, folder: Path) -> _Rendered:
-        """Read the truth of the pictures that still exist; of a new directory, nothing.
+        """Read the truth of the pictures that exist in a directory; a new directory has none.
 
         Raises
         ------
@@ -170,7 +170,7 @@ def _is_known(known: Any) -> bool:
 
 
 def _holds(path: Path, image: Image) -> bool:
-    """Return whether a file holds this picture, as after an interrupted render."""
+    """Return whether a file holds the given picture; this is so after an interrupted render."""
     try:
         return pixels_hash(read_image(path)) == pixels_hash(image)
     except BadInput:

@@ -1,4 +1,4 @@
-"""Suites: which textures, methods and lattice sources make up a run, as TOML."""
+"""Suites: the textures, methods and lattice sources of a run, as TOML."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ from nrbench.plugins.parameters import nearest
 
 LARGEST_SIDE = 16384
 DEFAULT = "default"
-"""The suite that runs where none is named; a directory of pictures takes its methods."""
+"""The suite that runs if none is named. Its methods are also those of a directory of pictures."""
 
 PICTURE_SIZES = {"sample": "256x256", "size": "256x256"}
-"""Of a directory of pictures: samples that hold some periods of a wall, outputs for which there is room beside them."""
+"""Sizes for a directory of pictures. A sample shows several periods of a wall, and pictures have room for an output
+beside it."""
 
 
 def parse_size(text: Any) -> Shape:
@@ -58,7 +59,7 @@ _Name = Annotated[str, Field(pattern=r"^[^/\\\x00-\x1f]*[^/\\\x00-\x1f.][^/\\\x0
 
 
 class Drawing(BaseModel):
-    """How a picture in a file was once drawn: see :class:`~nrbench.suites.cell.Recipe`."""
+    """The recipe from which a picture in a file was drawn: see :class:`~nrbench.suites.cell.Recipe`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     dataset: str
@@ -70,12 +71,13 @@ class Drawing(BaseModel):
 
 
 class TextureRow(BaseModel):
-    """One texture of a suite: a dataset with its parameters, under a name.
+    """One texture of a suite: a dataset with its parameters, and a name.
 
-    ``departure`` says which departure the row is about, ``level`` how strong: reports group by them.
+    ``departure`` and ``level`` are the type and the strength of the departure that the row examines. Reports group by
+    them.
 
-    A picture that was rendered from a model may say by ``recipe`` how: where the recipe still gives the same pixels,
-    the texture is drawn by it, and all of its truth is known.
+    A picture that was rendered from a model may have a ``recipe``. If the recipe still gives the same pixels, the
+    texture is drawn by it, and its complete truth is known.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -93,7 +95,7 @@ class TextureRow(BaseModel):
 
 
 class GridPart(BaseModel):
-    """A part of a texture's row: some of its keys, and words for its texts."""
+    """A part of a texture's row: some of its keys, and values for its texts."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
     parameters: dict[str, Any] = {}
@@ -102,9 +104,10 @@ class GridPart(BaseModel):
 class Grid(GridPart):
     """Textures as a product: one row for each combination of one entry of each axis.
 
-    A row has the keys of the grid and of its entries. Where several give the same key, the later axis wins;
-    ``parameters`` are merged. ``{key}`` in a row's text stands for the value of that key. A key that no texture has
-    serves these texts only. The last axis varies fastest. The rows of all grids follow the ``[[texture]]`` tables.
+    A row has the keys of the grid and of its entries. If several of them have the same key, that of the last axis is
+    used; ``parameters`` are merged. ``{key}`` in a text of a row is replaced by the value of that key. Keys that are no
+    fields of a texture are used in such texts only. The last axis varies fastest. The rows of all grids come after the
+    ``[[texture]]`` tables.
 
     Examples
     --------
@@ -128,7 +131,7 @@ class Grid(GridPart):
         Raises
         ------
         ValueError
-            When a text names a key that neither the grid nor its entries have, or when a key is used nowhere.
+            When a text names a key that neither the grid nor its entries have, or when a key is not used.
         """
         for entries in itertools.product(*self.axes):
             row: dict[str, Any] = {}
@@ -162,21 +165,23 @@ _WORD = re.compile(r"\{(\w+)\}")
 
 
 class Suite(BaseModel):
-    """Textures x methods x lattice sources x replicates, and the seed of them all.
+    """A suite: the cells are textures x methods x lattice sources x replicates.
 
     Attributes
     ----------
+    seed
+        The seed of all random streams.
     sample, size
-        Shapes (height, width) of sample and output; a texture's own go first.
+        Shapes (height, width) of sample and output. Those of a texture's row take precedence.
     lattice
         ``given``, ``own``, a detector's name (with parameters), or a lattice's numbers ``x1,y1,x2,y2``.
     metrics
-        The metrics that score the cells; none named: all that there are.
+        The metrics that score the cells. Empty: all metrics.
     methods
         Methods as on the command line: ``name:param=value,...``.
     texture
-        The textures. In a file they are ``[[texture]]`` tables, or :class:`Grid` tables (``[[grid]]``), which stand for
-        several textures each.
+        The textures. In a file they are ``[[texture]]`` tables, or ``[[grid]]`` tables of several textures each; see
+        :class:`Grid`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -200,7 +205,7 @@ class Suite(BaseModel):
 
     @property
     def _unset(self) -> dict[str, Any]:
-        """The later keys that this suite does not use: suites without them keep the hash that they had."""
+        """The unused keys that older versions did not have. The hash leaves them out, so that it stays the same."""
         rows = {
             i: {key for key in ("departure", "level") if getattr(row, key) in ("", None)}
             for i, row in enumerate(self.texture)
@@ -218,7 +223,7 @@ def validated_suite(content: dict[str, Any], where: str) -> Suite:
     Raises
     ------
     BadInput
-        For an unknown key (naming the nearest valid one), a wrong value, no texture, or two of the same name.
+        For an unknown key (the message names the nearest), a wrong value, no texture, or two textures of one name.
     """
     try:
         suite = Suite.model_validate(_without_grids(content, where))
@@ -227,7 +232,7 @@ def validated_suite(content: dict[str, Any], where: str) -> Suite:
     rows = [row.name for row in suite.texture]
     twice = next((name for i, name in enumerate(rows) if name in rows[:i]), None)
     if twice is not None:
-        raise BadInput(f"{where}: two textures are called {twice!r}; rename one")
+        raise BadInput(f"{where}: two textures have the name {twice!r}; rename one")
     if not rows:
         raise BadInput(f"{where}: has no texture; add a [[texture]] table with name and dataset")
     return suite
@@ -262,7 +267,7 @@ def _first(error: ValidationError) -> str:
 
 @cache
 def builtin() -> dict[str, Traversable]:
-    """Return the suites that are installed, by name."""
+    """Return the installed suites by name."""
     packages = [files(point.value) for point in entry_points(group="nrbench.suites")]
     found = {item.name.removesuffix(".toml"): item for package in packages for item in package.iterdir()}
     return {name: item for name, item in sorted(found.items()) if item.name.endswith(".toml")}
@@ -303,7 +308,7 @@ def _parse(text: str, where: str) -> Suite:
 
 
 def directory_suite(directory: Path) -> Suite:
-    """Return a suite of all pictures in a directory, by the dataset plugin that can list one (``directory_rows``)."""
+    """Return a suite of all pictures in a directory. A dataset plugin with ``directory_rows`` lists them."""
     for plugin in plugins.inventory("datasets"):
         lister = getattr(plugin.cls, "directory_rows", None)
         if lister is not None:
@@ -327,6 +332,6 @@ def _validated_row(row: Mapping[str, Any], directory: Path) -> TextureRow:
 
 
 def _common_seed(rows: Sequence[TextureRow]) -> int:
-    """Return the seed of the suite that all pictures were rendered from; 0 where they were not, or from several."""
+    """Return the seed of the suite from which all pictures were rendered; 0 if there is not exactly one."""
     seeds = {row.recipe.seed if row.recipe else None for row in rows}
     return (seeds.pop() or 0) if len(seeds) == 1 else 0

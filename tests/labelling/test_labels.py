@@ -161,7 +161,7 @@ BAD = {
     "item,answer,order\nx,lost,1\n": "expected columns item, answer, seconds, order",
     "item;answer;seconds;order\nx;lost;1;1\n": "expected columns item, answer, seconds, order",
     "": "got none",
-    "item,answer,seconds,order\n": "holds no answer",
+    "item,answer,seconds,order\n": "has no answers",
     "item,answer,seconds,order\nITEM,broken,1,1\n": "use one of: preserved, lost, cannot say",
     "item,answer,seconds,order\nITEM,lost,soon,1\n": "must be numbers",
     "item,answer,seconds,order\nITEM,lost,-1,1\n": "is no answer as the page saves it",

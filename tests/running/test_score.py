@@ -40,8 +40,8 @@ def test_a_metric_that_raises_takes_no_other_with_it(monkeypatch: pytest.MonkeyP
     ("lattice", "reason"),
     [("2,0,0,2", "explains 0% of the sample's variance"), ("500,0,0,500", "smaller than a window of 2 tiles")],
 )
-def test_a_lattice_that_cannot_be_judged_says_why(lattice: str, reason: str) -> None:
-    """Too fine or too large a lattice leaves every column of regularity None, and no metric fails."""
+def test_an_unsuitable_lattice_gives_a_reason(lattice: str, reason: str) -> None:
+    """For a too fine or too coarse lattice, every column of regularity is None, and no metric fails."""
     sheet = nrbench.score(*pair()[:2], lattice=lattice)
     found = {name: sheet.reasons[name] for name, value in sheet.values.items() if name.startswith("regularity.")}
     assert all(reason in why for why in found.values())
@@ -49,7 +49,7 @@ def test_a_lattice_that_cannot_be_judged_says_why(lattice: str, reason: str) -> 
 
 
 def test_what_is_not_measured_is_not_zero() -> None:
-    """Of a gray output neither drift nor single tiles are told: both are None, with a reason."""
+    """For a constant output, drift and single tiles cannot be measured: the columns are None, with a reason."""
     sample, output, lattice = pair()
     sheet = nrbench.score(sample, np.full_like(output, 0.5), lattice=lattice)
     assert sheet.values["regularity.preserved"] is False

@@ -60,7 +60,7 @@ def test_a_grid_without_axes_is_one_texture() -> None:
             {**GRID, "axes": [PATTERNS, [{"strength": "mild", "level": 1, "parameters": 3}]]},
             r"grid\.0\.axes\.1\.0\.par",
         ),
-        ({**GRID, "name": "{dataset}"}, "two textures are called 'brick'"),
+        ({**GRID, "name": "{dataset}"}, "two textures have the name 'brick'"),
         ({**GRID, "size": "3"}, "write WIDTHxHEIGHT"),
         (3, "write .*grid"),
     ],

@@ -1,4 +1,4 @@
-"""The lattice axis: detectors and manual lattices as sources, and what a detector answered as part of the tables."""
+"""The lattice axis: detectors and manual lattices as sources, and the results of detectors in the tables."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def suite(*lattice: str, methods: tuple[str, ...] = ("lattice-only",), **more: o
 
 
 @pytest.fixture(scope="module")
-def asked(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """Return a run of a method that needs a lattice and two that do not, the lattice found by gncc."""
-    return run(suite("gncc", methods=METHODS), out=tmp_path_factory.mktemp("asked"), options=Options(jobs=0))
+def gncc_run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Return a run with the detector gncc, of a method that needs a lattice and two methods that do not."""
+    return run(suite("gncc", methods=METHODS), out=tmp_path_factory.mktemp("gncc"), options=Options(jobs=0))
 
 
 def test_a_manual_lattice_is_a_source_of_its_own() -> None:
-    """Its numbers are the name of the source, it is handed over, and it is part of the key."""
+    """The numbers of the lattice are the name of the source; the method gets it, and it is part of the key."""
     cells = {cell.lattice_source: cell for cell, _ in make_plan(suite("27.3,0,13.65,12.2", "30,0,0,20", "own")).cells}
     given = cells["27.3,0,13.65,12.2"].lattice_given
     assert given is not None and (given.t1, given.t2) == ((27.3, 0.0), (13.65, 12.2))
@@ -43,7 +43,7 @@ def test_a_manual_lattice_is_a_source_of_its_own() -> None:
 
 
 def test_one_lattice_has_one_name() -> None:
-    """Spellings of the same numbers are one source; negative numbers are numbers, not options."""
+    """Different spellings of the same numbers are one source; negative numbers are no options."""
     names = [cell.lattice_source for cell, _ in make_plan(suite("30,0,-10,20", " 30.0, 0,-1e1,20.00")).cells]
     assert names == ["30,0,-10,20"] * 2
 
@@ -61,29 +61,29 @@ def test_one_lattice_has_one_name() -> None:
     ],
 )
 def test_bad_sources(text: str, message: str) -> None:
-    """What is no word of the axis, no lattice and no detector is refused, and the ways are named."""
+    """A text that is no keyword, lattice or detector is refused; the message lists the valid forms."""
     with pytest.raises(BadInput, match=message):
         Source.parse(text)
 
 
 def test_a_detector_with_parameters_is_no_manual_lattice() -> None:
-    """Commas after a colon part parameters."""
+    """Commas after a colon separate parameters."""
     source = Source.parse("gncc:alpha=1.3,overlap=0.8")
     assert source.lattice is None and source.detector is not None and source.detector[2]["overlap"] == 0.8
 
 
-def test_what_a_detector_said_is_in_the_record(asked: Run) -> None:
-    """A lattice with confidence and seconds, or the reason why there is none."""
-    records = {(record.texture, record.cell.method): record.cell.detected for record in asked.cells}
+def test_the_result_of_a_detector_is_in_the_record(gncc_run: Run) -> None:
+    """The record has a lattice with confidence and seconds, or the reason why there is none."""
+    records = {(record.texture, record.cell.method): record.cell.detected for record in gncc_run.cells}
     found, none = records["brick", "lattice-only"], records["noise", "lattice-only"]
     assert found is not None and found.lattice is not None and found.confidence is not None and found.seconds > 0
     assert none is not None and none.lattice is None and "chance" in none.reason and none.seconds > 0
     assert records["noise", "tiling"] == none
 
 
-def test_no_lattice_refuses_only_who_needs_one(asked: Run) -> None:
-    """Where the detector finds none a method that needs a lattice is refused, one that does not goes on without."""
-    status = {(record.texture, record.cell.method): record.status for record in asked.cells}
+def test_without_a_lattice_only_methods_that_need_one_are_refused(gncc_run: Run) -> None:
+    """If the detector finds no lattice, methods that need one are refused; the other methods run without."""
+    status = {(record.texture, record.cell.method): record.status for record in gncc_run.cells}
     assert status == {
         ("brick", "lattice-only"): "ok",
         ("brick", "rsgf"): "ok",
@@ -94,17 +94,17 @@ def test_no_lattice_refuses_only_who_needs_one(asked: Run) -> None:
     }
 
 
-def test_rsgf_goes_on_in_stochastic_mode_and_says_so(asked: Run) -> None:
-    """Where the detector finds none every position is a candidate, as where the method looks for a lattice itself."""
-    noise = next(record for record in asked.cells if (record.texture, record.cell.method) == ("noise", "rsgf"))
+def test_rsgf_runs_in_stochastic_mode_and_reports_it(gncc_run: Run) -> None:
+    """If the detector finds no lattice, every position is a candidate, as if the method itself had found none."""
+    noise = next(record for record in gncc_run.cells if (record.texture, record.cell.method) == ("noise", "rsgf"))
     assert noise.cell.lattice_given is None
     assert "stochastic mode" in noise.note and "chance" in noise.note
 
 
-def test_the_answer_reaches_the_tables(asked: Run) -> None:
-    """Found or not, exact or not, confidence and seconds are columns; only the suite's metrics have any."""
-    table = asked.table().set_index(["texture", "method"])
-    assert {name.partition(".")[0] for name in asked.columns} == {"lattice_recovery", "cost"}
+def test_the_detection_is_in_the_tables(gncc_run: Run) -> None:
+    """The table says whether a lattice was found and is exact, its confidence and seconds; other metrics are absent."""
+    table = gncc_run.table().set_index(["texture", "method"])
+    assert {name.partition(".")[0] for name in gncc_run.columns} == {"lattice_recovery", "cost"}
     brick, noise = table.loc[("brick", "lattice-only")], table.loc[("noise", "lattice-only")]
     assert brick["lattice_recovery.found"] and brick["lattice_recovery.exact"]
     assert 0 < brick["lattice_recovery.confidence"] <= 1 and brick["lattice_recovery.vector_error"] < 0.5
@@ -112,8 +112,8 @@ def test_the_answer_reaches_the_tables(asked: Run) -> None:
     assert brick["cost.detection_seconds"] > 0 and noise["cost.detection_seconds"] > 0
 
 
-def test_a_detector_that_fails_is_no_answer(faulty: Path, tmp_path: Path) -> None:
-    """Its cells are errors of the phase `detect`, whatever the method needs; nothing is recorded as its answer."""
+def test_a_detector_that_fails_has_no_result(faulty: Path, tmp_path: Path) -> None:
+    """Its cells are errors of the phase `detect` for every method, and no detection is recorded."""
     found = run(suite("blind"), out=tmp_path, options=Options(jobs=0))
     assert {(record.status, record.phase, record.cell.detected) for record in found.cells} == {
         ("error", "detect", None)
@@ -122,22 +122,22 @@ def test_a_detector_that_fails_is_no_answer(faulty: Path, tmp_path: Path) -> Non
     assert set(tabulate_answers(found)["answer"]) == {"failed"}
 
 
-def test_a_finished_run_is_resumed(asked: Run) -> None:
-    """The same suite again starts nothing, and the answers are those on disk."""
-    before = {path: path.stat().st_mtime_ns for path in asked.root.rglob("*.json")}
-    again = run(suite("gncc", methods=METHODS), out=asked.root, options=Options(jobs=0))
-    assert {path: path.stat().st_mtime_ns for path in asked.root.rglob("*.json")} == before
-    assert [record.cell.detected for record in again.cells] == [record.cell.detected for record in asked.cells]
+def test_a_finished_run_is_resumed(gncc_run: Run) -> None:
+    """A second run of the same suite starts no cell and reads the detections from disk."""
+    before = {path: path.stat().st_mtime_ns for path in gncc_run.root.rglob("*.json")}
+    again = run(suite("gncc", methods=METHODS), out=gncc_run.root, options=Options(jobs=0))
+    assert {path: path.stat().st_mtime_ns for path in gncc_run.root.rglob("*.json")} == before
+    assert [record.cell.detected for record in again.cells] == [record.cell.detected for record in gncc_run.cells]
 
 
-def test_records_of_older_runs_can_be_read(asked: Run) -> None:
-    """A cell written before detections were recorded has none."""
-    old = {key: value for key, value in asked.cells[0].cell.as_dict().items() if key != "detected"}
+def test_records_of_older_runs_can_be_read(gncc_run: Run) -> None:
+    """A cell file without a detection can be read; older versions did not record detections."""
+    old = {key: value for key, value in gncc_run.cells[0].cell.as_dict().items() if key != "detected"}
     assert Cell.from_dict(old).detected is None
 
 
 def test_metrics_are_the_suites_choice(tmp_path: Path) -> None:
-    """A suite may name its metrics; an unknown one is refused with the nearest name, before anything is written."""
+    """A suite can name its metrics; for an unknown one the error names the nearest, and nothing is written."""
     assert metrics_of(suite("own", metrics=["cost", "cost"])) == ["cost"]
     assert {"regularity", "cost"} <= set(metrics_of(suite("own", metrics=[])))
     with pytest.raises(BadInput, match="did you mean 'cost'"):
@@ -146,10 +146,10 @@ def test_metrics_are_the_suites_choice(tmp_path: Path) -> None:
 
 
 def test_metrics_and_departures_are_in_the_hash() -> None:
-    """They tell suites apart; a suite that uses none has the hash of its other keys alone."""
+    """Both change the hash of a suite; unused, they do not."""
     core = load_suite("core")
     limited = core.with_changes(metrics=["cost"])
     rows = [row.model_dump(mode="json") for row in core.texture]
-    told = core.with_changes(texture=[{**rows[0], "departure": "color", "level": 0.0}, *rows[1:]])
-    assert len({core.hash, limited.hash, told.hash}) == 3
+    departures = core.with_changes(texture=[{**rows[0], "departure": "color", "level": 0.0}, *rows[1:]])
+    assert len({core.hash, limited.hash, departures.hash}) == 3
     assert limited.with_changes(metrics=[]).hash == core.hash

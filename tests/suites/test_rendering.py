@@ -1,4 +1,4 @@
-"""Claims about textures as files, and what a run on their directory knows."""
+"""Textures as files, and runs on their directory."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _cells(suite: Suite) -> list[Cell]:
 
 
 def test_what_is_written(folder: Path) -> None:
-    """A PNG for each texture and replicate, a contact sheet, and both truths, which agree."""
+    """The folder holds a PNG for each texture and replicate, a contact sheet, and two truth files that agree."""
     pictures = {f"{name}{number}.png" for name in ("wall", "cloth", "sand") for number in ("", "-1")}
     assert {path.name for path in folder.iterdir()} == pictures | {SHEET, "truth.csv", "truth.json"}
     truth = json.loads((folder / "truth.json").read_text("utf-8"))
@@ -61,7 +61,7 @@ def test_what_is_written(folder: Path) -> None:
 
 
 def test_a_run_on_the_directory_is_the_run_of_the_suite(folder: Path) -> None:
-    """Every cell of the directory has the key of a cell of the suite: nothing that decides a result differs."""
+    """Every cell of the directory has the key of a cell of the suite."""
     there = {(cell.key, cell.family, cell.regular_share) for cell in _cells(load_suite(folder))}
     rows = {row.name: (row.departure, row.level) for row in load_suite(folder).texture}
     assert rows["sand"] == rows["sand-1"] == ("noise", 0.5) and rows["wall"] == ("", None)
@@ -69,7 +69,7 @@ def test_a_run_on_the_directory_is_the_run_of_the_suite(folder: Path) -> None:
 
 
 def test_outputs_and_scores_are_identical(folder: Path, tmp_path: Path) -> None:
-    """Run on the directory, methods give the same bytes as run on the suite, and metrics the same numbers."""
+    """A run on the directory gives the same output bytes and the same scores as a run of the suite."""
     methods = ["tiling", "rsgf:block=16,border=4"]
     there = load_suite(folder).with_changes(methods=methods, lattice=["given"])
     found = [
@@ -92,7 +92,7 @@ def test_outputs_and_scores_are_identical(folder: Path, tmp_path: Path) -> None:
 
 
 def test_an_edited_truth_counts(folder: Path) -> None:
-    """Where truth.csv was given another lattice, the picture is one like any other, with that lattice."""
+    """If the lattice in truth.csv is edited, the picture is treated as a photograph with that lattice."""
     with (folder / "truth.csv").open(encoding="utf-8", newline="") as lines:
         rows = list(csv.DictReader(lines))
     next(row for row in rows if row["file"] == "wall.png")["originx"] = "2.5"
@@ -109,7 +109,7 @@ def test_an_edited_truth_counts(folder: Path) -> None:
 
 
 def test_an_edited_picture_is_a_photograph(folder: Path) -> None:
-    """Where the recipe no longer gives the picture's pixels, the picture counts, and its lattice stays known."""
+    """If the recipe no longer gives the pixels of the picture, the picture is used, with its known lattice."""
     before = {sample.row.name: sample for sample in draw_samples(load_suite(folder))}
     image = read_image(folder / "wall.png")
     image[3, 3] = 1 - image[3, 3]
@@ -124,8 +124,8 @@ def test_an_edited_picture_is_a_photograph(folder: Path) -> None:
     assert after["cloth"].recipe.dataset == "weave"
 
 
-def test_a_recipe_of_a_stranger_is_passed_over(folder: Path) -> None:
-    """A recipe of a dataset that is not installed here leaves a picture with its lattice."""
+def test_a_recipe_of_a_missing_dataset_is_ignored(folder: Path) -> None:
+    """If the dataset of a recipe is not installed, the picture is used, with its known lattice."""
     text = (folder / "truth.json").read_text("utf-8").replace('"dataset": "brick"', '"dataset": "nobody"')
     (folder / "truth.json").write_text(text, "utf-8")
     wall = next(sample for sample in draw_samples(load_suite(folder), ["wall"]))
@@ -133,7 +133,7 @@ def test_a_recipe_of_a_stranger_is_passed_over(folder: Path) -> None:
 
 
 def test_another_seed_draws_other_outputs_of_the_same_samples(folder: Path) -> None:
-    """--seed on a rendered directory changes the methods' streams, never the pictures."""
+    """The option --seed changes the random streams of the methods on a rendered directory, but not the pictures."""
     changed = _cells(load_suite(folder).with_changes(seed=9))
     assert {cell.sample_hash for cell in changed} == {cell.sample_hash for cell in _cells(load_suite(folder))}
     assert {cell.seed for cell in changed} == {9}
@@ -159,7 +159,7 @@ def _contents(directory: Path) -> dict[str, bytes]:
 
 
 def test_a_further_render_loses_nothing(folder: Path) -> None:
-    """What another model's render finds there is kept as it stands, and the contact sheet shows all of it."""
+    """A render of another model keeps the existing pictures and their truth, and the contact sheet shows all."""
     rows, textures, sheet = _rows(folder), _textures(folder), read_image(folder / SHEET)
     write_textures(draw_samples(model_suite("hexagon")), folder)
     after = {**_rows(folder)}
@@ -177,8 +177,8 @@ def test_a_further_render_loses_nothing(folder: Path) -> None:
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]
 
 
-def test_rendered_again_a_picture_is_told_anew(folder: Path) -> None:
-    """A picture of the same name is replaced with its truth; of one that is gone nothing is told any more."""
+def test_a_second_render_replaces_a_picture_and_its_truth(folder: Path) -> None:
+    """A picture of the same name is replaced with its truth; the truth of a deleted picture is removed."""
     before = _contents(folder)
     (folder / "sand.png").unlink()
     other = _suite(texture=[{"name": "wall", "dataset": "weave"}], replicates=1)
@@ -192,7 +192,7 @@ def test_rendered_again_a_picture_is_told_anew(folder: Path) -> None:
 
 
 def test_rendered_twice_nothing_changes(folder: Path) -> None:
-    """The same render gives the same files, to the byte; what a user added to truth.csv stays."""
+    """A second identical render gives the same bytes, and keeps the columns that a user added to truth.csv."""
     before = _contents(folder)
     write_textures(draw_samples(_suite()), folder)
     assert _contents(folder) == before
@@ -203,7 +203,7 @@ def test_rendered_twice_nothing_changes(folder: Path) -> None:
 
 
 def test_an_interrupted_render_goes_on(folder: Path) -> None:
-    """Pictures that were written before their truth was are no obstacle to the same render."""
+    """A render can be repeated after an interruption that left pictures without truth files."""
     before = _contents(folder)
     for name in ("truth.csv", "truth.json", SHEET, "sand.png"):
         (folder / name).unlink()
@@ -215,7 +215,7 @@ def test_an_interrupted_render_goes_on(folder: Path) -> None:
     ("name", "text", "message"),
     [
         ("truth.csv", "file,t1x,t1y,t2x,t2y\n", r"truth\.csv: was not written by `nrbench render` \(it lacks column"),
-        ("truth.csv", "name,city\nAda,London\n", r"truth\.csv line 1: lacks column 'file'"),
+        ("truth.csv", "name,city\nAda,London\n", r"truth\.csv line 1: column 'file' is missing"),
         ("truth.csv", None, r"line 2: '12,zero,0,9' are not four numbers.*Fix truth.csv first"),
         ("truth.json", "{", r"truth\.json: is no JSON .*pass another -o, or move it away"),
         ("truth.json", "[1]", r"truth\.json: was not written by `nrbench render`; pass another -o"),
@@ -226,7 +226,7 @@ def test_an_interrupted_render_goes_on(folder: Path) -> None:
     ],
 )
 def test_what_is_not_of_a_render_is_left_alone(tmp_path: Path, name: str, text: str | None, message: str) -> None:
-    """Files that a render would spoil are named in one error, and nothing is written."""
+    """If a render would overwrite files of another origin, the error names them, and nothing is written."""
     (tmp_path / "a.png").write_bytes(b"another's")
     header = "file,t1x,t1y,t2x,t2y,originx,originy,family,kind,regular_share"
     (tmp_path / name).write_text(f"{header}\na.png,12,zero,0,9,,,,,\n" if text is None else text, "utf-8")
@@ -237,7 +237,7 @@ def test_what_is_not_of_a_render_is_left_alone(tmp_path: Path, name: str, text: 
 
 
 def test_pictures_of_two_folders(tmp_path: Path) -> None:
-    """Of pictures a/p.png and b/p.png both are kept, under the names of their textures, or the second is refused."""
+    """Pictures of the same name from two folders get different names, or the second render is refused."""
     rng = np.random.default_rng(0)
     for name in "ab":
         (tmp_path / name).mkdir()
@@ -255,7 +255,7 @@ def test_pictures_of_two_folders(tmp_path: Path) -> None:
 
 
 def test_a_planned_picture_is_drawn_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plan of a rendered directory draws each picture's model a single time, and reads each file once."""
+    """A plan of a rendered directory draws the model of each picture once, and reads each file once."""
     renders: list[str] = []
     render = Recipe.render
 
@@ -270,7 +270,7 @@ def test_a_planned_picture_is_drawn_once(folder: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("names", [("a-1", "a"), ("contact-sheet", "b"), ("Wall", "wall")])
 def test_two_files_of_one_name(names: tuple[str, str]) -> None:
-    """A texture whose file would be another's, or the contact sheet, is refused."""
+    """A texture is refused if its file would have the name of another texture's or of the contact sheet."""
     suite = _suite(texture=[{"name": name, "dataset": "brick"} for name in names])
     with pytest.raises(BadInput, match="name of two pictures; rename the texture"):
         write_textures(draw_samples(suite), Path("out"))
@@ -287,7 +287,7 @@ def test_two_files_of_one_name(names: tuple[str, str]) -> None:
     ],
 )
 def test_a_malformed_recipe(folder: Path, change: object, message: str) -> None:
-    """A recipe that cannot be read is refused, by file and picture."""
+    """A recipe that cannot be read is refused; the message names file and picture."""
     truth = json.loads((folder / "truth.json").read_text("utf-8"))
     whole = {**truth["textures"]["wall.png"]["recipe"], **change} if isinstance(change, dict) else change
     truth["textures"]["wall.png"]["recipe"] = change if message == "recipe.dataset: " else whole
@@ -297,7 +297,7 @@ def test_a_malformed_recipe(folder: Path, change: object, message: str) -> None:
 
 
 def test_no_table_of_a_picture(folder: Path) -> None:
-    """What is said of a picture must be a table."""
+    """The entry of a picture in truth.json must be a table."""
     (folder / "truth.json").write_text('{"textures": {"wall.png": 3}}', "utf-8")
     with pytest.raises(BadInput, match=r"truth\.json: picture 'wall\.png': 3 is no table"):
         load_suite(folder)

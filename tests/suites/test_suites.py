@@ -47,7 +47,7 @@ def test_the_hash_tells_contents_apart() -> None:
     [
         ({"name": "x"}, "has no texture"),
         ({"name": "x", "sed": 3, "texture": [{"name": "a", "dataset": "brick"}]}, "did you mean 'seed'"),
-        ({"name": "x", "texture": [{"name": "a", "dataset": "brick"}] * 2}, "two textures are called 'a'"),
+        ({"name": "x", "texture": [{"name": "a", "dataset": "brick"}] * 2}, "two textures have the name 'a'"),
         ({"name": "x", "texture": [{"name": "a", "data": "brick"}]}, "did you mean 'dataset'"),
         ({"name": "x", "size": "3", "texture": [{"name": "a", "dataset": "brick"}]}, "write WIDTHxHEIGHT"),
         ({"name": "x", "seed": -1, "texture": [{"name": "a", "dataset": "brick"}]}, "seed"),

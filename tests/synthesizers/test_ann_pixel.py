@@ -18,7 +18,7 @@ from nrbench.synthesizers.ann_pixel import AnnPixel
 @pytest.mark.parametrize("neighborhood", [7, 10])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_a_texture_that_the_window_spans_is_continued(search: Any, neighborhood: int, channels: int) -> None:
-    """Below its random start the output repeats as the sample does, but where pieces of two phases meet."""
+    """Below its random start the output repeats like the sample, except where pieces of different phase meet."""
     sample = np.tile(noise(5, 6, channels), (9, 8, 1))
     made = synthesize(AnnPixel(neighborhood, search=search), sample, (60, 70))
     lower = made.image[20:, 12:-12]
@@ -28,7 +28,7 @@ def test_a_texture_that_the_window_spans_is_continued(search: Any, neighborhood:
 
 
 def test_a_texture_that_the_window_does_not_span_is_lost() -> None:
-    """Stripes farther apart than the window have nothing to tell where the next one is due."""
+    """If stripes are farther apart than the window, the method does not continue their period."""
     stripes = np.zeros((64, 64, 1), np.float32)
     stripes[::16, :, 0] = 1
     made = synthesize(AnnPixel(3), stripes, (128, 64))
@@ -47,7 +47,7 @@ def test_a_texture_that_the_window_does_not_span_is_lost() -> None:
 def test_every_pixel_is_the_samples_and_the_map_says_which(
     shape: tuple[int, int], neighborhood: int, channels: int, search: Any, coherence: float
 ) -> None:
-    """Whatever rules and shapes: all is copied, and the source map is true."""
+    """For all parameters and shapes, every pixel is a copy, and the source map is right."""
     sample = noise(14, 19, channels)
     made = checked_synthesis(
         synthesize(AnnPixel(neighborhood, search=search, coherence=coherence), sample, shape), sample, shape
@@ -59,7 +59,7 @@ def test_every_pixel_is_the_samples_and_the_map_says_which(
 
 
 def test_the_tree_finds_what_exhaustive_search_finds() -> None:
-    """With eps 0 both give the same bytes."""
+    """With eps 0 both searches give the same bytes."""
     for coherence in (0.0, 2.0):
         ann, all_of_them = (
             synthesize(AnnPixel(5, search=search, coherence=coherence), noise(40, 44), (50, 41)).source
@@ -69,7 +69,7 @@ def test_the_tree_finds_what_exhaustive_search_finds() -> None:
 
 
 def test_every_parameter_changes_something() -> None:
-    """No parameter is without effect."""
+    """Each parameter changes the output."""
     sample = quantize(0.8 * np.tile(noise(9, 10), (5, 5, 1)) + 0.2 * noise(45, 50, seed=1))
     coherent = {"search": "k-coherence", "coherence": 0.0}
     pairs: list[tuple[dict[str, Any], dict[str, Any]]] = [
@@ -82,14 +82,14 @@ def test_every_parameter_changes_something() -> None:
 
 
 def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
-    """All randomness is the task's."""
+    """The random stream of the task is the only source of randomness."""
     first, second, other = (synthesize(AnnPixel(), noise(40, 40), (50, 50), seed=k).image for k in (1, 1, 2))
     np.testing.assert_array_equal(first, second)
     assert (first != other).any()
 
 
 def test_a_sample_smaller_than_the_window_is_refused() -> None:
-    """The refusal tells both sizes: the window without the rows below its pixel."""
+    """The message names the sizes of the sample and of the window, whose rows below the pixel do not count."""
     with pytest.raises(Refused, match="10x6 px, the sample is 30x5 px"):
         synthesize(AnnPixel(10), noise(5, 30), (20, 20))
     assert (synthesize(AnnPixel(10), noise(6, 10), (9, 9)).image == noise(6, 10)[5, 5]).all()
@@ -103,6 +103,6 @@ def test_a_sample_smaller_than_the_window_is_refused() -> None:
     ],
 )  # fmt: skip
 def test_parameters_that_make_no_sense_are_refused(parameters: dict[str, Any]) -> None:
-    """Parameters out of range, or without meaning beside others, are named, with what to choose."""
+    """The message names a parameter that is out of range or has no effect, and valid values."""
     with pytest.raises(BadInput, match="choose"):
         AnnPixel(**parameters)

@@ -17,14 +17,14 @@ WHOLE = Lattice((24, 0), (0, 20))
 
 
 class Tiled:
-    """A mask that is known: a tile repeated on a lattice of whole px."""
+    """A known mask: a tile that is repeated on a lattice of whole pixels."""
 
     def __init__(self, tile: Image) -> None:
         self.tile = tile
         self.lattice = Lattice((tile.shape[1], 0), (0, tile.shape[0]))
 
     def draw(self, shape: tuple[int, int], offset: tuple[float, float] = (0.0, 0.0)) -> Image:
-        """Return the tile continued, interpolated along x and y."""
+        """Return the repeated tile, interpolated along x and y."""
         rows, columns = (np.arange(n) + start for n, start in zip(shape, offset[::-1], strict=True))
         across = self._between(self.tile, rows, 0)
         return self._between(across, columns, 1).astype(np.float32)
@@ -43,7 +43,7 @@ class Tiled:
 
 
 def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
-    """Return a smooth tile: noise, periodic, without its fine waves."""
+    """Return a smooth tile: periodic noise without high frequencies."""
     spectrum = np.fft.fft2(np.random.default_rng(seed).random((height, width, channels)), axes=(0, 1))
     waves = np.abs(np.fft.fftfreq(height)[:, None]) + np.abs(np.fft.fftfreq(width)) < 0.2
     tile = np.fft.ifft2(spectrum * waves[..., None], axes=(0, 1)).real
@@ -51,7 +51,7 @@ def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
 
 
 def waves_of(tile: Image) -> TextureMask:
-    """Return the mask of a tile repeated."""
+    """Return the mask of a repeated tile."""
     return MaskParameters().find_mask(np.tile(tile, (4, 4, 1)))
 
 
@@ -64,14 +64,14 @@ def synthesize(
     seed: int = 1,
     **task: Any,
 ) -> Synthesis:
-    """Run the method with a mask that is known."""
+    """Run the method with a known mask."""
     monkeypatch.setattr(MaskParameters, "find_mask", lambda *_, **__: mask)
     made = method.synthesize(Task(sample, shape, None, np.random.default_rng(seed), **task))
     return checked_synthesis(made, sample, shape)
 
 
 def varied(tile: Image, height: int, width: int, strength: float, seed: int = 3) -> Image:
-    """Return a sample: the tile continued, with smooth departures from it."""
+    """Return a sample: the repeated tile with smooth departures."""
     repeated = np.tile(tile, (height // tile.shape[0] + 1, width // tile.shape[1] + 1, 1))[:height, :width]
     departures = smooth(height, width, tile.shape[2], seed) - 0.5
     return quantize(np.clip(repeated + strength * departures, 0, 1))
@@ -83,7 +83,7 @@ def varied(tile: Image, height: int, width: int, strength: float, seed: int = 3)
 def test_a_whole_pixel_lattice_is_continued(
     seam: Any, normalized: bool, channels: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On a perfectly periodic sample with a perfect mask the output is the periodic continuation, to the bit."""
+    """For a perfectly periodic sample and a perfect mask, the output is exactly the periodic continuation."""
     tile = smooth(20, 24, channels)
     picture = quantize(np.tile(tile, (13, 13, 1)))
     method = FftmPatch(seam=seam, normalized=normalized, randomness=1e-4)
@@ -93,7 +93,7 @@ def test_a_whole_pixel_lattice_is_continued(
 
 
 def test_departures_from_the_mask_do_not_break_the_phase(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a sample that varies every pixel still comes from its own place in the tile, give or take a pixel."""
+    """For a sample with departures, every pixel comes from its own place in the tile, up to one pixel."""
     tile = smooth(20, 24)
     made = synthesize(FftmPatch(), varied(tile, 96, 96, 0.4), (150, 160), Tiled(tile), monkeypatch)
     assert made.source is not None
@@ -109,7 +109,7 @@ def test_departures_from_the_mask_do_not_break_the_phase(monkeypatch: pytest.Mon
 def test_any_shape_is_filled_with_copies(
     shape: tuple[int, int], channels: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Outputs smaller than a patch, than the sample, and lines: every pixel is the copy that the map names."""
+    """Every pixel is the copy that the source map names, also in small outputs and in lines of pixels."""
     tile = smooth(20, 24, channels)
     sample = varied(tile, 60, 66, 0.5)
     made = synthesize(FftmPatch(randomness=0.2), sample, shape, Tiled(tile), monkeypatch)
@@ -123,7 +123,7 @@ def test_any_shape_is_filled_with_copies(
 
 
 def test_every_parameter_changes_something(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No parameter is without effect on a sample that varies."""
+    """Each parameter changes the output of a sample with departures."""
     tile = smooth(20, 24)
     sample, mask = varied(tile, 72, 72, 0.7), waves_of(tile)
     changes: list[dict[str, Any]] = [
@@ -140,17 +140,17 @@ def test_every_parameter_changes_something(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_threshold_harmonics_and_signal_reach_the_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the mask is made by is what was asked."""
-    asked = []
+    """The mask is computed with the parameters of the method."""
+    calls = []
 
     def find_mask(self: MaskParameters, *_: Any, **__: Any) -> Any:
-        asked.append((self.threshold, self.harmonics, self.signal, self.channels))
+        calls.append((self.threshold, self.harmonics, self.signal, self.channels))
         return Tiled(smooth(20, 24))
 
     monkeypatch.setattr(MaskParameters, "find_mask", find_mask)
     method = FftmPatch(threshold=7.0, harmonics="free", signal="analytic", refinements=0)
     method.synthesize(Task(varied(smooth(20, 24), 48, 48, 0.1), (20, 20), None, np.random.default_rng(0)))
-    assert asked == [(7.0, "free", "analytic", "joint")]
+    assert calls == [(7.0, "free", "analytic", "joint")]
 
 
 def test_without_weight_the_mask_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,7 +162,7 @@ def test_without_weight_the_mask_does_not_matter(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_same_stream_gives_the_same_bytes_and_another_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All randomness is the task's."""
+    """The random stream of the task is the only source of randomness."""
     tile = smooth(20, 24)
     sample = varied(tile, 60, 60, 0.5)
     first, second, other = (synthesize(FftmPatch(), sample, (90, 90), Tiled(tile), monkeypatch, k) for k in (1, 1, 2))
@@ -171,16 +171,16 @@ def test_the_same_stream_gives_the_same_bytes_and_another_does_not(monkeypatch: 
 
 
 def test_progress_rises_to_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Progress is told window by window."""
-    told: list[float] = []
+    """Progress is reported window by window."""
+    reports: list[float] = []
     tile = smooth(20, 24)
-    synthesize(FftmPatch(), varied(tile, 60, 60, 0.5), (80, 80), Tiled(tile), monkeypatch, progress=told.append)
-    assert told == sorted(told)
-    assert len(told) > 20 and told[-1] == 1
+    synthesize(FftmPatch(), varied(tile, 60, 60, 0.5), (80, 80), Tiled(tile), monkeypatch, progress=reports.append)
+    assert reports == sorted(reports)
+    assert len(reports) > 20 and reports[-1] == 1
 
 
 def test_a_tileable_output_continues_at_its_edges(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Laid side by side it shows no jump that its inside does not; not tileable, it does."""
+    """Between copies laid side by side there is no larger jump than inside; without ``tileable`` there is."""
     tile = smooth(20, 24)
     sample, mask = varied(tile, 72, 72, 1.0), waves_of(tile)
 
@@ -197,7 +197,7 @@ def test_a_tileable_output_continues_at_its_edges(monkeypatch: pytest.MonkeyPatc
 
 
 def test_an_output_that_is_no_period_is_not_tileable(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The refusal says which size nearby is; so it does for outputs too small to have an inside."""
+    """The message names the nearest valid size; too small outputs are refused, too."""
     tile = smooth(20, 24)
     method, sample = FftmPatch(tileable=True), varied(tile, 60, 60, 0.3)
     with pytest.raises(Refused, match=r"nearest valid size: 9[678]x100"):
@@ -220,12 +220,12 @@ def test_an_output_that_is_no_period_is_not_tileable(monkeypatch: pytest.MonkeyP
     ],
 )
 def test_patches_are_tiles_of_some_size(tile: tuple[int, int], room: tuple[int, int], size: tuple[int, int]) -> None:
-    """As few tiles as make 24 px a side, 40 px where half the sample holds none, at most half the sample."""
+    """A patch has as few tiles as give 24 px a side; 40 px without a tile; at most half the sample."""
     assert automatic_size(cast(TextureMask, Tiled(smooth(*tile))), room) == size
 
 
 def test_a_sample_smaller_than_the_patch_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The refusal says what would fit."""
+    """The message names the largest valid patch."""
     tile = smooth(20, 24)
     with pytest.raises(Refused, match="patch <= 40"):
         synthesize(FftmPatch(patch=41), varied(tile, 40, 50, 0.1), (60, 60), Tiled(tile), monkeypatch)
@@ -236,28 +236,28 @@ def test_a_sample_smaller_than_the_patch_is_refused(monkeypatch: pytest.MonkeyPa
 
 
 def test_noise_has_no_regular_part() -> None:
-    """Where no wave stands out the method refuses, and says why."""
+    """A sample without regular waves is refused with a reason."""
     sample = quantize(np.random.default_rng(0).random((32, 32, 1), np.float32))
     with pytest.raises(Refused, match="no regular part"):
         FftmPatch().synthesize(Task(sample, (40, 40), None, np.random.default_rng(0)))
 
 
-def test_a_lattice_given_is_handed_to_the_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The mask is made from the lattice that the task holds."""
-    asked = []
+def test_the_analysis_gets_the_given_lattice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mask is computed from the lattice of the task."""
+    lattices = []
 
     def find_mask(_: MaskParameters, sample: Image, lattice: Lattice | None = None) -> Any:
-        asked.append(lattice)
+        lattices.append(lattice)
         return Tiled(smooth(20, 24))
 
     monkeypatch.setattr(MaskParameters, "find_mask", find_mask)
     FftmPatch().synthesize(Task(varied(smooth(20, 24), 48, 48, 0.1), (20, 20), WHOLE, np.random.default_rng(0)))
-    assert asked == [WHOLE]
+    assert lattices == [WHOLE]
 
 
 @pytest.mark.parametrize("given", [False, True])
 def test_it_makes_the_mask_by_itself(given: bool) -> None:
-    """End to end: the lattice of a brick wall, found or given, and its ideal image continued far beyond the sample."""
+    """The method finds the mask of a brick wall, with or without a lattice, and continues it far beyond the sample."""
     wall = texture("brick", (160, 160), seed=1, color=0.1)
     assert wall.lattice is not None and wall.ideal is not None
     lattice = wall.lattice if given else None
@@ -278,6 +278,6 @@ def test_it_makes_the_mask_by_itself(given: bool) -> None:
     ],
 )  # fmt: skip
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
-    """Parameters out of range are named, with what to choose."""
+    """The message names a parameter that is out of range, and valid values."""
     with pytest.raises(BadInput, match="choose"):
         FftmPatch(**parameters)

@@ -28,7 +28,7 @@ MATCHES = ("full", "cluster")
 
 
 def mask_of(tile: Image, stretch: float = 1.0) -> TextureMask:
-    """Return the exact mask of a tile repeated, its sides odd; stretched about (0, 0)."""
+    """Return the exact mask of a repeated tile with odd sides, stretched about (0, 0)."""
     height, width, channels = tile.shape
     planes = rgb2ypbpr(tile.astype(np.float64)) if channels == 3 else tile.astype(np.float64)
     waves = np.fft.fft2(planes, axes=(0, 1)) / (height * width)
@@ -50,14 +50,14 @@ def soft_tile(height: int, width: int, channels: int = 3) -> Image:
 
 
 def repeated(tile: Image, shape: tuple[int, int], grain: float = 0.0, seed: int = 0) -> Image:
-    """Return a tile repeated over ``shape``, with grain."""
+    """Return a tile that is repeated over ``shape``, with noise."""
     height, width = (-(-want // have) for want, have in zip(shape, tile.shape, strict=False))
     picture = np.tile(tile, (height, width, 1))[: shape[0], : shape[1]]
     return quantize(picture + grain * np.random.default_rng(seed).standard_normal(picture.shape).astype(np.float32))
 
 
 def synthesize(method: FftmPixel, sample: Image, shape: tuple[int, int], mask: TextureMask, seed: int = 1) -> Synthesis:
-    """Run the method by a known mask."""
+    """Run the method with a known mask."""
     return method.synthesize_with_mask(Task(sample, shape, None, np.random.default_rng(seed)), mask)
 
 
@@ -75,7 +75,7 @@ def mean_run(made: Synthesis, sample: Image) -> float:
 def test_a_perfect_texture_with_a_perfect_mask_is_continued(
     match: Any, search: Any, neighborhood: int, channels: int
 ) -> None:
-    """On a whole-pixel lattice the output is the periodic continuation, PSNR over 35 dB, in full match to the bit."""
+    """On a whole-pixel lattice the output continues the texture periodically: PSNR over 35 dB, exact for match full."""
     tile = noise(13, 15, channels)
     sample, due = repeated(tile, (60, 62)), repeated(tile, (70, 131))
     made = synthesize(FftmPixel(neighborhood, match=match, search=search), sample, (70, 131), mask_of(tile))
@@ -106,7 +106,7 @@ def test_every_pixel_is_the_samples_and_the_map_says_which(
     dimensions: int,
     size: tuple[int, int],
 ) -> None:
-    """Whatever rules and shapes: all is copied, the source map is true, the mask is a picture of the output's size."""
+    """For all parameters and shapes, pixels are copies, the source map is right, and the mask has the output's size."""
     sample = noise(*size, channels)
     method = FftmPixel(neighborhood, match=match, search=search, coherence=coherence, dimensions=dimensions)
     made = checked_synthesis(synthesize(method, sample, shape, mask_of(soft_tile(7, 9, channels))), sample, shape)
@@ -122,7 +122,7 @@ def test_every_pixel_is_the_samples_and_the_map_says_which(
 @pytest.mark.parametrize("coherence", [0.0, 2.0])
 @pytest.mark.parametrize("dimensions", [0, 5])
 def test_the_tree_finds_what_exhaustive_search_finds(match: Any, coherence: float, dimensions: int) -> None:
-    """With eps 0 both give the same bytes, on noise and where all is tied."""
+    """With eps 0 both searches give the same bytes, on noise and on a texture with many ties."""
     tile = soft_tile(7, 9)
     for sample in (noise(40, 44), repeated(tile, (40, 44)), repeated(tile, (40, 44), 0.05)):
         ann, all_of_them = (
@@ -138,7 +138,7 @@ def test_the_tree_finds_what_exhaustive_search_finds(match: Any, coherence: floa
 
 
 def test_coherence_lengthens_runs_and_exhaustive_search_does_not() -> None:
-    """The mean unbroken run grows with the factor; without it the best neighborhoods make noise, however searched."""
+    """The mean length of copied runs grows with the coherence factor; exhaustive search alone gives short runs."""
     tile = soft_tile(11, 13)
     sample = repeated(tile, (64, 64), 0.08)
     runs = {
@@ -154,7 +154,7 @@ def test_coherence_lengthens_runs_and_exhaustive_search_does_not() -> None:
 
 
 def test_the_output_looks_like_the_mask_the_more_it_counts() -> None:
-    """The correlation of output and mask grows with the weight, from none at 0, and little beyond 5."""
+    """The correlation of output and mask grows with the weight: it is 0 at weight 0, and changes little above 5."""
     tile = soft_tile(11, 13)
     sample, shape = repeated(tile, (64, 64), 0.15), (96, 96)
     like = {}
@@ -167,7 +167,7 @@ def test_the_output_looks_like_the_mask_the_more_it_counts() -> None:
 
 
 def test_every_parameter_changes_something() -> None:
-    """No parameter is without effect."""
+    """Each parameter changes the output."""
     tile = soft_tile(11, 13)
     sample = repeated(tile, (64, 64), 0.1)
 
@@ -185,7 +185,7 @@ def test_every_parameter_changes_something() -> None:
 
 
 def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
-    """All randomness is the task's."""
+    """The random stream of the task is the only source of randomness."""
     tile = soft_tile(7, 9)
     for match in MATCHES:
         first, second, other = (
@@ -198,13 +198,13 @@ def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
 
 @pytest.mark.parametrize("tileable", [False, True])
 def test_progress_rises_to_one(tileable: bool) -> None:
-    """Progress is told band by band."""
-    told: list[float] = []
-    task = Task(noise(30, 30), (66, 63), None, np.random.default_rng(0), progress=told.append)
+    """Progress is reported band by band."""
+    reports: list[float] = []
+    task = Task(noise(30, 30), (66, 63), None, np.random.default_rng(0), progress=reports.append)
     FftmPixel(tileable=tileable).synthesize_with_mask(task, mask_of(soft_tile(11, 9)))
-    assert told == sorted(told)
-    assert told[-1] == 1
-    assert len(told) > 8
+    assert reports == sorted(reports)
+    assert reports[-1] == 1
+    assert len(reports) > 8
 
 
 @pytest.mark.parametrize("shape", [(1, 90), (90, 1), (1, 1), (3, 4), (8, 8)])
@@ -212,13 +212,13 @@ def test_progress_rises_to_one(tileable: bool) -> None:
 def test_lines_and_outputs_smaller_than_the_sample_and_the_window_work(
     shape: tuple[int, int], neighborhood: int
 ) -> None:
-    """Any shape is filled."""
+    """Outputs of any shape are filled completely."""
     made = synthesize(FftmPixel(neighborhood), noise(30, 30), shape, mask_of(soft_tile(7, 9)))
     assert made.image.shape == (*shape, 3)
 
 
 def test_a_sample_smaller_than_the_window_is_refused() -> None:
-    """The refusal tells both sizes; one complete neighborhood is enough."""
+    """The message names the sizes of neighborhood and sample; one complete neighborhood is enough."""
     mask = mask_of(soft_tile(7, 9))
     with pytest.raises(Refused, match="6x6 px, the sample is 30x5 px"):
         synthesize(FftmPixel(6), noise(5, 30), (20, 20), mask)
@@ -228,7 +228,7 @@ def test_a_sample_smaller_than_the_window_is_refused() -> None:
 
 
 def test_a_flat_sample_gives_a_flat_output() -> None:
-    """Where all neighborhoods are alike any will do, soon."""
+    """If all neighborhoods are equal, the search ends and the output is flat."""
     flat = np.full((64, 64, 1), 0.4, np.float32)
     for match, search in itertools.product(MATCHES, SEARCHES):
         made = synthesize(FftmPixel(match=match, search=search), flat, (70, 70), mask_of(soft_tile(7, 9, 1)))  # type: ignore[arg-type]
@@ -243,7 +243,7 @@ def test_without_waves_it_is_refused() -> None:
 
 
 def test_it_makes_its_own_mask() -> None:
-    """From the sample alone the output goes on in phase, and the lattice used is told."""
+    """Without a given lattice or mask, the output continues the sample in phase, and the lattice is reported."""
     y, x = 2 * np.pi * np.indices((11, 13)) / np.array([11, 13])[:, np.newaxis, np.newaxis]
     wave = np.cos(x) + np.sin(y) + np.cos(x + y) + np.sin(x - y) + np.cos(2 * x) + np.sin(2 * y + x)
     tile = quantize((0.5 + 0.08 * wave)[..., np.newaxis].astype(np.float32))
@@ -268,7 +268,7 @@ def test_it_makes_its_own_mask() -> None:
     ],
 )  # fmt: skip
 def test_parameters_that_make_no_sense_are_refused(parameters: dict[str, Any]) -> None:
-    """Parameters out of range, or without meaning beside others, are named, with what to choose."""
+    """The message names a parameter that is out of range or has no effect, and valid values."""
     with pytest.raises(BadInput, match="choose"):
         FftmPixel(**parameters)
 
@@ -283,7 +283,7 @@ def test_all_fields_are_documented(method: type[Any]) -> None:
 
 
 def seam_ratio(image: Image) -> float:
-    """Return the mean step across the output's borders, where it meets itself, over that inside."""
+    """Return the mean step between opposite borders of the output, relative to the mean step inside."""
     across = np.abs(image[:, 0] - image[:, -1]).mean() + np.abs(image[0] - image[-1]).mean()
     inside = np.abs(np.diff(image, axis=1)).mean() + np.abs(np.diff(image, axis=0)).mean()
     return float(across / inside)
@@ -291,7 +291,7 @@ def seam_ratio(image: Image) -> float:
 
 @pytest.mark.parametrize("neighborhood", [2, 3, 6])
 def test_a_tileable_output_meets_itself_without_a_seam(neighborhood: int) -> None:
-    """Smooth blobs go on across the borders of a tileable output, and stop at those of another."""
+    """Smooth blobs continue across the borders of a tileable output; in other outputs they are cut off."""
     rng = np.random.default_rng(2)
     tile = soft_tile(15, 15, 1)
     rough = rng.standard_normal((90, 90))
@@ -313,7 +313,7 @@ def test_a_tileable_output_meets_itself_without_a_seam(neighborhood: int) -> Non
 
 
 def test_a_tileable_output_of_a_perfect_texture_is_its_continuation() -> None:
-    """Neighborhoods that wrap around change nothing where all is in its place already, down to one tile."""
+    """The second pass does not change an output that is periodic already, even of a single tile."""
     tile = noise(13, 15)
     for shape in ((13, 15), (39, 60)):
         made = synthesize(FftmPixel(tileable=True), repeated(tile, (60, 62)), shape, mask_of(tile))
@@ -321,7 +321,7 @@ def test_a_tileable_output_of_a_perfect_texture_is_its_continuation() -> None:
 
 
 def test_a_size_that_is_no_period_is_refused_with_the_nearest_ones_that_work() -> None:
-    """The refusal names sizes; asked for those, the output tiles, though the mask's period is a fraction of a pixel."""
+    """The message names the nearest valid size; with it the output tiles, even if the period is fractional."""
     tile, sample = soft_tile(11, 13), repeated(soft_tile(11, 13), (64, 64), 0.05)
     mask = mask_of(tile, 1.03)
     with pytest.raises(Refused, match="nearest valid size: 68x67"):

@@ -8,7 +8,7 @@ SAMPLE = np.random.default_rng(0).random((6, 5, 3), np.float32)
 
 
 def test_the_lattice_is_handed_on() -> None:
-    """The lattice handed over is the one used; without one there is none."""
+    """The method reports the given lattice as the lattice used; without one it reports None."""
     lattice = Lattice((3.0, 0.0), (0.0, 2.0))
     for given in (lattice, None):
         assert LatticeOnly().synthesize(Task(SAMPLE, (4, 4), given, np.random.default_rng(0))).lattice is given

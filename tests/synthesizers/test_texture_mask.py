@@ -15,14 +15,14 @@ Y, X = np.indices((128, 128))
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the correlation of two pictures, all channels together, each less its mean."""
+    """Return the correlation of two pictures over all channels, each without its mean."""
     a, b = a - a.mean((0, 1)), b - b.mean((0, 1))
     return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum()))
 
 
 @cache
 def draw_texture(model: str, seed: int, far: int = 1) -> tuple[Texture, Image]:
-    """Return a texture of ``far`` times 128 px a side, and its first 128 as a sample, read-only."""
+    """Return a texture of ``far`` times 128 px a side, and its first 128 x 128 px as a read-only sample."""
     texture = nrbench.texture(model, shape=(128 * far, 128 * far), seed=seed, **STRENGTH)
     sample = quantize(texture.image[:128, :128])
     sample.flags.writeable = False
@@ -43,7 +43,7 @@ def gray(values: np.ndarray, noise: float = 0.0) -> Image:
 
 @pytest.mark.parametrize("model", ["brick", "weave", "hexagon"])
 def test_the_mask_is_the_ideal_image_and_not_the_departures(model: str) -> None:
-    """It resembles the ideal image, in place and far away; what it leaves of the sample does not."""
+    """The mask correlates with the ideal image, in the sample and far away; the rest of the sample does not."""
     texture, sample = draw_texture(model, 21, far=8)
     assert texture.ideal is not None and texture.lattice is not None
     mask = MaskParameters().find_mask(sample)
@@ -56,7 +56,7 @@ def test_the_mask_is_the_ideal_image_and_not_the_departures(model: str) -> None:
 
 
 def test_a_given_lattice_is_where_it_starts() -> None:
-    """From a lattice 1.5 % off, in another basis, it finds that of the sample, and the mask found without."""
+    """From a lattice with an error of 1.5 % and another basis, the search finds the same mask as without a lattice."""
     texture, sample = draw_texture("brick", 22)
     assert texture.lattice is not None
     (a, b), stretch = texture.lattice.matrix, np.diag([1.015, 0.99])
@@ -94,7 +94,7 @@ def test_noise_has_no_regular_part(spectrum: str, seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [6, 8])
 def test_less_than_a_tile_has_no_regular_part(seed: int) -> None:
-    """Of pieces nearly as large as the sample nothing is seen twice; waves of an edge and one more are no lattice."""
+    """Pieces nearly as large as the sample do not repeat; waves of an edge and one other wave are no lattice."""
     known = {"width": 127.3, "height": 117.1, "gap": 3.1, "color": 0.2, "intensity": 0.15, "noise": 0.03}
     texture = nrbench.texture("jigsaw", (160, 160), seed, **known)
     with pytest.raises(Refused, match="no regular part"):
@@ -162,7 +162,7 @@ def test_channels_that_show_nothing_change_nothing(levels: tuple[float | None, .
 
 
 def test_gray_stored_as_color_has_the_mask_of_gray() -> None:
-    """Three equal channels, of which two planes show nothing, make the picture that one makes, three times."""
+    """The mask of three equal channels is the mask of one channel, three times."""
     sample = draw_texture("brick", 23)[1][:96, :96].mean(2, keepdims=True)
     single = MaskParameters().find_mask(quantize(sample)).draw((64, 64))
     triple = MaskParameters().find_mask(quantize(np.repeat(sample, 3, 2))).draw((64, 64))
@@ -171,22 +171,22 @@ def test_gray_stored_as_color_has_the_mask_of_gray() -> None:
 
 @pytest.mark.parametrize("side", [1.0, 2.0, 100.0, 4000.0])
 def test_a_lattice_that_the_sample_does_not_show_is_left_aside(side: float) -> None:
-    """Too fine for pixels, or repeated less than twice: the mask is that of no lattice given."""
+    """A lattice that is too fine for pixels, or is repeated less than twice, is ignored."""
     sample = draw_texture("brick", 24)[1]
     given = MaskParameters().find_mask(sample, Lattice((side, 0), (0, side)))
     np.testing.assert_array_equal(given.draw((40, 40)), find_own_mask("brick", 24).draw((40, 40)))
 
 
-def test_of_two_groups_the_stronger_tells_the_lattice() -> None:
-    """A given lattice that holds little of the sample comes after the one that holds most."""
+def test_the_lattice_is_that_of_the_strongest_group() -> None:
+    """A given lattice that explains little of the sample comes after the one that explains most."""
     texture, sample = draw_texture("brick", 24)
     mask = MaskParameters().find_mask(sample, Lattice((13.3, 2.1), (-4.0, 17.7)))
     assert texture.lattice is not None and mask.lattice is not None
     assert mask.lattice.is_equivalent(texture.lattice, 0.3)
 
 
-def test_each_channel_has_its_own_waves_where_asked() -> None:
-    """Channels of different periods are told apart by themselves, as in the paper."""
+def test_separately_analyzed_channels_have_their_own_waves() -> None:
+    """With ``channels="each"``, channels of different periods get different waves, as in the paper."""
     sample = np.full((64, 64, 3), 0.5, np.float32)
     sample[..., 0] += (0.3 * np.cos(2 * np.pi * X[:64, :64] / 7.3)).astype(np.float32)
     sample[..., 2] += (0.3 * np.cos(2 * np.pi * Y[:64, :64] / 9.1)).astype(np.float32)
@@ -199,7 +199,7 @@ def test_each_channel_has_its_own_waves_where_asked() -> None:
 @pytest.mark.parametrize("shape", [(8, 8), (8, 200), (9, 13)])
 @pytest.mark.parametrize("kind", ["noise", "stripes", "checks", "dot", "step"])
 def test_small_and_odd_samples_are_refused_or_masked(shape: tuple[int, int], kind: str) -> None:
-    """Whatever the sample, there is a finite mask of any size, or a refusal."""
+    """Every sample gives a finite mask of any size, or is refused."""
     y, x = np.indices(shape)
     values = {
         "noise": np.random.default_rng(1).random(shape),
@@ -232,7 +232,7 @@ def test_free_masks_have_no_tile() -> None:
 
 @pytest.mark.parametrize("threshold", [-1.0, 255.0, float("nan")])
 def test_bad_thresholds_are_refused(threshold: float) -> None:
-    """The error says what to give."""
+    """The message names valid values."""
     with pytest.raises(BadInput, match="automatic"):
         MaskParameters(threshold=threshold)
 
@@ -243,7 +243,7 @@ def dual(*basis: tuple[float, float]) -> np.ndarray:
 
 
 def test_a_lattice_has_its_own_rectangle() -> None:
-    """Of a running bond it is a brick wide and two courses high, within the rounding."""
+    """The rectangle of a running bond is one brick wide and two courses high, up to rounding."""
     found = find_common_period([dual((27.3, 0.0), (13.65, 12.2))])
     assert found is not None and found.size == (27, 24)
     assert found.error == pytest.approx(0.4) and found.free == (False, False)
@@ -285,6 +285,6 @@ def test_nothing_has_no_period() -> None:
     ("tolerance", "limit", "hint"), [(-1.0, 99, "less than"), (9.0, 99, "less than"), (0.5, 0, "limit")]
 )
 def test_bad_limits_are_refused(tolerance: float, limit: int, hint: str) -> None:
-    """Each error says what to give."""
+    """Each message names valid values."""
     with pytest.raises(BadInput, match=hint):
         find_common_period([dual((10.0, 0.0), (0.0, 10.0))], tolerance, limit)
