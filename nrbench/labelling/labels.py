@@ -78,7 +78,7 @@ class Answer:
     seconds
         Seconds from the display of the picture to the answer.
     order
-        Position of the item on the page, from 1.
+        Position of the item in the order of the page, from 1.
     """
 
     item: Item

@@ -166,7 +166,7 @@ def test_transparent_palette_is_refused(tmp_path: Path) -> None:
 
 
 def test_files_that_are_no_picture(tmp_path: Path) -> None:
-    """A text, an empty file, a directory and a missing file are told apart, each with what to do."""
+    """Text, an empty file, a directory and a missing file have different messages, each with a remedy."""
     text, empty, missing = (tmp_path / name for name in ("text.png", "empty.png", "missing.png"))
     text.write_text("hello, I am no picture")
     empty.touch()

@@ -89,7 +89,7 @@ def test_a_frozen_image_is_cut_like_any_other() -> None:
 
 
 def test_images_that_must_not_be_written_fold_alike() -> None:
-    """A read-only image, as a method is handed, folds and unfolds like any other."""
+    """A read-only image, such as the sample of a task, can be folded and unfolded."""
     image = waves((50, 60), OBLIQUE)
     free = fold(image, OBLIQUE)
     image.setflags(write=False)

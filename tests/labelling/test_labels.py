@@ -198,7 +198,7 @@ def test_answers_to_another_run_are_refused(run: Run, tmp_path: Path) -> None:
 
 
 def test_label_writes_page_and_key(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    """`label` writes one page where it is told, the key beside the run, and refuses other names, places and runs."""
+    """`label` writes a page to the given path and its key to the run, and refuses invalid names, paths and runs."""
     assert call("label run -o page.html --repeat 0.5 --seed 4") == 0
     assert "18 items, 6 of them second showings" in capsys.readouterr().out
     assert Path("page.html").stat().st_size > 50_000

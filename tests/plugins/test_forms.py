@@ -12,7 +12,7 @@ WHITE = np.ones((8, 8, 1), np.float32)
 
 
 def mean_of_output(observation: Observation) -> list[float]:
-    """Return a new list at each call, so that two calls can be told apart."""
+    """Return a new list at each call, so that two calls can be distinguished."""
     return [float(observation.output.mean())]
 
 

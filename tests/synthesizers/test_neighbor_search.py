@@ -71,7 +71,7 @@ def test_points_that_are_all_alike_are_one_leaf_and_the_first_rank_wins(coordina
 
 
 def test_the_farthest_points_do_not_overflow() -> None:
-    """Distances up to 2^31 - 1 are right, which is as far as 32 bits tell."""
+    """Distances up to 2^31 - 1, the largest number of 32 bits, are right."""
     points = np.array([[-16000, 0, 0, 0], [16000, 0, 0, 0]], np.int16)
     numbers, apart = KdTree.build(points).nearest(np.array([[16000, 32000, 0, 0]], np.int16), 2)
     assert numbers.tolist() == [[1, 0]]

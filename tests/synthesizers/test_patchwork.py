@@ -75,7 +75,7 @@ def seams_of(work: Patchwork) -> NDArray[np.float64]:
 @pytest.mark.parametrize("wrap", [False, True])
 @pytest.mark.parametrize("channels", [1, 6])
 def test_the_seams_kept_are_those_of_the_map(normalized: bool, wrap: bool, channels: int) -> None:
-    """However patches were cut into each other, what seams cost is what the map of sources says, to the rounding."""
+    """The recorded costs of seams equal, up to rounding, those computed from the source map alone."""
     rng = np.random.default_rng(1)
     work = patchwork(rng, (17, 15), (21, 26), channels, normalized=normalized, wrap=wrap)
     cover(work, rng, (7, 8), 20)
@@ -88,7 +88,7 @@ def test_the_seams_kept_are_those_of_the_map(normalized: bool, wrap: bool, chann
 def test_a_patch_over_what_is_known_never_makes_seams_cost_more(
     normalized: bool, wrap: bool, channels: int, seed: int
 ) -> None:
-    """Wherever a patch is laid on a finished output, all seams together cost as much as before, or less."""
+    """A patch on a finished output never increases the total cost of the seams."""
     rng = np.random.default_rng(seed)
     work = patchwork(rng, (14, 13), (18, 20), channels, normalized=normalized, wrap=wrap)
     cover(work, rng, (6, 5), 0)
@@ -211,7 +211,7 @@ def placement(
 def test_scan_windows_cover_the_output(
     shape: tuple[int, int], size: tuple[int, int], share: tuple[float, float], wrap: bool
 ) -> None:
-    """Every pixel is in a window, no window is larger than asked, and without wrapping none leaves the output."""
+    """Every pixel is in a window, windows have at most the given size, and without wrapping they lie in the output."""
     step = max(1, int(size[0] * share[0])), max(1, int(size[1] * share[1]))
     covered = np.zeros(shape, bool)
     for y0, y1, x0, x1 in scan_windows(shape, size, step, wrap):
@@ -257,7 +257,7 @@ def test_improving_never_makes_seams_cost_more_and_often_less(wrap: bool, guided
 
 
 def test_the_same_stream_places_the_same() -> None:
-    """All randomness is the generator's."""
+    """The generator is the only source of randomness."""
     maps = []
     for _ in range(2):
         made = placement(whole(30, 30), (40, 40), randomness=0.5)
@@ -362,7 +362,7 @@ def by_hand(sample: tuple[Features, ...], window: list[Layer]) -> NDArray[np.flo
 def test_ratings_are_the_sums_of_squared_differences_to_the_last_bit(
     shape: tuple[int, int], part: tuple[float, float], layers: list[tuple[int, bool]], seed: int
 ) -> None:
-    """Whatever sample, window, layers and known pixels: the Fourier way gives what place by place gives, exactly."""
+    """Fourier transforms give exactly the costs of a direct summation, for all windows, layers and known pixels."""
     rng = np.random.default_rng(seed)
     size = 1 + int(part[0] * (shape[0] - 1)), 1 + int(part[1] * (shape[1] - 1))
     sample = tuple(pixels(rng, shape, channels) for channels, _ in layers)
@@ -383,8 +383,8 @@ def test_what_does_not_count_may_hold_anything() -> None:
     np.testing.assert_array_equal(rate([Layer(window, known)]), rate([Layer(other, known)]))
 
 
-def test_as_many_layers_are_asked_as_the_sample_has() -> None:
-    """A window that lacks a layer is no window of this sample."""
+def test_a_window_needs_all_layers_of_the_sample() -> None:
+    """A window with fewer layers than the sample is an error."""
     sample = np.zeros((9, 9, 1), np.int32)
     with pytest.raises(ValueError, match="zip"):
         Translations((sample, sample)).compute_costs([Layer(sample)])

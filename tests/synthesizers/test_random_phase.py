@@ -19,7 +19,7 @@ def sample(shape: tuple[int, int] = (96, 96)) -> Image:
 
 
 def made(shape: tuple[int, int], seed: int = 0) -> Image:
-    """Run the method, and check what it hands back."""
+    """Run the method, and check its result."""
     task = Task(sample(), shape, None, np.random.default_rng(seed))
     return checked_synthesis(RandomPhase().synthesize(task), sample(), shape).image
 

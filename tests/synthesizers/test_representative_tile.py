@@ -199,10 +199,10 @@ def test_what_the_source_map_calls_a_copy_is_one(
 
 def test_progress_rises_to_one() -> None:
     """Progress is reported during the search and while tiles are laid."""
-    told: list[float] = []
-    task = Task(noise(80, 90), (500, 900), UPRIGHT, np.random.default_rng(0), progress=told.append)
+    reports: list[float] = []
+    task = Task(noise(80, 90), (500, 900), UPRIGHT, np.random.default_rng(0), progress=reports.append)
     RepresentativeTile().synthesize(task)
-    assert told == sorted(told) and told[-1] == 1 and len(told) > 2
+    assert reports == sorted(reports) and reports[-1] == 1 and len(reports) > 2
 
 
 def test_the_search_without_p_is_no_worse_than_any_with_it() -> None:

@@ -12,7 +12,7 @@ SQUARE = Lattice((16, 0), (0, 16))
 
 
 def made(sample: Image, lattice: Lattice | None, seed: int = 0, shape: tuple[int, int] = (120, 140)) -> Synthesis:
-    """Run the method, and check what it hands back."""
+    """Run the method, and check its result."""
     task = Task(sample, shape, lattice, np.random.default_rng(seed))
     return checked_synthesis(Shuffle().synthesize(task), sample, shape)
 

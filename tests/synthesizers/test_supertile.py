@@ -27,7 +27,7 @@ def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
 
 
 def made(sample: Image, shape: tuple[int, int], lattice: Lattice) -> Synthesis:
-    """Run the method, and check what it hands back."""
+    """Run the method, and check its result."""
     task = Task(sample, shape, lattice, np.random.default_rng(0))
     return checked_synthesis(Supertile().synthesize(task), sample, shape)
 
