@@ -64,7 +64,7 @@ class Ending:
     messages
         All messages of the child.
     status
-        ``ended``, ``timeout``, ``memory``, ``crash`` or ``abandoned`` (the parent process exited).
+        ``ended``, ``timeout``, ``memory``, ``crash`` or ``abandoned`` (its result is no longer wanted).
     message
         One sentence, empty for ``ended``.
     started
@@ -94,7 +94,7 @@ class Watch:
     base
         Resident bytes of the idle worker that it was forked from; 0 for a fresh interpreter.
     wanted
-        Returns whether the process that waits for the result still runs.
+        Returns whether the result is still wanted: false once the run has ended.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Watch:
             if now > deadline:
                 return "timeout", f"took longer than {self.limits.seconds:g} s; raise --timeout if it may"
             if not self.wanted():
-                return "abandoned", "the parent process exited"
+                return "abandoned", "the run ended"
             if now > memory_check:
                 memory_check = now + MEMORY_TICK
                 own, started = resident(self.pid)

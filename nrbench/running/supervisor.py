@@ -8,6 +8,7 @@ import queue
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -137,8 +138,11 @@ class Supervisor:
         self._check_open()
         if self._forks and self._worker is None:
             self._forks = self._start()
+        self._check_open()
         if not self._forks:
-            return _run_in_fresh_interpreter(request)
+            reply = _run_in_fresh_interpreter(request, lambda: not self._ended)
+            self._check_open()
+            return reply
         assert self._worker is not None and self._worker.stdin is not None
         try:
             self._worker.stdin.write(request.to_json() + "\n")
@@ -176,13 +180,13 @@ class Supervisor:
 
     def close(self) -> None:
         """Kill the worker and all that it started."""
-        if self._worker is not None:
-            guard.sweep(self._worker.pid)
-            self._worker.wait()
-            for pipe in (self._worker.stdin, self._worker.stdout if self._drained() else None):
+        worker, self._worker = self._worker, None  # two threads may close at the same time
+        if worker is not None:
+            guard.sweep(worker.pid)
+            worker.wait()
+            for pipe in (worker.stdin, worker.stdout if self._drained() else None):
                 with contextlib.suppress(OSError):
                     pipe.close() if pipe else None
-            self._worker = None
 
     def end(self) -> None:
         """Kill the worker for good: a running job raises :class:`Closed`, and no further one starts."""
@@ -246,8 +250,8 @@ def _read_lines(process: subprocess.Popen[str]) -> tuple[queue.Queue[str | None]
     return lines, thread
 
 
-def _run_in_fresh_interpreter(request: Request) -> Reply:
-    """Run one request in an interpreter of its own, and watch it from this process."""
+def _run_in_fresh_interpreter(request: Request, wanted: Callable[[], bool]) -> Reply:
+    """Run one request in an interpreter of its own, and watch it from this process while the reply is wanted."""
     with (Path(request.folder) / "log.txt").open("ab") as log:
         child = _start_process(log, "--once")
     lines, _ = _read_lines(child)
@@ -257,7 +261,11 @@ def _run_in_fresh_interpreter(request: Request) -> Reply:
         child.stdin.close()
     limits = guard.Limits(request.seconds + GRACE, request.mib + 512)  # its start and imports count too
     watch = guard.Watch(
-        child.pid, lambda seconds: _next_message(lines, seconds), lambda: child.poll() is not None, limits
+        child.pid,
+        lambda seconds: _next_message(lines, seconds),
+        lambda: child.poll() is not None,
+        limits,
+        wanted=wanted,
     )
     broken = watch.watch()
     guard.sweep(child.pid)

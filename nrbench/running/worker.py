@@ -241,6 +241,7 @@ def main() -> None:
         sys.stderr.flush()
         os._exit(0)
     guard.adopt_orphans()
-    warm()
-    write(json.dumps({"fork": may_fork()}))
+    if may_fork():
+        warm()
+    write(json.dumps({"fork": may_fork()}))  # again, because a plugin may have started a thread
     serve(sys.stdin, write)
