@@ -4,25 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-FAULTS = Path(__file__).parent / "plugins" / "faulty_plugins.py"
-
-
-@contextmanager
-def registered_faults() -> Iterator[Path]:
-    """Register the plugins that misbehave in every way."""
-    from nrbench import plugins
-
-    plugins.add_file(FAULTS)
-    try:
-        yield FAULTS
-    finally:
-        plugins.registry._files.pop(FAULTS.resolve())
+from faults import registered_faults
 
 
 @pytest.fixture

@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import subprocess
+import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -111,13 +114,13 @@ class Escaper:
 
 @dataclass(frozen=True)
 class Spawner:
-    """Leave a process behind that would outlive the cell."""
+    """Start a process that would outlive the cell, and loop for ever."""
 
     mark: str = "mark"
     uses_lattice: ClassVar[bool] = False
 
     def synthesize(self, task: Task) -> Synthesis:
-        """Fork a grandchild that writes a file later, and loop for ever."""
+        """Fork a process that writes a file later, and loop."""
         if os.fork() == 0:
             time.sleep(4)
             with open(self.mark, "w") as late:  # noqa: PTH123
@@ -125,6 +128,23 @@ class Spawner:
             os._exit(0)
         while True:
             time.sleep(0.01)
+
+
+@dataclass(frozen=True)
+class Sleeper:
+    """Start a process and sleep until a file exists; then end the process and answer well."""
+
+    until: str = "awake"
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Sleep, then repeat the sample."""
+        with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"]) as process:
+            print("asleep", flush=True)
+            while not Path(self.until).exists():
+                time.sleep(0.05)
+            process.kill()
+        return Fine().synthesize(task)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import shutil
 import signal
 import subprocess
@@ -13,6 +12,7 @@ import time
 import tomllib
 from pathlib import Path
 
+import psutil
 import pytest
 import skimage.data
 import skimage.io
@@ -71,6 +71,7 @@ def first(whole: Run, tmp_path: Path) -> Run:
     return Run(Path(shutil.copytree(whole.root, tmp_path / "run")))
 
 
+@pytest.mark.usefixtures("warm_workers")
 def test_any_number_of_workers_gives_the_same_bytes(whole: Run, tmp_path: Path) -> None:
     """In this process, with one worker, and with two: outputs and scores are identical."""
     assert all(record.status == "ok" for record in whole.cells)
@@ -90,13 +91,14 @@ def test_a_second_run_starts_nothing(first: Run, tmp_path: Path) -> None:
     assert times.items() <= again.items()
 
 
+@pytest.mark.usefixtures("warm_workers")
 def test_killed_halfway_it_resumes_to_the_same_table(whole: Run, tmp_path: Path) -> None:
-    """After SIGKILL at any instant `nrbench run` completes the run, and its tables are those of an undisturbed run."""
+    """After SIGKILL no worker is left, and the same command completes the run to the table of an undisturbed one."""
     suite = tmp_path / "small.toml"
     suite.write_text(SUITE_TOML)
-    line = f"run {suite} --no-report --out broken"
+    words = ["run", str(suite), "--no-report", "--jobs", "2", "--out", "broken"]
     broken = subprocess.Popen(
-        [sys.executable, "-c", "from nrbench.cli.main import main; main()", *shlex.split(line), "--jobs", "2"],
+        [sys.executable, "-c", "from nrbench.cli.main import main; main()", *words],
         cwd=tmp_path,
         stderr=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
@@ -104,11 +106,14 @@ def test_killed_halfway_it_resumes_to_the_same_table(whole: Run, tmp_path: Path)
     cells = tmp_path / "broken" / "cells"
     while broken.poll() is None and len(list(cells.glob("*/result.json"))) < 3:
         time.sleep(0.01)
+    workers = psutil.Process(broken.pid).children(recursive=True)
     os.kill(broken.pid, signal.SIGKILL)
     broken.wait()
+    assert len(workers) >= 2
+    assert not psutil.wait_procs(workers, timeout=10)[1]
     assert len(list(cells.glob("*/result.json"))) < len(whole.cells)
     with pytest.raises(SystemExit) as left:
-        main(shlex.split(f"{line} --jobs 0"))
+        main(words)
     assert not left.value.code
     assert scores(Run(tmp_path / "broken")) == scores(whole)
     assert outputs(Run(tmp_path / "broken")) == outputs(whole)

@@ -8,24 +8,28 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import psutil
 import pytest
 
 from nrbench.api import run
+from nrbench.cli.main import main
+from nrbench.running import runner
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
 from nrbench.running.worker import Request
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.suite import Suite, validated_suite
 
-FAULTS = Path(__file__).parents[1] / "plugins" / "faulty_plugins.py"
+WAYS = ("fork", "fresh interpreter")
 HOWS = {
     "raise": ("error", "RuntimeError: planted failure"),
     "refuse": ("refused", "planted refusal"),
-    "loop": ("timeout", "took longer than 2 s; raise --timeout if it may"),
+    "loop": ("timeout", "took longer than 3 s; raise --timeout if it may"),
     "segfault": ("crash", "died by SIGSEGV"),
     "exit": ("crash", "exited with code 3 without a result"),
     "memory": ("memory", "memory"),
@@ -47,18 +51,19 @@ def small_suite(methods: list[str], *metrics: str) -> Suite:
     return validated_suite({"name": "small", **content}, "test")
 
 
+@pytest.mark.usefixtures("warm_workers")
 def test_every_fault_is_a_row(faulty_run: FaultyRun, tmp_path: Path) -> None:
     """A method that fails in any way has its status and cause; others are fine; its child processes end with it."""
     mark = tmp_path / "mark"
     suite = small_suite([f"spawner:mark={mark}", *(f"faulty:how={how}" for how in HOWS), "fine"])
-    spawner, *faults, fine = faulty_run(suite, Options(jobs=2, timeout=2, memory=300)).cells
+    spawner, *faults, fine = faulty_run(suite, Options(jobs=2, timeout=3, memory=300)).cells
     for record, (how, (status, message)) in zip(faults, HOWS.items(), strict=True):
         assert record.status == status, (how, record.result)
         assert message in record.message, how
     assert fine.status == "ok"
     assert "planted failure" in faults[list(HOWS).index("raise")].log_tail
     assert spawner.status == "timeout"
-    time.sleep(4.5)
+    time.sleep(max(0, spawner.folder.joinpath("result.json").stat().st_mtime + 4.5 - time.time()))
     assert not mark.exists()
 
 
@@ -86,8 +91,21 @@ class Started:
     mark: Path
 
 
-@pytest.fixture(scope="module", params=["fork", "fresh interpreter"])
-def started(request: pytest.FixtureRequest, faulty_run: FaultyRun, tmp_path_factory: pytest.TempPathFactory) -> Started:
+def choose_way(way: str, patch: pytest.MonkeyPatch, warm_executor: Any) -> None:
+    """Let runs fork (those of this process from the shared workers), or start a fresh interpreter for each child."""
+    if way == "fork":
+        patch.setattr(runner, "executor", warm_executor)
+    else:
+        patch.setenv("NRBENCH_FORK", "no")
+
+
+@pytest.fixture(scope="module", params=WAYS)
+def started(
+    request: pytest.FixtureRequest,
+    faulty_run: FaultyRun,
+    warm_executor: Any,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Started:
     """Run with a forking worker, and with a fresh interpreter for each child."""
     folder = tmp_path_factory.mktemp("started")
     mark, program = folder / "mark", folder / "tool.py"
@@ -98,9 +116,8 @@ def started(request: pytest.FixtureRequest, faulty_run: FaultyRun, tmp_path_fact
     tool = f"command:run={sys.executable} {program} {{sample}} {{output}}"
     suite = small_suite([f"escaper:mark={mark}", "scatter", "faulty:how=segfault", tool, "faulty:how=loop"])
     with pytest.MonkeyPatch.context() as patch:
-        if request.param != "fork":
-            patch.setenv("NRBENCH_FORK", "no")
-        cells = faulty_run(suite, Options(timeout=10)).cells
+        choose_way(request.param, patch, warm_executor)
+        cells = faulty_run(suite, Options(timeout=6)).cells
     names = ("escaper", "scatter", "segfault", "tool", "loop")
     return Started(request.param, dict(zip(names, cells, strict=True)), mark)
 
@@ -132,6 +149,7 @@ def test_both_ways_of_starting_agree(started: Started, tmp_path: Path) -> None:
     assert output.read_bytes() == (here.folder / "output.png").read_bytes()
 
 
+@pytest.mark.usefixtures("warm_workers")
 def test_a_failed_metric_spares_the_others_and_is_tried_again(faulty: Path, tmp_path: Path) -> None:
     """A metric that kills its process, or returns no number, is None with the cause; `retry_failed` scores again."""
     methods, out = ["faulty:how=gray", "fine"], tmp_path / "run"
@@ -148,47 +166,51 @@ def test_a_failed_metric_spares_the_others_and_is_tried_again(faulty: Path, tmp_
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
-def test_an_interrupted_cell_has_no_result(tmp_path: Path) -> None:
-    """Ctrl-C ends with exit code 130 and leaves the cells in flight unanswered, to be run again."""
+@pytest.mark.parametrize("way", WAYS)
+def test_an_interrupted_run_ends_at_once_and_resumes(
+    way: str, faulty: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, warm_executor: Any
+) -> None:
+    """Ctrl-C ends a run with exit code 130; no process and no result of its cells remain, and they run again."""
+    choose_way(way, monkeypatch, warm_executor)
     suite = tmp_path / "s.toml"
     suite.write_text(
-        'name = "s"\nsample = "64x64"\nsize = "64x64"\nmethods = ["faulty:how=loop", "spawner"]\n'
-        'texture = [{ name = "wall", dataset = "brick" }]\n'
+        f'name = "s"\nsample = "64x64"\nsize = "64x64"\nmethods = ["sleeper:until={tmp_path / "awake"}"]\n'
+        'metrics = ["cost"]\nreplicates = 2\ntexture = [{ name = "wall", dataset = "brick" }]\n'
     )
-    program = "import sys; from nrbench.cli.main import main; main(sys.argv[1:])"
-    words = ["--plugin", str(FAULTS), "run", str(suite), "--jobs", "2", "--memory", "1e6", "--out", "run"]
-    started = subprocess.Popen(
-        [sys.executable, "-c", program, *words],
+    words = ["--plugin", str(faulty), "run", str(suite), "--jobs", "2", "--out", "run", "--no-report"]
+    running = subprocess.Popen(
+        [sys.executable, "-c", "import sys; from nrbench.cli.main import main; main(sys.argv[1:])", *words],
         cwd=tmp_path,
         stderr=subprocess.DEVNULL,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # where the tests run in the background
     )
     cells = tmp_path / "run" / "cells"
-    while started.poll() is None and len(list(cells.glob("*/log.txt"))) < 1:
+    while running.poll() is None and [log.read_text() for log in cells.glob("*/log.txt")] != ["asleep\n"] * 2:
         time.sleep(0.02)
-    time.sleep(0.5)
-    started.send_signal(signal.SIGINT)
-    assert started.wait(60) == 130
-    assert list(cells.glob("*/result.json")) == []
+    children = psutil.Process(running.pid).children(recursive=True)
+    running.send_signal(signal.SIGINT)
+    assert running.wait(10) == 130
+    assert len(children) >= 4  # each cell sleeps in one process, and has started another
+    assert not psutil.wait_procs(children, timeout=5)[1]
+    assert {file.name for file in cells.glob("*/*")} == {"cell.json", "sample.png", "log.txt"}
+    (tmp_path / "awake").touch()
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    assert not left.value.code
+    assert [record.status for record in Run(tmp_path / "run").cells] == ["ok", "ok"]
 
 
-@pytest.fixture(scope="module")
-def supervisor() -> Iterator[Supervisor]:
-    """Share one supervisor between tests."""
-    with Supervisor() as one:
-        yield one
-
-
-def test_the_worker_has_one_thread(supervisor: Supervisor) -> None:
+def test_the_worker_has_one_thread(supervisors: list[Supervisor]) -> None:
     """A warm worker, all plugins imported, has a single thread, so that it may fork."""
-    assert supervisor._start()
-    assert supervisor._worker is not None
-    tasks = list(Path(f"/proc/{supervisor._worker.pid}/task").iterdir())
-    assert len(tasks) == 1
+    for supervisor in supervisors:
+        assert supervisor._forks and supervisor._worker is not None
+        assert len(list(Path(f"/proc/{supervisor._worker.pid}/task").iterdir())) == 1
 
 
-def test_a_worker_that_dies_is_replaced(supervisor: Supervisor, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("faulty")
+def test_a_worker_that_dies_is_replaced(supervisors: list[Supervisor], tmp_path: Path) -> None:
     """After its worker is killed a supervisor reports one crash, then goes on with a new worker."""
+    supervisor = supervisors[0]
     cell = run(small_suite(["oracle"]), out=tmp_path / "run", options=Options(jobs=0)).cells[0]
     request = Request("score", str(cell.folder), seconds=20, mib=500, metrics=("cost",))
     assert supervisor.run(request).scored == ("cost",)

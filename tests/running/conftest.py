@@ -1,0 +1,60 @@
+"""Warm workers that tests share."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+
+import pytest
+from faults import registered_faults
+
+from nrbench.running import executors, runner
+from nrbench.running.executors import RunJob
+from nrbench.running.supervisor import Job, Supervisor, perform_job
+from nrbench.runs.store import Result
+
+MakeExecutor = Callable[..., AbstractContextManager[tuple[Executor, RunJob]]]
+
+
+@pytest.fixture(scope="session")
+def supervisors() -> Iterator[list[Supervisor]]:
+    """Start two workers, which know the plugins that misbehave."""
+    with ExitStack() as stack:
+        started = [stack.enter_context(Supervisor()) for _ in range(2)]
+        with registered_faults(), ThreadPoolExecutor(2) as threads:
+            assert all(threads.map(Supervisor._start, started))
+        yield started
+
+
+@pytest.fixture(scope="session")
+def warm_executor(supervisors: list[Supervisor]) -> MakeExecutor:
+    """Return a twin of :func:`nrbench.running.executors.executor` whose jobs run on the shared workers."""
+    idle: queue.LifoQueue[Supervisor] = queue.LifoQueue()
+    for one in supervisors:
+        idle.put(one)
+
+    def run_job(job: Job) -> Result:
+        supervisor = idle.get()
+        try:
+            return perform_job(job, supervisor)
+        finally:
+            idle.put(supervisor)
+
+    @contextmanager
+    def executor(jobs: int, scheduler: str | None = None) -> Iterator[tuple[Executor, RunJob]]:
+        if jobs == 0 or scheduler is not None:
+            with executors.executor(jobs, scheduler) as chosen:
+                yield chosen
+        else:
+            with ThreadPoolExecutor(jobs) as pool:
+                yield pool, run_job
+
+    return executor
+
+
+@pytest.fixture
+def warm_workers(warm_executor: MakeExecutor, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the runs of a test use the shared workers, because a worker takes seconds to start."""
+    monkeypatch.setattr(runner, "executor", warm_executor)
