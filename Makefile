@@ -34,10 +34,12 @@ $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: $(VENV)/bin/python pyproject.toml $(SOURCES)
+	rm -rf build
 	$(BIN)/pip install --quiet --upgrade .
 	@touch $@
 
 $(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml $(SOURCES)
+	rm -rf build
 	$(BIN)/pip install --quiet --upgrade ".[test]"
 	@touch $@ $(VENV)/.installed
 

@@ -102,7 +102,7 @@ def fields_by_call(cls: type[Any]) -> list[dataclasses.Field[Any]]:
 
     A method inherits shared parameters as keyword-only fields, so its own parameters come first, as on its page.
     """
-    return sorted(dataclasses.fields(cls), key=lambda field: field.kw_only)
+    return sorted(dataclasses.fields(cls), key=lambda field: field.kw_only is True)
 
 
 def append_parameters(cls: type[Any], base: type[Any]) -> None:
