@@ -29,7 +29,7 @@ Latticelike = Lattice | tuple[Vector, Vector] | str | None
 
 
 def texture(model: str, shape: Shape = (128, 128), seed: int = 0, **parameters: Any) -> Texture:
-    """Draw a texture of a model; the returned texture holds all that is known of it.
+    """Draw a texture of a model. The returned texture holds the image, the true lattice and the true departures.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def run(
     suite
         A suite, its name, a TOML file, or a directory of pictures.
     methods, textures, lattice
-        These replace the suite's own. Methods are ``name:param=value``, textures shell patterns of names.
+        They replace those of the suite. Methods are ``name:param=value``, textures shell patterns of names.
     out
         The run directory; ``runs/SUITE`` if None.
     progress

@@ -87,8 +87,8 @@ class Watch:
     receive
         Receives its messages.
     ended
-        Returns whether the process has ended. The end of its messages does not tell: a process that it started may
-        hold the pipe open, or the child may close it.
+        Returns whether the process has ended. The end of its messages is no proof: a process that it started may hold
+        the pipe open, and the child may close the pipe early.
     limits
         What it may use.
     base

@@ -203,12 +203,12 @@ def _checked_image(image: Any, shape: tuple[int, int, int]) -> Image:
 
 
 def check_source(source: SourceMap, image: Image, sample: Image) -> None:
-    """Check that a source map lies inside the sample, and is true wherever it claims a copy of one whole pixel.
+    """Check that a source map points into the sample, and that copies of whole pixels equal their sources.
 
     Raises
     ------
     InvalidOutput
-        Naming how many pixels are wrong.
+        When the map is wrong. The message gives the number of pixels that differ from their sources.
     """
     shape = (*image.shape[:2], 3)
     if source.shape != shape:
@@ -266,7 +266,7 @@ def score_observation(observation: Observation, metric: str) -> Score:
 
 
 def failure_reason(error: BaseException) -> str:
-    """Return the reason that stands in every column of a metric that raised."""
+    """Return the reason that is written for every column of a metric that raised an error."""
     return f"failed: {_error_text(error)}"
 
 

@@ -47,7 +47,7 @@ class Options:
     reuse
         Another run; its results of equal cells are copied.
     argv
-        The command line, for the record.
+        The command line; ``run.json`` records it.
     """
 
     jobs: int = 1
@@ -60,7 +60,7 @@ class Options:
 
 
 def _no_progress(done: int, total: int, what: str) -> None:
-    """Report progress to nobody."""
+    """Ignore progress."""
 
 
 def is_cached(directory: RunDirectory, cell: Cell, metrics: Iterable[str], retry_failed: bool = False) -> bool:
@@ -135,7 +135,7 @@ class _Runner:
     submit: Callable[[Job], Future[Result]]
 
     def with_detected_lattices(self, cells: list[tuple[Cell, Sample]]) -> list[tuple[Cell, Sample]]:
-        """Run each detector of the lattice axis once a sample, and return the cells with the detected lattices."""
+        """Run each detector of the lattice axis once for each sample, and return the cells with the detected lattices."""
         wanted = {_detection_key(cell): (cell, sample) for cell, sample in cells if cell.detector and not cell.fault}
         jobs = ((key, self._detection_job(key, *wanted[key])) for key in wanted)
         results = {key: future.result() for key, future in self._run_jobs(jobs)}
@@ -222,7 +222,7 @@ def _detection_key(cell: Cell) -> str:
 
 
 def _with_lattice(cell: Cell, result: Result) -> Cell:
-    """Return the cell with the lattice that its detector found; without one, only methods that can do without run."""
+    """Return the cell with the detected lattice, or with a fault if its method needs a lattice and none was found."""
     why = result["message"] or "no reason given"
     if result["status"] != "ok":
         return dataclasses.replace(cell, fault=f"{cell.lattice_source}: failed: {why}", fault_status="error")
@@ -235,7 +235,7 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
 
 
 def _prepare(where: CellFolder, cell: Cell, sample: Sample) -> None:
-    """Make a cell's folder anew, with what its child processes read."""
+    """Empty a cell's folder, and write the files that its child processes read."""
     where.clear()
     where.path.mkdir(parents=True, exist_ok=True)
     if sample.texture is not None:

@@ -1,4 +1,4 @@
-"""The warm worker process: it has imported every plugin and loaded every kernel, and forks one child a phase.
+"""The worker process: it imports every plugin, loads every kernel, and then forks one child for each phase.
 
 The worker computes nothing itself and has a single thread, so that forking is safe.
 """
@@ -135,7 +135,7 @@ def may_fork() -> bool:
 
 
 def serve(requests: Iterable[str], reply: Callable[[str], None]) -> None:
-    """Answer one request a line, each in a forked child, until the input ends."""
+    """Read one request from each line, run it in a forked child, and reply, until the input ends."""
     for line in requests:
         reply(fork_and_watch(Request.from_json(line)).to_json())
 

@@ -1,4 +1,4 @@
-"""Read a run back: one record a cell, and tidy tables."""
+"""Read a run from disk: one record for each cell, and tidy tables."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class CellRecord:
     cell
         What the cell is.
     folder
-        Where it lies.
+        The folder of its files.
     result
         The content of ``result.json``; empty while the cell has not ended.
     values, reasons
-        Every score by ``metric.column``; for None, why.
+        Every score by ``metric.column``, and the reason of each score that is None.
     pictures
         The metrics' pictures by ``metric.name``.
     records
@@ -124,7 +124,7 @@ class CellRecord:
 
     @property
     def note(self) -> str:
-        """What the method says of its run."""
+        """A remark of the method on its run."""
         return str(self.result.get("note", ""))
 
     @property
@@ -195,7 +195,7 @@ class Run:
         return [_record(directory.cell(entry["key"]), entry, metrics) for entry in self.info["cells"]]
 
     def table(self) -> pd.DataFrame:
-        """Return the tidy table: one row a cell, one column a score."""
+        """Return the tidy table: one row for each cell, one column for each score."""
         rows = [_row(record, self.columns) for record in self.cells]
         return pd.DataFrame(rows, columns=list(rows[0]) if rows else [*HEAD, *self.columns])
 

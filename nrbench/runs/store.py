@@ -42,7 +42,7 @@ class Result(TypedDict, total=False):
     phase
         Where the cell failed or was refused: ``render``, ``given``, ``detect`` or ``synthesize``.
     note
-        What the method says of its run.
+        A remark of the method on its run.
     seconds, cpu_seconds, detection_seconds
         Wall and processor seconds of the synthesis, and wall seconds that the method spent on detecting the lattice.
         Of a detection, ``seconds`` are its wall seconds.
@@ -130,7 +130,7 @@ class CellFolder:
 
     @property
     def scores(self) -> Path:
-        """Folder of the scores, one file a metric, named by the metric and its key."""
+        """Folder of the scores, one file for each metric, named by the metric and its key."""
         return self.path / "scores"
 
     @property

@@ -189,7 +189,10 @@ def test_an_interrupted_run_ends_at_once_and_resumes(
         time.sleep(0.02)
     children = psutil.Process(running.pid).children(recursive=True)
     running.send_signal(signal.SIGINT)
-    assert running.wait(10) == 130
+    try:
+        assert running.wait(10) == 130
+    finally:
+        running.kill()
     assert len(children) >= 4  # each cell sleeps in one process, and has started another
     assert not psutil.wait_procs(children, timeout=5)[1]
     assert {file.name for file in cells.glob("*/*")} == {"cell.json", "sample.png", "log.txt"}
