@@ -135,7 +135,7 @@ class _Runner:
     submit: Callable[[Job], Future[Result]]
 
     def with_detected_lattices(self, cells: list[tuple[Cell, Sample]]) -> list[tuple[Cell, Sample]]:
-        """Run each detector of the lattice axis once for each sample, and return the cells with the detected lattices."""
+        """Run each detector of the lattice axis once for each sample; return the cells with the detected lattices."""
         wanted = {_detection_key(cell): (cell, sample) for cell, sample in cells if cell.detector and not cell.fault}
         jobs = ((key, self._detection_job(key, *wanted[key])) for key in wanted)
         results = {key: future.result() for key, future in self._run_jobs(jobs)}
