@@ -75,7 +75,7 @@ BAD = {
     "run folder": "has no picture",
     "run core -m nosuch": "method 'nosuch' is not known",
     "run core -t nosuch*": "matches no texture",
-    "run core --lattice somewhere": "--lattice 'somewhere': is not known",
+    "run core --lattice somewhere": "--lattice 'somewhere' is not known",
     "run core --lattice none": "use one of: given, own, x1,y1,x2,y2",
     "run core --lattice 3,0,6": "four numbers",
     "plan core --lattice 3,0,6,0": "parallel",

@@ -374,13 +374,13 @@ def test_ratings_are_the_sums_of_squared_differences_to_the_last_bit(
 
 
 def test_what_does_not_count_may_hold_anything() -> None:
-    """Pixels that a layer does not know do not change a rating."""
+    """Pixels that a layer does not know do not change the costs."""
     rng = np.random.default_rng(0)
     sample, known = pixels(rng, (20, 20), 3), rng.random((7, 9)) < 0.5
     window = pixels(rng, (7, 9), 3)
     other = np.where(known[..., np.newaxis], window, 999).astype(np.int32)
-    rate = Translations((sample,)).rate
-    np.testing.assert_array_equal(rate([Layer(window, known)]), rate([Layer(other, known)]))
+    compute_costs = Translations((sample,)).compute_costs
+    np.testing.assert_array_equal(compute_costs([Layer(window, known)]), compute_costs([Layer(other, known)]))
 
 
 def test_a_window_needs_all_layers_of_the_sample() -> None:

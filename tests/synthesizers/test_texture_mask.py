@@ -73,7 +73,7 @@ def test_the_threshold_sets_how_many_waves() -> None:
     masks = [MaskParameters(threshold=threshold).find_mask(sample) for threshold in (2, 4, 8)]
     counts = [len(mask.harmonics.frequencies) for mask in masks]
     assert counts[0] > counts[1] > counts[2] > 0
-    with pytest.raises(Refused, match="reaches the threshold of 100"):
+    with pytest.raises(Refused, match="exceeds its noise and the threshold of 100"):
         MaskParameters(threshold=100.0).find_mask(sample)
 
 
