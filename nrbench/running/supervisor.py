@@ -32,8 +32,9 @@ THREAD_VARIABLES = (
 """Set to 1 in every worker, before numpy loads there."""
 GRACE = 10.0
 """Seconds that a worker may take, beyond the limit it enforces itself, before it is killed."""
-START = 120.0
-"""Seconds that a worker may take to start."""
+START = 900.0
+"""Seconds that a worker may take to start. A busy machine compiles all kernels for minutes. If the worker were stopped,
+fresh interpreters would compile them for each cell."""
 
 
 @dataclass(frozen=True)
