@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import Values
-from nrbench.metrics.randomness import Randomness
+from nrbench.metrics.randomness import score_tiles
 from nrbench.metrics.residual_tiles.tiles import ComparedTiles, quarters
 from nrbench.metrics.verdict.reference import FIRST_DRAW, Reference, reference_from_model
 from nrbench.metrics.verdict.verdict import compute_verdict
@@ -105,7 +105,7 @@ class Place:
         if verdict.obstacle:
             return {"reason": verdict.obstacle}
         seen = Observation(self.texture.image, output, self.texture, again=self.again)
-        found = Randomness().score_verdict(seen, verdict)
+        found = score_tiles(seen, verdict)
         values = {name: found.values[name] for name in ("variation", "repetition", "distance")}
         why = "; ".join(dict.fromkeys(found.reasons.get(name, "") for name in values))
         return {"preserved": verdict.preserved, **values, "reason": why.strip("; ")}

@@ -88,8 +88,12 @@ class Integrity:
     are left out, because they lie over other elements. For a photograph the sample replaces the fresh draws.
     """
 
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
     columns: ClassVar[Mapping[str, Column]] = {
+        "score": Column(
+            "Share of elements that are whole, corrected for missed ones: 1 as in fresh draws, 0 no element whole.",
+            better="higher",
+        ),
         "broken_share": Column(
             "Share of the tiles in place that are joined of parts that do not belong together.", better="lower"
         ),
@@ -109,33 +113,38 @@ class Integrity:
 
     def score(self, observation: Observation) -> Score:
         """Return the scores, and two pictures: ``broken`` shows all broken tiles, ``worst`` enlarges the worst ones."""
-        verdict = examine(observation).verdict
-        if isinstance(verdict, str):
-            return Score.missing(self.columns, verdict)
-        broken = find_broken(verdict, observation.sample, observation.again)
-        if isinstance(broken, str):
-            return Score.missing(self.columns, broken)
-        values: dict[str, float | None] = {
-            "broken_share": broken.share,
-            "broken_tiles": float(len(broken.places)),
-            "evidence_p90": broken.evidence_p90,
-            "detection_power": broken.detection_power,
-        }
-        records = {
-            "tiles": broken.tiles,
-            "limit": BROKEN_SURPRISAL,
-            "places": [[float(x), float(y)] for x, y in broken.places],
-            "surprisals": [float(value) for value in broken.surprisals],
-            "anchor": [float(value) for value in broken.anchor],
-        }
-        if broken.detection_power < LEAST_POWER:
-            reason = f"undecided: only {broken.detection_power:.0%} of joined tiles would be detected"
-            reasons = {name: reason for name in self.columns if name != "detection_power"}
-            return Score(values | dict.fromkeys(reasons), reasons, records=records)
-        pictures = {"broken": draw_broken(observation.output, broken)}
-        if len(broken.places):
-            pictures["worst"] = enlarge_worst(observation.output, broken)
-        return Score(values, {}, pictures, records)
+        return observation.shared(_score)
+
+
+def _score(observation: Observation) -> Score:
+    verdict = examine(observation).verdict
+    if isinstance(verdict, str):
+        return Score.missing(Integrity.columns, verdict)
+    broken = find_broken(verdict, observation.sample, observation.again)
+    if isinstance(broken, str):
+        return Score.missing(Integrity.columns, broken)
+    values: dict[str, float | None] = {
+        "score": broken.score,
+        "broken_share": broken.share,
+        "broken_tiles": float(len(broken.places)),
+        "evidence_p90": broken.evidence_p90,
+        "detection_power": broken.detection_power,
+    }
+    records = {
+        "tiles": broken.tiles,
+        "limit": BROKEN_SURPRISAL,
+        "places": [[float(x), float(y)] for x, y in broken.places],
+        "surprisals": [float(value) for value in broken.surprisals],
+        "anchor": [float(value) for value in broken.anchor],
+    }
+    if broken.detection_power < LEAST_POWER:
+        reason = f"undecided: only {broken.detection_power:.0%} of joined tiles would be detected"
+        reasons = {name: reason for name in Integrity.columns if name != "detection_power"}
+        return Score(values | dict.fromkeys(reasons), reasons, records=records)
+    pictures = {"broken": draw_broken(observation.output, broken)}
+    if len(broken.places):
+        pictures["worst"] = enlarge_worst(observation.output, broken)
+    return Score(values, {}, pictures, records)
 
 
 @dataclass(frozen=True)
@@ -170,6 +179,11 @@ class BrokenTiles:
     worst: float
     evidence_p90: float
     detection_power: float
+
+    @property
+    def score(self) -> float:
+        """Estimated share of whole tiles: the share of broken tiles is divided by the share that is detected."""
+        return 1 - min(self.share / max(self.detection_power, LEAST_POWER), 1.0)
 
     @property
     def share(self) -> float:

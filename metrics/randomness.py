@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,8 +13,9 @@ from numpy.typing import NDArray
 from nrbench.imaging.fold import Values
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
-from .residual_tiles.repetition import SIZES, copied_share, count_sources, find_twins
-from .residual_tiles.tiles import ComparedTiles, TileSet, quarters
+from .residual_tiles.distance import measure_distances
+from .residual_tiles.repetition import SIZES, Twins, copied_share, count_sources, find_twins
+from .residual_tiles.tiles import ComparedTiles, TileSet, part_starts, quarters
 from .verdict.examination import examine
 from .verdict.verdict import Verdict
 
@@ -24,10 +24,10 @@ _LEAST_VARIANCE = (2 / 255) ** 2
 """Departures weaker than two gray levels (of 8 bits) cannot be told from rounding and resampling."""
 _LEAST_COLOR = (1 / 255) ** 2
 """Mean colors that vary by less than a gray level (of 8 bits) are not compared."""
-_MOST_TILES = 160
-"""Tiles of each image between which distances are computed; of more tiles, evenly spaced ones."""
-_PARTS = 4
-"""Parts of a tile, along each side, whose mean departures are compared."""
+_LEAST_TOLERANCE = 0.1
+"""Tolerance of the logarithm of the variation, at least: differences of 10 % are not visible."""
+_RESOLUTION = 5.0
+"""Twins that are less frequent than one fifth of those of the best copier cannot be told from chance."""
 _OUTLYING = 4.5
 """A window is odd if the logarithm of its worst spot exceeds the median by this many median absolute deviations."""
 _SPOTS = 3
@@ -57,16 +57,28 @@ class Randomness:
     the share of twins in fresh draws, and 1 for that of the best possible copier, which chooses at random among the M
     places of the sample that are equal modulo the lattice: one pair in M is a twin. One tile repeated has a repetition
     of about M. Twins at lags at which most windows return count for more: a crop of the sample that is repeated in rows
-    and columns has few twins, but all at few lags, and a repetition of about the square root of M. ``distance`` is an
-    energy distance between the departures of output and fresh draws, less that among fresh draws, so that adding noise
-    does not improve it.
+    and columns has few twins, but all at few lags, and a repetition of about the square root of M. ``distance`` is the
+    distance between the distributions of the tiles of output and fresh draws, see
+    :func:`~.residual_tiles.distance.measure_distances`. It includes the detail inside tiles: adding noise does not
+    improve it.
+
+    ``score`` is the smallest of three numbers, each 1 for a fresh draw and 0 for one tile repeated:
+
+    - the smaller over the larger variation of output and fresh draws, beyond a tolerance of twice the scatter of fresh
+      draws (see :class:`Energies`);
+    - the logarithm of the effective number of different windows, over that of a fresh draw (see
+      :func:`score_repetition`);
+    - 1 less the distance.
 
     For a photograph the sample replaces the fresh draws. Energies are then compared in boxes as large as the smaller of
     sample and output, each about its own mean tile. Randomness is not scored where regularity is lost.
     """
 
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
     columns: ClassVar[Mapping[str, Column]] = {
+        "score": Column(
+            "The worst of variation, repetition and distance: 1 as a fresh draw, 0 one tile repeated.", better="higher"
+        ),
         "variation": _ratio("Tile-to-tile variation over that of fresh draws."),
         "variation_color": _ratio("Variation of the tiles' mean colors over that of fresh draws."),
         "repetition": _excess(
@@ -79,67 +91,110 @@ class Randomness:
             "Share of windows of half a tile with a near-exact twin in the sample, beyond chance.",
             range=(-math.inf, 1.0),
         ),
-        "distance": _excess(
-            "Energy distance between the tiles' departures of output and fresh draws, less that among fresh draws."
+        "distance": Column(
+            "Distance between the tiles of output and fresh draws: 0 equal distributions, 1 no tile in common.",
+            range=(-math.inf, 1.0),
+            better="lower",
         ),
         "survival": _ratio("Share of odd (damaged, missing) windows over the expected share."),
     }
 
     def score(self, observation: Observation) -> Score:
         """Return the scores."""
-        verdict = examine(observation).verdict
-        if isinstance(verdict, str):
-            return Score.missing(self.columns, verdict)
-        return self.score_verdict(observation, verdict)
+        return observation.shared(_score)
 
-    def score_verdict(self, observation: Observation, verdict: Verdict) -> Score:
-        """Return the scores, given the verdict on regularity."""
-        if verdict.lattice_doubtful:
-            reason = f"not scored: the lattice may not be the sample's ({verdict.lack_of_power})"
-            return Score.missing(self.columns, reason)
-        if verdict.preserved is False:
-            return Score.missing(self.columns, f"not scored: regularity is lost ({verdict.faults[0]})")
-        tiles = ComparedTiles.of(observation, verdict)
-        if tiles.fewest < _LEAST_TILES:
-            return Score.missing(self.columns, f"undecided: fewer than {_LEAST_TILES} whole tiles to compare")
-        energies = Energies.of(tiles)
-        if min(energies.reference, float(verdict.reference.periodic.variance.values.mean())) < _LEAST_VARIANCE:
-            return Score.missing(self.columns, "not applicable: the texture hardly varies from tile to tile")
 
-        lattice, sample = verdict.reference.lattice, observation.sample
-        sources = [count_sources(sample, lattice, size) for size in SIZES]
-        twins = find_twins(tiles.output, tiles.reference, tiles.weights, sources, energies.ratio)
-        distance, level = energy_distance(tiles.output, tiles.fresh, tiles.weights)
-        elements = observation.truth.elements if observation.truth else {}
-        survival, no_survival, odd_shares = survival_of_odd_windows(tiles, elements)
-        values: dict[str, Value] = {
-            "variation": energies.ratio,
-            "variation_color": energies.color_ratio,
-            "repetition": max((one.score for one in twins if one.size < 2), default=None),
-            "repetition_wide": next((one.score for one in twins if one.size == 2), None),
-            "copied": copied_share(tiles),
-            "distance": distance - level,
-            "survival": survival,
-        }
-        reasons = {
-            "variation_color": "not applicable: the tiles' mean colors hardly vary",
-            "repetition": "undecided: no pairs of windows to compare",
-            "repetition_wide": "undecided: no two windows of two tiles side by side in output and reference",
-            "copied": "undecided: the sample holds too few windows of half a tile",
-            "survival": no_survival,
-        }
-        records: dict[str, Any] = {
-            "level_of_distance": level,
-            **odd_shares,
-            "reference": "fresh draws" if tiles.model else "sample",
-            "tiles": len(tiles.output),
-            "sources": twins[0].sources if twins else None,
-            "twins": {f"{one.size:g}": one.own.all for one in twins},
-            "twins_by_lag": {f"{one.size:g}": one.own.by_lag for one in twins},
-            "twins_of_reference": {f"{one.size:g}": one.natural.all for one in twins},
-            "deviation": {name: float(np.sqrt(getattr(energies, name))) for name in ("output", "reference", "sample")},
-        }
-        return Score(values, {name: reasons[name] for name, value in values.items() if value is None}, records=records)
+def _score(observation: Observation) -> Score:
+    verdict = examine(observation).verdict
+    return Score.missing(Randomness.columns, verdict) if isinstance(verdict, str) else score_tiles(observation, verdict)
+
+
+def score_tiles(observation: Observation, verdict: Verdict) -> Score:
+    """Return the scores of randomness, given the verdict on regularity."""
+    columns = Randomness.columns
+    if verdict.lattice_doubtful:
+        return Score.missing(columns, f"not scored: the lattice may not be the sample's ({verdict.lack_of_power})")
+    if verdict.preserved is False:
+        return Score.missing(columns, f"not scored: regularity is lost ({verdict.faults[0]})")
+    tiles = ComparedTiles.of(observation, verdict)
+    if tiles.fewest < _LEAST_TILES:
+        return Score.missing(columns, f"undecided: fewer than {_LEAST_TILES} whole tiles to compare")
+    energies = Energies.of(tiles)
+    if min(energies.reference, float(verdict.reference.periodic.variance.values.mean())) < _LEAST_VARIANCE:
+        return Score.missing(columns, "not applicable: the texture hardly varies from tile to tile")
+
+    lattice, sample = verdict.reference.lattice, observation.sample
+    sources = [count_sources(sample, lattice, size) for size in SIZES]
+    twins = find_twins(tiles.output, tiles.reference, tiles.weights, sources, energies.ratio)
+    distances = measure_distances(tiles.output, tiles.fresh, tiles.weights, tiles.mean)
+    elements = observation.truth.elements if observation.truth else {}
+    survival, no_survival, odd_shares = survival_of_odd_windows(tiles, elements)
+    narrow = [one for one in twins if one.size < 2]
+    parts = {
+        "variation": energies.score,
+        "repetition": score_repetition(narrow, len(tiles.output)),
+        "distance": float(np.clip(1 - max(distances.values()), 0, 1)),
+    }
+    values: dict[str, Value] = {
+        "score": min(parts.values()),
+        "variation": energies.ratio,
+        "variation_color": energies.color_ratio,
+        "repetition": max((one.score for one in narrow), default=None),
+        "repetition_wide": next((one.score for one in twins if one.size == 2), None),
+        "copied": copied_share(tiles),
+        "distance": max(distances.values()),
+        "survival": survival,
+    }
+    reasons = {
+        "variation_color": "not applicable: the tiles' mean colors hardly vary",
+        "repetition": "undecided: no pairs of windows to compare",
+        "repetition_wide": "undecided: no two windows of two tiles side by side in output and reference",
+        "copied": "undecided: the sample holds too few windows of half a tile",
+        "survival": no_survival,
+    }
+    records: dict[str, Any] = {
+        "parts_of_score": parts,
+        "distances": distances,
+        **odd_shares,
+        "reference": "fresh draws" if tiles.model else "sample",
+        "tiles": len(tiles.output),
+        "sources": twins[0].sources if twins else None,
+        "twins": {f"{one.size:g}": one.own.all for one in twins},
+        "twins_by_lag": {f"{one.size:g}": one.own.by_lag for one in twins},
+        "twins_of_reference": {f"{one.size:g}": one.natural.all for one in twins},
+        "deviation": {name: float(np.sqrt(getattr(energies, name))) for name in ("output", "reference", "sample")},
+        "tolerance_of_variation": energies.tolerance,
+    }
+    return Score(values, {name: reasons[name] for name, value in values.items() if value is None}, records=records)
+
+
+def score_repetition(twins: Iterable[Twins], tiles: int) -> float:
+    """Return the score of repetition in [0, 1]: 1 if no window is repeated, 0 if all windows are equal.
+
+    If a share t of all pairs of windows are twins beyond chance, the output looks as if its windows were drawn from 1/t
+    different ones, its *effective number of windows*. The score is the logarithm of this number over that of the
+    largest number that can be measured: the number of tiles of the output, or five times the number M of places in the
+    sample from which a copier can choose. The best copier thus has ``log M / log(min(tiles, 5 M))``.
+
+    A crop of the sample that is repeated in rows and columns has few twins, but these return at fixed lags. If a share
+    r of all pairs return at their lag, see :meth:`~.residual_tiles.repetition.Pairs.count`, the score is at most 1 - r
+    M, because a share of 1/M returns if the whole sample is repeated.
+
+    Parameters
+    ----------
+    twins
+        The twins among windows of one or more widths; the most repeated width counts.
+    tiles
+        Number of tiles of the output.
+    """
+    score = 1.0
+    for one in twins:
+        largest = max(min(tiles, _RESOLUTION * one.sources), 2.0)
+        chance = min(one.natural.all, 0.5)
+        share = max((one.own.all - chance) / (1 - chance), 1 / largest)
+        returning = max(one.own.by_lag**2 - one.natural.by_lag**2, 0.0) * one.sources
+        score = min(score, math.log(1 / share) / math.log(largest), 1 - returning)
+    return max(score, 0.0)
 
 
 @dataclass(frozen=True)
@@ -152,6 +207,8 @@ class Energies:
         Of all pixels.
     color, reference_color
         Of the tiles' mean colors, in output and reference.
+    fresh
+        Of all pixels, in each fresh draw, or in each half of the sample.
     """
 
     output: float
@@ -159,6 +216,7 @@ class Energies:
     sample: float
     color: float
     reference_color: float
+    fresh: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, tiles: ComparedTiles) -> Energies:
@@ -169,12 +227,24 @@ class Energies:
         """
         output, color = _pooled_energy(tiles.blocks[0], tiles.weights)
         reference, reference_color = _pooled_energy(tiles.blocks[1], tiles.weights)
-        return cls(output, reference, _pooled_energy([tiles.sample], tiles.weights)[0], color, reference_color)
+        sample, *fresh = (_pooled_energy([one], tiles.weights)[0] for one in (tiles.sample, *tiles.fresh))
+        return cls(output, reference, sample, color, reference_color, tuple(fresh))
 
     @property
     def ratio(self) -> float:
         """Energy of the output over that of the reference."""
         return self.output / max(self.reference, 1e-12)
+
+    @property
+    def tolerance(self) -> float:
+        """Tolerance of the logarithm of the ratio: twice its standard deviation over fresh draws, at least 0.1."""
+        logarithms = np.log(np.maximum(self.fresh, 1e-12)) - math.log(max(self.reference, 1e-12))
+        return max(2 * float(np.sqrt(np.mean(logarithms**2))), _LEAST_TOLERANCE) if self.fresh else _LEAST_TOLERANCE
+
+    @property
+    def score(self) -> float:
+        """The smaller over the larger energy of output and reference, in [0, 1]; 1 within the tolerance."""
+        return float(np.exp(min(self.tolerance - abs(math.log(max(self.ratio, 1e-12))), 0.0)))
 
     @property
     def color_ratio(self) -> float | None:
@@ -193,84 +263,6 @@ def _pooled_energy(sets: Iterable[TileSet], weights: NDArray[np.float32]) -> tup
             color += (len(tiles) - 1) * float((means**2).mean(dtype=np.float64))
             freedom += len(tiles) - 1
     return total / max(freedom, 1), color / max(freedom, 1)
-
-
-def energy_distance(output: TileSet, fresh: tuple[TileSet, ...], weights: NDArray[np.float32]) -> tuple[float, float]:
-    """Return the energy distance between the departures of output and fresh draws, and that among fresh draws.
-
-    ``2 E|X - Y| - E|X - X'| - E|Y - Y'|`` (Szekely and Rizzo, Energy statistics, 2013) over ``E|Y - Y'|``. It is 0 if
-    both have the same distribution; the estimate can be negative, since X and X' are different tiles. Departures are
-    those from each image's own mean tile. The distance is the mean of two: one between all samples of the tiles, and
-    one between the means of 4 x 4 parts of the tiles. In the many dimensions of all samples the first hardly depends on
-    anything but the strength of departures, which noise can mimic. The level of fresh draws, each against all others,
-    is the expected distance of an output without defects. Computes O(n^2) products for at most 160 tiles of each image.
-
-    Parameters
-    ----------
-    output, fresh
-        Tiles on one grid: at least two of each image, and at least two fresh sets.
-    weights
-        ``(V, U)``: weight of each sample of a tile.
-    """
-    both = [_compare_sets([rows(tiles, weights) for tiles in (output, *fresh)]) for rows in (_samples, _part_means)]
-    own, level = np.mean(both, 0)
-    return float(own), float(level)
-
-
-def _compare_sets(sets: list[NDArray[np.float32]]) -> tuple[float, float]:
-    """Return the energy distance of the first set to all others, and the mean one of each of these to the rest."""
-    start = np.cumsum([0, *(len(part) for part in sets)])
-    lengths = _lengths(np.concatenate(sets))
-    spans = [slice(a, b) for a, b in pairwise(start)]
-    sums = np.array([[lengths[a, b].sum(dtype=np.float64) for b in spans] for a in spans])
-    counts = np.array([len(part) for part in sets], np.float64)
-
-    def distance(one: int, others: list[int]) -> float:
-        # E|Y - Y'| is over pairs within each of the other sets, because each is a draw.
-        between = (sums[one, others] / counts[others]).mean() / counts[one]
-        own = sums[one, one] / (counts[one] * (counts[one] - 1))
-        theirs = (sums[others, others] / (counts[others] * (counts[others] - 1))).mean()
-        return float((2 * between - own - theirs) / max(theirs, 1e-12))
-
-    fresh = range(1, len(sets))
-    return distance(0, list(fresh)), float(np.mean([distance(k, [j for j in fresh if j != k]) for k in fresh]))
-
-
-def _samples(tiles: TileSet, weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    few = _thin(tiles.departures)
-    share = np.sqrt(weights / weights.sum() / few.shape[-1])[..., np.newaxis]
-    return np.asarray((few * share).reshape(len(few), -1), np.float32)
-
-
-def _part_means(tiles: TileSet, weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the weighted mean departures of 4 x 4 parts of each tile."""
-    few = _thin(tiles.departures)
-    rows, columns = (_starts(side, _PARTS) for side in weights.shape)
-    sums = np.add.reduceat(np.add.reduceat(few * weights[..., np.newaxis], rows, 1), columns, 2)
-    masses = np.add.reduceat(np.add.reduceat(weights, rows, 0), columns, 1)
-    return np.asarray((sums / masses[..., np.newaxis]).reshape(len(few), -1), np.float32)
-
-
-def _starts(side: int, parts: int) -> NDArray[np.int64]:
-    """Return where the parts of a side begin; a side shorter than the parts has fewer."""
-    return np.unique(np.linspace(0, side, parts + 1).astype(int)[:-1])
-
-
-def _thin(departures: Values) -> Values:
-    if len(departures) <= _MOST_TILES:
-        return departures
-    return departures[np.linspace(0, len(departures) - 1, _MOST_TILES).round().astype(np.intp)]
-
-
-def _lengths(rows: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the distances between all rows, in place: scipy's cdist computes in double precision."""
-    powers = (rows**2).sum(1)
-    squares = rows @ rows.T
-    squares *= -2
-    squares += powers
-    squares += powers[:, np.newaxis]
-    np.fill_diagonal(squares, 0)
-    return np.asarray(np.sqrt(np.maximum(squares, 0, out=squares), out=squares))
 
 
 def survival_of_odd_windows(
@@ -312,7 +304,7 @@ def _log_worst_spots(windows: Iterable[Values], tiles: ComparedTiles) -> NDArray
     worst = []
     for part, mean, weight in zip(windows, means, weights, strict=True):
         squares = ((part - mean) ** 2).mean(-1) * weight
-        rows, columns = (_starts(side, _SPOTS) for side in squares.shape[1:])
+        rows, columns = (part_starts(side, _SPOTS) for side in squares.shape[1:])
         sums = np.add.reduceat(np.add.reduceat(squares, rows, 1), columns, 2)
         heights, widths = np.diff([*rows, squares.shape[1]]), np.diff([*columns, squares.shape[2]])
         worst.append(np.asarray(sums / (heights[:, np.newaxis] * widths), np.float32).max((1, 2)))

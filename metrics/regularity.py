@@ -91,7 +91,10 @@ class Regularity:
             "Whether no single tile is displaced, missing or doubled; undecided if one could stay undetected.",
             better="higher",
         ),
-        "score": Column("Share of tiles that are in place and intact.", better="higher"),
+        "score": Column(
+            "Share of tiles that show the pattern in its place; tiles joined of parts count, see integrity.",
+            better="higher",
+        ),
         "misplacement_median": _distance(_MEDIAN),
         "misplacement_p95": _distance(_P95),
         "misplacement_median_px": _distance(_MEDIAN, "px"),
@@ -136,12 +139,16 @@ class Regularity:
 
     def score(self, observation: Observation) -> Score:
         """Return the scores, and the picture ``defects``, which shows the bad tiles in color on the dimmed output."""
-        verdict = examine(observation).verdict
-        if isinstance(verdict, str):
-            return Score.missing(self.columns, verdict)
-        values = compute_columns(verdict)
-        reasons = {name: _reason(name, verdict) for name, value in values.items() if value is None}
-        return Score(values, reasons, {"defects": draw_defects(verdict)}, _records(verdict))
+        return observation.shared(_score)
+
+
+def _score(observation: Observation) -> Score:
+    verdict = examine(observation).verdict
+    if isinstance(verdict, str):
+        return Score.missing(Regularity.columns, verdict)
+    values = compute_columns(verdict)
+    reasons = {name: _reason(name, verdict) for name, value in values.items() if value is None}
+    return Score(values, reasons, {"defects": draw_defects(verdict)}, _records(verdict))
 
 
 def compute_columns(verdict: Verdict) -> dict[str, Value]:

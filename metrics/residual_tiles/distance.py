@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from nrbench.imaging.fold import Values
 
-from .tiles import TileSet
+from .tiles import TileSet, part_starts
 
 Rows = NDArray[np.float32]
 """Features of tiles, one row for each tile."""
@@ -30,7 +30,7 @@ _SHARE_OF_VARIANCE = 0.02
 _LEAST_VARIANCE = (1 / 255) ** 2
 
 
-def distance_of_tiles(
+def measure_distances(
     output: TileSet, fresh: Sequence[TileSet], weights: NDArray[np.float32], mean: Values
 ) -> dict[str, float]:
     """Return the energy distance between the tiles of an output and those of fresh draws, by group of features.
@@ -75,15 +75,10 @@ def distance_of_tiles(
 def _part_means(tiles: TileSet, weights: NDArray[np.float32]) -> Rows:
     """Return the weighted mean departures of 4 x 4 parts of each tile."""
     few = _thin(tiles.departures)
-    rows, columns = (_starts(side, _PARTS) for side in weights.shape)
+    rows, columns = (part_starts(side, _PARTS) for side in weights.shape)
     sums = np.add.reduceat(np.add.reduceat(few * weights[..., np.newaxis], rows, 1), columns, 2)
     masses = np.add.reduceat(np.add.reduceat(weights, rows, 0), columns, 1)
     return np.asarray((sums / masses[..., np.newaxis]).reshape(len(few), -1), np.float32)
-
-
-def _starts(side: int, parts: int) -> NDArray[np.int64]:
-    """Return where the parts of a side begin; a side shorter than the parts has fewer."""
-    return np.unique(np.linspace(0, side, parts + 1).astype(int)[:-1])
 
 
 def _detail(tiles: TileSet, weights: NDArray[np.float32], mean: Values) -> Rows:

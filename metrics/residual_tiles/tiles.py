@@ -125,6 +125,11 @@ def quarters(tiles: Values) -> Values:
     return np.stack([tiles[:, y : y + rows, x : x + columns] for y in (0, rows) for x in (0, columns)])
 
 
+def part_starts(side: int, parts: int) -> NDArray[np.int64]:
+    """Return the first samples of ``parts`` equal parts of a side of a tile; a side shorter than that has fewer."""
+    return np.unique(np.linspace(0, side, parts + 1).astype(int)[:-1])
+
+
 def align_middles(image: Measurements, references: tuple[Measurements, ...]) -> Points:
     """Return the middles (x, y) px of the whole tiles, displaced by what exceeds the references' noise, ``(n, 2)``.
 
