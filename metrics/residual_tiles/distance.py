@@ -67,8 +67,8 @@ def measure_distances(
     steps = np.array([_ENERGY_STEP] * len(_BANDS) + [_CONTRAST_STEP])
     variance = np.concatenate(detail[1:]).var(0, dtype=np.float64) + steps**2
     return {
-        "parts": _excess_distance(_whitened(parts)),
-        "detail": _excess_distance([np.asarray(rows / np.sqrt(variance), np.float32) for rows in detail]),
+        "parts": compare_sets(_whitened(parts)),
+        "detail": compare_sets([np.asarray(rows / np.sqrt(variance), np.float32) for rows in detail]),
     }
 
 
@@ -110,7 +110,7 @@ def _whitened(sets: list[Rows]) -> list[Rows]:
     return [rows @ whitening for rows in sets]
 
 
-def _excess_distance(sets: list[Rows]) -> float:
+def compare_sets(sets: list[Rows]) -> float:
     """Return the energy distance of the first set to all others, less the mean of that of each of these to the rest."""
     start = np.cumsum([0, *(len(rows) for rows in sets)])
     lengths = _lengths(np.concatenate(sets))

@@ -9,9 +9,9 @@ from scipy.stats import spearmanr
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.randomness import Randomness
+from nrbench.metrics.randomness import Randomness, score_repetition
 from nrbench.metrics.residual_tiles import tiles
-from nrbench.metrics.residual_tiles.repetition import count_sources
+from nrbench.metrics.residual_tiles.repetition import Share, Twins, count_sources
 from nrbench.metrics.residual_tiles.tiles import TileSet
 from nrbench.metrics.verdict.verdict import Verdict
 from nrbench.plugins.forms import Observation, Score, Task, Texture
@@ -89,6 +89,7 @@ def test_one_tile_repeated_hardly_varies_and_repeats_all(case: Cases, name: str,
     score = randomness(case(name).observe(one_tile_repeated(case(name)), model))
     assert score.values["variation"] < 0.1
     assert score.values["repetition"] > 0.8 * score.records["sources"]
+    assert score.values["score"] < 0.1
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -107,6 +108,7 @@ def test_a_crop_repeated_scores_worse_than_the_best_copier(case: Cases, name: st
     score = randomness(case(name).observe(quantize(Supertile().synthesize(task).image)))
     assert score.records["twins"]["1"] * score.records["sources"] < 1.5
     assert 2 < score.values["repetition"] < score.records["sources"] / 3
+    assert score.values["score"] < 0.25
 
 
 @pytest.mark.parametrize(
@@ -123,6 +125,47 @@ def test_each_score_follows_its_own_defect(case: Cases, kind: str, most: float, 
         assert sign * found >= 0.95, (column, found)
 
 
+def blur(strength: float, case: Case, image: Image) -> Image:
+    """Blur an image."""
+    return np.asarray(ndimage.gaussian_filter(image, (strength, strength, 0)), np.float32)
+
+
+def lower_contrast(strength: float, case: Case, image: Image) -> Image:
+    """Move all values towards their mean."""
+    return np.asarray(image + strength * (image.mean((0, 1)) - image), np.float32)
+
+
+def replace_texture(strength: float, case: Case, image: Image) -> Image:
+    """Mix the fine texture, below a Gaussian of 4 px, with white noise of the same variance."""
+    drawn = case.again(image.shape[:2], 0)
+    assert drawn is not None and drawn.ideal is not None
+    rest = image - drawn.ideal
+    fine = rest - ndimage.gaussian_filter(rest, (4, 4, 0))
+    noise = np.random.default_rng(0).standard_normal(image.shape) * fine.std((0, 1))
+    return np.asarray(image + (np.sqrt(1 - strength) - 1) * fine + np.sqrt(strength) * noise, np.float32)
+
+
+@pytest.mark.parametrize("change", [blur, lower_contrast, replace_texture])
+def test_changes_inside_tiles_are_detected(case: Cases, change: Callable[[float, Case, Image], Image]) -> None:
+    """Blur, a loss of contrast and noise in place of the texture move every image beyond all fresh draws, by degrees.
+
+    The strengths end at a blur of 1 px, a contrast of 0.8 and noise alone.
+    """
+    largest = {blur: 1.0, lower_contrast: 0.2, replace_texture: 1.0}[change]
+    for name in ("brick", "weave"):
+        images = [case(name).fresh(192, k) for k in range(3)]
+        usual = max(randomness(case(name).observe(image)).values["distance"] for image in images)
+        image = images[0]
+        found = [
+            randomness(case(name).observe(quantize(np.clip(change(share * largest, case(name), image), 0, 1)))).values
+            for share in (0.25, 0.5, 0.75, 1.0)
+        ]
+        far = [one["distance"] for one in found]
+        assert far == sorted(far)
+        assert far[-1] > max(5 * usual, 0.3)
+        assert found[-1]["score"] < 0.7
+
+
 def test_variation_measures_how_far_tiles_depart() -> None:
     """Departures of half the strength have a quarter of the energy."""
     strong, weak = Brick(color=0.4, intensity=0.0, noise=0.0), Brick(color=0.2, intensity=0.0, noise=0.0)
@@ -130,6 +173,20 @@ def test_variation_measures_how_far_tiles_depart() -> None:
     one, other = Case(strong, texture), Case(weak, texture)
     values = [randomness(one.observe(other.fresh(k=k))).values for k in range(3)]
     assert np.mean([value["variation"] for value in values]) == pytest.approx(0.25, abs=0.05)
+
+
+@pytest.mark.parametrize(("sources", "tiles"), [(30, 200), (6, 2000)])
+def test_the_score_of_repetition(sources: int, tiles: int) -> None:
+    """It is 1 without twins, 0 if all are twins or the sample is repeated, and log M / log L for the best copier."""
+
+    def twins(share: float, by_lag: float = 0.0) -> list[Twins]:
+        return [Twins(1.0, Share(share, by_lag), Share(0.0, 0.0), sources)]
+
+    assert score_repetition(twins(0.0), tiles) == 1
+    assert score_repetition(twins(1.0), tiles) == 0
+    assert score_repetition(twins(1 / sources, sources**-0.5), tiles) == pytest.approx(0)
+    expected = np.log(sources) / np.log(min(tiles, 5 * sources))
+    assert score_repetition(twins(1 / sources), tiles) == pytest.approx(expected)
 
 
 def test_tiles_laid_in_another_order_vary_as_they_did() -> None:
@@ -187,8 +244,9 @@ def test_noise_does_not_improve_the_distance(case: Cases) -> None:
     grain = np.random.default_rng(0).normal(0, strength, tiled.shape).astype(np.float32)
     noisy = randomness(case("brick").observe(quantize(np.clip(tiled + grain, 0, 1))))
     assert noisy.values["variation"] > 0.6
-    assert noisy.values["distance"] > 50 * abs(fresh.values["distance"])
-    assert noisy.values["distance"] > 0.1
+    assert noisy.values["distance"] > 20 * abs(fresh.values["distance"])
+    assert noisy.values["distance"] > 0.4
+    assert noisy.values["score"] == 0
 
 
 def test_what_is_copied_is_found_in_the_sample(case: Cases) -> None:
@@ -198,7 +256,7 @@ def test_what_is_copied_is_found_in_the_sample(case: Cases) -> None:
     )
     assert values["copied"] > 0.5
     assert abs(fresh["copied"]) < 0.05
-    assert values["distance"] < 0.02
+    assert values["distance"] < 0.2
 
 
 def test_damage_survives_or_not() -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.randomness import energy_distance
+from nrbench.metrics.residual_tiles.distance import compare_sets, measure_distances
 from nrbench.metrics.residual_tiles.repetition import SIZES, Share, Twins, find_pairs, find_twins
 from nrbench.metrics.residual_tiles.tiles import TileSet, even_grid, quarters
 
@@ -140,22 +140,39 @@ def test_lags_are_the_same_both_ways() -> None:
     assert Share.of([find_pairs(turned, FLAT)[1]], 1e-6) == Share.of([find_pairs(one, FLAT)[1]], 1e-6)
 
 
-def test_the_energy_distance_of_one_distribution_is_nothing() -> None:
-    """A further draw is at the level of fresh draws; half the strength, or equally strong grain, far beyond it."""
+def distances(own: TileSet, fresh: tuple[TileSet, ...]) -> dict[str, float]:
+    """Return the distances, with a wave across the tiles as mean tile."""
+    wave = np.broadcast_to(np.sin(np.arange(16) * np.pi / 8)[:, np.newaxis, np.newaxis], (16, 16, 3))
+    return measure_distances(own, fresh, FLAT, np.asarray(wave, np.float32))
+
+
+def test_the_distance_of_one_distribution_is_zero() -> None:
+    """A further draw has a distance of 0; half the strength is farther; equally strong grain is far in every group."""
     fresh = tuple(tiles(9, 9, seed) for seed in range(10, 16))
-    right = [energy_distance(tiles(9, 9, seed), fresh, FLAT) for seed in range(6)]
-    spread = np.std([far - level for far, level in right])
-    assert abs(np.mean([far - level for far, level in right])) < 3 * spread
-    weak, level = energy_distance(tiles(9, 9, 0, 0.05), fresh, FLAT)
-    assert weak - level > 5 * spread
+    further = [distances(tiles(9, 9, seed), fresh) for seed in range(6)]
+    spread = {name: float(np.std([one[name] for one in further])) for name in ("parts", "detail")}
+    for name in spread:
+        assert abs(np.mean([one[name] for one in further])) < 3 * spread[name] + 1e-3
+    assert distances(tiles(9, 9, 0, 0.05), fresh)["parts"] > 5 * spread["parts"]
     rng = np.random.default_rng(0)
     grain = with_tiles(fresh[0], (0.1 * rng.standard_normal((81, 16, 16, 3))).astype(np.float32))
     assert (grain.departures**2).mean() == pytest.approx((fresh[0].departures ** 2).mean(), rel=0.2)
-    assert energy_distance(grain, fresh, FLAT)[0] - level > 20 * spread
+    assert distances(grain, fresh)["parts"] > 0.1
+    assert distances(grain, fresh)["detail"] > 0.9
+
+
+def test_distances_follow_a_shift_as_stated() -> None:
+    """If one of many standard normal features moves by one, two or four deviations, see the docstring."""
+    rng = np.random.default_rng(0)
+    fresh = [rng.standard_normal((600, 1)).astype(np.float32) for _ in range(3)]
+    for shift, expected in ((1, 0.2), (2, 0.45), (4, 0.7)):
+        own = rng.standard_normal((600, 1)).astype(np.float32) + np.float32(shift)
+        assert compare_sets([own, *fresh]) == pytest.approx(expected, abs=0.03)
 
 
 def test_the_order_of_tiles_does_not_matter() -> None:
-    """The order of the tiles does not change the energy distance."""
+    """The order of the tiles does not change the distances."""
     fresh, own = tuple(tiles(9, 9, seed) for seed in (10, 11)), tiles(9, 9, 1)
     mixed = own.take(np.random.default_rng(0).permutation(len(own)))
-    assert energy_distance(mixed, fresh, FLAT) == pytest.approx(energy_distance(own, fresh, FLAT), abs=1e-6)
+    for name, value in distances(own, fresh).items():
+        assert distances(mixed, fresh)[name] == pytest.approx(value, abs=1e-5)
