@@ -45,6 +45,10 @@ class Overlap(Model):
         width, rise = 5 / 7 * self.period, 5 / 4 * self.period
         return ((self.period, 0.0), (0.0, self.period)), ((width, 0.0), (width / 2, rise / 2))
 
+    def kind_vectors(self, name: str) -> Vectors:
+        """Return those of the kind's own lattice."""
+        return self.sublattices()[("square", "hexagon").index(name)]
+
     @property
     def element_size(self) -> float:
         """The breadth of a hexagon."""

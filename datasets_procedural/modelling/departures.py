@@ -21,7 +21,8 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape
 
 from .drawing import Displacement, Field, Layer, Pattern
-from .random_fields import factor_variance, factors, grain, role_seed, uniform, unit, waves
+from .random_fields import WAVES, factor_variance, factors, grain, role_seed, uniform, unit, waves
+from .recomposition import Origin, OwnDraw, Reader
 
 _INDEPENDENT = 0.27
 """Standard deviation, as a share of an element's breadth, up to which jitter moves small elements independently."""
@@ -74,6 +75,12 @@ class Departures:
         return math.ceil(4 * self._seam) if self.jitter else 0
 
     @property
+    def reach(self) -> int:
+        """Number of px that no content moves beyond along either axis."""
+        waves_bound = math.sqrt(2 * WAVES) * (0.25 * self.s * self.bend + self._shared)
+        return math.ceil(waves_bound + math.sqrt(3) * self._independent)
+
+    @property
     def _independent(self) -> float:
         """Standard deviation in px by which jitter moves each element independently: more would fold the picture over.
 
@@ -94,7 +101,7 @@ class Departures:
         size = self.element_size
         return min(max(0.25 * self.s * self.jitter, 0.1 * size), 0.3 * size)
 
-    def displacement(self, around: Pattern, shape: Shape, seed: int) -> Displacement:
+    def displacement(self, around: Pattern, shape: Shape, seed: int, origin: Origin | None = None) -> Displacement:
         """Return how far the content at each pixel moves.
 
         Parameters
@@ -104,12 +111,14 @@ class Departures:
             shared waves), and what lies between two elements is stretched.
         shape, seed
             The picture's, and the draw's.
+        origin
+            Which draw's numbers the elements take; None: their own.
         """
         moved = np.zeros((*shape, 2))
         if self.bend:
             moved += self._waves("bend", 0.25 * self.s * self.bend, 5 * self.s, shape, seed)
         if self.jitter:
-            moved += self._jitter(around, seed)
+            moved += self._jitter(around, origin or OwnDraw(seed))
         if self._shared:
             moved += self._shared_jitter(shape, seed)
         return moved
@@ -121,18 +130,18 @@ class Departures:
         """Return the displacement that neighbors share: waves so long that the picture does not fold over."""
         return self._waves("drift", self._shared, _STRETCH * self._shared, shape, seed)
 
-    def _jitter(self, around: Pattern, seed: int) -> Displacement:
+    def _jitter(self, around: Pattern, origin: Origin) -> Displacement:
         """Return the displacement of the element at each pixel, smoothed across the seams by a Gaussian."""
         weight = self._smooth(around.coverage() + 1e-3)
-        moves = [self._moves(layer, seed) for layer in around.layers]
+        moves = [self._moves(layer, number, origin) for number, layer in enumerate(around.layers)]
         inside = slice(self.margin, -self.margin)
         fields = (reduce(np.add, axis) for axis in zip(*moves, strict=True))
         return np.stack([(self._smooth(field) / weight)[inside, inside] for field in fields], -1)
 
-    def _moves(self, layer: Layer, seed: int) -> list[Field]:
+    def _moves(self, layer: Layer, number: int, origin: Origin) -> list[Field]:
         """Return how far each element moves independently along x and y, times its coverage, at each point."""
         census = layer.census()
-        table = self._move_table(layer.name, census.index, seed)
+        table = self._move_table(layer.name, origin.elements(number, census.index), origin.seed)
         return [layer.coverage * column.take(census.row) for column in np.ascontiguousarray(table.T)]
 
     def _move_table(self, name: str, index: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
@@ -143,11 +152,21 @@ class Departures:
         kernel = np.exp(-(np.arange(-self.margin, self.margin + 1) ** 2) / (2 * self._seam**2))
         return np.asarray(correlate1d(correlate1d(field, kernel / kernel.sum(), 0), kernel / kernel.sum(), 1))
 
-    def paint(self, pattern: Pattern, seed: int) -> tuple[Image, Elements]:
-        """Return the image, not yet clipped, and the elements in it with their departures."""
+    def paint(self, pattern: Pattern, seed: int, origin: Origin | None = None) -> tuple[Image, Elements]:
+        """Return the image, not yet clipped, and the elements in it with their departures.
+
+        Parameters
+        ----------
+        pattern, seed
+            The displaced pattern, and the draw.
+        origin
+            Which draw's numbers the elements and the pixels take; None: their own. The light is always the draw's own.
+        """
+        origin = origin or OwnDraw(seed)
+        read = origin.reader(pattern) if self.noise or self.damage else None
         elements: Elements = {}
         layers, tables = [], []
-        for layer, factor, truth in self._depart(pattern, seed):
+        for layer, factor, truth in self._depart(pattern, seed, origin, read):
             layers.append(layer)
             tables.append(factor)
             for name, rows in truth.items():
@@ -159,27 +178,30 @@ class Departures:
         if self.light:
             gradient = waves(role_seed(seed, "light"), shape, 16 * self.s, count=1)
             image *= np.asarray(1 + 0.25 * self.light * gradient, np.float32)[..., np.newaxis]
-        if self.noise:
-            image += np.float32(self.noise) * grain(role_seed(seed, "noise"), shape)[..., np.newaxis]
+        if read and self.noise:
+            noise = read(lambda size: grain(role_seed(origin.seed, "noise"), size))
+            image += np.float32(self.noise) * noise[..., np.newaxis]
         return image, elements
 
-    def _depart(self, pattern: Pattern, seed: int) -> Iterator[tuple[Layer, Image, Elements]]:
+    def _depart(
+        self, pattern: Pattern, seed: int, origin: Origin, read: Reader | None
+    ) -> Iterator[tuple[Layer, Image, Elements]]:
         """Yield each layer with its damage, its factor at each pixel and the truth about its elements."""
         shape = pattern.layers[0].coverage.shape
-        holes = self._holes(shape, seed) if self.damage else 0.0
+        holes = read(lambda size: self._holes(size, origin.seed)) if read and self.damage else 0.0
         shared = self._shared_jitter(shape, seed) if self._shared else None
-        for layer in pattern.layers:
+        for number, layer in enumerate(pattern.layers):
             census = layer.census()
-            visible = census.visible(layer.coverage)
-            table = factors(seed, layer.name, census.index, self.color, self.intensity)
+            visible, source = census.visible(layer.coverage), origin.elements(number, census.index)
+            table = factors(origin.seed, layer.name, source, self.color, self.intensity)
             truth = {"index": census.index.astype(np.float64), "factor": table}
             if self.damage or self.missing:
-                truth["damage"] = self._losses(layer.name, census.index, seed)
+                truth["damage"] = self._losses(layer.name, source, origin.seed)
                 loss = truth["damage"].take(census.row)
                 lost = np.where(loss < 1, (loss > 0) * holes, 1.0)
                 layer = replace(layer, coverage=layer.coverage * (1 - lost))
             if self.jitter:
-                truth["displacement"] = self._move_table(layer.name, census.index, seed)
+                truth["displacement"] = self._move_table(layer.name, source, origin.seed)
             if shared is not None:
                 truth["displacement"] += census.means(shared)
             named = {f"{layer.name}.{part}": rows[visible] for part, rows in truth.items()}

@@ -19,6 +19,7 @@ from nrbench.plugins.forms import Kind, Shape, Texture
 from .departures import Departures
 from .drawing import Field, Frame, Pattern, hue_rotation
 from .random_fields import role_seed
+from .recomposition import Picture, Sources
 
 Vectors = tuple[Vector, Vector]
 """Two generating vectors (x, y) in px."""
@@ -146,6 +147,21 @@ class Model(ABC):
             raise BadInput(f"texture {texture.name!r} has no lattice; pass one that this model rendered")
         return self._draw(shape, texture.lattice.origin, rng)
 
+    def recompose(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture:
+        """Return a draw on the lattice of ``texture`` in which each element copies an element of ``texture``.
+
+        The copied element lies at an equal place, differs by a lattice vector, and is drawn uniformly. The copy takes
+        its color, its losses, its independent displacement and its grain. What no element owns is drawn afresh: light,
+        bend, and the displacement that neighbors share. Details are in :mod:`~.recomposition`.
+        """
+        if texture.lattice is None or texture.draw_seed is None:
+            raise BadInput(f"texture {texture.name!r} was not drawn by a model; pass one that this model rendered")
+        return self._draw(shape, texture.lattice.origin, rng, texture)
+
+    def kind_vectors(self, name: str) -> Vectors:
+        """Return the generating vectors, before rotation, that lead to equal elements of one kind."""
+        return self.vectors
+
     @cached_property
     def departures(self) -> Departures:
         """The strengths, with the lengths that they refer to."""
@@ -187,18 +203,22 @@ class Model(ABC):
         frame = Frame(rotation=self.rotation)
         return Lattice(frame.vector(t1), frame.vector(t2), origin)
 
-    def _draw(self, shape: Shape, origin: Vector, rng: np.random.Generator) -> Texture:
-        """Return a draw on the lattice of that origin. One number from ``rng`` decides everything."""
+    def _draw(self, shape: Shape, origin: Vector, rng: np.random.Generator, sample: Texture | None = None) -> Texture:
+        """Return a draw on the lattice of that origin, of copies of a sample's elements if there is a sample.
+
+        One number from ``rng`` decides everything.
+        """
         check_shape(shape)
         seed = int(rng.integers(2**63))
         frame, departures = Frame(origin, self.rotation), self.departures
+        sources = None if sample is None else self._sources(shape, frame, sample, seed)
         around = self.colored_pattern(*frame.grid(shape, departures.margin))
         pattern = around.crop(departures.margin)
         ideal, moved = pattern.ideal(), None
         if departures.spread:
-            moved = departures.displacement(around, shape, seed)
+            moved = departures.displacement(around, shape, seed, sources)
             pattern = self.colored_pattern(*frame.grid(shape, moved=moved))
-        image, elements = departures.paint(pattern, seed)
+        image, elements = departures.paint(pattern, seed, sources)
         name = type(self).__name__.lower()
         lattices = tuple(self._lattice(origin, vectors) for vectors in (self.vectors, *self.sublattices()))
         return Texture(
@@ -212,7 +232,19 @@ class Model(ABC):
             displacement=None if moved is None else moved.astype(np.float32),
             elements=elements,
             regular_share=self.regular_share,
+            draw_seed=seed,
         )
+
+    def _sources(self, shape: Shape, frame: Frame, sample: Texture, seed: int) -> Sources:
+        """Return which element of the sample each element of a picture copies."""
+        margin = self.departures.margin + self.departures.reach
+        picture = Picture(self.colored_pattern, *frame.grid(shape, margin), margin)
+
+        def lattice_of(name: str) -> tuple[Vectors, Lattice]:
+            vectors = self.kind_vectors(name)
+            return vectors, self._lattice(frame.origin, vectors)
+
+        return picture.find_sources(sample, lattice_of, seed)
 
 
 class SquareModel(Model):

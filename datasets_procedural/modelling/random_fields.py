@@ -20,6 +20,8 @@ from .drawing import Field
 
 Words = NDArray[np.uint64]
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+WAVES = 12
+"""Number of plane waves that make a smooth random field."""
 _GRAIN = 0.7
 """Standard deviation in px of the Gaussian under the grain: less looks like a bad sensor, more looks like blur."""
 
@@ -95,7 +97,7 @@ def grain(seed: int, shape: Shape) -> NDArray[np.float32]:
     return np.asarray(smooth[reach:-reach, reach:-reach] * np.float32(math.sqrt(3)))
 
 
-def waves(seed: int, shape: Shape, period: float, count: int = 12) -> Field:
+def waves(seed: int, shape: Shape, period: float, count: int = WAVES) -> Field:
     """Return the sum of ``count`` plane waves of random direction, phase and length: a smooth random field.
 
     Over seeds each pixel has mean 0 and variance 1. The values are nearly Gaussian for the default count, and at most

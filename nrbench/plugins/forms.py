@@ -49,6 +49,8 @@ class Texture:
         Variance of the mean over draws over the mean total variance, in [0, 1]; None if it is unknown.
     region
         The region of a photograph that the image was cropped from; None for models.
+    draw_seed
+        The number that decides the draw of a model; None for photographs. It is part of no hash and no key.
     """
 
     image: Image
@@ -62,11 +64,19 @@ class Texture:
     elements: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     regular_share: float | None = None
     region: Region | None = None
+    draw_seed: int | None = None
 
 
 @runtime_checkable
 class Dataset(Protocol):
-    """The form of a dataset plugin: a frozen dataclass with these two methods."""
+    """The form of a dataset plugin: a frozen dataclass with these two methods.
+
+    Optional method:
+
+    ``recompose(texture, shape, rng)``
+        Return a draw of the same model and lattice in which each element copies a random element of ``texture`` that
+        lies at an equal place, joined without error. The reference method ``copier`` needs it.
+    """
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
         """Return a texture of ``shape`` whose lattice phase and departures are drawn from ``rng``."""
@@ -209,6 +219,9 @@ class Task:
         A function that a method may call at any time with the completed fraction, in [0, 1].
     again
         Fresh draws of the same texture; None unless the method declares ``reference = True``.
+    recompose
+        ``recompose(shape, k)`` returns the k-th draw whose elements are copies of elements of the sample; None unless
+        the method declares ``reference = True`` and the dataset has a method ``recompose``.
     """
 
     sample: Image
@@ -217,6 +230,7 @@ class Task:
     rng: np.random.Generator
     progress: Callable[[float], None] = _ignore
     again: Again | None = None
+    recompose: Again | None = None
 
 
 @dataclass(frozen=True)
@@ -325,7 +339,7 @@ class Synthesizer(Protocol):
     Optional class variables:
 
     ``reference``
-        True: the method receives ``task.again`` and is never ranked.
+        True: the method receives ``task.again`` and ``task.recompose``, and is never ranked.
     ``uses_lattice``
         False: the lattice axis of a suite does not apply.
     ``needs_lattice``

@@ -109,7 +109,8 @@ def _task(where: CellFolder, cell: Cell) -> Task:
     sample.setflags(write=False)
     rng = stream("synthesis", cell.seed, pixels_hash(sample), cell.replicate)
     again = _fresh_draws(where, cell) if cell.reference else None
-    return Task(sample, cell.shape, cell.lattice_given, rng, again=again)
+    recompose = _recompositions(cell) if cell.reference else None
+    return Task(sample, cell.shape, cell.lattice_given, rng, again=again, recompose=recompose)
 
 
 def _fresh_draws(where: CellFolder, cell: Cell) -> Again | None:
@@ -123,6 +124,18 @@ def _fresh_draws(where: CellFolder, cell: Cell) -> Again | None:
     def draw(shape: Shape, k: int) -> Texture | None:
         fits = k == 0 and region.shape[0] >= shape[0] and region.shape[1] >= shape[1]
         return Texture(region[: shape[0], : shape[1]]) if fits else None
+
+    return draw
+
+
+def _recompositions(cell: Cell) -> Again | None:
+    """Return the draws made of copies of the sample's elements; None for a photograph, or a dataset without them."""
+    if not cell.procedural or not hasattr(cell.recipe.plugin(), "recompose"):
+        return None
+
+    def draw(shape: Shape, k: int) -> Texture | None:
+        recompose = cell.recipe.recompose(cell.recipe.render())
+        return recompose(shape, k) if recompose else None
 
     return draw
 

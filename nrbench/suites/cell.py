@@ -65,6 +65,22 @@ class Recipe:
 
         return draw
 
+    def recompose(self, texture: Texture) -> Again | None:
+        """Return ``recompose(shape, k)``: the k-th draw made of copies of the elements of ``texture``.
+
+        None if the dataset has no method ``recompose``.
+        """
+        method = getattr(self.plugin(), "recompose", None)
+        if method is None:
+            return None
+
+        def draw(shape: Shape, k: int) -> Texture | None:
+            rng = stream("recompose", self.seed, self.texture, self.replicate, k)
+            drawn: Texture | None = method(texture, shape, rng)
+            return drawn
+
+        return draw
+
 
 @dataclass(frozen=True)
 class Cell:
