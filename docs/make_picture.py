@@ -17,7 +17,7 @@ from nrbench.imaging.drawing import draw_lattice
 from nrbench.imaging.files import read_image
 from nrbench.runs.records import CellRecord
 
-TEXTURES = ("brick-mild", "weave-middle", "hexagon-middle-rotated")
+TEXTURES = ("brick-strong", "weave-middle", "hexagon-middle-rotated")
 COLUMNS = (
     ("oracle", "none"),
     ("rsgf", "own"),

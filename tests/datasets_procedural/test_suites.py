@@ -20,9 +20,11 @@ from nrbench.suites.plan import Sample, draw_samples
 from nrbench.suites.suite import Suite, TextureRow, load_suite
 
 SHARES = {"mild": (0.9, 1.0), "middle": (0.6, 0.9), "strong": (0.3, 0.6)}
-SUITES = ["core", "default"]
+HARD = ("brick-bent", "weave-faint", "hexagon-few")
+"""The rows of the default suite that core does not have."""
+FROZEN_SUITES = ("core", "default", "integer", "spectrum", "report2004")
 FROZEN = Path(__file__).with_name("frozen_samples.json")
-ROWS = [pytest.param(row, id=f"{name}-{row.name}") for name in SUITES for row in load_suite(name).texture]
+ROWS = [pytest.param(row, id=row.name) for row in load_suite("core").texture]
 
 
 def _model(row: TextureRow) -> Model:
@@ -31,15 +33,55 @@ def _model(row: TextureRow) -> Model:
     return model
 
 
-@pytest.mark.parametrize(("name", "count"), [("core", 18), ("default", 9)])
-def test_families_by_shares(name: str, count: int) -> None:
-    """Each family comes at each regular share; in core once axis-aligned and once rotated."""
-    rows = load_suite(name).texture
+def test_families_by_shares() -> None:
+    """In core each family comes at each regular share, once axis-aligned and once rotated."""
+    rows = load_suite("core").texture
     cells = Counter((row.family, row.name.split("-")[1]) for row in rows)
-    assert set(cells) == set(itertools.product(("brick", "weave", "hexagon"), SHARES)) and len(rows) == count
-    assert set(cells.values()) == {count // 9}
-    rotated = sum("rotation" in row.parameters for row in rows)
-    assert rotated == (9 if name == "core" else 4)
+    assert set(cells) == set(itertools.product(("brick", "weave", "hexagon"), SHARES)) and len(rows) == 18
+    assert set(cells.values()) == {2}
+    assert sum("rotation" in row.parameters for row in rows) == 9
+
+
+def test_default_has_easy_and_hard_rows() -> None:
+    """The default suite has two rows of core for each family, and one that is hard for another reason."""
+    rows = {row.name: row for row in load_suite("default").texture}
+    core = {row.name: row for row in load_suite("core").texture}
+    assert set(HARD) < set(rows) and len(rows) == 9
+    for name, row in rows.items():
+        if name not in HARD:
+            assert row.parameters == core[name].parameters
+    assert Counter(row.family for row in rows.values()) == dict.fromkeys(("brick", "weave", "hexagon"), 3)
+    for name in HARD:
+        said = re.search(r"regular share (0\.\d\d)", rows[name].description)
+        assert said and float(said[1]) == pytest.approx(_model(rows[name]).regular_share, abs=0.0051)
+        assert rows[name].departure and rows[name].level
+    few = _model(rows["hexagon-few"])
+    assert rows["hexagon-few"].sample == (64, 64) and 64 / few.s == pytest.approx(2.4, abs=0.05)
+
+
+def test_frontier_has_graded_axes() -> None:
+    """Each row of frontier belongs to an axis with at least three levels; each axis has one model."""
+    suite = load_suite("frontier")
+    axes: dict[str, list[TextureRow]] = {}
+    for row in suite.texture:
+        axes.setdefault(row.departure, []).append(row)
+    assert len(axes) == 10 and "" not in axes
+    for rows in axes.values():
+        levels = [row.level for row in rows]
+        assert len(rows) >= 3 and None not in levels and len(set(levels)) == len(levels)
+        assert len({row.dataset for row in rows}) == 1
+    by_name = {name: {row.level: row for row in rows} for name, rows in axes.items()}
+    for level, row in by_name["periods in the sample"].items():
+        assert row.sample and row.size and row.size[0] == 4 * row.sample[0]
+        assert row.sample[0] / _model(row).s == pytest.approx(level, abs=0.05)
+    for level, row in by_name["output size"].items():
+        assert row.sample and row.size and row.size[0] == level * row.sample[0]
+    for level, row in by_name["regular share"].items():
+        assert _model(row).regular_share == pytest.approx(level, abs=0.0051)
+    for level, row in by_name["period"].items():
+        assert _model(row).s == pytest.approx(level, abs=0.5)
+    for departure in ("bend", "jitter", "light"):
+        assert all(getattr(_model(row), departure) == level for level, row in by_name[departure].items())
 
 
 @pytest.mark.parametrize("row", [*ROWS, *(pytest.param(row, id=row.name) for row in load_suite("integer").texture)])
@@ -154,7 +196,7 @@ def _signature(suite: Suite) -> dict[str, dict[str, object]]:
     return found
 
 
-@pytest.mark.parametrize("name", ["core", "default", "integer", "spectrum", "report2004"])
+@pytest.mark.parametrize("name", FROZEN_SUITES)
 def test_samples_are_frozen(name: str) -> None:
     """The samples are those that methods have met so far.
 
@@ -176,5 +218,5 @@ def test_samples_are_frozen(name: str) -> None:
 
 def write_frozen() -> None:
     """Write the signatures of all suites."""
-    found = {name: _signature(load_suite(name)) for name in ("core", "default", "integer", "spectrum", "report2004")}
+    found = {name: _signature(load_suite(name)) for name in FROZEN_SUITES}
     FROZEN.write_text(json.dumps(found, indent=None, separators=(",", ":")).replace('},"', '},\n"') + "\n", "utf-8")

@@ -54,7 +54,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("labels") / "run"
     changes = {"sample": "64x64", "size": "96x96", "replicates": 2, "lattice": ("given",), "methods": METHODS}
     suite = load_suite("default").with_changes(metrics=["cost"])
-    nrbench.run(suite, textures=("brick-mild", "hexagon-mild"), out=root, options=Options(jobs=0), **changes)
+    nrbench.run(suite, textures=("brick-strong", "hexagon-strong"), out=root, options=Options(jobs=0), **changes)
     return root
 
 

@@ -32,6 +32,7 @@ PINNED: Pins = {
     "hexagon/rsgf:block=24,border=6,subpixel=False": ("da4839b09c46", 1.0, 0.963),
     "hexagon/scatter": ("afa4a54fec13", 0.0, None),
     "weave/ann-pixel": ("23ddeb44efe7", 0.0, None),
+    "weave/copier": ("1b33286ab27c", 1.0, 0.821),
     "weave/command": ("c7dcc3413662", 0.554, None),
     "weave/fftm-patch": ("55591b94be29", 1.0, 0.647),
     "weave/fftm-pixel": ("38d55f1a6cc0", 1.0, 0.971),

@@ -74,10 +74,11 @@ def test_bad_grids(grid: Any, message: str) -> None:
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("core", "1d80268e8297dd4d"),
-        ("default", "f2eb4ae936ec0dc6"),
-        ("integer", "b3b2fdf7a987d02d"),
-        ("spectrum", "bd348ab8b3474432"),
+        ("core", "aa9da824262a1471"),
+        ("default", "4b00e40b44b68349"),
+        ("frontier", "cbf5caf91f3b71c8"),
+        ("integer", "91a2f35095371711"),
+        ("spectrum", "77f6723515031a9c"),
         ("validation", "c21b350cb23e9977"),
     ],
 )
