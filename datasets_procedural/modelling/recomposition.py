@@ -248,7 +248,7 @@ class _Places:
         central = layer.coverage - 1e-3 * distance / distance.max(initial=1.0)
         positions = np.asarray(ndimage.maximum_position(central, label, np.arange(len(rows))), np.int64)
         # An element that covers no pixel is as large as its cell.
-        boxes = ndimage.find_objects(np.where((layer.coverage > 0) | (_hidden(layer, label)), label + 1, 0))
+        boxes = ndimage.find_objects(np.where((layer.coverage > 0) | _hidden(layer, label), label + 1, 0))
         first = np.array([[box[1].start, box[0].start] for box in boxes])
         last = np.array([[box[1].stop - 1, box[0].stop - 1] for box in boxes])
         pixel = np.ravel_multi_index(tuple(positions.T), shape)
@@ -300,7 +300,7 @@ class _Choice:
         inside = known & _inside(self.places.center[:, np.newaxis] + moves, self.shape)
         whole = inside & _inside(self.places.first[:, np.newaxis] + moves, self.shape)
         whole &= _inside(self.places.last[:, np.newaxis] + moves, self.shape)
-        allowed = np.where(whole.any(1)[:, np.newaxis], whole, inside)
+        allowed = np.where(whole.any(1, keepdims=True), whole, inside)
         number = unit(role_seed(self.seed, f"{self.name}.source"), *self.index.T)
         count = allowed.sum(1)
         chosen = (allowed.cumsum(1) > np.floor(number * count)[:, np.newaxis]).argmax(1)
