@@ -1,4 +1,4 @@
-"""Compare the methods of a run: the table of textures by methods, the summary of each method, and the perils plane.
+"""Compare the methods of a run: their ranking by quality, the table of textures by methods, and the perils plane.
 
 Every report format prints the one :class:`Comparison` that :func:`compare_methods` builds.
 """
@@ -9,7 +9,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pandas as pd
@@ -18,7 +18,7 @@ from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
-from .estimates import Estimate, mean_ranks, means_over_textures, paired_differences, success_rate
+from .estimates import Estimate, means_over_textures, paired_differences, success_rate
 from .format import (
     describe_column,
     format_count,
@@ -29,34 +29,42 @@ from .format import (
     pluralize,
 )
 from .verdicts import (
+    DERIVED_COLUMNS,
     MARKS,
+    PERILS,
     PRESERVED,
-    RANDOMNESS_KEPT,
-    RANDOMNESS_KEPT_COLUMN,
+    QUALITY,
+    RANDOMNESS,
+    RANKING,
     SCORE,
+    STRUCTURE,
     BaselineValidity,
     count_valid_textures,
     explain_verdict,
-    has_randomness,
+    has_quality,
     is_valid_baseline,
     method_label,
     tabulate_cells,
     verdict,
 )
 
-HEADLINES = (SCORE, "randomness.variation", "randomness.repetition", "randomness.distance")
+HEADLINES = (RANKING, *PERILS)
+HEADLINES_WITHOUT_QUALITY = (SCORE, "randomness.variation", "randomness.repetition", "randomness.distance")
+HEADLINE_METRICS = ("quality", "regularity", "integrity", "randomness")
 COSTS: Mapping[str, Column] = {
     "seconds": Column("Wall time of the synthesis, including its own lattice detection.", "s", (0, math.inf), "lower"),
     "peak_mib": Column("Peak memory above the idle worker.", "MiB", (0, math.inf), "lower"),
 }
+RATE = Column("Share of textures whose lattice is preserved.", better="higher")
 RATE_MEANING = (
-    "Share of textures whose lattice is preserved, with Wilson's 95 % interval over textures. A texture counts as the "
-    "mean over its replicates. Failures and refusals count as not preserved. Undecided cells are left out."
+    "With Wilson's 95 % interval over textures. A texture counts as the mean over its replicates. Failures and "
+    "refusals count as not preserved. Undecided cells are left out."
 )
 MEAN_MEANING = "Mean over textures, with a 95 % bootstrap interval. A texture counts as the mean over its replicates."
-RANK_MEANING = (
-    "Mean rank among the methods over textures (1 is best), with a 95 % bootstrap interval. A method takes the worst "
-    "rank if it fails, if it refuses, or if it has no score because the lattice is lost. Reference rows are not ranked."
+LEADING_SIGN = "★"
+LEADING_LEGEND = (
+    "leading group: the method of the highest mean quality, and the methods whose paired difference to it over "
+    "textures is not significant at 95 %"
 )
 
 
@@ -99,10 +107,12 @@ class MethodSummary:
         Success rate; refusals count as not preserved, or are left out.
     means
         Mean over textures of every score and cost.
-    ranks, ranks_answered
-        Mean rank by headline; refusals take the worst rank, or are left out. Empty for a reference.
     validity, validity_scored
-        On how many textures a baseline is valid: of all, and of those whose regularity is scored.
+        On how many textures a baseline is valid: of all, and of those with a quality.
+    rank
+        Position by mean quality, 1 the best; None for a reference, and without a quality.
+    leading
+        Whether it is in the leading group.
     """
 
     method: Method
@@ -110,10 +120,10 @@ class MethodSummary:
     success: Estimate
     success_answered: Estimate
     means: Mapping[str, Estimate]
-    ranks: Mapping[str, Estimate]
-    ranks_answered: Mapping[str, Estimate]
     validity: BaselineValidity
     validity_scored: BaselineValidity
+    rank: int | None = None
+    leading: bool = False
 
 
 @dataclass(frozen=True)
@@ -128,22 +138,38 @@ class PairedDifference:
 
 @dataclass(frozen=True)
 class SummaryRow:
-    """A row below the comparison: one estimate for each method.
+    """One number for each method.
 
     Parameters
     ----------
-    name, meaning
-        Its name and its description.
+    name, column
+        Its name, and the column that describes it.
+    note
+        How it is computed from the cells.
     estimates
         One for each method; None if there is none.
     rate
         Whether it is a success rate.
+    variant
+        Whether it is the number of the row before, computed without some of the cells.
     """
 
     name: str
-    meaning: str
+    column: Column
+    note: str
     estimates: Sequence[Estimate | None]
     rate: bool = False
+    variant: bool = False
+
+    @property
+    def title(self) -> str:
+        """The name, without the metric for the three perils."""
+        return self.name.rpartition(".")[2] if self.name in PERILS else self.name
+
+    @property
+    def meaning(self) -> str:
+        """The description of the column, and how the number is computed."""
+        return f"{describe_column(self.column)}\n{self.note}"
 
     @property
     def values(self) -> list[str]:
@@ -174,7 +200,7 @@ class Entry:
     preserved
         Number of replicates that preserve the lattice.
     score
-        Mean of ``regularity.score`` over replicates, in [0, 1]; None if there is none.
+        Mean over replicates of :attr:`Comparison.score`, in [0, 1]; None if there is none.
     records
         The cells, one a replicate.
     notes
@@ -234,10 +260,14 @@ class Comparison:
     ----------
     title
         One line: the suite, its hash, and how many cells ended with each status.
+    score
+        Name of the score beside the marks: ``quality.score`` if the run has it, else ``regularity.score``.
+    scored
+        Whether the run has verdicts or qualities.
     methods
-        Its columns, reference methods last.
+        Its columns: methods from the highest mean quality to the lowest, then reference methods.
     rows, summary_rows
-        The textures, and the rows below them.
+        The textures, and the numbers that summarize each method.
     notes
         The notes of methods on their cells; number 1 is the first.
     summaries
@@ -249,6 +279,8 @@ class Comparison:
     """
 
     title: str
+    score: str
+    scored: bool
     methods: Sequence[Method]
     rows: Sequence[TextureRow]
     summary_rows: Sequence[SummaryRow]
@@ -264,6 +296,18 @@ class Comparison:
         return [(mark, name) for name, mark in MARKS.items() if name in verdicts]
 
     @property
+    def score_meaning(self) -> str:
+        """The number beside the marks, in words."""
+        if self.score == QUALITY:
+            return "quality, the worst of regularity, integrity and randomness; 1 as a fresh draw"
+        return "regularity.score, 0 to 1"
+
+    @property
+    def has_ranking(self) -> bool:
+        """Whether methods are ranked."""
+        return any(one.rank for one in self.summaries)
+
+    @property
     def has_valid_baseline(self) -> bool:
         """Whether any baseline is valid on any texture."""
         return any(one.validity.n for one in self.summaries)
@@ -277,17 +321,18 @@ class PerilsPoint:
     ----------
     method
         The method.
-    regularity
-        Mean of ``regularity.score`` over textures: the horizontal coordinate.
+    structure
+        Mean over textures of the smaller of ``quality.regularity`` and ``quality.integrity``: the horizontal
+        coordinate.
     randomness
-        Mean of :func:`~nrbench.reports.statistics.verdicts.randomness_kept` over textures: the vertical coordinate. It
-        rests only on the textures whose lattice is not lost, because randomness is not scored on the others.
+        Mean of ``quality.randomness`` over textures: the vertical coordinate. It rests only on the textures on which
+        randomness is scored. It is not scored where the lattice is lost.
     validity
-        On how many of the textures with a regularity score a baseline is valid.
+        On how many of the textures with a quality a baseline is valid.
     """
 
     method: Method
-    regularity: Estimate
+    structure: Estimate
     randomness: Estimate
     validity: BaselineValidity
 
@@ -298,35 +343,39 @@ class PerilsPoint:
 
     @property
     def rests_on(self) -> str:
-        """``" [k of n]"`` if randomness is scored on k of the n textures with a regularity score; empty if on all."""
-        fewer = self.has_height and self.randomness.n < self.regularity.n
-        return f" [{self.randomness.n} of {self.regularity.n}]" if fewer else ""
+        """``" [k of n]"`` if randomness is scored on k of the n textures with a quality; empty if on all."""
+        fewer = self.has_height and self.randomness.n < self.structure.n
+        return f" [{self.randomness.n} of {self.structure.n}]" if fewer else ""
 
     @property
     def words(self) -> str:
         """The point in one sentence."""
-        kept = f"{format_number(self.randomness.value)} {format_interval(self.randomness)}"
-        height = f"{kept} (on {self.randomness.n} of {self.regularity.n})" if self.has_height else "not scored"
-        across = f"{format_number(self.regularity.value)} {format_interval(self.regularity)}"
+        randomness = f"{format_number(self.randomness.value)} {format_interval(self.randomness)}"
+        height = f"{randomness} (on {self.randomness.n} of {self.structure.n})" if self.has_height else "not scored"
+        across = f"{format_number(self.structure.value)} {format_interval(self.structure)}"
         valid = f"; {self.validity.words}" if self.validity.n else ""
-        return f"{self.method.label}: regularity {across}, randomness kept {height}{valid}"
+        return f"{self.method.label}: in place and whole {across}, randomness {height}{valid}"
 
 
 def compare_methods(run: Run) -> Comparison:
     """Build the comparison of a run; without rows if the run has no cells."""
-    cells, methods = tabulate_cells(run), _list_methods(run)
-    summaries = _summarize_methods(run, cells)
+    cells = tabulate_cells(run)
+    summaries = _rank_methods(_summarize_methods(run, cells), cells)
+    methods = [one.method for one in summaries]
+    score = QUALITY if has_quality(run) else SCORE
     notes = list(dict.fromkeys(record.note for record in run.cells if record.note))
-    rows = _texture_rows(run, methods, {note: number for number, note in enumerate(notes, 1)})
+    rows = _texture_rows(run, methods, score, {note: number for number, note in enumerate(notes, 1)})
     counts = dict(Counter(record.status for record in run.cells).most_common())
     return Comparison(
         title=_title(run, len(rows), counts),
+        score=score,
+        scored=PRESERVED in run.columns or score == QUALITY,
         methods=methods,
         rows=rows,
         summary_rows=_summary_rows(run, summaries),
         notes=notes,
         summaries=summaries,
-        differences=_paired_differences(run, cells),
+        differences=_paired_differences(run, methods, cells),
         counts=counts,
     )
 
@@ -348,15 +397,18 @@ def _list_methods(run: Run) -> list[Method]:
     return sorted(methods.values(), key=lambda method: method.reference)
 
 
-def _texture_rows(run: Run, methods: Sequence[Method], notes: Mapping[str, int]) -> list[TextureRow]:
+def _texture_rows(run: Run, methods: Sequence[Method], score: str, notes: Mapping[str, int]) -> list[TextureRow]:
     records: dict[str, dict[tuple[str, str], list[CellRecord]]] = {}
     for record in run.cells:
         records.setdefault(record.texture, {}).setdefault((record.method, record.lattice_source), []).append(record)
-    return [_texture_row(by_method, methods, notes) for by_method in records.values()]
+    return [_texture_row(by_method, methods, score, notes) for by_method in records.values()]
 
 
 def _texture_row(
-    by_method: Mapping[tuple[str, str], list[CellRecord]], methods: Sequence[Method], notes: Mapping[str, int]
+    by_method: Mapping[tuple[str, str], list[CellRecord]],
+    methods: Sequence[Method],
+    score: str,
+    notes: Mapping[str, int],
 ) -> TextureRow:
     records = [record for replicates in by_method.values() for record in replicates]
     shares = [record.regular_share for record in records if record.regular_share is not None]
@@ -367,15 +419,15 @@ def _texture_row(
         kind=first.kind,
         regular_share=sum(shares) / len(shares) if shares else None,
         description=first.cell.description,
-        entries=[_entry(by_method.get((method.name, method.lattice_source), []), notes) for method in methods],
+        entries=[_entry(by_method.get((method.name, method.lattice_source), []), score, notes) for method in methods],
     )
 
 
-def _entry(records: list[CellRecord], notes: Mapping[str, int]) -> Entry | None:
+def _entry(records: list[CellRecord], score: str, notes: Mapping[str, int]) -> Entry | None:
     if not records:
         return None
     verdicts = Counter(map(verdict, records))
-    scores = [float(value) for record in records if (value := record.values.get(SCORE)) is not None]
+    scores = [float(value) for record in records if (value := record.values.get(score)) is not None]
     return Entry(
         verdict=next(iter(verdicts)) if len(verdicts) == 1 else "mixed",
         preserved=verdicts["preserved"],
@@ -387,16 +439,10 @@ def _entry(records: list[CellRecord], notes: Mapping[str, int]) -> Entry | None:
 
 
 def _summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
-    contestants = cells[~cells["reference"].astype(bool)]
-    ranked = {name: column.better for name, column in headline_columns(run).items() if column.better != "none"}
-    ranks, answered = (
-        {name: mean_ranks(contestants, name, better, leave_out) for name, better in ranked.items()}
-        for leave_out in (False, True)
-    )
     summaries = []
     for method in _list_methods(run):
         own = cells[cells["label"] == method.label]
-        scored = own[own[SCORE].notna()] if SCORE in own else own.iloc[:0]
+        scored = own[own[STRUCTURE].notna()] if STRUCTURE in own else own.iloc[:0]
         summaries.append(
             MethodSummary(
                 method=method,
@@ -404,10 +450,6 @@ def _summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
                 success=success_rate(own),
                 success_answered=success_rate(own, leave_refusals_out=True),
                 means=means_over_textures(own, list(describe_scores(run))),
-                ranks={name: by_label[method.label] for name, by_label in ranks.items() if method.label in by_label},
-                ranks_answered={
-                    name: by_label[method.label] for name, by_label in answered.items() if method.label in by_label
-                },
                 validity=count_valid_textures(own),
                 validity_scored=count_valid_textures(scored),
             )
@@ -415,16 +457,39 @@ def _summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
     return summaries
 
 
+def _rank_methods(summaries: Sequence[MethodSummary], cells: pd.DataFrame) -> list[MethodSummary]:
+    """Return the summaries by mean quality, best first and references last, with rank and leading group."""
+    means = {
+        one.method.label: value
+        for one in summaries
+        if not one.method.reference and RANKING in one.means and (value := one.means[RANKING].value) is not None
+    }
+    if not means:
+        return list(summaries)
+    own = dict(iter(cells.groupby("label", sort=False)))
+    best = own[max(means, key=lambda label: means[label])]
+
+    def rank(one: MethodSummary) -> MethodSummary:
+        value = means.get(one.method.label)
+        if value is None:
+            return one
+        low = paired_differences(best, own[one.method.label], [RANKING])[RANKING].low
+        return replace(one, rank=1 + sum(other > value for other in means.values()), leading=low is None or low <= 0)
+
+    last = len(means) + 1
+    return sorted(map(rank, summaries), key=lambda one: (one.method.reference, one.rank or last))
+
+
 def _count_statuses(status: pd.Series[str]) -> dict[str, int]:
     by_status = {name: int((status == name).sum()) for name in ("ok", "refused", "missing")}
     return {"cells": len(status), **by_status, "failed": int(status.isin(FAILED).sum())}
 
 
-def _paired_differences(run: Run, cells: pd.DataFrame) -> list[PairedDifference]:
-    """Return the differences of all pairs whose first method is no reference, in every headline and randomness kept."""
-    pairs = [(a, b) for a, b in itertools.combinations(_list_methods(run), 2) if not a.reference]
+def _paired_differences(run: Run, methods: Sequence[Method], cells: pd.DataFrame) -> list[PairedDifference]:
+    """Return the differences of all pairs whose first method is no reference, in every headline."""
+    pairs = [(a, b) for a, b in itertools.combinations(methods, 2) if not a.reference]
     own = dict(iter(cells.groupby("label", sort=False)))
-    names = [*headline_columns(run), *({RANDOMNESS_KEPT} & set(describe_scores(run)))]
+    names = list(headline_columns(run))
     estimates = [paired_differences(own[a.label], own[b.label], names) for a, b in pairs]
     return [
         PairedDifference(name, a, b, by_name[name])
@@ -434,22 +499,26 @@ def _paired_differences(run: Run, cells: pd.DataFrame) -> list[PairedDifference]
 
 
 def _summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRow]:
+    """Return the rows: quality and perils, or without quality the success rate and other scores, then seconds."""
     if not summaries:
         return []
-    rates = [_row("preserved", RATE_MEANING, [one.success for one in summaries], rate=True)]
-    if any(one.counts["refused"] for one in summaries):
-        meaning = RATE_MEANING.replace("Failures and refusals count", "Refusals are left out. Failures count")
-        rates.append(_row("… refusals left out", meaning, [one.success_answered for one in summaries], rate=True))
+    refused = any(one.counts["refused"] for one in summaries)
+    rates = [_row("preserved", RATE, RATE_MEANING, [one.success for one in summaries], rate=True)]
+    if refused:
+        note = RATE_MEANING.replace("Failures and refusals count", "Refusals are left out. Failures count")
+        estimates = [one.success_answered for one in summaries]
+        rates.append(_row("… refusals left out", RATE, note, estimates, rate=True, variant=True))
+    columns = headline_columns(run)
     means = []
-    for name, column in headline_columns(run).items():
-        undecided = " Undecided cells are left out." if name == SCORE else ""
-        meaning = f"{describe_column(column)}\n{MEAN_MEANING}{undecided}"
-        means.append(_row(name, meaning, [one.means[name] for one in summaries]))
-    if sum(not one.method.reference for one in summaries) < 2:
-        return [*rates, *means]
-    ranked = [name for name, column in headline_columns(run).items() if column.better != "none"]
-    ranks = [_row(f"rank: {name}", RANK_MEANING, [one.ranks.get(name) for one in summaries]) for name in ranked]
-    return [*rates, *means, *ranks]
+    for name, column in columns.items():
+        undecided = " Undecided cells are left out." if name in (SCORE, *HEADLINES) else ""
+        means.append(_row(name, column, MEAN_MEANING + undecided, [one.means[name] for one in summaries]))
+        if name == RANKING and (refused or any(one.counts["failed"] for one in summaries)):
+            estimates = [one.means[QUALITY] for one in summaries]
+            note = f"{MEAN_MEANING} Failures, refusals and undecided cells are left out."
+            means.append(_row("… failures left out", run.columns[QUALITY], note, estimates, variant=True))
+    seconds = len(means) - 1 if RANKING in columns else 0
+    return [*means[:seconds], *rates, *means[seconds:]]
 
 
 def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRow]:
@@ -457,56 +526,63 @@ def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[Summa
 
     Wall time and peak memory appear once: the columns of the metric ``cost`` that repeat them are left out.
     """
-    shown = {*headline_columns(run), PRESERVED, RANDOMNESS_KEPT, *(f"cost.{name}" for name in COSTS)}
+    shown = {*headline_columns(run), PRESERVED, QUALITY, STRUCTURE, *(f"cost.{name}" for name in COSTS)}
     columns = describe_scores(run)
     rows = [
-        _row(name, f"{describe_column(columns[name])}\n{MEAN_MEANING}", [one.means[name] for one in summaries])
+        _row(name, columns[name], MEAN_MEANING, [one.means[name] for one in summaries])
         for name in sort_headlines_first(columns)
         if name not in shown
     ]
     return [row for row in rows if any(row.estimates)]
 
 
-def _row(name: str, meaning: str, estimates: Sequence[Estimate | None], rate: bool = False) -> SummaryRow:
-    return SummaryRow(name, meaning, [estimate if estimate and estimate.n else None for estimate in estimates], rate)
+def _row(
+    name: str,
+    column: Column,
+    note: str,
+    estimates: Sequence[Estimate | None],
+    rate: bool = False,
+    variant: bool = False,
+) -> SummaryRow:
+    known = [estimate if estimate and estimate.n else None for estimate in estimates]
+    return SummaryRow(name, column, note, known, rate, variant)
 
 
 def describe_scores(run: Run) -> dict[str, Column]:
-    """Return the column of every score and cost by name, and of the randomness kept if the run has its scores."""
-    own = {RANDOMNESS_KEPT: RANDOMNESS_KEPT_COLUMN} if has_randomness(run.columns) else {}
-    return {**run.columns, **own, **COSTS}
+    """Return the column of every score and cost by name, and of what is derived from the quality if the run has it."""
+    return {**run.columns, **(DERIVED_COLUMNS if has_quality(run) else {}), **COSTS}
 
 
 def headline_columns(run: Run) -> dict[str, Column]:
     """Return the columns by which methods are compared, as far as the run has them."""
     columns = describe_scores(run)
-    return {name: columns[name] for name in (*HEADLINES, "seconds") if name in columns}
+    names = HEADLINES if RANKING in columns else HEADLINES_WITHOUT_QUALITY
+    return {name: columns[name] for name in (*names, "seconds") if name in columns}
 
 
 def sort_headlines_first(names: Iterable[str]) -> list[str]:
     """Return ``metric.name`` sorted so that the metrics of the headlines come first; otherwise in the given order."""
-    first = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES))
-    order = {metric: i for i, metric in enumerate(first)}
-    return sorted(names, key=lambda name: order.get(name.partition(".")[0], len(first)))
+    order = {metric: i for i, metric in enumerate(HEADLINE_METRICS)}
+    return sorted(names, key=lambda name: order.get(name.partition(".")[0], len(order)))
 
 
 def perils_points(summaries: Sequence[MethodSummary]) -> list[PerilsPoint]:
-    """Return the point of every method whose regularity is scored, in the order of the summaries."""
+    """Return the point of every method that has a quality, in the order of the summaries."""
     points = [
-        PerilsPoint(one.method, one.means[SCORE], one.means[RANDOMNESS_KEPT], one.validity_scored)
+        PerilsPoint(one.method, one.means[STRUCTURE], one.means[RANDOMNESS], one.validity_scored)
         for one in summaries
-        if {SCORE, RANDOMNESS_KEPT} <= set(one.means)
+        if STRUCTURE in one.means
     ]
-    return [point for point in points if point.regularity.value is not None]
+    return [point for point in points if point.structure.value is not None]
 
 
 def perils_table(points: Sequence[PerilsPoint]) -> pd.DataFrame:
     """Return one row a point, with intervals and the number of textures that each coordinate rests on."""
     parts = ("value", "low", "high", "n", "of")
-    names = [f"{axis}_{part}" for axis in ("regularity", "randomness_kept") for part in parts]
+    names = [f"{axis}_{part}" for axis in ("structure", "randomness") for part in parts]
     rows = [
         [point.method.name, point.method.lattice_source, point.method.reference]
-        + [getattr(estimate, part) for estimate in (point.regularity, point.randomness) for part in parts]
+        + [getattr(estimate, part) for estimate in (point.structure, point.randomness) for part in parts]
         for point in points
     ]
     return pd.DataFrame(rows, columns=["method", "lattice_source", "reference", *names])

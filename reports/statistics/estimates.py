@@ -1,4 +1,4 @@
-"""Estimate means, success rates, differences, ranks and agreement over textures, each with a 95 % interval.
+"""Estimate means, success rates, differences and agreement over textures, each with a 95 % interval.
 
 The texture is the unit: its replicates are averaged first, because draws of one texture are not independent evidence.
 """
@@ -196,45 +196,6 @@ def success_rate(cells: pd.DataFrame, leave_refusals_out: bool = False) -> Estim
     of, n = applicable["texture"].nunique(), len(shares)
     low, high = wilson_interval(float(shares.sum()), n) or (None, None)
     return Estimate(float(shares.mean()) if n else None, low, high, n, of)
-
-
-def texture_ranks(cells: pd.DataFrame, score: str, better: str, leave_refusals_out: bool = False) -> pd.DataFrame:
-    """Rank the methods on each texture, 1 the best, and average the ranks over replicates.
-
-    Ties share their mean rank. A failed cell takes the worst rank of its sample. So does a refused cell, unless
-    refusals are left out, and a cell without a value because the lattice is lost. Other cells without a value are left
-    out.
-
-    Parameters
-    ----------
-    cells
-        Rows of every ranked method, with the columns ``texture``, ``replicate``, ``label``, ``verdict`` and ``score``.
-    score, better
-        The score, and which values are better: ``"higher"``, ``"lower"`` or ``"one"``.
-    leave_refusals_out
-        Leave refused cells out.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row a texture, one column a method; NaN where a method was left out.
-    """
-    losing = ["failed"] if leave_refusals_out else ["failed", "refused"]
-    worst = cells["verdict"].isin(losing) | (cells["verdict"].eq("lost") & cells[score].isna())
-    values = cells[score]
-    goodness = -(values - 1).abs() if better == "one" else -values if better == "lower" else values
-    scored = cells.assign(goodness=goodness.mask(worst, -np.inf))
-    table = scored.pivot(index=["texture", "replicate"], columns="label", values="goodness")
-    last = table.notna().sum(axis=1)
-    ranked = table.rank(axis=1, ascending=False).mask(table.eq(-np.inf), last, axis=0)
-    by_texture: pd.DataFrame = ranked.groupby(level="texture", sort=False).mean()
-    return by_texture
-
-
-def mean_ranks(cells: pd.DataFrame, score: str, better: str, leave_refusals_out: bool = False) -> dict[str, Estimate]:
-    """Compute the mean of :func:`texture_ranks` over textures by method, with bootstrap intervals."""
-    table = texture_ranks(cells, score, better, leave_refusals_out)
-    return {str(name): _mean_estimate(table[name].dropna(), len(table)) for name in table.columns}
 
 
 def as_numbers(values: Sequence[Any]) -> NDArray[np.float64]:

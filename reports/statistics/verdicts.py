@@ -1,19 +1,17 @@
 """Give each cell of a run a verdict, and tabulate verdicts and scores as the table that all statistics start from.
 
-Here are also the two facts about a cell that every report shows beside its verdict: how much of the texture's
-randomness it keeps, and whether a baseline is valid on its texture.
+Here are also the two facts about a cell that every report shows beside its verdict: its quality, and whether a baseline
+is valid on its texture.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
 
 from nrbench import plugins
 from nrbench.errors import BadInput
@@ -47,17 +45,21 @@ MEANINGS: Mapping[str, str] = {
     "missing": "not run yet",
     "mixed": "replicates disagree",
 }
-VARIATION, REPETITION, DISTANCE = "randomness.variation", "randomness.repetition", "randomness.distance"
-RANDOMNESS_KEPT = "perils.randomness_kept"
-RANDOMNESS_KEPT_COLUMN = Column(
-    "Randomness kept: the worst of variation v, repetition r and distance d, "
-    "min(v, 1/v, 1/(1 + max(r, 0)), 1 - max(d, 0)/0.41); 1 is a fresh draw, 1/2 the best possible copier, 0 wallpaper.",
-    better="higher",
-)
-COPIER = 0.5
-"""Randomness kept by the best possible copier: its repetition is 1."""
-WALLPAPER = math.sqrt(2) - 1
-"""``randomness.distance`` of one repeated tile: ``2 E|Y| - E|Y - Y'|`` over ``E|Y - Y'|`` for normal departures Y."""
+QUALITY = "quality.score"
+REGULARITY, INTEGRITY, RANDOMNESS = PERILS = ("quality.regularity", "quality.integrity", "quality.randomness")
+RANKING, STRUCTURE = "quality", "perils.structure"
+DERIVED_COLUMNS: Mapping[str, Column] = {
+    RANKING: Column(
+        "The number that methods are ranked by: quality.score, or 0 where the method failed or refused.",
+        better="higher",
+    ),
+    STRUCTURE: Column(
+        "Elements in place and whole: the smaller of quality.regularity and quality.integrity; quality.regularity "
+        "alone where integrity is not measured.",
+        better="higher",
+    ),
+}
+"""Columns that reports compute from the scores of the metric ``quality``."""
 BASELINE_SIGN = "‡"
 BASELINE_LEGEND = "valid baseline: what this baseline does is correct on this kind of texture"
 SHARES_LEGEND = "k/n: on k of n textures"
@@ -100,9 +102,9 @@ def tabulate_cells(run: Run) -> pd.DataFrame:
     pandas.DataFrame
         The columns ``texture``, ``replicate``, ``label`` (method and lattice source), ``reference``,
         ``baseline_valid``, ``status``, ``verdict``, ``applicable`` (whether the texture has a lattice to preserve),
-        ``seconds``, ``peak_mib``, every score as float (NaN: no value), and :data:`RANDOMNESS_KEPT` if the run has the
-        scores for it. ``regularity.score`` and the randomness kept are NaN where the verdict is undecided: there no
-        fault was found because none could have been detected.
+        ``seconds``, ``peak_mib``, and every score as float (NaN: no value); also :data:`DERIVED_COLUMNS` if the run has
+        a quality. ``regularity.score`` is NaN where the verdict is undecided: there no fault was found because none
+        could have been detected.
     """
     content: dict[str, Any] = {
         "texture": [record.texture for record in run.cells],
@@ -117,57 +119,24 @@ def tabulate_cells(run: Run) -> pd.DataFrame:
         "peak_mib": as_numbers([record.peak_mib if record.status == "ok" else None for record in run.cells]),
         **{name: as_numbers([record.values.get(name) for record in run.cells]) for name in run.columns},
     }
-    if has_randomness(run.columns):
-        content[RANDOMNESS_KEPT] = randomness_kept(*(content[name] for name in (VARIATION, REPETITION, DISTANCE)))
     table = pd.DataFrame(content)
-    table.loc[table["verdict"] == "undecided", [name for name in (SCORE, RANDOMNESS_KEPT) if name in table]] = np.nan
+    if SCORE in table:
+        table.loc[table["verdict"] == "undecided", SCORE] = np.nan
+    if has_quality(run):
+        judged = table["applicable"] | table["texture"].isin(table.loc[table[QUALITY].notna(), "texture"])
+        table[RANKING] = table[QUALITY].mask(judged & table["verdict"].isin(["failed", "refused"]), 0.0)
+        table[STRUCTURE] = table[[REGULARITY, INTEGRITY]].min(axis=1)
     return table
+
+
+def has_quality(run: Run) -> bool:
+    """Return whether the metric ``quality`` has scored any cell of a run."""
+    return QUALITY in run.columns and any(QUALITY in record.values for record in run.cells)
 
 
 def _has_lattice(record: CellRecord) -> bool:
     known = record.lattice_truth is not None or record.values.get(PRESERVED) is not None
     return known and verdict(record) != "not applicable"
-
-
-def randomness_kept(variation: ArrayLike, repetition: ArrayLike, distance: ArrayLike) -> NDArray[np.float64]:
-    """Compute how much of the texture's randomness an output keeps, in [0, 1]: the vertical axis of the perils plane.
-
-    The result is the worst of three departures from a fresh draw of the texture. It is taken output by output, before
-    any mean: a method that varies too little on one texture and repeats itself on another fails on both.
-
-    - Variation v is a ratio to fresh draws and a fault on both sides: half as much counts like twice as much. It
-      contributes ``min(v, 1/v)``.
-    - Repetition r is 0 for a fresh draw, 1 for the best possible copier, and a fault on one side only. It contributes
-      ``1 / (1 + max(r, 0))``, so that methods worse than the best copier still differ.
-    - Distance d is 0 for a fresh draw and :data:`WALLPAPER` for one repeated tile. It contributes
-      ``1 - max(d, 0) / WALLPAPER``, at least 0. It detects departures of the right strength but of another kind, such
-      as noise on wallpaper.
-
-    Parameters
-    ----------
-    variation, repetition, distance
-        ``randomness.variation``, ``randomness.repetition`` and ``randomness.distance``, of equal shape; NaN: no value.
-
-    Returns
-    -------
-    numpy.ndarray
-        NaN unless all three scores are known.
-
-    Examples
-    --------
-    >>> randomness_kept([1.0, 2.0, 1.0], [0.0, 0.0, 3.0], [0.0, 0.0, 0.0])
-    array([1.  , 0.5 , 0.25])
-    """
-    v, r, d = (np.asarray(score, np.float64) for score in (variation, repetition, distance))
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        varied = np.where(v > 0, np.minimum(v, 1 / v), np.where(np.isnan(v), np.nan, 0.0))
-    alike = np.maximum(1 - np.maximum(d, 0) / WALLPAPER, 0)
-    return np.minimum(np.minimum(varied, 1 / (1 + np.maximum(r, 0))), alike)
-
-
-def has_randomness(columns: Iterable[str]) -> bool:
-    """Return whether all scores for :func:`randomness_kept` are among ``columns``."""
-    return {VARIATION, REPETITION, DISTANCE} <= set(columns)
 
 
 @dataclass(frozen=True)
