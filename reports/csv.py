@@ -22,8 +22,9 @@ from .statistics.comparison import (
 )
 from .statistics.detections import detectors_table, tabulate_answers
 from .statistics.estimates import Estimate
+from .statistics.levels import breaking_points_table, compare_levels, levels_table
 from .statistics.people import agreement_table, compare_people, labels_table
-from .statistics.verdicts import is_valid_baseline
+from .statistics.verdicts import QUALITY, is_valid_baseline
 
 OWN_COLUMNS: Mapping[str, str] = {
     "suite": "Name of the suite.",
@@ -53,10 +54,15 @@ class CsvTables:
 
     - ``cells.csv``: one row a cell, one column a score.
     - ``comparison.csv``: textures by methods.
-    - ``summary.csv``: for each method counts, success rate, means and ranks, with 95 % intervals over textures.
+    - ``summary.csv``: for each method its rank, whether it is in the leading group, counts, success rate and means,
+      with 95 % intervals over textures. ``quality`` counts a failed or refused cell as 0, ``quality.score`` leaves it
+      out.
     - ``differences.csv``: the paired differences between methods.
     - ``columns.csv``: for every column of ``cells.csv`` its meaning, unit, range, and which values are better.
     - ``perils.csv``: the points of the perils plane.
+
+    If the suite has textures at two levels or more of one departure, ``levels.csv`` has the mean quality of each method
+    at each level, and ``breaking_points.csv`` the first level at which it is below 0.5.
 
     If detectors found the lattices, ``detections.csv`` has one row an answer, and ``detectors.csv`` each detector's
     share of right answers, with its interval over draws, by family, departure and level; an empty cell there stands for
@@ -88,6 +94,8 @@ class CsvTables:
         }
         if points := perils_points(comparison.summaries):
             tables["perils"] = perils_table(points)
+        if panels := compare_levels(run, comparison):
+            tables |= {"levels": levels_table(panels), "breaking_points": breaking_points_table(panels)}
         if people := compare_people(run, self.labels):
             tables |= {"labels": labels_table(run, self.labels), "agreement": agreement_table(people)}
         answers = tabulate_answers(run)
@@ -105,8 +113,12 @@ def cells_table(run: Run) -> pd.DataFrame:
 
 
 def comparison_table(comparison: Comparison) -> pd.DataFrame:
-    """Return textures by methods: verdict and mean score of each method, and whether a baseline is valid."""
-    parts = {"verdict": "verdict", "score": "score", "baseline_valid": "reference_right"}
+    """Return textures by methods: verdict and quality of each method, and whether a baseline is valid.
+
+    Without a quality, ``regularity.score`` takes its place, in columns named ``score``.
+    """
+    score = "quality" if comparison.score == QUALITY else "score"
+    parts = {"verdict": "verdict", "score": score, "baseline_valid": "reference_right"}
     columns = [
         (i, part)
         for i, entries in enumerate(zip(*(row.entries for row in comparison.rows), strict=True))
@@ -123,9 +135,9 @@ def comparison_table(comparison: Comparison) -> pd.DataFrame:
 
 
 def summary_table(comparison: Comparison) -> pd.DataFrame:
-    """Return one row a method and lattice source: counts, success rates, means and ranks with their intervals."""
+    """Return one row a method and lattice source: rank, counts, success rates and means with intervals."""
     rows = [dict(_summary_items(one)) for one in comparison.summaries]
-    empty = ["method", "lattice_source", "reference", "cells", "ok", "refused", "failed", "missing"]
+    empty = ["method", "lattice_source", "reference", "rank", "leading", "cells", "ok", "refused", "failed", "missing"]
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=empty)
 
 
@@ -133,12 +145,13 @@ def _summary_items(one: MethodSummary) -> Iterator[tuple[str, Any]]:
     yield "method", one.method.name
     yield "lattice_source", one.method.lattice_source
     yield "reference", one.method.reference
+    yield "rank", one.rank
+    yield "leading", one.leading if one.rank else None
     yield from one.counts.items()
     yield from _estimate_items("preserved", one.success)
     yield from _estimate_items("preserved_refusals_left_out", one.success_answered)
-    for prefix, estimates in (("", one.means), ("rank.", one.ranks), ("rank_refusals_left_out.", one.ranks_answered)):
-        for name, estimate in estimates.items():
-            yield from _estimate_items(prefix + name, estimate)
+    for name, estimate in one.means.items():
+        yield from _estimate_items(name, estimate)
 
 
 def _estimate_items(name: str, estimate: Estimate) -> Iterator[tuple[str, Any]]:

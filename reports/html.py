@@ -20,15 +20,26 @@ from nrbench.storage import write_aside
 
 from .page.forest_plot import forest_axes
 from .page.gallery import PictureSource, build_disagreement, build_gallery, layer_titles, score_shade
-from .perils import plot_perils_plane
+from .plots.level_plot import plot_levels
+from .plots.perils_plane import plot_perils_plane
 from .statistics import format as text_format
-from .statistics.comparison import compare_methods, describe_scores, headline_columns, other_score_rows, perils_points
+from .statistics.comparison import (
+    LEADING_LEGEND,
+    LEADING_SIGN,
+    compare_methods,
+    describe_scores,
+    other_score_rows,
+    perils_points,
+)
 from .statistics.detections import KINDS, STOCHASTIC, DetectorComparison, compare_detectors
+from .statistics.levels import BROKEN, compare_levels
 from .statistics.people import compare_people
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, PRESERVED
+from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"
 _KEY_VERSIONS = ("nrbench", "python", "numpy", "scipy", "scikit-image", "numba", "pandas", "pillow")
+_LEVELS_WIDTH = 8.7
+"""Width of the plot of levels, inches: three columns."""
 _FILTERS = (
     *("format_number", "format_percent", "format_signed", "format_interval", "format_count", "format_successes"),
     *("format_limit", "describe_direction", "describe_column", "pluralize", "strip_control"),
@@ -39,9 +50,9 @@ _FILTERS = (
 class HtmlReport:
     """The whole run on one page, ``report.html``, which works offline from ``file://``.
 
-    It shows the comparison with success rates and their intervals, the perils plane, the accuracy of each detector of
-    the lattice axis, each texture's sample, lattice and outputs side by side, the failures and their causes, the
-    provenance of the run, and the meaning of every score.
+    It shows the ranking of the methods by quality, the perils plane, where each method breaks, the comparison by
+    texture, the accuracy of each detector of the lattice axis, each texture's sample, lattice and outputs side by side,
+    the failures and their causes, the provenance of the run, and the meaning of every score.
 
     Parameters
     ----------
@@ -70,7 +81,7 @@ class HtmlReport:
         comparison = compare_methods(run)
         pictures = PictureSource.for_cells(run.cells, directory, self.embed_mib * 2**20)
         detectors = compare_detectors(run)
-        points = perils_points(comparison.summaries)
+        points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         people = compare_people(run, self.labels)
         disagreements = people.disagreements if people else ()
         references = (i for i, method in enumerate(comparison.methods) if i and method.reference)
@@ -82,9 +93,14 @@ class HtmlReport:
             "comparison": comparison,
             "first_reference": next(references, -1),
             "other_scores": other_score_rows(run, comparison.summaries),
-            "axes": forest_axes(comparison.summaries, headline_columns(run)),
+            "axes": forest_axes(comparison.summary_rows),
             "points": points,
             "plane": _svg_source(plot_perils_plane(points, "svg")) if points else "",
+            "panels": panels,
+            "level_plot": _svg_source(plot_levels(panels, "svg", _LEVELS_WIDTH)) if panels else "",
+            "broken": BROKEN,
+            "leading_sign": LEADING_SIGN,
+            "leading_legend": LEADING_LEGEND,
             "sections": build_gallery(run, comparison, pictures),
             "titles": layer_titles(run),
             "unfinished": _unfinished_cells(run.cells),
@@ -94,7 +110,7 @@ class HtmlReport:
             "baseline_sign": BASELINE_SIGN,
             "baseline_legend": BASELINE_LEGEND,
             "embedded": pictures.embedded,
-            "scored": PRESERVED in run.columns,
+            "scored": comparison.scored,
             "detectors": detectors,
             "families": _families(detectors),
             "kinds": KINDS,

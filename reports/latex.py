@@ -12,10 +12,9 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
-from .statistics.comparison import Comparison, Entry, MethodSummary, compare_methods, headline_columns
-from .statistics.estimates import Estimate
+from .statistics.comparison import LEADING_LEGEND, Comparison, Entry, MethodSummary, SummaryRow, compare_methods
 from .statistics.format import format_interval, format_number, strip_control
-from .statistics.verdicts import BASELINE_LEGEND, PRESERVED, SHARES_LEGEND
+from .statistics.verdicts import BASELINE_LEGEND, QUALITY, RANKING, SHARES_LEGEND
 
 _SPECIAL: Mapping[str, str] = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
@@ -70,7 +69,7 @@ class LatexTables:
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write both files and return their paths; none if the run has no regularity score."""
         comparison = compare_methods(run)
-        if PRESERVED not in run.columns or not comparison.rows:
+        if not comparison.scored or not comparison.rows:
             return []
         contents = {"summary": _summary(run, comparison), "comparison": _comparison(run, comparison, self.columns)}
         return [_write(directory / f"{name}.tex", lines) for name, lines in contents.items()]
@@ -91,6 +90,7 @@ def _definitions() -> Iterator[str]:
     yield r"% needs \usepackage{booktabs} and \usepackage[T1]{fontenc}; a paper can define these marks before this file"
     for name, sign in (*_MARKS.values(), *_OTHER.items()):
         yield rf"\providecommand{{\nrb{name}}}{{{sign}}}"
+    yield r"\providecommand{\nrbLeading}[1]{\textbf{#1}}"
 
 
 def _method(one: MethodSummary) -> str:
@@ -115,41 +115,45 @@ def _line(parts: Sequence[str]) -> str:
 
 
 def _summary(run: Run, comparison: Comparison) -> Iterator[str]:
-    columns = headline_columns(run)
-    heads = ["preserved, \\%", *(_column_title(name, column.unit) for name, column in columns.items())]
+    lines = comparison.summary_rows
+    heads = [_column_title(line) for line in lines]
     rows = [_line(["method", *(rf"\shortstack{{{head}}}" for head in heads)]), r"\midrule"]
     references = False
-    for one in comparison.summaries:
+    for i, one in enumerate(comparison.summaries):
         if one.method.reference and not references and len(rows) > 2:
             rows.append(r"\midrule")
         references = one.method.reference
-        means = (_mean(one.means[name]) for name in columns)
-        rows.append(_line([_method(one), _rate(one.success), *means]))
+        rows.append(_line([_method(one), *(_value(line, i, one.leading) for line in lines)]))
+    ranking = (
+        "Methods are ranked by quality, the worst of regularity, integrity and randomness of each output; a failed or "
+        rf"refused output has quality 0. \nrbLeading{{Bold}}: {escape_latex(LEADING_LEGEND)}. "
+    )
     caption = (
-        f"{_suite(run)}: means over textures, with 95\\,\\% intervals over textures below. Preserved: share of "
-        f"textures whose lattice is preserved. {{\\itshape /n}}: the value rests on n textures. {_signs(comparison)}"
+        f"{_suite(run)}: means over textures, with 95\\,\\% intervals over textures below. "
+        f"{ranking * comparison.has_ranking}Preserved: share of textures whose lattice is preserved. "
+        f"{{\\itshape /n}}: the value rests on n textures. {_signs(comparison)}"
     )
     yield from _float("summary", caption, "l" + "r" * len(heads), rows)
 
 
-def _column_title(name: str, unit: str) -> str:
+def _column_title(line: SummaryRow) -> str:
     """Return the title of a column on two lines: the metric, then the name with its unit."""
-    metric, _, column = name.rpartition(".")
-    words = escape_latex(column.replace("_", " ")) + (f", {escape_latex(unit)}" if unit else "")
+    metric, _, column = line.title.rpartition(".")
+    unit = "\\%" if line.rate else escape_latex(line.column.unit)
+    words = escape_latex(column.replace("_", " ")) + (f", {unit}" if unit else "")
     return rf"{escape_latex(metric)}\\{words}" if metric else words
 
 
-def _rate(one: Estimate) -> str:
-    if one.value is None:
+def _value(line: SummaryRow, index: int, leading: bool) -> str:
+    """Return one number of a method above its interval; its quality is marked if it is in the leading group."""
+    one = line.estimates[index]
+    if one is None or one.value is None:
         return "--"
-    return _stacked(rf"{100 * one.value:.0f} \textit{{/{one.n}}}", format_interval(one, as_percent=True))
-
-
-def _mean(one: Estimate) -> str:
-    if one.value is None:
-        return "--"
-    part = rf" \textit{{/{one.n}}}" if one.n < one.of else ""
-    return _stacked(_mathematical(format_number(one.value)) + part, _mathematical(format_interval(one)))
+    value = f"{100 * one.value:.0f}" if line.rate else _mathematical(format_number(one.value))
+    if leading and line.name == RANKING:
+        value = rf"\nrbLeading{{{value}}}"
+    part = rf" \textit{{/{one.n}}}" if line.rate or one.n < one.of else ""
+    return _stacked(value + part, _mathematical(format_interval(one, as_percent=line.rate)))
 
 
 def _stacked(value: str, ends: str) -> str:
@@ -163,8 +167,9 @@ def _mathematical(text: str) -> str:
 
 def _comparison(run: Run, comparison: Comparison, columns: int) -> Iterator[str]:
     signs = ", ".join(rf"\nrb{_MARKS[name][0]}{{}} {name}" for _, name in comparison.legend)
+    score = "quality" if comparison.score == QUALITY else "share of tiles in place"
     caption = (
-        f"{_suite(run)}: is the lattice preserved? {signs}. Beside the mark: share of tiles in place and intact. "
+        f"{_suite(run)}: is the lattice preserved? {signs}. Beside the mark: {score}. "
         f"Share: regular share of the texture. {_signs(comparison)}"
     )
     rows: list[str] = []

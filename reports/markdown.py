@@ -14,20 +14,17 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
 from .statistics import format as text_format
-from .statistics.comparison import compare_methods, headline_columns
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, PRESERVED, SHARES_LEGEND
+from .statistics.comparison import LEADING_LEGEND, LEADING_SIGN, compare_methods
+from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, SHARES_LEGEND
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"
-_FILTERS = (
-    *("format_number", "format_percent", "format_interval", "format_count", "format_successes"),
-    "describe_column",
-)
+_FILTERS = ("format_interval", "describe_column")
 _ACTIVE = re.compile(r"([\\`*_\[\]<>|~&@#]|:(?=//)|(?<=www)\.|^[-+=])")
 
 
 @dataclass(frozen=True)
 class MarkdownTables:
-    """``comparison.md``: methods by scores, then textures by methods, as pipe tables with their legend.
+    """``comparison.md``: methods from the highest mean quality to the lowest, and textures by methods, as pipe tables.
 
     Names and messages are escaped: nothing in them becomes markup or a link.
     """
@@ -48,8 +45,8 @@ class MarkdownTables:
             .get_template("comparison.md")
             .render(
                 comparison=compare_methods(run),
-                columns=headline_columns(run),
-                scored=PRESERVED in run.columns,
+                leading_sign=LEADING_SIGN,
+                leading_legend=LEADING_LEGEND,
                 meanings=MEANINGS,
                 baseline_sign=BASELINE_SIGN,
                 baseline_legend=f"{BASELINE_LEGEND} ({SHARES_LEGEND})",

@@ -1,64 +1,38 @@
-"""Plot the perils plane as vector graphics for a paper."""
+"""Plot the perils plane and the quality by level as vector graphics for a paper."""
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
-
-import matplotlib
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from numpy.typing import NDArray
+from typing import ClassVar
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
-from .statistics.comparison import PerilsPoint, compare_methods, perils_points
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, COPIER, SHARES_LEGEND, method_label
-
-_INK, _GRAY, _FAINT = "black", "0.45", "0.8"
-_RADIUS = 3.2
-_ROW = 13.0
-_NARROW = 4.6
-_STYLE: Any = {
-    "font.family": "DejaVu Sans",
-    "font.size": 8,
-    "svg.hashsalt": "nrbench",
-    "svg.fonttype": "path",
-    "pdf.fonttype": 42,
-    "axes.linewidth": 0.7,
-}
-_SMALL: Any = {"color": _GRAY, "fontsize": 7}
-
-Boxes = NDArray[np.float64]
-"""``(n, 4)``: left, bottom, right, top."""
-_ANGLES = np.deg2rad(np.arange(0, 360, 15))
-_REACHES = (5.0, 10.0, 17.0, 26.0, 37.0, 50.0, 66.0, 85.0, 110.0)
-_SWEEPS = 12
-_OVER_CAPTION, _OVER_OBSTACLE, _TOUCHING, _OUTSIDE, _CROSSING = 400.0, 120.0, 30.0, 2000.0, 160.0
+from .plots.level_plot import plot_levels
+from .plots.perils_plane import plot_perils_plane
+from .statistics.comparison import compare_methods, perils_points
+from .statistics.levels import compare_levels
 
 
 @dataclass(frozen=True)
 class PerilsPlane:
-    """The perils plane, ``perils.svg`` and ``perils.pdf``: regularity against randomness kept, one point a method.
+    """The perils plane, and where each method breaks, as SVG and PDF.
 
-    The horizontal axis is ``regularity.score``. The vertical axis is the randomness kept: the worst of variation v,
-    repetition r and distance d, ``min(v, 1/v, 1/(1 + max(r, 0)), 1 - max(d, 0)/0.41)``, computed output by output. A
-    fresh draw of the texture lies at (1, 1), wallpaper at (1, 0). Points are means over textures with a verdict, bars
-    are 95 % intervals over textures. Reference methods have diamonds and no rank.
+    ``perils.svg`` and ``perils.pdf`` hold the perils plane, with one point for each method. The horizontal axis says
+    whether elements are in place and whole: the smaller of ``quality.regularity`` and ``quality.integrity``. The
+    vertical axis is ``quality.randomness``. Both are computed output by output and then averaged over textures. A fresh
+    draw of the texture lies at (1, 1), wallpaper at (1, 0). Bars are 95 % intervals over textures. Gray lines are
+    contours of equal quality. Reference methods have diamonds and no rank.
 
-    Randomness is not scored where regularity is lost. A method that loses every lattice has an open sign below the
+    Randomness is not scored where the lattice is lost. A method that loses every lattice has an open sign below the
     plane. ``[k of n]`` behind a name says that the height rests on k of n textures. A double dagger marks a baseline
     that is valid on some of the textures.
+
+    ``levels.svg`` and ``levels.pdf`` show the quality of each method by the level of a difficulty, with one panel for
+    each difficulty. They are written if the suite has textures at two levels or more of one departure.
 
     Parameters
     ----------
@@ -68,7 +42,7 @@ class PerilsPlane:
 
     width: float = 5.5
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     folder: ClassVar[str] = "report"
 
     def __post_init__(self) -> None:
@@ -76,303 +50,16 @@ class PerilsPlane:
             raise BadInput(f"report perils: width is {self.width:g}; give 3 to 12 inches")
 
     def write(self, run: Run, directory: Path) -> list[Path]:
-        """Write both files and return their paths; none if no method has a regularity score."""
-        points = perils_points(compare_methods(run).summaries)
-        if not points:
-            return []
-        paths = [directory / f"perils.{kind}" for kind in ("svg", "pdf")]
-        for path in paths:
-            content = plot_perils_plane(points, path.suffix[1:], self.width)
-            write_aside(path, partial(Path.write_bytes, data=content))
+        """Write the files and return their paths; none if no method has a quality."""
+        comparison = compare_methods(run)
+        points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
+        paths = []
+        for kind in ("svg", "pdf"):
+            contents = {"perils": plot_perils_plane(points, kind, self.width)} if points else {}
+            if panels:
+                contents["levels"] = plot_levels(panels, kind, self.width)
+            for name, content in contents.items():
+                path = directory / f"{name}.{kind}"
+                write_aside(path, partial(Path.write_bytes, data=content))
+                paths.append(path)
         return paths
-
-
-def plot_perils_plane(points: Sequence[PerilsPoint], kind: str, width: float = 5.5) -> bytes:
-    """Return the plane as a file of a kind (``svg``, ``pdf``, ``png``); the same points give the same bytes."""
-    with matplotlib.rc_context(_STYLE):
-        figure = _perils_figure(points, width)
-        file = io.BytesIO()
-        dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-        figure.savefig(file, format=kind, metadata=dates.get(kind), dpi=160 if kind == "png" else 72)
-    return file.getvalue()
-
-
-def caption_text(group: Sequence[PerilsPoint]) -> str:
-    """Return the caption of the points of one method: name, lattice sources, what the height rests on, validity."""
-    sources = ", ".join(point.method.lattice_source for point in group)
-    return method_label(group[0].method.name, sources) + group[0].rests_on + group[0].validity.sign
-
-
-def wrap_caption(text: str, most: int = 24) -> str:
-    """Return a caption in lines of ``most`` characters, broken only between parameters, sources and counts."""
-    lines = [""]
-    for part in re.split(r"(?<=[:,])(?! )|(?<= )(?=[(\[n])", text):
-        if lines[-1] and len(lines[-1]) + len(part.rstrip()) > most:
-            lines.append("")
-        lines[-1] += part
-    return "\n".join(line.rstrip() for line in lines)
-
-
-def _perils_figure(points: Sequence[PerilsPoint], width: float) -> Figure:
-    """Return the plane, and below it a row for each method whose randomness is not scored on any texture."""
-    above = [point for point in points if point.has_height]
-    below = [point for point in points if not point.has_height]
-    heights = {
-        "plane": 72 * width * 0.66,
-        "strip": _ROW * sum(_strip_caption(point).count("\n") + 1 for point in below) + 4 if below else 0.0,
-        "top": 16.0,
-        "key": 60.0,
-    }
-    notes = len(_footnotes(points))
-    heights["key"] += 10.0 * (width < _NARROW) - 8.0 * (not notes) + 9.0 * (notes > 1)
-    total = sum(heights.values())
-    figure = Figure(figsize=(width, total / 72), dpi=72)
-    FigureCanvasAgg(figure)
-    left, across = 46 / (72 * width), 1 - (46 + 58) / (72 * width)
-    bottom = (heights["key"] + heights["strip"]) / total
-    plane = figure.add_axes((left, bottom, across, heights["plane"] / total))
-    _draw_plane(plane, above)
-    if below:
-        strip = figure.add_axes((left, heights["key"] / total, across, heights["strip"] / total))
-        _draw_strip(strip, below)
-        plane.tick_params(labelbottom=False)
-    _draw_key(figure, points, heights["key"], total)
-    return figure
-
-
-def _draw_plane(axes: Axes, above: Sequence[PerilsPoint]) -> None:
-    axes.set(xlim=(-0.05, 1.05), ylim=(-0.05, 1.05), xticks=np.linspace(0, 1, 6), yticks=np.linspace(0, 1, 6))
-    axes.set_ylabel("randomness kept\nworst of variation, repetition, distance")
-    axes.axhline(COPIER, color=_GRAY, lw=0.6, dashes=(1, 2), zorder=0)
-    for height, words in ((1.0, "as a\nfresh draw"), (COPIER, "best possible\ncopier"), (0.0, "wallpaper")):
-        axes.text(1.015, height, words, transform=axes.get_yaxis_transform(), va="center", **_SMALL)
-    axes.text(0, 1.02, "lattice lost", transform=axes.transAxes, style="italic", **_SMALL)
-    axes.text(1, 1.02, "both perils avoided", ha="right", transform=axes.transAxes, style="italic", **_SMALL)
-    axes.tick_params(length=3, width=0.7)
-    for point in above:
-        _draw_point(axes, point, *_position(point))
-    _draw_captions(axes, above)
-
-
-def _position(point: PerilsPoint) -> tuple[float, float]:
-    return float(point.regularity.value or 0.0), float(point.randomness.value or 0.0)
-
-
-def _draw_point(axes: Axes, point: PerilsPoint, x: float, y: float) -> None:
-    reference = point.method.reference
-    bars: dict[str, Any] = {"color": _GRAY if reference else _INK, "lw": 0.9, "solid_capstyle": "butt", "zorder": 2}
-    if (ends := point.regularity.ends) is not None:
-        axes.plot(ends, (y, y), **bars)
-    if point.has_height and (ends := point.randomness.ends) is not None:
-        axes.plot((x, x), ends, **bars)
-    axes.plot(
-        *(x, y),
-        marker="D" if reference else "o",
-        ms=2 * _RADIUS - (1.4 if reference else 0),
-        mfc=(_FAINT if reference else _INK) if point.has_height else "white",
-        mec=_INK,
-        mew=0.8,
-        zorder=3,
-        clip_on=False,
-    )
-
-
-def _draw_captions(axes: Axes, above: Sequence[PerilsPoint]) -> None:
-    groups = _shared_captions(axes, above)
-    if not groups:
-        return
-    style: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 4, "linespacing": 1.05}
-    texts = [axes.text(0, 0, wrap_caption(caption_text(group)), style=_slant(group[0]), **style) for group in groups]
-    sizes = np.array([text.get_window_extent().size for text in texts]) + 2
-    anchors = axes.transData.transform([_position(group[0]) for group in groups])
-    frame = np.array(axes.get_window_extent().extents)
-    boxes = place_captions(anchors, sizes, _obstacles(axes, above), frame)
-    back = axes.transData.inverted()
-    for text, anchor, box in zip(texts, anchors, boxes, strict=True):
-        text.set_position(tuple(back.transform((box[:2] + box[2:]) / 2)))
-        end = np.clip(anchor, box[:2], box[2:])
-        if np.linalg.norm(end - anchor) > 2.5 * _RADIUS:
-            leader = back.transform(np.array([anchor, end]))
-            axes.plot(leader[:, 0], leader[:, 1], color=_GRAY, lw=0.5, zorder=1)
-
-
-def _slant(point: PerilsPoint) -> str:
-    return "italic" if point.method.reference else "normal"
-
-
-def _shared_captions(axes: Axes, above: Sequence[PerilsPoint]) -> list[list[PerilsPoint]]:
-    """Return groups that share a caption: points of one method that coincide and differ only in the lattice source."""
-    groups: list[list[PerilsPoint]] = []
-    for point in above:
-        words = point.method.name, point.rests_on, point.validity.sign
-        at = axes.transData.transform(_position(point))
-        for group in groups:
-            apart = np.linalg.norm(at - axes.transData.transform(_position(group[0])))
-            if (group[0].method.name, group[0].rests_on, group[0].validity.sign) == words and apart < _RADIUS:
-                group.append(point)
-                break
-        else:
-            groups.append([point])
-    return groups
-
-
-def _obstacles(axes: Axes, above: Sequence[PerilsPoint]) -> Boxes:
-    """Return the boxes, in pixels, of the points, their bars and the line of the best copier."""
-    boxes = []
-    for point in above:
-        x, y = _position(point)
-        boxes.append([x, y, x, y])
-        if (ends := point.regularity.ends) is not None:
-            boxes.append([ends[0], y, ends[1], y])
-        if (ends := point.randomness.ends) is not None:
-            boxes.append([x, ends[0], x, ends[1]])
-    corners = axes.transData.transform(np.array(boxes).reshape(-1, 2)).reshape(-1, 4)
-    line = axes.transData.transform([(-0.05, COPIER), (1.05, COPIER)]).reshape(1, 4)
-    grown: Boxes = np.concatenate([corners, line]) + np.array([-1, -1, 1, 1]) * (_RADIUS - 1)
-    return grown
-
-
-def _draw_strip(axes: Axes, below: Sequence[PerilsPoint]) -> None:
-    """Draw the methods whose randomness is not scored on any texture, one in each row."""
-    lines = [_strip_caption(point).count("\n") + 1 for point in below]
-    rows = np.cumsum(lines) - np.array(lines) / 2
-    axes.set(xlim=(-0.05, 1.05), ylim=(sum(lines) + 0.15, -0.15), yticks=[], xticks=np.linspace(0, 1, 6))
-    axes.tick_params(length=3, width=0.7)
-    beside: dict[str, Any] = {"transform": axes.transAxes, "color": _GRAY, "fontsize": 6, "va": "center"}
-    axes.text(-0.03, 0.5, "randomness\nnot scored", ha="right", **beside)
-    for row, point in zip(rows.tolist(), below, strict=True):
-        x = point.regularity.value or 0.0
-        _draw_point(axes, point, float(x), row)
-        low, high = point.regularity.ends or (x, x)
-        right = 1 - high > low
-        axes.annotate(
-            _strip_caption(point),
-            (high if right else low, row),
-            (8 if right else -8, 0),
-            textcoords="offset points",
-            ha="left" if right else "right",
-            va="center",
-            style=_slant(point),
-        )
-
-
-def _strip_caption(point: PerilsPoint) -> str:
-    return wrap_caption(f"{caption_text([point])} n = {point.regularity.n}", 26)
-
-
-def _draw_key(figure: Figure, points: Sequence[PerilsPoint], height: float, total: float) -> None:
-    narrow = figure.get_figwidth() < _NARROW
-    middle = 0.5 - 2 / (72 * figure.get_figwidth())
-    title = "regularity.score: share of tiles in place and intact"
-    figure.text(middle, (height - 26) / total, title, ha="center", va="center")
-    most = max(point.regularity.of for point in points)
-    signs = [("o", _INK, "method"), ("D", _FAINT, "reference, not ranked")]
-    if not all(point.has_height for point in points):
-        signs.append(("o", "white", "not scored"))
-    style: dict[str, Any] = {"ls": "", "ms": 2 * _RADIUS - 1, "mec": _INK, "mew": 0.8}
-    handles = [Line2D([], [], marker=sign, mfc=fill, label=words, **style) for sign, fill, words in signs]
-    handles.append(Line2D([], [], color=_INK, lw=0.9, label=f"95 % over {most} textures"))
-    figure.legend(
-        handles=handles,
-        ncols=2 if narrow else 4,
-        loc="center",
-        bbox_to_anchor=(middle, (height - (46 if narrow else 41)) / total),
-        frameon=False,
-        fontsize=7,
-        handlelength=1.1,
-        handletextpad=0.5,
-        columnspacing=1.1,
-    )
-    for row, words in enumerate(reversed(_footnotes(points))):
-        figure.text(middle, (4 + 9 * row) / total, words, ha="center", **_SMALL)
-
-
-def _footnotes(points: Sequence[PerilsPoint]) -> list[str]:
-    """Return the explanation of the brackets and signs that occur in the captions."""
-    brackets = ["[k of n]: the height rests on the k textures whose lattice is not lost"]
-    valid = [f"{BASELINE_SIGN} {BASELINE_LEGEND} ({SHARES_LEGEND})"]
-    return brackets * any(point.rests_on for point in points) + valid * any(point.validity.n for point in points)
-
-
-def place_captions(anchors: NDArray[np.float64], sizes: NDArray[np.float64], obstacles: Boxes, frame: Boxes) -> Boxes:
-    """Place captions near their anchors so that they cover neither each other nor an obstacle, if there is space.
-
-    Matplotlib has no such function. Each caption in turn takes the cheapest of its candidate boxes while the others
-    stay, for at most 12 sweeps. The cost of a box adds the shares of it that are covered or outside the frame, what it
-    touches, what its leader crosses, and its distance. The result is deterministic; the time grows with the square of
-    the number of captions.
-
-    Parameters
-    ----------
-    anchors
-        ``(n, 2)`` points, in the unit of ``sizes``. The built-in distances suit typographic points.
-    sizes
-        ``(n, 2)`` widths and heights.
-    obstacles
-        Boxes that captions must not cover.
-    frame
-        ``(4,)``: the box in which captions must lie.
-
-    Returns
-    -------
-    numpy.ndarray
-        The box of each caption.
-    """
-    choices = [_candidates(anchor, size) for anchor, size in zip(anchors, sizes, strict=True)]
-    fixed = [_fixed_cost(boxes, obstacles, frame) for boxes in choices]
-    chosen = np.array([boxes[np.argmin(cost)] for boxes, cost in zip(choices, fixed, strict=True)]).reshape(-1, 4)
-    for _ in range(_SWEEPS):
-        before = chosen.copy()
-        for i, boxes in enumerate(choices):
-            others = np.delete(chosen, i, 0)
-            crossed = _crossings(anchors[i], boxes, others) + _crossed(np.delete(anchors, i, 0), others, boxes)
-            covered = overlap(boxes, others)
-            cost = fixed[i] + _OVER_CAPTION * (covered.sum(1) + 0.5 * (covered > 0).sum(1)) + _CROSSING * crossed
-            chosen[i] = boxes[np.argmin(cost)]
-        if (before == chosen).all():
-            break
-    return chosen
-
-
-def _candidates(anchor: NDArray[np.float64], size: NDArray[np.float64]) -> Boxes:
-    reach, angle = (part.ravel() for part in np.meshgrid(_REACHES, _ANGLES, indexing="ij"))
-    direction = np.stack([np.cos(angle), np.sin(angle)], 1)
-    middle = anchor + direction * (size / 2 + reach[:, None])
-    return np.concatenate([middle - size / 2, middle + size / 2], 1)
-
-
-def _fixed_cost(boxes: Boxes, obstacles: Boxes, frame: Boxes) -> NDArray[np.float64]:
-    outside = 1 - overlap(boxes, frame[None])[:, 0]
-    distance = np.repeat(_REACHES, len(_ANGLES))
-    covered = overlap(boxes, obstacles)
-    over = _OVER_OBSTACLE * covered.sum(1) + _TOUCHING * (covered > 0).sum(1)
-    return np.asarray(over + _OUTSIDE * outside + distance)
-
-
-def overlap(boxes: Boxes, others: Boxes) -> NDArray[np.float64]:
-    """Return the share of each of ``boxes`` that each of ``others`` covers, ``(n, m)`` in [0, 1]."""
-    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
-    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
-    area = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
-    shared: NDArray[np.float64] = np.prod(np.clip(high - low, 0, None), axis=2) / area[:, None]
-    return shared
-
-
-def _crossings(anchor: NDArray[np.float64], boxes: Boxes, others: Boxes) -> NDArray[np.float64]:
-    """Count the boxes of ``others`` that the leader of each candidate crosses."""
-    ends = np.clip(anchor, boxes[:, :2], boxes[:, 2:])
-    return np.asarray(_passes(np.broadcast_to(anchor, ends.shape), ends, others).sum(1))
-
-
-def _crossed(anchors: NDArray[np.float64], others: Boxes, boxes: Boxes) -> NDArray[np.float64]:
-    """Count the leaders of ``others`` that cross each candidate."""
-    ends = np.clip(anchors, others[:, :2], others[:, 2:])
-    return np.asarray(_passes(anchors, ends, boxes).sum(0))
-
-
-def _passes(starts: NDArray[np.float64], ends: NDArray[np.float64], boxes: Boxes) -> NDArray[np.float64]:
-    """Return 1 if a line passes through a box at one of 13 points, else 0, ``(lines, boxes)``."""
-    steps = np.linspace(0, 1, 13)[None, :, None]
-    points = (starts[:, None] + steps * (ends - starts)[:, None])[:, :, None]
-    inside = ((points > boxes[:, :2]) & (points < boxes[:, 2:])).all(axis=-1)
-    return np.asarray(np.any(inside, axis=1), np.float64)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import ClassVar
@@ -18,11 +19,19 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
-from .statistics.comparison import Comparison, Entry, MethodSummary, compare_methods
+from .statistics.comparison import (
+    LEADING_LEGEND,
+    LEADING_SIGN,
+    Comparison,
+    Entry,
+    MethodSummary,
+    SummaryRow,
+    compare_methods,
+)
 from .statistics.detections import DetectorSummary, compare_detectors
 from .statistics.estimates import Estimate
 from .statistics.format import format_number, format_percent, strip_control
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, PRESERVED, SHARES_LEGEND
+from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, SHARES_LEGEND
 
 _SUPERSCRIPT = str.maketrans("0123456789,", "⁰¹²³⁴⁵⁶⁷⁸⁹˒")
 _DETECTOR_LEGEND = (
@@ -34,14 +43,14 @@ _DETECTOR_LEGEND = (
 
 @dataclass(frozen=True)
 class TextTable:
-    """The comparison as plain text: verdict and score for each texture and method, and summary rows below.
+    """The comparison as plain text: methods from the highest mean quality to the lowest, then textures by methods.
 
     If detectors found the lattices, a second table shows the accuracy of each detector.
 
     Parameters
     ----------
     width
-        Characters in a line, at least 40; methods that do not fit follow in a further table below.
+        Characters in a line, at least 40; columns that do not fit follow in a further table below.
     """
 
     width: int = 120
@@ -66,9 +75,13 @@ class TextTable:
         file = StringIO()
         console = Console(file=file, width=self.width, color_system=None, force_terminal=False, emoji=False)
         console.print(Text(comparison.title))
-        if PRESERVED in run.columns:
-            for table in _method_tables(comparison, console):
-                console.print(table)
+        if comparison.scored:
+            for build, count in (
+                (_summary_table, len(comparison.summary_rows)),
+                (_texture_table, len(comparison.methods)),
+            ):
+                for table in _split_table(partial(build, comparison), count, console):
+                    console.print(table)
             for line in _legend(comparison):
                 console.print(Text(line))
         if detectors:
@@ -77,14 +90,14 @@ class TextTable:
         return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
 
 
-def _method_tables(comparison: Comparison, console: Console) -> Iterator[Table]:
-    """Yield tables of as many methods as fit into the width of the console."""
+def _split_table(build: Callable[[int, int], Table], count: int, console: Console) -> Iterator[Table]:
+    """Yield tables of as many of ``count`` columns as fit into the width of the console."""
     start = 0
-    while start < len(comparison.methods):
+    while start < count:
         stop = start + 1
-        while stop < len(comparison.methods) and _fits(_method_table(comparison, start, stop + 1), console):
+        while stop < count and _fits(build(start, stop + 1), console):
             stop += 1
-        yield _method_table(comparison, start, stop)
+        yield build(start, stop)
         start = stop
 
 
@@ -92,7 +105,23 @@ def _fits(table: Table, console: Console) -> bool:
     return Measurement.get(console, console.options.update(max_width=10_000), table).maximum <= console.width
 
 
-def _method_table(comparison: Comparison, start: int, stop: int) -> Table:
+def _summary_table(comparison: Comparison, start: int, stop: int) -> Table:
+    """Return one row a method, with some of its numbers; references stand apart."""
+    lines = comparison.summary_rows[start:stop]
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("method", overflow="fold")
+    for line in lines:
+        table.add_column(Text(line.title.replace(" ", "\n")), overflow="fold")
+    before: MethodSummary | None = None
+    for i, one in enumerate(comparison.summaries):
+        if before and one.method.reference and not before.method.reference:
+            table.add_section()
+        table.add_row(_method(one, " "), *(_estimate(line, i) for line in lines))
+        before = one
+    return table
+
+
+def _texture_table(comparison: Comparison, start: int, stop: int) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column(Text("texture"), overflow="fold")
     table.add_column(Text("share"), justify="right")
@@ -101,17 +130,16 @@ def _method_table(comparison: Comparison, start: int, stop: int) -> Table:
     for row in comparison.rows:
         share = "" if row.regular_share is None else f"{row.regular_share:.2f}"
         table.add_row(Text(row.texture), share, *map(_entry, row.entries[start:stop]))
-    table.add_section()
-    for line in comparison.summary_rows:
-        if not line.name.startswith("rank"):
-            table.add_row(Text(line.name), "", *(_estimate(one, line.rate) for one in line.estimates[start:stop]))
     return table
 
 
-def _method(one: MethodSummary) -> Text:
+def _method(one: MethodSummary, separator: str = "\n") -> Text:
+    """Return the name with the sign of the leading group, and below it the source of the lattice or "reference"."""
     method = one.method
     source = "" if method.lattice_source == "none" else method.lattice_source
-    return Text("\n".join([method.name, source, f"reference{one.validity.sign}" if method.reference else ""]))
+    reference = f"reference{one.validity.sign}" if method.reference else ""
+    name = f"{method.name} {LEADING_SIGN}" if one.leading else method.name
+    return Text("\n".join([name, separator.join(filter(None, (source, reference)))]).rstrip())
 
 
 def _entry(entry: Entry | None) -> Text:
@@ -122,7 +150,11 @@ def _entry(entry: Entry | None) -> Text:
     return Text(f"{entry.text}{sign} {notes}".rstrip())
 
 
-def _estimate(one: Estimate | None, rate: bool) -> Text:
+def _estimate(line: SummaryRow, index: int) -> Text:
+    return _estimate_text(line.estimates[index], line.rate)
+
+
+def _estimate_text(one: Estimate | None, rate: bool) -> Text:
     """Return two short lines: the value with the number of textures that it rests on, and its interval."""
     if one is None or one.value is None:
         return Text("–")
@@ -140,7 +172,7 @@ def _detector_table(summaries: Sequence[DetectorSummary]) -> Table:
         table.add_column(name, overflow="fold")
     for one in summaries:
         numbers = (Text(format_number(value)) for value in (one.vector_error, one.calibration.error, one.seconds))
-        table.add_row(Text(one.detector), _estimate(one.exact, True), _estimate(one.false, True), *numbers)
+        table.add_row(Text(one.detector), _estimate_text(one.exact, True), _estimate_text(one.false, True), *numbers)
     return table
 
 
@@ -150,9 +182,13 @@ def _legend(comparison: Comparison) -> Iterator[str]:
         yield "There are no cells."
         return
     marks = ", ".join(f"{mark} {name}" for mark, name in comparison.legend)
-    yield f"{marks}. Beside the mark: regularity.score, 0 to 1. share: regular share of the texture."
-    yield "Under a method: the source of its lattice. References calibrate the scores and are never ranked."
-    yield "Lower rows: means over textures with 95 % intervals. (n/N): the mean counts n of N textures."
+    if comparison.has_ranking:
+        yield "Methods are ranked by their mean quality over textures. A failed or refused cell has quality 0."
+        yield f"{LEADING_SIGN} {LEADING_LEGEND}."
+        yield "Quality of an output: the worst of regularity, integrity and randomness. 1 is as good as a fresh draw."
+    yield "Means over textures, with 95 % intervals. (n/N): the mean counts n of N textures."
+    yield "References calibrate the scores and are never ranked. Under a method: the source of its lattice."
+    yield f"{marks}. Beside the mark: {comparison.score}. share: regular share of the texture."
     if comparison.has_valid_baseline:
         yield f"{BASELINE_SIGN} {BASELINE_LEGEND} ({SHARES_LEGEND})."
     for index, note in enumerate(comparison.notes, 1):

@@ -74,7 +74,7 @@ class TextureRow(BaseModel):
     """One texture of a suite: a dataset with its parameters, and a name.
 
     ``departure`` and ``level`` are the type and the strength of the departure that the row examines. Reports group by
-    them.
+    them. The rows of one departure go from the easiest level to the hardest.
 
     A picture that was rendered from a model may have a ``recipe``. If the recipe still gives the same pixels, the
     texture is drawn by it, and its complete truth is known.

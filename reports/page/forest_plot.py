@@ -8,16 +8,8 @@ from dataclasses import dataclass
 
 from nrbench.plugins.forms import Column
 
-from ..statistics.comparison import COSTS, MethodSummary
-from ..statistics.estimates import Estimate
-from ..statistics.format import (
-    describe_column,
-    format_count,
-    format_interval,
-    format_number,
-    format_percent,
-    format_successes,
-)
+from ..statistics.comparison import COSTS, SummaryRow
+from ..statistics.format import format_number, format_percent
 
 Scale = Callable[[float | None], float | None]
 """Maps a value to its place on an axis, from 0 to 100."""
@@ -70,46 +62,29 @@ class ForestAxis:
 
 
 _BETTER = {"higher": "better →", "lower": "← better", "one": "best at 1", "none": ""}
-_RATE = Column("Share of textures whose lattice is preserved.", better="higher")
 
 
-def forest_axes(summaries: Sequence[MethodSummary], columns: dict[str, Column]) -> list[ForestAxis]:
-    """Return the axis of the success rate, and one for each of ``columns``."""
-    rates = _axis("preserved", _RATE, [one.success for one in summaries], format_percent, format_successes)
-    means = [
-        _axis(name, column, [one.means[name] for one in summaries], format_number, format_count)
-        for name, column in columns.items()
-    ]
-    return [rates, *means]
+def forest_axes(rows: Sequence[SummaryRow]) -> list[ForestAxis]:
+    """Return an axis for each number that summarizes the methods, without the variants."""
+    return [_axis(row) for row in rows if not row.variant]
 
 
-def _axis(
-    name: str,
-    column: Column,
-    estimates: Sequence[Estimate],
-    text: Callable[[float | None], str],
-    count: Callable[[Estimate], str],
-) -> ForestAxis:
-    known = [x for one in estimates for x in (one.value, one.low, one.high) if x is not None]
-    logarithmic = name in COSTS and bool(known) and min(known) > 0
-    low, high = _whole_decades(known) if logarithmic else _linear_range(column, known)
+def _axis(row: SummaryRow) -> ForestAxis:
+    text = format_percent if row.rate else format_number
+    known = [x for one in row.estimates if one for x in (one.value, one.low, one.high) if x is not None]
+    logarithmic = row.name in COSTS and bool(known) and min(known) > 0
+    low, high = _whole_decades(known) if logarithmic else _linear_range(row.column, known)
     scale = _scale(low, high, math.log if logarithmic else float)
+    places = ((one.value, one.low, one.high) if one else (None, None, None) for one in row.estimates)
     return ForestAxis(
-        name=name,
-        meaning=describe_column(column),
+        name=row.title,
+        meaning=row.meaning,
         ends=(text(low), text(high)),
-        one=scale(1.0) if column.better == "one" else None,
-        better=_BETTER[column.better],
+        one=scale(1.0) if row.column.better == "one" else None,
+        better=_BETTER[row.column.better],
         points=[
-            ForestPoint(
-                scale(one.value),
-                scale(one.low),
-                scale(one.high),
-                text(one.value),
-                format_interval(one, as_percent=text is format_percent),
-                count(one) if one.n else "",
-            )
-            for one in estimates
+            ForestPoint(*map(scale, place), *words)
+            for place, *words in zip(places, row.values, row.intervals, row.counts, strict=True)
         ],
     )
 

@@ -16,7 +16,7 @@ from nrbench.runs.records import CellRecord, Run
 
 from ..statistics.comparison import COSTS, Comparison, Method, TextureRow, headline_columns, sort_headlines_first
 from ..statistics.format import describe_column, format_number
-from ..statistics.verdicts import MARKS, SCORE, explain_valid_baseline, explain_verdict, verdict
+from ..statistics.verdicts import MARKS, QUALITY, SCORE, explain_valid_baseline, explain_verdict, verdict
 from .lattice_overlay import LatticeOverlay, align_basis, draw_lattice
 
 SAME_LATTICE = 0.05
@@ -24,6 +24,8 @@ SAME_LATTICE = 0.05
 _SMALLEST, _LARGEST = 192, 384
 _MAX_LOST_SHADE = 3
 _DEFECTS = "regularity.defects"
+_FULL = 0.995
+"""From this quality on, which is printed as 1.00, no peril limits an output."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,10 @@ class OutputFigure:
         The cell, and its method.
     verdict, mark, shade, explanation
         As in the comparison.
+    score
+        The number beside the mark; None if there is none.
+    limit
+        The peril that limits the quality; empty if there is no quality, or no peril.
     output
         The output; None if there is none.
     layers
@@ -133,7 +139,9 @@ class OutputFigure:
     method: Method
     verdict: str
     mark: str
+    score: float | None
     shade: int | None
+    limit: str
     explanation: str
     output: PagePicture | None
     layers: Sequence[PictureLayer]
@@ -233,7 +241,7 @@ def build_gallery(run: Run, comparison: Comparison, pictures: PictureSource) -> 
         for entry in row.entries:
             for record in entry.records if entry else ():
                 replicates.setdefault(record.replicate, []).append(record)
-        draws = [_texture_draw(run, titles, pictures, replicates[number]) for number in sorted(replicates)]
+        draws = [_texture_draw(run, comparison.score, titles, pictures, replicates[n]) for n in sorted(replicates)]
         sections.append(TextureSection(row, draws))
     return sections
 
@@ -254,10 +262,10 @@ def build_disagreement(run: Run, record: CellRecord, pictures: PictureSource) ->
 
 
 def _texture_draw(
-    run: Run, titles: Sequence[str], pictures: PictureSource, records: Sequence[CellRecord]
+    run: Run, score: str, titles: Sequence[str], pictures: PictureSource, records: Sequence[CellRecord]
 ) -> TextureDraw:
     sample = next(filter(None, (pictures.load(record.folder / "sample.png") for record in records)), None)
-    figures = [_output_figure(run, record, titles, pictures) for record in records]
+    figures = [_output_figure(run, record, score, titles, pictures) for record in records]
     outputs = [one.output for one in figures if one.output]
     known = next((record.lattice_truth for record in records if record.lattice_truth), None)
     truth = Lattice.from_dict(known).reduced() if known else None
@@ -277,9 +285,12 @@ def _texture_draw(
     )
 
 
-def _output_figure(run: Run, record: CellRecord, titles: Sequence[str], pictures: PictureSource) -> OutputFigure:
-    score, word = record.values.get(SCORE), verdict(record)
-    shade = score_shade(None if score is None else float(score))
+def _output_figure(
+    run: Run, record: CellRecord, score: str, titles: Sequence[str], pictures: PictureSource
+) -> OutputFigure:
+    known, word = record.values.get(score), verdict(record)
+    value = None if known is None else float(known)
+    shade = score_shade(value)
     if shade is not None and word == "lost":
         shade = min(shade, _MAX_LOST_SHADE)  # a lost lattice never looks like a preserved one
     layers = [(index, title, pictures.load(record.pictures.get(title))) for index, title in enumerate(titles, 1)]
@@ -288,7 +299,9 @@ def _output_figure(run: Run, record: CellRecord, titles: Sequence[str], pictures
         method=_method_of(record),
         verdict=word,
         mark=MARKS[word],
+        score=value,
         shade=shade,
+        limit=_limiting_peril(record),
         explanation=explain_verdict(record),
         output=pictures.load(record.folder / "output.png") if record.status == "ok" else None,
         layers=[PictureLayer(index, title, picture) for index, title, picture in layers if picture],
@@ -296,6 +309,12 @@ def _output_figure(run: Run, record: CellRecord, titles: Sequence[str], pictures
         scores=_score_lines(run, record, sort_headlines_first(run.columns)),
         valid_baseline=explain_valid_baseline(record),
     )
+
+
+def _limiting_peril(record: CellRecord) -> str:
+    """Return the peril with the smallest score; empty without a quality, and for a quality of 1."""
+    quality = record.values.get(QUALITY)
+    return "" if quality is None or quality >= _FULL else str(record.records.get("quality", {}).get("worst", ""))
 
 
 def _score_lines(run: Run, record: CellRecord, names: Iterable[str]) -> list[ScoreLine]:

@@ -507,7 +507,7 @@ def _summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryR
     if refused:
         note = RATE_MEANING.replace("Failures and refusals count", "Refusals are left out. Failures count")
         estimates = [one.success_answered for one in summaries]
-        rates.append(_row("… refusals left out", RATE, note, estimates, rate=True, variant=True))
+        rates.append(_row("preserved (without refusals)", RATE, note, estimates, rate=True, variant=True))
     columns = headline_columns(run)
     means = []
     for name, column in columns.items():
@@ -516,7 +516,7 @@ def _summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryR
         if name == RANKING and (refused or any(one.counts["failed"] for one in summaries)):
             estimates = [one.means[QUALITY] for one in summaries]
             note = f"{MEAN_MEANING} Failures, refusals and undecided cells are left out."
-            means.append(_row("… failures left out", run.columns[QUALITY], note, estimates, variant=True))
+            means.append(_row("quality (without failures)", run.columns[QUALITY], note, estimates, variant=True))
     seconds = len(means) - 1 if RANKING in columns else 0
     return [*means[:seconds], *rates, *means[seconds:]]
 

@@ -1,0 +1,1 @@
+"""Plots that reports write as files and show on the page."""
