@@ -24,8 +24,13 @@ COLUMNS: dict[str, Column] = {
     "randomness.variation": Column("Tile-by-tile variation against fresh draws.", "", (0.0, float("inf")), "one"),
     "randomness.repetition": Column("Excess of near-exact twins <b>over</b> fresh draws.", better="lower"),
     "randomness.distance": Column("Energy distance to fresh draws.", better="lower"),
+    "quality.score": Column("The worst of regularity, integrity and randomness.", better="higher"),
+    "quality.regularity": Column("Share of tiles in place.", better="higher"),
+    "quality.integrity": Column("Wholeness of the elements.", better="higher"),
+    "quality.randomness": Column("Randomness kept.", better="higher"),
     "cost.note": Column("A number without a better way.", "px"),
 }
+PERILS = ("regularity", "integrity", "randomness")
 HOSTILE = "<img src=x onerror=\"alert(1)\"> & 'co'"
 STATUSES = ("ok", "refused", "error", "timeout", "memory", "crash", "invalid", "missing")
 
@@ -39,7 +44,10 @@ def _picture(path: Path, side: int, seed: int) -> Path:
 
 
 def cell_maker(root: Path) -> MakeCell:
-    """Return a maker of records: ``make_cell(texture, method, preserved=..., score=..., status=..., ...)``."""
+    """Return a maker of records: ``make_cell(texture, method, preserved=..., score=..., status=..., ...)``.
+
+    ``perils`` gives ``regularity``, ``integrity`` and ``randomness``; the quality is the smallest of them.
+    """
 
     def make(
         texture: str = "brick",
@@ -51,6 +59,7 @@ def cell_maker(root: Path) -> MakeCell:
         status: str = "ok",
         values: Mapping[str, float | bool | None] | None = None,
         reasons: Mapping[str, str] | None = None,
+        perils: Mapping[str, float | None] | None = None,
         reference: bool = False,
         lattice_used: Lattice | None = TRUTH,
         lattice_truth: Lattice | None = TRUTH,
@@ -93,7 +102,14 @@ def cell_maker(root: Path) -> MakeCell:
         pictures["regularity.defects"] = _picture(folder / "scores" / "regularity-defects.png", side, 3)
         result["lattice_used"] = lattice_used.as_dict() if lattice_used else None
         scores = {"regularity.preserved": preserved, "regularity.score": score, **(values or {})}
-        return CellRecord(cell, folder, result, scores, reasons or {}, pictures)
+        records: dict[str, Any] = {}
+        if perils is not None:
+            known = {name: value for name, value in perils.items() if value is not None}
+            worst = min(known, key=lambda name: known[name], default=None)
+            parts = {"score": known[worst] if worst else None, **dict.fromkeys(PERILS), **perils}
+            scores |= {f"quality.{name}": value for name, value in parts.items()}
+            records["quality"] = {"worst": worst}
+        return CellRecord(cell, folder, result, scores, reasons or {}, pictures, records)
 
     return make
 
@@ -160,3 +176,30 @@ def every_ending(tmp_path_factory: pytest.TempPathFactory) -> Run:
 def every_comparison(every_ending: Run) -> Comparison:
     """Return the comparison of that run."""
     return compare_methods(every_ending)
+
+
+@pytest.fixture(scope="module")
+def ranked(makers: tuple[MakeCell, MakeRun]) -> Run:
+    """Return a run with qualities.
+
+    A good method, one that the paired differences do not separate from it, one that refuses, one that loses some
+    lattices, one that loses all of them, and three references. The textures have three levels of one departure.
+    """
+    make_cell, make_run = makers
+    cells: list[CellRecord] = []
+    for i, texture in enumerate("abc"):
+        good = {"regularity": 1.0, "integrity": 0.9, "randomness": 0.7 - 0.01 * i}
+        lost = {"regularity": 0.1 * i, "integrity": None, "randomness": None}
+        cells += [
+            make_cell(texture, "drifter", perils=lost, preserved=False),
+            make_cell(texture, "shaky", preserved=bool(i), perils={**good, "integrity": 0.4} if i else lost),
+            make_cell(texture, "refuser", perils=good) if i else make_cell(texture, "refuser", status="refused"),
+            make_cell(texture, "close", perils={**good, "randomness": 0.65 + 0.04 * i}),
+            make_cell(texture, "good", perils=good),
+            make_cell(texture, "oracle", "none", reference=True, perils=dict.fromkeys(PERILS, 1.0)),
+            make_cell(texture, "copier", "none", reference=True, perils={**good, "integrity": 1.0}),
+            make_cell(texture, "tiling", "none", reference=True, perils={**good, "randomness": 0.0}),
+        ]
+    rows = [{"name": name, "departure": "bend", "level": level} for name, level in zip("abc", (1, 2, 4), strict=True)]
+    suite = {"name": "tiny", "version": 1, "hash": "abc123", "content": {"texture": rows}}
+    return make_run(cells, suite=suite)

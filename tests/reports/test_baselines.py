@@ -11,7 +11,7 @@ from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
-from nrbench.reports.perils import caption_text, plot_perils_plane
+from nrbench.reports.plots.perils_plane import caption_text, plot_perils_plane
 from nrbench.reports.statistics.comparison import Comparison, compare_methods, perils_points
 from nrbench.reports.statistics.verdicts import (
     BASELINE_LEGEND,
@@ -24,7 +24,7 @@ from nrbench.reports.text import TextTable
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
-SCORES = {"randomness.variation": 0.1, "randomness.repetition": 2.0, "randomness.distance": 0.01}
+SCORES = {"regularity": 1.0, "integrity": 0.9, "randomness": 0.1}
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def mixed(makers: tuple[Make, Make]) -> Run:
     cells = []
     for texture, kind in (("wallpaper", "0"), ("brick", "I"), ("noise", "stochastic")):
         lattice = {"lattice_truth": None, "preserved": None, "score": None} if kind == "stochastic" else {}
-        more: dict[str, Any] = {"kind": kind, "values": SCORES, **lattice}
+        more: dict[str, Any] = {"kind": kind, "perils": {} if lattice else SCORES, **lattice}
         cells.append(make_cell(texture, "rsgf", **more))
         cells += [make_cell(texture, name, "none", reference=True, **more) for name in ("tiling", "scatter", "oracle")]
     run: Run = make_run(cells)
@@ -131,13 +131,13 @@ def test_the_perils_plane_explains_its_sign(comparison: Comparison) -> None:
 def test_every_table_has_mark_and_footnote(mixed: Run, tmp_path: Path) -> None:
     """Text, Markdown, LaTeX and HTML mark the entries and explain the sign."""
     text, markdown = TextTable().render(mixed), MarkdownTables().render(mixed)
-    assert f"✓ 0.90 {BASELINE_SIGN}" in text and f"reference {BASELINE_SIGN} 1/3" in text
-    assert f"✓ 0.90 {BASELINE_SIGN} |" in markdown and f"*tiling* † {BASELINE_SIGN} 1/3" in markdown
+    assert f"✓ 0.10 {BASELINE_SIGN}" in text and f"reference {BASELINE_SIGN} 1/3" in text
+    assert f"✓ 0.10 {BASELINE_SIGN} |" in markdown and f"*tiling* † {BASELINE_SIGN} 1/3" in markdown
     for words in (text, markdown):
         assert f"{BASELINE_SIGN} {BASELINE_LEGEND}" in " ".join(words.split())
     summary, places_ = (path.read_text("utf-8") for path in LatexTables().write(mixed, tmp_path))
     assert r"\textit{tiling}\nrbReference{}\nrbValidBaseline{}\textsuperscript{1/3}" in summary
-    assert r"\nrbPreserved{} 0.90\nrbValidBaseline{}" in places_ and BASELINE_LEGEND in places_
+    assert r"\nrbPreserved{} 0.10\nrbValidBaseline{}" in places_ and BASELINE_LEGEND in places_
     page = HtmlReport().render(mixed, tmp_path)
     assert f"{BASELINE_SIGN} valid baseline on 1 of 3" in page
     assert page.count(f"{BASELINE_SIGN} valid baseline: what this baseline does is correct on a texture of type 0") == 1

@@ -15,7 +15,7 @@ from nrbench.reports.statistics.comparison import (
 from nrbench.reports.statistics.verdicts import SCORE
 from nrbench.runs.records import Run
 
-from .conftest import COLUMNS
+from .conftest import COLUMNS, PERILS
 
 Make = Callable[..., Any]
 
@@ -26,13 +26,62 @@ def test_every_cell_has_one_entry(every_ending: Run, every_comparison: Compariso
     assert sorted(keys) == sorted(record.key for record in every_ending.cells)
 
 
-def test_references_come_last_and_are_not_ranked(every_comparison: Comparison) -> None:
-    """Reference methods come last and have no rank."""
-    marks = [method.reference for method in every_comparison.methods]
-    assert marks == sorted(marks)
-    ranks = [line for line in every_comparison.summary_rows if line.name.startswith("rank")]
-    assert ranks
-    assert all(line.estimates[-1] is None and line.values[-1] == "–" for line in ranks)
+def test_references_come_last_and_are_not_ranked(ranked: Run) -> None:
+    """Methods are sorted by mean quality; references come last in the order of the suite, without a rank."""
+    summaries = compare_methods(ranked).summaries
+    assert [(one.method.name, one.rank) for one in summaries] == [
+        ("close", 1), ("good", 2), ("refuser", 3), ("shaky", 4), ("drifter", 5),
+        ("oracle", None), ("copier", None), ("tiling", None),
+    ]  # fmt: skip
+
+
+def test_the_leading_group_is_not_significantly_worse(ranked: Run) -> None:
+    """The best method leads, and so does each method whose paired difference to it has an interval that holds 0."""
+    leading = {one.method.name for one in compare_methods(ranked).summaries if one.leading}
+    assert {"close", "good"} <= leading
+    assert not leading & {"shaky", "drifter", "oracle"}
+
+
+def test_failures_count_zero_or_not_at_all(make_cell: Make, make_run: Make) -> None:
+    """Failures and refusals have quality 0 in one mean and are left out of the other; undecided cells of both."""
+    why = {"regularity.preserved": "undecided: too little power"}
+    whole = dict.fromkeys(PERILS, 0.8)
+    cells = [make_cell("a", perils=whole), make_cell("b", status="refused"), make_cell("c", status="timeout")]
+    cells += [make_cell("d", preserved=None, reasons=why, perils={}), make_cell("e", perils=whole)]
+    run = make_run(cells)
+    counted, answered = compare_methods(run).summary_rows[:2]
+    assert (counted.title, counted.values, counted.counts) == ("quality", ["0.40"], ["4 of 5"])
+    assert (answered.values, answered.counts) == (["0.80"], ["2 of 5"])
+
+
+def test_replicates_are_averaged_first(make_cell: Make, make_run: Make) -> None:
+    """A texture with many replicates counts as one texture in the mean quality."""
+    cells = [make_cell("a", replicate=i, perils=dict.fromkeys(PERILS, 1.0)) for i in range(3)]
+    cells.append(make_cell("b", perils=dict.fromkeys(PERILS, 0.0)))
+    assert compare_methods(make_run(cells)).summaries[0].means["quality"].value == 0.5
+
+
+def test_a_failure_on_a_texture_without_lattice_does_not_count(make_cell: Make, make_run: Make) -> None:
+    """On a texture that has no lattice no output has a quality, so a failure there does not count as 0."""
+    cells = [make_cell("a", perils=dict.fromkeys(PERILS, 0.8)), make_cell("n", status="error", lattice_truth=None)]
+    estimate = compare_methods(make_run(cells)).summaries[0].means["quality"]
+    assert (estimate.value, estimate.n) == (0.8, 1)
+
+
+def test_rows_of_a_ranked_run(ranked: Run) -> None:
+    """A ranked run has quality, the three perils, the success rate and the seconds, and entries show the quality."""
+    comparison = compare_methods(ranked)
+    titles = [line.title for line in comparison.summary_rows if not line.variant]
+    assert titles == ["quality", *PERILS, "preserved", "seconds"]
+    entry = comparison.rows[0].entries[1]
+    assert entry is not None and entry.text == "✓ 0.70"
+
+
+def test_without_quality_there_is_no_ranking(every_comparison: Comparison) -> None:
+    """A run without qualities keeps the order of the suite, and entries show ``regularity.score``."""
+    assert not every_comparison.has_ranking
+    assert every_comparison.score == SCORE
+    assert every_comparison.summary_rows[0].name == "preserved"
 
 
 @pytest.mark.parametrize(
@@ -127,23 +176,19 @@ def test_costs_appear_once(make_cell: Make, make_run: Make) -> None:
     assert [name for name in names if name.endswith(("seconds", "peak_mib"))] == ["seconds", "peak_mib"]
 
 
-def test_undecided_scores_enter_no_mean_and_no_rank(make_cell: Make, make_run: Make) -> None:
-    """A texture with an undecided verdict counts neither in the mean nor in the ranks nor in n."""
+def test_undecided_scores_enter_no_mean(make_cell: Make, make_run: Make) -> None:
+    """A texture with an undecided verdict counts neither in the mean nor in n."""
     why = {"regularity.preserved": "undecided: too little power"}
-    run = make_run([
-        make_cell("a", "m", score=0.5), make_cell("a", "n", score=0.9),
-        make_cell("b", "m", score=1.0, preserved=None, reasons=why), make_cell("b", "n", score=0.8, preserved=False),
-    ])  # fmt: skip
-    one, other = compare_methods(run).summaries
-    assert (one.means[SCORE].value, one.means[SCORE].n, one.means[SCORE].of) == (0.5, 1, 2)
-    assert (one.ranks[SCORE].value, one.ranks[SCORE].n) == (2, 1)
-    assert (other.means[SCORE].n, other.ranks[SCORE].value) == (2, 1)
-    assert next(line for line in compare_methods(run).summary_rows if line.name == SCORE).counts[0] == "1 of 2"
+    cells = [make_cell("a", score=0.5), make_cell("b", score=1.0, preserved=None, reasons=why)]
+    comparison = compare_methods(make_run(cells))
+    mean = comparison.summaries[0].means[SCORE]
+    assert (mean.value, mean.n, mean.of) == (0.5, 1, 2)
+    assert next(line for line in comparison.summary_rows if line.name == SCORE).counts[0] == "1 of 2"
 
 
 def test_metrics_of_the_headlines_come_first() -> None:
-    """Regularity and randomness come first, the others keep their order."""
-    names = ["appearance.seam", "randomness.x", "regularity.defects", "integrity.broken", "appearance.color"]
+    """Quality and the perils come first, the others keep their order."""
+    names = ["appearance.seam", "randomness.x", "regularity.defects", "quality.score", "appearance.color"]
     assert sort_headlines_first(names) == [
-        "regularity.defects", "randomness.x", "appearance.seam", "integrity.broken", "appearance.color",
+        "quality.score", "regularity.defects", "randomness.x", "appearance.seam", "appearance.color",
     ]  # fmt: skip

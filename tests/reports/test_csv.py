@@ -35,7 +35,7 @@ def test_cells_read_back_to_the_same_bits(make_cell: Make, make_run: Make, tmp_p
 
 def test_every_cell_is_a_row(every_ending: Run, written: dict[str, Path]) -> None:
     """One row a cell, whatever its status, quotes and line breaks in messages included."""
-    assert set(written) == {"cells", "comparison", "summary", "differences", "columns", "perils"}
+    assert set(written) == {"cells", "comparison", "summary", "differences", "columns"}
     assert {path.suffix for path in written.values()} == {".csv"}
     cells = _read(written["cells"])
     assert list(cells["status"]) == [record.status for record in every_ending.cells]
@@ -95,3 +95,14 @@ def test_tables_are_the_same_bytes_again(every_ending: Run, written: dict[str, P
     """Writing twice gives equal bytes, intervals included."""
     first = [path.read_bytes() for path in written.values()]
     assert first == [path.read_bytes() for path in CsvTables().write(every_ending, tmp_path)]
+
+
+def test_ranks_and_qualities_are_written(ranked: Run, tmp_path: Path) -> None:
+    """``summary.csv`` has rank and leading group; ``quality`` counts refusals as 0, ``quality.score`` leaves them out."""
+    tables = {path.stem: _read(path) for path in CsvTables().write(ranked, tmp_path)}
+    summary = tables["summary"].set_index("method")
+    assert summary.loc["close", "rank"] == 1 and summary.loc["close", "leading"]
+    assert np.isnan(summary.loc["oracle", "rank"])
+    assert summary.loc["refuser", "quality"] < summary.loc["refuser", "quality.score"]
+    assert {"quality", "quality.regularity"} <= set(tables["differences"]["score"])
+    assert tables["comparison"]["good (own) quality"].iloc[0] == 0.7

@@ -139,68 +139,6 @@ def test_success_rate_skips_textures_without_a_lattice() -> None:
     assert (estimate.value, estimate.n, estimate.of) == (1.0, 1, 1)
 
 
-def _ranked(
-    values: dict[str, float], verdicts: dict[str, str], better: str, leave_out: bool = False
-) -> dict[str, float]:
-    cells = _cells(
-        texture=["a"] * len(values), label=list(values), score=list(values.values()),
-        verdict=[verdicts.get(name, "preserved") for name in values],
-    )  # fmt: skip
-    return {
-        str(name): float(rank)
-        for name, rank in estimates.texture_ranks(cells, "score", better, leave_out).loc["a"].items()
-    }
-
-
-@pytest.mark.parametrize(
-    ("better", "ranks"),
-    [
-        ("higher", {"x": 3, "y": 2, "z": 1}),
-        ("lower", {"x": 1, "y": 2, "z": 3}),
-        ("one", {"x": 2, "y": 1, "z": 3}),
-    ],
-)
-def test_ranks_follow_the_better_way(better: str, ranks: dict[str, float]) -> None:
-    """Rank 1 goes to the highest, the lowest, or the one nearest to 1."""
-    assert _ranked({"x": 0.4, "y": 0.9, "z": 1.9}, {}, better) == ranks
-
-
-def test_ranks_share_ties() -> None:
-    """Equal scores share their mean rank."""
-    assert _ranked({"x": 0.5, "y": 0.5, "z": 0.1}, {}, "higher") == {"x": 1.5, "y": 1.5, "z": 3}
-
-
-def test_failures_refusals_and_lost_lattices_rank_worst() -> None:
-    """A method that failed, refused, or has no score because the lattice is lost takes the last rank."""
-    values = {"good": 0.9, "bad": 0.1, "crash": np.nan, "no": np.nan, "lost": np.nan}
-    verdicts = {"crash": "failed", "no": "refused", "lost": "lost"}
-    assert _ranked(values, verdicts, "higher") == {"good": 1, "bad": 2, "crash": 5, "no": 5, "lost": 5}
-
-
-def test_ranks_can_leave_refusals_out() -> None:
-    """A refusal that is left out has no rank, and does not count in the worst rank."""
-    estimate = _ranked({"x": 0.9, "c": np.nan, "r": np.nan}, {"c": "failed", "r": "refused"}, "higher", leave_out=True)
-    assert (estimate["x"], estimate["c"]) == (1, 2)
-    assert np.isnan(estimate["r"])
-
-
-def test_mean_ranks_average_over_textures() -> None:
-    """The mean rank is taken over textures, and n is their number."""
-    cells = _cells(
-        texture=["a", "a", "b", "b"], label=["x", "y", "x", "y"], score=[1.0, 0.0, 0.0, np.nan],
-        verdict=["preserved", "preserved", "preserved", "undecided"],
-    )  # fmt: skip
-    estimate = estimates.mean_ranks(cells, "score", "higher")
-    assert (estimate["x"].value, estimate["x"].n) == (1.0, 2)
-    assert (estimate["y"].value, estimate["y"].n, estimate["y"].of) == (2.0, 1, 2)
-
-
-def test_ranks_of_no_cells_are_empty() -> None:
-    """An empty table gives no ranks."""
-    empty = _cells(texture=["a"], score=[1.0], verdict=["preserved"]).iloc[:0]
-    assert estimates.mean_ranks(empty, "score", "higher") == {}
-
-
 @pytest.mark.parametrize(
     ("table", "expected"),
     [

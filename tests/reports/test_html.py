@@ -217,13 +217,35 @@ def test_every_score_of_a_cell_has_its_meaning(page: Page) -> None:
     assert len(lines) >= 10
 
 
-def test_the_perils_plane_is_on_the_page(page: Page) -> None:
-    """The perils plane is an embedded SVG, and its alternative text lists every point."""
-    (plane,) = [one for one in page.all("img") if one["src"].startswith("data:image/svg+xml;base64,")]
+@pytest.fixture(scope="module")
+def ranked_page(ranked: Run, tmp_path_factory: pytest.TempPathFactory) -> Page:
+    """Return the parsed page of a run with qualities."""
+    return Page(HtmlReport().render(ranked, tmp_path_factory.mktemp("page")))
+
+
+def test_the_plots_are_on_the_page(ranked_page: Page) -> None:
+    """The perils plane and the levels are embedded SVG, and their alternative texts list every point."""
+    plane, levels = (one for one in ranked_page.all("img") if one["src"].startswith("data:image/svg+xml;base64,"))
     svg = base64.b64decode(plane["src"].partition(",")[2])
     assert svg.lstrip().startswith(b"<?xml")
     assert b"<script" not in svg and b'xlink:href="http' not in svg
-    assert "rsgf (given): regularity" in plane["alt"]
+    assert "good (own): in place and whole" in plane["alt"]
+    assert "bend: close (own) breaks at –" in levels["alt"]
+
+
+def test_a_ranked_page_is_well_formed(ranked_page: Page) -> None:
+    """Every element is closed, every id occurs once, every link leads to an element, every title has a tooltip."""
+    assert ranked_page.open == []
+    ids = [attributes["id"] for _, attributes in ranked_page.elements if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert {one["href"].removeprefix("#") for one in ranked_page.all("a")} <= set(ids)
+    assert all(one.get("title") for one in ranked_page.all("th") if one.get("scope") == "col")
+
+
+def test_outputs_say_what_limits_them(ranked_page: Page) -> None:
+    """Each output shows the peril that limits its quality, except outputs of full quality and of no quality."""
+    text = ranked_page.text
+    assert text.count("quality limited by randomness") == 14  # close, good, copier, tiling: 3 each; refuser: 2
 
 
 def test_replicates_have_their_own_pictures(make_cell: Make, make_run: Make, tmp_path: Path) -> None:

@@ -91,3 +91,10 @@ def test_pdflatex_reads_it(every_ending: Run, tmp_path: Path) -> None:
     line = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-draftmode", "paper.tex"]
     done = subprocess.run(line, cwd=tmp_path, capture_output=True, timeout=60)
     assert done.returncode == 0, done.stdout.decode(errors="replace")[-2000:]
+
+
+def test_the_leading_group_is_bold(ranked: Run, tmp_path: Path) -> None:
+    """The quality of each method of the leading group is marked, and the caption explains the mark."""
+    text = _written(ranked, tmp_path)["summary"]
+    assert r"\nrbLeading{0.69}" in text and r"\nrbLeading{Bold}" in text
+    assert r"\nrbLeading{0.00}" not in text

@@ -69,3 +69,14 @@ def test_a_width_too_small_is_refused() -> None:
     """A width below 40 is an error that states the minimum."""
     with pytest.raises(BadInput, match="at least 40"):
         TextTable(10)
+
+
+def test_methods_are_ranked(ranked: Run) -> None:
+    """Methods are listed from the highest mean quality to the lowest, the leading group has its sign."""
+    lines = TextTable().render(ranked).splitlines()
+    first = [
+        next(i for i, line in enumerate(lines) if line.startswith(f" {name}")) for name in ("close", "shaky", "oracle")
+    ]
+    assert first == sorted(first)
+    assert lines[first[0]].startswith(" close ★")
+    assert any("leading group" in line for line in lines)
