@@ -137,11 +137,10 @@ def _summary(run: Run, comparison: Comparison) -> Iterator[str]:
 
 
 def _column_title(line: SummaryRow) -> str:
-    """Return the title of a column on two lines: the metric, then the name with its unit."""
-    metric, _, column = line.title.rpartition(".")
+    """Return the title of a column, on two lines if it names a metric or has parentheses, with its unit."""
     unit = "\\%" if line.rate else escape_latex(line.column.unit)
-    words = escape_latex(column.replace("_", " ")) + (f", {unit}" if unit else "")
-    return rf"{escape_latex(metric)}\\{words}" if metric else words
+    words = escape_latex(line.title.replace("_", " ")) + (f", {unit}" if unit else "")
+    return words.replace(" (", r"\\(").replace(".", r"\\")
 
 
 def _value(line: SummaryRow, index: int, leading: bool) -> str:

@@ -98,7 +98,7 @@ def test_tables_are_the_same_bytes_again(every_ending: Run, written: dict[str, P
 
 
 def test_ranks_and_qualities_are_written(ranked: Run, tmp_path: Path) -> None:
-    """``summary.csv`` has rank and leading group; ``quality`` counts refusals as 0, ``quality.score`` leaves them out."""
+    """``summary.csv`` has rank and leading group; ``quality`` counts refusals as 0, ``quality.score`` does not."""
     tables = {path.stem: _read(path) for path in CsvTables().write(ranked, tmp_path)}
     summary = tables["summary"].set_index("method")
     assert summary.loc["close", "rank"] == 1 and summary.loc["close", "leading"]
