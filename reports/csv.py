@@ -138,7 +138,7 @@ def summary_table(comparison: Comparison) -> pd.DataFrame:
     """Return one row a method and lattice source: rank, counts, success rates and means with intervals."""
     rows = [dict(_summary_items(one)) for one in comparison.summaries]
     empty = ["method", "lattice_source", "reference", "rank", "leading", "cells", "ok", "refused", "failed", "missing"]
-    return pd.DataFrame(rows) if rows else pd.DataFrame(columns=empty)
+    return pd.DataFrame(rows).astype({"rank": "Int64"}) if rows else pd.DataFrame(columns=empty)
 
 
 def _summary_items(one: MethodSummary) -> Iterator[tuple[str, Any]]:

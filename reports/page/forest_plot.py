@@ -83,8 +83,8 @@ def _axis(row: SummaryRow) -> ForestAxis:
         one=scale(1.0) if row.column.better == "one" else None,
         better=_BETTER[row.column.better],
         points=[
-            ForestPoint(*map(scale, place), *words)
-            for place, *words in zip(places, row.values, row.intervals, row.counts, strict=True)
+            ForestPoint(scale(value), scale(low), scale(high), *words)
+            for (value, low, high), *words in zip(places, row.values, row.intervals, row.counts, strict=True)
         ],
     )
 
