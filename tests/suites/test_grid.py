@@ -76,7 +76,7 @@ def test_bad_grids(grid: Any, message: str) -> None:
     [
         ("core", "aa9da824262a1471"),
         ("default", "4b00e40b44b68349"),
-        ("frontier", "23cd9defc29f64a5"),
+        ("frontier", "0e4258cd1c70455a"),
         ("integer", "91a2f35095371711"),
         ("spectrum", "77f6723515031a9c"),
         ("validation", "c21b350cb23e9977"),
