@@ -43,6 +43,7 @@ from .verdicts import (
     explain_verdict,
     has_quality,
     is_valid_baseline,
+    keep_common_textures,
     method_label,
     tabulate_cells,
     verdict,
@@ -359,7 +360,7 @@ class PerilsPoint:
 
 def compare_methods(run: Run) -> Comparison:
     """Build the comparison of a run; without rows if the run has no cells."""
-    cells = tabulate_cells(run)
+    cells = keep_common_textures(tabulate_cells(run))
     summaries = _rank_methods(_summarize_methods(run, cells), cells)
     methods = [one.method for one in summaries]
     score = QUALITY if has_quality(run) else SCORE

@@ -129,6 +129,27 @@ def tabulate_cells(run: Run) -> pd.DataFrame:
     return table
 
 
+def keep_common_textures(cells: pd.DataFrame) -> pd.DataFrame:
+    """Return the table without the ranking quality of textures on which that of a method is undecided.
+
+    Rubble is called lost where a fault of a good output could stay undetected. Means over the textures that each method
+    happens to be decided on would not be comparable. If no texture is left, the table is unchanged.
+
+    Parameters
+    ----------
+    cells
+        The table of :func:`tabulate_cells`.
+    """
+    if RANKING not in cells:
+        return cells
+    ranked = cells[~cells["reference"] & (cells["status"] != "missing")]
+    undecided = ranked.loc[ranked[RANKING].isna(), "texture"]
+    common = ranked.loc[~ranked["texture"].isin(undecided), RANKING]
+    if common.notna().sum() == 0:
+        return cells
+    return cells.assign(**{RANKING: cells[RANKING].mask(cells["texture"].isin(undecided))})
+
+
 def has_quality(run: Run) -> bool:
     """Return whether the metric ``quality`` has scored any cell of a run."""
     return QUALITY in run.columns and any(QUALITY in record.values for record in run.cells)

@@ -54,6 +54,21 @@ def test_failures_count_zero_or_not_at_all(make_cell: Make, make_run: Make) -> N
     assert (answered.values, answered.counts) == (["0.80"], ["2 of 5"])
 
 
+def test_the_ranking_uses_textures_that_all_methods_share(make_cell: Make, make_run: Make) -> None:
+    """A texture on which one method is undecided does not count for the others, unless none is left."""
+    cells = [
+        make_cell("a", "good", perils=dict.fromkeys(PERILS, 0.8)),
+        make_cell("a", "bad", perils=dict.fromkeys(PERILS, 0.4)),
+        make_cell("b", "good", preserved=None),
+        make_cell("b", "bad", preserved=False, perils=dict.fromkeys(PERILS, 0.0)),
+    ]
+    means = {one.method.name: one.means["quality"] for one in compare_methods(make_run(cells)).summaries}
+    assert (means["good"].value, means["bad"].value) == (0.8, 0.4)
+    assert means["bad"].n == 1
+    alone = {one.method.name: one.means["quality"] for one in compare_methods(make_run(cells[2:])).summaries}
+    assert alone["bad"].value == 0
+
+
 def test_replicates_are_averaged_first(make_cell: Make, make_run: Make) -> None:
     """A texture with many replicates counts as one texture in the mean quality."""
     cells = [make_cell("a", replicate=i, perils=dict.fromkeys(PERILS, 1.0)) for i in range(3)]
