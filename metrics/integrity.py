@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from nrbench.imaging.convert import Image, gray
-from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Again, Column, Observation, Score
+from nrbench.imaging.convert import Image, gray, quantize
+from nrbench.lattice.geometry import Points
+from nrbench.plugins.forms import Column, Observation, Score
 
-from .ncc.periodic import tile_box
-from .residual_tiles.tiles import offset_noise, squared_gradient
+from .residual_tiles.tiles import draw_fresh, offset_noise
 from .verdict.examination import examine
 from .verdict.exponential_tail import ExponentialTail
-from .verdict.reference import FIRST_DRAW, Reference
+from .verdict.reference import Reference
 from .verdict.verdict import Verdict
 from .whole_elements.composite_tiles import (
     Discriminant,
@@ -29,22 +28,20 @@ from .whole_elements.composite_tiles import (
     alteration_moments,
     compose_tiles,
 )
-from .whole_elements.elements import Cutter, Windows, find_element_places, subtract_mean
+from .whole_elements.elements import Box, Cutter, Element, Windows, find_elements, subtract_mean
 
 BROKEN_SURPRISAL = 8.0
 """Surprisal above which a tile is broken: see ``benchmarks/validation.py alarms``."""
 LEAST_POWER = 0.1
 """Detection power below which broken tiles are not counted."""
 
-_DRAWS = 4
-_FIRST_DRAW = FIRST_DRAW + (1 << 11)
-_TILES_A_SIDE, _SIDES = 10, (160, 360)
-"""Side of a fresh draw in tiles, and its limits in px."""
-_LEAST_WINDOWS, _LEAST_REFERENCES = 12, 12
+_LEAST_WINDOWS, _LEAST_REFERENCES, _LEAST_OF_ELEMENT = 12, 12, 4
+"""Least number of windows of one shape in the output and in each half of the references; least number in an image of
+windows around one element."""
+_MOST_REFERENCES, _MOST_ALTERED_PARTS = 400, 2
+"""Largest number of windows in each half of the references, and of groups of windows that are altered."""
 _TAIL = 0.9
 """Quantile above which the evidence of whole tiles has an exponential tail."""
-_OVERLAP = 2.0
-"""Number of windows, half a cell apart, that contain the same pixel."""
 _ALIGNMENT = 0.4
 """Misalignment of a tile, px: a fraction of the rounding of a whole-pixel copy."""
 _ROUNDING = 1 / 255
@@ -56,8 +53,6 @@ _ROUNDS = 3
 _CALM, _LEAST_CALM, _MANY_CALM = 0.99, 0.25, 0.9
 """Tiles are calm if their evidence is below this quantile of that of the references. At least a quarter of the tiles
 are calm. If more than nine tenths are calm, as in images without defects, the mean is not corrected."""
-_TOUCHING = 0.9
-"""Windows nearer than this, in cells along both vectors, overlap."""
 
 _DIM = 0.5
 _MARK = np.array((0.9, 0.1, 0.1), np.float32)
@@ -120,7 +115,7 @@ def _score(observation: Observation) -> Score:
     verdict = examine(observation).verdict
     if isinstance(verdict, str):
         return Score.missing(Integrity.columns, verdict)
-    broken = find_broken(verdict, observation.sample, observation.again)
+    broken = find_broken(verdict, observation)
     if isinstance(broken, str):
         return Score.missing(Integrity.columns, broken)
     values: dict[str, float | None] = {
@@ -135,7 +130,9 @@ def _score(observation: Observation) -> Score:
         "limit": BROKEN_SURPRISAL,
         "places": [[float(x), float(y)] for x, y in broken.places],
         "surprisals": [float(value) for value in broken.surprisals],
-        "anchor": [float(value) for value in broken.anchor],
+        "elements": [
+            {"place": [float(value) for value in one.place], "sides": one.box.sides.tolist()} for one in broken.elements
+        ],
     }
     if broken.detection_power < LEAST_POWER:
         reason = f"undecided: only {broken.detection_power:.0%} of joined tiles would be detected"
@@ -149,68 +146,81 @@ def _score(observation: Observation) -> Score:
 
 @dataclass(frozen=True)
 class BrokenTiles:
-    """The broken tiles of an output.
+    """The broken elements of an output.
 
     Parameters
     ----------
-    lattice
-        The lattice of the tiles.
-    anchor
-        Cell coordinates of the middles of whole elements.
+    boxes
+        One for each broken element: the shape of its window.
     places
-        ``(n, 2)``: middles (x, y) px of the broken tiles, largest surprisal first; none overlap.
+        ``(n, 2)``: middles (x, y) px of the broken elements, largest surprisal first.
     surprisals
-        ``(n,)``: about -log of the probability that the worst tile of a fresh draw has more evidence.
+        ``(n,)``: about -log of the probability that the worst element of a fresh draw has more evidence.
     tiles
-        Number of tiles in place, whole within the output.
+        Number of elements in place, whole within the output.
+    score
+        Estimated share of whole elements.
     worst
-        Surprisal of the most suspicious tile, broken or not.
+        Surprisal of the most suspicious element, broken or not.
     evidence_p90
         90th percentile of the evidence over that of fresh draws.
     detection_power
-        Share of composite tiles of fresh draws that would be counted.
+        Share of composite elements of fresh draws that would be counted.
+    elements
+        The elements of a cell.
     """
 
-    lattice: Lattice
-    anchor: Points
+    boxes: list[Box]
     places: Points
     surprisals: Levels
     tiles: int
+    score: float
     worst: float
     evidence_p90: float
     detection_power: float
-
-    @property
-    def score(self) -> float:
-        """Estimated share of whole tiles: the share of broken tiles is divided by the share that is detected."""
-        return 1 - min(self.share / max(self.detection_power, LEAST_POWER), 1.0)
+    elements: list[Element]
 
     @property
     def share(self) -> float:
-        """Share of broken tiles."""
+        """Share of broken elements."""
         return min(len(self.places) / max(self.tiles, 1), 1.0)
 
 
 @dataclass(frozen=True)
-class _PlaceStatistics:
-    """Statistics of the references at one place of the cell.
+class LearnedElements:
+    """What the references show of elements whose windows have one shape.
 
     Parameters
     ----------
+    elements
+        The elements.
     discriminants
-        Two discriminants, each with the mean evidence of whole tiles.
+        Two discriminants, each with the mean evidence of whole windows.
     whole, composite
-        Evidence of whole and of composite tiles, over that mean.
+        Evidence of whole and of composite windows, over that mean.
     """
 
+    elements: list[Element]
     discriminants: list[tuple[Discriminant, float]]
     whole: Levels
     composite: Levels
 
+    @property
+    def box(self) -> Box:
+        """The shape of the windows."""
+        return self.elements[0].box
+
+    @property
+    def overlap(self) -> float:
+        """Number of windows that contain the same pixel."""
+        return max(len(self.elements) * self.box.area / self.cell_area, 1.0)
+
+    cell_area: float = 1.0
+
 
 @dataclass(frozen=True)
 class _Evidence:
-    """Evidence of the output's windows at one place of the cell.
+    """Evidence of the output's windows around elements whose windows have one shape.
 
     Parameters
     ----------
@@ -218,90 +228,144 @@ class _Evidence:
         ``(n, 2)``: middles of the windows, (x, y) px.
     output
         ``(n,)``: their evidence.
-    reference
-        Statistics of the references at this place.
+    learned
+        Statistics of the references.
     """
 
     middles: Points
     output: Levels
-    reference: _PlaceStatistics
+    learned: LearnedElements
 
 
-def find_broken(verdict: Verdict, sample: Image, again: Again | None) -> BrokenTiles | str:
-    """Return the broken tiles of an output, or the reason why they cannot be found.
+def find_broken(verdict: Verdict, observation: Observation) -> BrokenTiles | str:
+    """Return the broken elements of an output, or the reason why they cannot be found.
 
     If the verdict on regularity has no power, the places of the tiles are not known.
     """
     if verdict.lack_of_power:
         return f"undecided: {verdict.lack_of_power}"
     output = Cutter.from_measurements(verdict.output, offset_noise(verdict.references))
-    places, statistics = learn_references(verdict.reference, sample, again, output.lattice)
+    learned = learn_references(verdict.reference, observation, offset_noise(verdict.references))
+    if isinstance(learned, str):
+        return learned
     evidence = []
-    for place, one in zip(places, statistics, strict=True):
-        if isinstance(one, str):
-            return one
-        windows = _select_in_place(output.cut(place), verdict)
-        if len(windows.values) < _LEAST_WINDOWS:
-            return f"undecided: fewer than {_LEAST_WINDOWS} whole tiles in place to compare"
-        evidence.append(_Evidence(windows.middles, _output_evidence(one, subtract_mean(windows.values)), one))
-    return _count_broken(output.lattice, places[0], evidence)
+    for one in learned:
+        windows = [_select_in_place(output.cut(element), verdict) for element in one.elements]
+        windows = [some for some in windows if len(some.middles) >= _LEAST_OF_ELEMENT]
+        if sum(len(some.middles) for some in windows) >= _LEAST_WINDOWS:
+            levels = [_output_evidence(one, subtract_mean(some.values)) for some in windows]
+            middles = np.concatenate([some.middles for some in windows])
+            evidence.append(_Evidence(middles, np.concatenate(levels), one))
+    if not evidence:
+        return f"undecided: fewer than {_LEAST_WINDOWS} whole elements in place to compare"
+    return _count_broken(evidence)
 
 
 def learn_references(
-    reference: Reference, sample: Image, again: Again | None, lattice: Lattice
-) -> tuple[Points, list[_PlaceStatistics | str]]:
-    """Return the places of elements in the cell, and the statistics of the references at each, or a reason for none.
+    reference: Reference, observation: Observation, noise: Points
+) -> list[LearnedElements] | str:
+    """Return what the references show of the elements, in groups of one shape, or the reason why they show nothing.
 
-    The references are fresh draws, or else the sample. Each half of the fresh draws, or every second tile of the
-    sample, is measured by directions learned from the other half.
+    The references are fresh draws, or else the sample. Each half of the fresh draws, or of the sample, is measured by
+    directions learned from the other half.
 
     Parameters
     ----------
     reference
         The reference of the verdict.
-    sample, again
-        The sample and its fresh draws.
-    lattice
-        The lattice of the output's tiles.
+    observation
+        The sample, and its fresh draws if there are any.
+    noise
+        2 x 2: covariance of tile offsets in images without displacements, px^2.
     """
-    if again is None or reference.source == "sample":
-        cutter = Cutter(sample, reference.lattice)
-        halves = [[(cutter, slice(first, None, 2))] for first in (0, 1)]
+    if reference.source == "sample":
+        cutters = [Cutter(observation.sample, reference.lattice)]
+    elif observation.truth is not None and observation.truth.displacement is not None:
+        cutters = [Cutter.from_measurements(one, noise) for one in reference.measurements]
     else:
-        side = np.ceil(np.clip(_TILES_A_SIDE * tile_box(reference.lattice), *_SIDES)).astype(int)
-        draws = [again((int(side[1]), int(side[0])), _FIRST_DRAW + k) for k in range(_DRAWS)]
-        cutters = [(Cutter(draw.image, reference.lattice), slice(None)) for draw in draws if draw is not None]
-        halves = [cutters[: len(cutters) // 2], cutters[len(cutters) // 2 :]]
-    places = find_element_places([cutter for half in halves for cutter, _ in half])
-    return places, [_learn(halves, place, lattice) for place in places]
+        draws = observation.shared(draw_fresh)
+        cutters = [Cutter(quantize(draw.image), reference.lattice) for draw in draws]
+    groups = find_elements(cutters)
+    learned = [one for group in groups if (one := _learn(cutters, group)) is not None]
+    return learned or f"undecided: the references hold fewer than 2 x {_LEAST_REFERENCES} whole elements"
 
 
-def _learn(halves: list[list[tuple[Cutter, slice]]], place: Points, lattice: Lattice) -> _PlaceStatistics | str:
-    own = [[cutter.cut(place).take(part) for cutter, part in half] for half in halves]
-    if min(sum(len(windows.middles) for windows in half) for half in own) < _LEAST_REFERENCES:
-        return f"undecided: the references hold fewer than 2 x {_LEAST_REFERENCES} whole tiles"
-    parts = [_whole_tiles([cutter for cutter, _ in half], windows) for half, windows in zip(halves, own, strict=True)]
-    floor = _floor([windows for half in own for windows in half], lattice, [part.rows for part in parts])
+def _learn(cutters: list[Cutter], elements: list[Element]) -> LearnedElements | None:
+    """Return what images without defects show of elements; None if they hold too few of them."""
+    box, halves = elements[0].box, [_Half([], [], []), _Half([], [], [])]
+    for number, cutter in enumerate(cutters):
+        for element in elements:
+            windows = cutter.cut(element)
+            for half, part in zip(halves, _split(windows.middles, number, len(cutters)), strict=True):
+                half.add(cutter, windows.take(part))
+    if min(half.count for half in halves) < _LEAST_REFERENCES:
+        return None
+    parts = [half.whole_tiles(box) for half in halves]
+    floor = _floor([windows for half in halves for windows in half.windows], box, [part.rows for part in parts])
     discriminants, whole, composite = [], [], []
     for one, other in (parts, parts[::-1]):
-        discriminant = Discriminant.fit(one, other, floor)
+        discriminant = Discriminant.fit(one, other, floor, box.samples)
         evidence = discriminant.evidence(other.rows)
         level = max(float(evidence.mean()), 1e-9)
         discriminants.append((discriminant, level))
         whole.append(evidence / level)
-        composite.append(discriminant.evidence(compose_tiles(other.rows)) / level)
-    return _PlaceStatistics(discriminants, np.concatenate(whole), np.concatenate(composite))
+        composite.append(discriminant.evidence(compose_tiles(other.rows, box.samples)) / level)
+    area = cutters[0].lattice.area
+    return LearnedElements(elements, discriminants, np.concatenate(whole), np.concatenate(composite), area)
 
 
-def _output_evidence(reference: _PlaceStatistics, rows: Rows) -> Levels:
-    """Return the evidence of an output's tiles.
+@dataclass(frozen=True)
+class _Half:
+    """Windows of one half of the references, from each cutter and around each element."""
 
-    If many tiles are broken, the mean of the calm tiles is subtracted instead of the mean of all. Otherwise the cuts of
-    the broken tiles would change the mean and add evidence to whole tiles.
+    cutters: list[Cutter]
+    windows: list[Windows]
+    rows: list[Rows]
+
+    @property
+    def count(self) -> int:
+        return sum(map(len, self.rows))
+
+    def add(self, cutter: Cutter, windows: Windows) -> None:
+        """Add windows around one element; a few are too few to subtract their mean."""
+        n = len(windows.middles)
+        if n >= _LEAST_OF_ELEMENT:
+            self.cutters.append(cutter)
+            self.windows.append(windows)
+            self.rows.append(subtract_mean(windows.values))
+
+    def whole_tiles(self, box: Box) -> WholeTiles:
+        """Return at most as many windows as are needed, and the moments of their alterations."""
+        rows = np.concatenate(self.rows)
+        step = max(len(self.rows) // _MOST_ALTERED_PARTS, 1)
+        altered = [
+            alteration_moments(cutter, windows.middles, box)
+            for cutter, windows in list(zip(self.cutters, self.windows, strict=True))[::step]
+        ]
+        return WholeTiles(rows[:: -(-len(rows) // _MOST_REFERENCES)], np.mean(altered, 0))
+
+
+def _split(middles: Points, number: int, images: int) -> list[NDArray[np.bool_]]:
+    """Return two halves of the windows: those of every second image, or of both ends of a single image."""
+    if images > 1:
+        own = np.full(len(middles), number % 2 == 0)
+        return [own, ~own]
+    if not len(middles):
+        return [np.zeros(0, np.bool_)] * 2
+    along = middles[:, int(np.argmax(np.ptp(middles, axis=0)))]
+    low = along <= np.median(along)
+    return [low, ~low]
+
+
+def _output_evidence(learned: LearnedElements, rows: Rows) -> Levels:
+    """Return the evidence of an output's windows.
+
+    If many elements are broken, the mean of the calm windows is subtracted instead of the mean of all. Otherwise the
+    cuts of the broken elements would change the mean and add evidence to whole ones.
     """
-    calm_level = float(np.quantile(reference.whole, _CALM))
+    calm_level = float(np.quantile(learned.whole, _CALM))
     for _ in range(_ROUNDS):
-        evidence = np.mean([discriminant.evidence(rows) / level for discriminant, level in reference.discriminants], 0)
+        evidence = np.mean([discriminant.evidence(rows) / level for discriminant, level in learned.discriminants], 0)
         calm = evidence <= max(calm_level, float(np.quantile(evidence, _LEAST_CALM)))
         if calm.mean() > _MANY_CALM:
             break
@@ -309,15 +373,12 @@ def _output_evidence(reference: _PlaceStatistics, rows: Rows) -> Levels:
     return np.asarray(evidence)
 
 
-def _whole_tiles(cutters: list[Cutter], windows: list[Windows]) -> WholeTiles:
-    pairs = [(cutter, some) for cutter, some in zip(cutters, windows, strict=True) if len(some.middles)]
-    altered = [alteration_moments(cutter, some.middles) for cutter, some in pairs]
-    return WholeTiles(np.concatenate([subtract_mean(some.values) for _, some in pairs]), np.mean(altered, 0))
-
-
-def _floor(windows: list[Windows], lattice: Lattice, parts: list[Rows]) -> Levels:
+def _floor(windows: list[Windows], box: Box, parts: list[Rows]) -> Levels:
     """Return the variance of rounding and of misalignment, plus a share of the texture's variance."""
-    steep = squared_gradient(np.mean([some.values.mean(0) for some in windows], 0), lattice)
+    mean = np.mean([some.values.mean(0) for some in windows], 0)
+    along = np.gradient(mean, axis=1) * box.samples[0]
+    across = np.gradient(mean, axis=0) * box.samples[1]
+    steep = ((np.stack([along, across], -1) @ np.linalg.inv(box.sides).T) ** 2).sum(-1)
     variance = float(np.mean([part.var(0).mean() for part in parts]))
     return np.asarray(_ROUNDING**2 + _SHARE_OF_VARIANCE * variance + _ALIGNMENT**2 * steep.ravel())
 
@@ -335,56 +396,59 @@ def _select_in_place(windows: Windows, verdict: Verdict) -> Windows:
     return windows.take(~(displaced | (near <= 1)))
 
 
-def _count_broken(lattice: Lattice, anchor: Points, evidence: list[_Evidence]) -> BrokenTiles:
-    """Return the broken tiles; each counts once, although windows at several places show it."""
-    whole = np.concatenate([one.reference.whole for one in evidence])
-    output = np.concatenate([one.output for one in evidence])
-    tail = ExponentialTail.fit(whole, _TAIL, overlap=_OVERLAP)
+def _count_broken(evidence: list[_Evidence]) -> BrokenTiles:
+    """Return the broken elements.
 
-    def surprisal(levels: Levels) -> Levels:
-        return np.asarray(tail.surprisal(levels) - np.log(len(output) / len(levels)))
+    The score is 1 less the number of broken elements over the number that would be counted if all were composite.
+    """
+    total = sum(len(one.output) for one in evidence)
+    boxes, places, values, powers, levels, usual = [], [], [], [], [], []
+    worst, countable, broken = -math.inf, 0.0, 0.0
+    for one in evidence:
+        tail = ExponentialTail.fit(one.learned.whole, _TAIL, overlap=one.learned.overlap)
 
-    surprisals = np.concatenate([surprisal(one.output) for one in evidence])
-    places, values = _drop_overlapping(lattice, np.concatenate([one.middles for one in evidence]), surprisals)
+        def surprisal(of: Levels, tail: ExponentialTail = tail) -> Levels:
+            return np.asarray(tail.surprisal(of) - np.log(total / len(of)))
+
+        surprisals = surprisal(one.output)
+        flagged = surprisals > BROKEN_SURPRISAL
+        power = float((surprisal(one.learned.composite) > BROKEN_SURPRISAL).mean())
+        powers.append(power * len(one.output) / total)
+        if power >= LEAST_POWER:
+            countable, broken = countable + power * len(one.output), broken + float(flagged.sum())
+        places.append(one.middles[flagged])
+        values.append(surprisals[flagged])
+        boxes += [one.learned.box] * int(flagged.sum())
+        levels.append(one.output)
+        usual.append(one.learned.whole)
+        worst = max(worst, float(surprisals.max()))
+    order = np.argsort(-np.concatenate(values), kind="stable")
     return BrokenTiles(
-        lattice,
-        anchor,
-        places,
-        values,
-        tiles=len(evidence[0].output),
-        worst=float(surprisals.max(initial=-np.inf)),
-        evidence_p90=float(np.quantile(output, 0.9) / max(float(np.quantile(whole, 0.9)), 1e-9)),
-        detection_power=float((surprisal(evidence[0].reference.composite) > BROKEN_SURPRISAL).mean()),
+        [boxes[number] for number in order],
+        np.concatenate(places)[order],
+        np.concatenate(values)[order],
+        tiles=total,
+        score=1 - min(broken / countable, 1.0) if countable else 1.0,
+        worst=worst,
+        evidence_p90=float(
+            np.quantile(np.concatenate(levels), 0.9) / max(float(np.quantile(np.concatenate(usual), 0.9)), 1e-9)
+        ),
+        detection_power=sum(powers),
+        elements=[element for one in evidence for element in one.learned.elements],
     )
-
-
-def _drop_overlapping(lattice: Lattice, middles: Points, surprisals: Levels) -> tuple[Points, Levels]:
-    """Return middles and surprisals of the broken windows, largest first; of overlapping ones only the first."""
-    flagged = np.flatnonzero(surprisals > BROKEN_SURPRISAL)
-    flagged = flagged[np.argsort(-surprisals[flagged], kind="stable")]
-    if not len(flagged):
-        return np.zeros((0, 2)), np.zeros(0)
-    uv = lattice.to_cell(middles[flagged])
-    free = np.ones(len(flagged), np.bool_)
-    kept = []
-    for one, near in enumerate(cKDTree(uv).query_ball_point(uv, _TOUCHING, p=np.inf)):
-        if free[one]:
-            kept.append(flagged[one])
-            free[near] = False
-    return middles[kept], surprisals[kept]
 
 
 def draw_broken(output: Image, broken: BrokenTiles) -> Image:
     """Return the output in faint gray, with the broken tiles in color and framed."""
     faint = np.repeat((1 - _DIM + _DIM * gray(output))[..., np.newaxis], 3, 2)
     colored = np.broadcast_to(output, (*output.shape[:2], 3))
-    reach = np.abs(broken.lattice.matrix).sum(0) / 2 + 1
-    for place in broken.places:
+    for place, box in zip(broken.places, broken.boxes, strict=True):
+        reach = box.reach + 1
         x0, y0 = np.maximum(np.floor(place - reach), 0).astype(int)
         x1, y1 = np.ceil(place + reach).astype(int) + 1
         y, x = np.indices(output[y0:y1, x0:x1].shape[:2])
-        uv = np.abs(broken.lattice.shifted(place - broken.lattice.origin).to_cell(np.stack([x + x0, y + y0], -1)))
-        inside, edge = (uv < 0.5).all(-1), (uv.max(-1) >= 0.5 - 1.0 / np.sqrt(broken.lattice.area))
+        uv = np.abs(box.coordinates(np.stack([x + x0, y + y0], -1) - place))
+        inside, edge = (uv < 0.5).all(-1), (uv >= 0.5 - 1.0 / np.hypot(*box.sides.T)).any(-1)
         faint[y0:y1, x0:x1][inside] = colored[y0:y1, x0:x1][inside]
         faint[y0:y1, x0:x1][inside & edge] = _MARK
     return np.asarray(np.clip(faint, 0, 1), np.float32)
@@ -392,7 +456,7 @@ def draw_broken(output: Image, broken: BrokenTiles) -> Image:
 
 def enlarge_worst(output: Image, broken: BrokenTiles) -> Image:
     """Return up to eight of the worst tiles with their neighborhoods, two tiles wide, side by side, worst first."""
-    reach = np.maximum(np.ceil(tile_box(broken.lattice)).astype(int), 3)
+    reach = np.maximum(np.ceil(np.max([2 * box.reach for box in broken.boxes[:_WORST]], 0)).astype(int), 3)
     crops = [_enlarged_crop(output, place, reach) for place in broken.places[:_WORST]]
     gap = np.ones((max(crop.shape[0] for crop in crops), _GAP, output.shape[2]), np.float32)
     return np.concatenate([part for crop in crops for part in (crop, gap)][:-1], 1)

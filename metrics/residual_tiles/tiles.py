@@ -13,7 +13,7 @@ from scipy import ndimage
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import Values, cut_tiles, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Observation, Shape
+from nrbench.plugins.forms import Observation, Shape, Texture
 
 from ..ncc.periodic import TOLERANCE
 from ..verdict.measurements import Measurements
@@ -286,14 +286,22 @@ def _cut_displaced(image: Measurements, references: tuple[Measurements, ...], gr
     return TileSet.cut(image.image, tiles.lattice, numbers, align_middles(image, references), grid)
 
 
+def draw_fresh(observation: Observation) -> tuple[Texture, ...]:
+    """Return fresh draws of the output's size, or none without a model. Metrics share them."""
+    again, shape = observation.again, observation.output.shape[:2]
+    if again is None:
+        return ()
+    count = int(np.clip(_DRAWS * 256**2 / (shape[0] * shape[1]), _DRAWS, _MOST_DRAWS))
+    draws = [again(shape, _FIRST_DRAW + k) for k in range(count)]
+    if any(draw is None for draw in draws):
+        raise ValueError(f"the texture's model gave no fresh draw of {shape[1]}x{shape[0]} px")
+    return tuple(draw for draw in draws if draw is not None)
+
+
 def _cut_fresh(observation: Observation, verdict: Verdict, grid: Grid) -> tuple[TileSet, ...]:
     """Cut fresh draws of the output's size: on the lattice, or displaced if the model displaces its content."""
-    again, shape = observation.again, observation.output.shape[:2]
-    count = int(np.clip(_DRAWS * 256**2 / (shape[0] * shape[1]), _DRAWS, _MOST_DRAWS))
     sets = []
-    for draw in [again(shape, _FIRST_DRAW + k) for k in range(count)] if again else []:
-        if draw is None:
-            raise ValueError(f"the texture's model gave no fresh draw of {shape[1]}x{shape[0]} px")
+    for draw in observation.shared(draw_fresh):
         image = quantize(draw.image)
         if draw.displacement is None:
             sets.append(TileSet.on(image, verdict.reference.lattice, grid))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -11,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from nrbench.imaging.fold import Values
-from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.geometry import Points
 
-from .elements import SAMPLES, Cutter
+from .elements import Box, Cutter
 
 Rows = NDArray[np.float64]
 """``(n, p)``: each row holds the departures of one tile from the mean tile."""
@@ -21,11 +20,11 @@ Levels = NDArray[np.float64]
 _LEAST_RATIO = 2.0
 _MOST_DIRECTIONS = 24
 _CUTS, _ASIDE = 16, (-0.2, 0.0, 0.2, 0.0)
-"""Number of directions of the cuts through a tile, and the distances of successive cuts from its middle, in cells."""
+"""Number of directions of the cuts through a tile, and the distances of successive cuts from its middle, in sides."""
 _PARTNERS = (3, 7, 11, 17)
 """Each tile is joined to the tiles this many rows before it."""
-_WIDE = 2 * SAMPLES + 1
-"""Samples along each side of the windows that are blurred, which are larger by half a cell on every side."""
+_MARGIN = 3
+"""Number of samples by which the windows that are blurred are larger on every side."""
 _MOST_ALTERED = 48
 """Largest number of windows of an image that are altered to estimate second moments."""
 _BLURS = (1.5, 3.0, 6.0)
@@ -33,7 +32,8 @@ _BLURS = (1.5, 3.0, 6.0)
 _BENDS, _BEND, _SHIFT = 64, 0.05, 0.05
 """Number of bends; standard deviations of the entries of their matrix, and of their shift in units of s."""
 _LIGHTS, _LIGHT_DISTANCES = 16, (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
-"""Directions of uneven light, and the distances of its edge from the middle, in cells."""
+"""Directions of uneven light, and the distances of its edge from the middle, over the length of the window in
+this direction."""
 _LIGHT_REACH, _LIGHT_STEP = 16.0, 0.3
 """Distance from its edge at which the light has faded, px, and its step at the edge, in values."""
 
@@ -79,23 +79,25 @@ class Discriminant:
     composite: Levels
 
     @classmethod
-    def fit(cls, tiles: WholeTiles, others: WholeTiles, floor: Levels) -> Discriminant:
+    def fit(cls, tiles: WholeTiles, others: WholeTiles, floor: Levels, samples: tuple[int, int]) -> Discriminant:
         """Fit the directions to whole tiles, and measure variances along them on others.
 
         Parameters
         ----------
         tiles, others
-            At least two whole tiles each, ``p = samples^2 channels``.
+            At least two whole tiles each, ``p = samples channels``.
         floor
             ``(p,)``: least variance of each value, e.g. because tiles are cut a fraction of a pixel off.
+        samples
+            Number of samples along each side of a window.
         """
-        inner = tiles.rows.T @ tiles.rows / (len(tiles.rows) - 1) + tiles.altered + np.diag(floor)
-        joins = compose_tiles(tiles.rows)
+        inner = shrunk_covariance(tiles.rows) + tiles.altered + np.diag(floor)
+        joins = compose_tiles(tiles.rows, samples)
         first = max(len(floor) - _MOST_DIRECTIONS, 0)
         _, directions = eigh(joins.T @ joins / len(joins), inner, subset_by_index=(first, len(floor) - 1))
         spared = floor @ directions**2 + np.einsum("pk,pk->k", directions, others.altered @ directions)
         whole = ((others.rows @ directions) ** 2).mean(0) + spared
-        composite = ((compose_tiles(others.rows) @ directions) ** 2).mean(0) + spared
+        composite = ((compose_tiles(others.rows, samples) @ directions) ** 2).mean(0) + spared
         keep = composite > _LEAST_RATIO * whole
         return cls(directions[:, keep], whole[keep], composite[keep])
 
@@ -104,33 +106,48 @@ class Discriminant:
         return np.asarray((tiles @ self.directions) ** 2 @ (1 / self.whole - 1 / self.composite))
 
 
-def compose_tiles(tiles: Rows) -> Rows:
-    """Return each tile joined to four others along cuts of 16 directions, through its middle or 0.2 cells beside it.
+def shrunk_covariance(rows: Rows) -> Rows:
+    """Return the covariance of rows with mean 0, shrunk toward its diagonal, ``(p, p)``.
+
+    The weight of the diagonal is the expected squared error of the covariances over their sum of squares, so that it
+    goes to 0 as the number of rows grows (Schaefer and Strimmer, Statistical Applications in Genetics and Molecular
+    Biology 4, 2005).
+    """
+    n = len(rows)
+    covariance = rows.T @ rows / max(n - 1, 1)
+    squared = covariance**2
+    error = ((rows**2).T @ rows**2 / n - squared) / n
+    np.fill_diagonal(error, 0)
+    np.fill_diagonal(squared, 0)
+    weight = float(np.clip(error.sum() / max(float(squared.sum()), 1e-30), 0, 1))
+    return np.asarray((1 - weight) * covariance + weight * np.diag(np.diag(covariance)))
+
+
+def compose_tiles(tiles: Rows, samples: tuple[int, int]) -> Rows:
+    """Return each tile joined to four others along cuts of 16 directions, through its middle or 0.2 sides beside it.
 
     Parameters
     ----------
     tiles
-        ``(n, p)``, where p is the number of samples of a square window, times 3 in a color image.
+        ``(n, p)``, where p is the number of samples of a window, times 3 in a color image.
+    samples
+        Number of samples along each side of a window.
     """
-    cut = np.resize(_cut_masks(tiles.shape[1]), tiles.shape)
+    cut = np.resize(_cut_masks(samples, tiles.shape[1]), tiles.shape)
     return np.concatenate([np.where(cut, np.roll(tiles, partner, 0), tiles) for partner in _PARTNERS])
 
 
-@lru_cache(maxsize=2)
-def _cut_masks(values: int) -> NDArray[np.bool_]:
+@lru_cache(maxsize=16)
+def _cut_masks(samples: tuple[int, int], values: int) -> NDArray[np.bool_]:
     """Return for each cut which values come from the second tile, ``(16, values)``."""
-    samples = math.isqrt(values)
-    channels = 1 if samples**2 == values else 3
-    samples = math.isqrt(values // channels)
-    steps = (np.arange(samples) + 0.5) / samples - 0.5
-    v, u = np.meshgrid(steps, steps, indexing="ij")
+    u, v = np.meshgrid(*((np.arange(n) + 0.5) / n - 0.5 for n in samples))
     angles = 2 * np.pi * np.arange(_CUTS)[:, np.newaxis, np.newaxis] / _CUTS
     aside = np.resize(_ASIDE, _CUTS)[:, np.newaxis, np.newaxis]
     beyond = np.cos(angles) * u + np.sin(angles) * v > aside
-    return np.repeat(beyond.reshape(_CUTS, -1), channels, 1)
+    return np.repeat(beyond.reshape(_CUTS, -1), values // (samples[0] * samples[1]), 1)
 
 
-def alteration_moments(cutter: Cutter, middles: Points) -> Rows:
+def alteration_moments(cutter: Cutter, middles: Points, box: Box) -> Rows:
     """Return the second moments of the changes that blur, bending and uneven light make to whole windows, ``(p, p)``.
 
     Each window is blurred by three Gaussians, completely and on one side of a cut (the border of a blurred region runs
@@ -144,17 +161,18 @@ def alteration_moments(cutter: Cutter, middles: Points) -> Rows:
         Cutter of an image with whole tiles.
     middles
         ``(n, 2)``: middles of at least one window inside the image.
+    box
+        The shape of the windows.
     """
     middles = middles[:: -(-len(middles) // _MOST_ALTERED)]
-    wide = cutter.cut_around(middles, _WIDE, _WIDE / SAMPLES)
-    side = (_WIDE - SAMPLES) // 2
-    own, channels = _rows(wide[:, side:-side, side:-side]), wide.shape[-1]
+    wide = cutter.cut_around(middles, box, _MARGIN)
+    own, channels = _rows(wide[:, _MARGIN:-_MARGIN, _MARGIN:-_MARGIN]), wide.shape[-1]
     flat = wide.reshape(len(wide), -1, channels)
-    total = _moments(_rows(cutter.cut_around(middles, bends=_bends(cutter.lattice))) - own)
-    total += _moments(np.repeat(_lights(cutter.lattice), channels, 1))
-    cut = np.resize(_cut_masks(own.shape[1]), own.shape)
+    total = _moments(_rows(cutter.cut_around(middles, box, bends=_bends(cutter.lattice.s))) - own)
+    total += _moments(np.repeat(_lights(box), channels, 1))
+    cut = np.resize(_cut_masks(box.samples, own.shape[1]), own.shape)
     for deviation in _BLURS:
-        change = _rows(np.einsum("qp,npc->nqc", _blur(cutter.lattice, deviation), flat, optimize=True)) - own
+        change = _rows(np.einsum("qp,npc->nqc", _blur(box, deviation), flat, optimize=True)) - own
         total += _moments(change) + _moments(np.where(cut, change, 0))
     return total
 
@@ -167,33 +185,25 @@ def _moments(rows: Rows) -> Rows:
     return np.asarray(rows.T @ rows / len(rows))
 
 
-def _sample_places(samples: int, lattice: Lattice) -> Points:
-    """Return the samples' places (x, y) px relative to the middle of a window, ``(samples^2, 2)``."""
-    steps = (np.arange(samples) + 0.5 - samples / 2) / SAMPLES
-    u, v = np.meshgrid(steps, steps)
-    return np.asarray(np.stack([u, v], -1).reshape(-1, 2) @ lattice.matrix)
-
-
-@lru_cache(maxsize=len(_BLURS))
-def _blur(lattice: Lattice, deviation: float) -> NDArray[np.float32]:
-    """Return the Gaussian weights that compute each sample of a window from those of a wide one, ``(49, 225)``."""
-    away = _sample_places(SAMPLES, lattice)[:, np.newaxis] - _sample_places(_WIDE, lattice)
+def _blur(box: Box, deviation: float) -> NDArray[np.float32]:
+    """Return the Gaussian weights that compute each sample of a window from those of a wide one, ``(n, wide_n)``."""
+    away = box.offsets().reshape(-1, 1, 2) - box.offsets(_MARGIN).reshape(-1, 2)
     weights = np.exp(-(away**2).sum(-1) / (2 * deviation**2))
     return np.asarray(weights / weights.sum(1, keepdims=True), np.float32)
 
 
-@lru_cache(maxsize=1)
-def _bends(lattice: Lattice) -> tuple[NDArray[np.float64], Points]:
+@lru_cache(maxsize=4)
+def _bends(s: float) -> tuple[NDArray[np.float64], Points]:
     """Return random matrices ``(64, 2, 2)`` and shifts ``(64, 2)`` px, the same in every call."""
     normal = np.random.default_rng(0).standard_normal((_BENDS, 3, 2))
-    return np.eye(2) + _BEND * normal[:, :2], _SHIFT * lattice.s * normal[:, 2]
+    return np.eye(2) + _BEND * normal[:, :2], _SHIFT * s * normal[:, 2]
 
 
-@lru_cache(maxsize=1)
-def _lights(lattice: Lattice) -> Rows:
-    """Return patterns that are bright on one side of a line and dark on the other, ``(112, 49)``."""
+def _lights(box: Box) -> Rows:
+    """Return patterns that are bright on one side of a line and dark on the other, ``(112, n)``."""
     angles = 2 * np.pi * np.arange(_LIGHTS) / _LIGHTS
-    across = _sample_places(SAMPLES, lattice) @ np.stack([np.cos(angles), np.sin(angles)])
-    beyond = across.T[:, np.newaxis] - np.array(_LIGHT_DISTANCES)[:, np.newaxis] * np.sqrt(lattice.area)
+    normals = np.stack([np.cos(angles), np.sin(angles)])
+    across, reach = box.offsets().reshape(-1, 2) @ normals, np.abs(box.sides @ normals).sum(0)
+    beyond = across.T[:, np.newaxis] - np.array(_LIGHT_DISTANCES)[:, np.newaxis] * reach[:, np.newaxis, np.newaxis]
     weight = np.maximum(1 - np.abs(beyond) / _LIGHT_REACH, 0)
-    return np.asarray((_LIGHT_STEP / 2 * np.where(beyond >= 0, weight, -weight)).reshape(-1, SAMPLES**2))
+    return np.asarray((_LIGHT_STEP / 2 * np.where(beyond >= 0, weight, -weight)).reshape(-1, across.shape[0]))

@@ -1,4 +1,4 @@
-"""Cut windows around elements (bricks, threads, cans), and find where elements lie in the cell."""
+"""Find the elements of a texture (bricks, threads, cans), and cut windows around them."""
 
 from __future__ import annotations
 
@@ -12,32 +12,107 @@ from scipy.spatial import cKDTree
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import Values
-from nrbench.imaging.parabola import find_vertex
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Shape
 
-from ..ncc.periodic import HALVES
 from ..residual_tiles.tiles import find_middles
 from ..verdict.measurements import Measurements
 
-SAMPLES = 7
-"""Samples of a window along each of the lattice's vectors."""
-_DENSE = 8
-"""Places tried along each of the lattice's vectors."""
 Bends = tuple[Points, Points]
 """Matrices ``(k, 2, 2)`` and shifts ``(k, 2)`` px."""
+Correlations = NDArray[np.float64]
+
+_SAMPLES, _FEWEST, _MOST = 36, 3, 12
+"""Number of samples of a window, and the least and largest number along each of its sides."""
+_GRID_SAMPLES, _GRID_STEP = 144, 1.5
+"""Largest number of samples of a cell, and their least distance in px, where covariances are measured."""
+_HIGH = 0.5
+"""Correlation with the middle of an element, above the background, from which a sample belongs to the element."""
+_CHANCE = 4.0
+"""Correlations below this many standard errors are chance."""
+_VARIANCE_FLOOR = 0.05
+"""Share of the mean variance that is added to the variance of every sample."""
+_TRIM = 0.03
+"""Share of an element's samples that may lie outside its box, on each side."""
+_LEAST_ENERGY, _MOST_ELEMENTS = 0.1, 8
+"""A further element explains at least this share of the energy that the first one explains; largest number of elements
+in a cell."""
+_ALIKE = 1.3
+"""Boxes whose sides differ by less than this factor have one shape."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """The shape of a window around an element: a rectangle in any direction.
+
+    Parameters
+    ----------
+    sides
+        2 x 2: the vectors (x, y) px along its two sides, as rows.
+    samples
+        Number of samples along each of the two.
+    """
+
+    sides: Points
+    samples: tuple[int, int]
+
+    @property
+    def reach(self) -> Points:
+        """Half the width and half the height (x, y) px of the upright box around it."""
+        return np.asarray(np.abs(self.sides).sum(0) / 2)
+
+    @property
+    def area(self) -> float:
+        """Area, px^2."""
+        return float(abs(np.linalg.det(self.sides)))
+
+    @property
+    def step(self) -> float:
+        """Distance of the samples, px: the geometric mean over both sides."""
+        return float(np.sqrt(self.area / (self.samples[0] * self.samples[1])))
+
+    def offsets(self, margin: int = 0) -> Points:
+        """Return the samples (x, y) px relative to the middle, ``(samples[1], samples[0], 2)``.
+
+        Parameters
+        ----------
+        margin
+            Number of samples beyond the window on each side.
+        """
+        u, v = ((np.arange(n + 2 * margin) - margin + 0.5) / n - 0.5 for n in self.samples)
+        return np.asarray(np.stack(np.meshgrid(u, v), -1) @ self.sides)
+
+    def coordinates(self, xy: Points) -> Points:
+        """Return vectors (x, y) px in units of the two sides."""
+        return np.asarray(xy @ np.linalg.inv(self.sides))
+
+
+@dataclass(frozen=True)
+class Element:
+    """A kind of element: one in each cell.
+
+    Parameters
+    ----------
+    place
+        Cell coordinates of its middle.
+    box
+        The shape of the windows around it.
+    """
+
+    place: Points
+    box: Box
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of one cell, all at the same place of the cell.
+    """Windows of one shape around elements.
 
     Parameters
     ----------
     middles
         ``(n, 2)``: their middles (x, y) px.
     values
-        ``(n, SAMPLES, SAMPLES, C)``: their pixels, smoothed to the distance of the samples.
+        ``(n, samples, samples, C)``: their pixels, smoothed to the distance of the samples.
     """
 
     middles: Points
@@ -60,9 +135,8 @@ class Cutter:
     """
 
     def __init__(self, image: Image, lattice: Lattice) -> None:
-        self.lattice, self.shape = lattice.canonical(), (image.shape[0], image.shape[1])
-        size = max(round(float(np.sqrt(lattice.area)) / SAMPLES), 1)
-        self._image = np.asarray(ndimage.uniform_filter(image, (size, size, 0), mode="reflect"), np.float32)
+        self.lattice, self.shape, self._image = lattice.canonical(), (image.shape[0], image.shape[1]), image
+        self._smooth: dict[int, Image] = {}
         self._tracked: tuple[cKDTree, Points] | None = None
 
     @classmethod
@@ -81,48 +155,73 @@ class Cutter:
         cutter._tracked = cKDTree(whole), find_middles(measurements, noise) - whole
         return cutter
 
-    def cut(self, place: Points, samples: int = SAMPLES, cells: float = 1.0) -> Windows:
-        """Return all windows inside the image whose middles are at a place of the cell (cell coordinates)."""
-        points = _points(self.lattice, self.shape, (float(place[0]), float(place[1])))
-        offsets = np.zeros_like(points)
-        if self._tracked is not None:
-            tree, displacements = self._tracked
-            offsets = displacements[tree.query(points)[1]]
-        middles = points + offsets
-        reach = np.abs(self._steps(samples, cells)).reshape(-1, 2).max(0)
-        inside = (middles >= reach).all(1) & (middles <= np.array(self.shape[::-1]) - 1 - reach).all(1)
-        return Windows(middles[inside], self.cut_around(middles[inside], samples, cells))
+    def cut(self, element: Element) -> Windows:
+        """Return all windows around an element that lie inside the image."""
+        middles = self.places((float(element.place[0]), float(element.place[1])))
+        reach = element.box.reach
+        inside = (middles >= reach - 0.5).all(1) & (middles <= np.array(self.shape[::-1]) - 0.5 - reach).all(1)
+        return Windows(middles[inside], self.cut_around(middles[inside], element.box))
 
-    def cut_around(
-        self, middles: Points, samples: int = SAMPLES, cells: float = 1.0, bends: Bends | None = None
-    ) -> Values:
-        """Return windows around middles, ``(n, samples, samples, C)``; beyond the image its border is repeated.
+    def places(self, place: Vector) -> Points:
+        """Return the points (x, y) px of the image at a place of the cell, displaced like the content."""
+        points = _points(self.lattice, self.shape, place)
+        return points + self._displacements(points)
+
+    def cut_around(self, middles: Points, box: Box, margin: int = 0, bends: Bends | None = None) -> Values:
+        """Return windows around middles, ``(n, samples[1], samples[0], C)``; beyond the image its border is repeated.
 
         Parameters
         ----------
         middles
             ``(n, 2)``: (x, y) px.
-        samples, cells
-            Samples and size of a window along each of the lattice's vectors.
+        box
+            Their shape.
+        margin
+            Number of samples beyond the window on each side.
         bends
             Affine maps that bend the content of the windows, one for each window in turn; None: no bending.
         """
-        steps = self._steps(samples, cells)
+        steps = box.offsets(margin)
         if bends is None:
             xy = middles[:, np.newaxis, np.newaxis] + steps
         else:
             turn = np.arange(len(middles)) % len(bends[0])
             xy = np.einsum("ijk,nkl->nijl", steps, bends[0][turn]) + (middles + bends[1][turn])[:, None, None]
-        return _bilinear(self._image, np.clip(xy, 0, np.array(self.shape[::-1]) - 1))
+        return self._read(xy, box.step)
 
-    def _steps(self, samples: int, cells: float) -> Points:
-        """Return the samples' places (x, y) px relative to the middle of a window."""
-        steps = ((np.arange(samples) + 0.5) / samples - 0.5) * cells
-        u, v = np.meshgrid(steps, steps)
-        return np.asarray(np.stack([u, v], -1) @ self.lattice.matrix)
+    def cut_cells(self, grid: tuple[int, int]) -> tuple[NDArray[np.int64], Values]:
+        """Return the numbers ``(n, 2)`` and the samples ``(n, rows, columns, C)`` of all cells inside the image.
+
+        Parameters
+        ----------
+        grid
+            Rows and columns: samples along the second and along the first vector of the lattice.
+        """
+        points = _points(self.lattice, self.shape, (0.0, 0.0))
+        matrix = self.lattice.matrix
+        box = Box(matrix, (grid[1], grid[0]))
+        middles = points + self._displacements(points)
+        inside = (middles >= box.reach - 0.5).all(1)
+        inside &= (middles <= np.array(self.shape[::-1]) - 0.5 - box.reach).all(1)
+        numbers = np.rint(self.lattice.to_cell(points[inside])).astype(np.int64)
+        return numbers, self.cut_around(middles[inside], box)
+
+    def _displacements(self, points: Points) -> Points:
+        if self._tracked is None:
+            return np.zeros_like(points)
+        tree, displacements = self._tracked
+        return np.asarray(displacements[tree.query(points)[1]])
+
+    def _read(self, xy: Points, step: float) -> Values:
+        """Return the image, smoothed by a box of about ``step`` px, at places (x, y) px."""
+        size = max(round(step), 1)
+        if size not in self._smooth:
+            smooth = ndimage.uniform_filter(self._image, (size, size, 0), mode="reflect") if size > 1 else self._image
+            self._smooth[size] = np.asarray(smooth, np.float32)
+        return _bilinear(self._smooth[size], np.clip(xy, 0, np.array(self.shape[::-1]) - 1))
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def _points(lattice: Lattice, shape: Shape, place: Vector) -> Points:
     """Return the points at a place of the cell; cached, because draws of one shape share them."""
     origin = lattice.from_cell(place)
@@ -130,43 +229,162 @@ def _points(lattice: Lattice, shape: Shape, place: Vector) -> Points:
 
 
 def subtract_mean(values: Values) -> NDArray[np.float64]:
-    """Return windows ``(n, SAMPLES, SAMPLES, C)`` less their mean, ``(n, p)``."""
+    """Return windows ``(n, samples, samples, C)`` less their mean, ``(n, p)``."""
     flat = values.reshape(len(values), -1).astype(np.float64)
     return flat - flat.mean(0) if len(flat) else flat
 
 
-def find_element_places(cutters: list[Cutter]) -> Points:
-    """Return four places of the cell (cell coordinates) for windows around elements; the first is the anchor.
+def find_elements(cutters: list[Cutter]) -> list[list[Element]]:
+    """Return the elements of a cell, in groups whose windows have one shape; none if no image contains a whole cell.
 
-    The anchor is the place around which most of a window covaries with its middle: the middle of a whole element. It
-    does not depend on the lattice's origin. The other places are half a cell away. Their windows show whole the parts
-    that the first windows cut.
+    An element is a region whose samples vary together from cell to cell: a brick, or a thread with its pieces on both
+    sides of a crossing. The covariance of every two samples less than a cell apart is measured over the cells. The
+    first element belongs to the sample that explains most of the variance around it (the region where its correlation
+    is high, and the variance there). The next one explains most of the rest, and so on. The window around an
+    element is the smallest rectangle along a vector of the lattice, or along a diagonal of the cell, that contains
+    the region. It does not depend on the lattice's origin.
+
+    Parameters
+    ----------
+    cutters
+        Images without defects.
     """
-    explained = np.sum([_explained_energy(cutter.cut(np.zeros(2), 2 * _DENSE, 2.0).values) for cutter in cutters], 0)
-    row, column = (int(index) for index in np.unravel_index(int(np.argmax(explained)), explained.shape))
-    rows, columns = explained.shape
-    across = explained[[(row - 1) % rows, row, (row + 1) % rows], column]
-    along = explained[row, [(column - 1) % columns, column, (column + 1) % columns]]
-    vertex = np.array([find_vertex(*along)[0], find_vertex(*across)[0]])
-    anchor = (np.array([column, row]) + 0.5 + vertex) / _DENSE - 0.5
-    return np.asarray(anchor + np.array(HALVES))
+    if not any(len(cutter.cut_cells((1, 1))[0]) for cutter in cutters):
+        return []
+    field = _CellCovariance.measure(cutters)
+    free, first, elements = np.ones(len(field.variance)), 0.0, []
+    while len(elements) < _MOST_ELEMENTS:
+        energy = field.explained @ (free * field.variance)[field.index] * free
+        best = int(np.argmax(energy))
+        first = max(first, float(energy[best]))
+        if not energy[best] > _LEAST_ENERGY * first:
+            break
+        elements.append(field.enclose(best))
+        free[field.index[field.explained[best] > 0]] = 0
+    return _group(elements)
 
 
-def _explained_energy(values: Values) -> NDArray[np.float64]:
-    """Return for each place of the cell the energy of the window around it that its middle explains.
+@dataclass(frozen=True)
+class _CellCovariance:
+    """Covariances of the samples of a cell with all samples less than a cell away.
 
-    ``values`` are windows two cells wide. The windows include both ends of the cell.
+    Parameters
+    ----------
+    lattice
+        The lattice.
+    uv
+        ``(p, 2)``: cell coordinates of the samples of a cell.
+    around
+        ``(q, 2)``: cell coordinates of the samples of 3 x 3 cells.
+    index
+        ``(q,)``: number in the cell of each of these.
+    variance
+        ``(p,)``: variance of the samples of the cell.
+    explained
+        ``(p, q)``: squared correlation where the correlation is high, else 0.
     """
-    half, centered = _DENSE // 2, values - values.mean(0)
-    total = np.zeros((_DENSE, _DENSE))
-    for channel in np.moveaxis(centered.astype(np.float64), -1, 0):
-        covariance = np.tensordot(channel, channel, (0, 0)) / max(len(channel), 1)
-        for row in range(_DENSE):
-            for column in range(_DENSE):
-                y, x = row + half, column + half
-                around = covariance[y, x, y - half : y + half + 1, x - half : x + half + 1]
-                total[row, column] += (around**2).sum() / (covariance[y, x, y, x] + 1e-6)
-    return total
+
+    lattice: Lattice
+    uv: Points
+    around: Points
+    index: NDArray[np.intp]
+    variance: NDArray[np.float64]
+    explained: Correlations
+
+    @classmethod
+    def measure(cls, cutters: list[Cutter]) -> _CellCovariance:
+        """Measure the covariances over all cells of some images."""
+        lattice = cutters[0].lattice
+        grid = _cell_grid(lattice)
+        cells = [cutter.cut_cells(grid) for cutter in cutters]
+        mean = np.concatenate([values for _, values in cells]).mean(0)
+        samples = grid[0] * grid[1]
+        sums, counts = np.zeros((3, 3, samples, samples)), np.zeros((3, 3))
+        for numbers, values in cells:
+            if not len(values):
+                continue
+            rows = (values - mean).reshape(len(values), samples, -1)
+            flat = np.ascontiguousarray(np.moveaxis(rows, 1, -1))
+            for i, j in ((0, 0), (1, 0), (0, 1), (1, 1), (-1, 1)):
+                one, other = _pairs(numbers, (i, j))
+                pair = np.tensordot(flat[one], flat[other], ((0, 1), (0, 1)))
+                sums[1 + j, 1 + i] += pair
+                counts[1 + j, 1 + i] += len(one)
+                if (i, j) != (0, 0):
+                    sums[1 - j, 1 - i] += pair.T
+                    counts[1 - j, 1 - i] += len(one)
+        u, v = ((np.arange(n) + 0.5) / n - 0.5 for n in grid[::-1])
+        uv = np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
+        shifts = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), -1)
+        around = (shifts[:, :, np.newaxis] + uv).reshape(-1, 2)
+        covariance = (sums / np.maximum(counts, 1)[..., np.newaxis, np.newaxis]).transpose(2, 0, 1, 3)
+        variance = np.diagonal(covariance[:, 1, 1]).copy()
+        floored = variance + _VARIANCE_FLOOR * variance.mean() + 1e-9
+        rho = covariance.reshape(samples, -1) / np.sqrt(floored[:, np.newaxis] * np.tile(floored, 9))
+        rho[:, np.repeat(counts.ravel() < 2, samples)] = 0
+        near = (np.abs(around - uv[:, np.newaxis]) <= 1).all(-1)
+        background = np.median(rho, 1, keepdims=True)
+        chance = _CHANCE / np.sqrt(np.maximum(counts.max(), 1))
+        high = near & (rho >= background + np.maximum(_HIGH * (1 - background), min(chance, 0.8)))
+        return cls(lattice, uv, around, np.tile(np.arange(samples), 9), variance, np.where(high, rho**2, 0.0))
+
+    def enclose(self, sample: int) -> Element:
+        """Return the element of a sample: the smallest box around the samples that it explains."""
+        t1, t2 = self.lattice.matrix
+        own = (self.around[self.explained[sample] > 0] - self.uv[sample]) @ self.lattice.matrix
+        step = np.sqrt(self.lattice.area / len(self.uv))
+        boxes = []
+        for direction in (t1, t2, t1 + t2, t1 - t2):
+            along = direction / np.hypot(*direction)
+            axes = np.array([along, (-along[1], along[0])])
+            low, high = np.quantile(own @ axes.T, (_TRIM, 1 - _TRIM), axis=0)
+            lengths = np.maximum(high - low + step, _FEWEST * 1.0)
+            boxes.append((float(lengths.prod()), lengths[:, np.newaxis] * axes, (low + high) / 2 @ axes))
+        _, sides, middle = min(boxes, key=lambda box: box[0])
+        place = self.uv[sample] + self.lattice.to_cell(middle + np.array(self.lattice.origin))
+        return Element(place, Box(sides, _count_samples(sides)))
+
+
+def _cell_grid(lattice: Lattice) -> tuple[int, int]:
+    """Return the rows and columns of samples of a cell, evenly spaced."""
+    lengths = np.hypot(*lattice.matrix.T)[::-1]
+    step = max(float(np.sqrt(lengths.prod() / _GRID_SAMPLES)), _GRID_STEP)
+    rows, columns = np.maximum(np.floor(lengths / step + 1e-9), 2).astype(int)
+    return int(rows), int(columns)
+
+
+def _pairs(numbers: NDArray[np.int64], shift: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the indices of all pairs of cells of which the second lies ``shift`` cells beyond the first."""
+    if not len(numbers):
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    low = numbers.min(0) - 1
+    table = np.full(numbers.max(0) - low + 2, -1, np.intp)
+    at = numbers - low
+    table[at[:, 0], at[:, 1]] = np.arange(len(numbers))
+    other = table[at[:, 0] + shift[0], at[:, 1] + shift[1]]
+    return np.flatnonzero(other >= 0), other[other >= 0]
+
+
+def _count_samples(sides: Points) -> tuple[int, int]:
+    lengths = np.hypot(*sides.T)
+    step = np.sqrt(lengths.prod() / _SAMPLES)
+    first = int(np.clip(round(float(lengths[0] / step)), _FEWEST, _MOST))
+    return first, int(np.clip(round(float(lengths[1] / step)), _FEWEST, _MOST))
+
+
+def _group(elements: list[Element]) -> list[list[Element]]:
+    """Return the elements in groups of nearly equal boxes, each with the box of its first element."""
+    groups: list[list[Element]] = []
+    for element in elements:
+        for group in groups:
+            ratio = np.linalg.inv(group[0].box.sides) @ element.box.sides
+            turned = np.abs(ratio - np.diag(np.diag(ratio))).max()
+            if turned < 0.1 and (np.abs(np.log(np.abs(np.diag(ratio)))) < np.log(_ALIKE)).all():
+                group.append(Element(element.place, group[0].box))
+                break
+        else:
+            groups.append([element])
+    return groups
 
 
 def _bilinear(image: Image, xy: Points) -> Values:
