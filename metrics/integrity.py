@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.stats import poisson
 
 from nrbench.imaging.convert import Image, gray, quantize
 from nrbench.lattice.geometry import Points
@@ -27,9 +28,14 @@ from .whole_elements.composite_tiles import (
     WholeTiles,
     alteration_moments,
     compose_tiles,
+    light_moments,
 )
 from .whole_elements.elements import Box, Cutter, Element, Windows, find_elements, subtract_mean
 
+_FRESH, _ALARMS = 0.95, 0.002
+"""Score of fresh draws, and probability that a fresh draw scores less by chance."""
+_RATES = tuple(0.01 * 2.0**-k for k in range(12))
+"""Shares of whole elements that are counted by chance, tried in this order."""
 BROKEN_SURPRISAL = 8.0
 """Surprisal above which a tile is broken: see ``benchmarks/validation.py alarms``."""
 LEAST_POWER = 0.1
@@ -38,6 +44,9 @@ LEAST_POWER = 0.1
 _LEAST_WINDOWS, _LEAST_REFERENCES, _LEAST_OF_ELEMENT = 12, 12, 4
 """Least number of windows of one shape in the output and in each half of the references; least number in an image of
 windows around one element."""
+_LIGHT_POWER = 0.5
+"""Detection power above which a step of gray light is no evidence. In a gray texture such a step cannot be
+distinguished from an element of two tones."""
 _MOST_REFERENCES, _MOST_ALTERED_PARTS = 400, 2
 """Largest number of windows in each half of the references, and of groups of windows that are altered."""
 _TAIL = 0.9
@@ -165,7 +174,9 @@ class BrokenTiles:
     evidence_p90
         90th percentile of the evidence over that of fresh draws.
     detection_power
-        Share of composite elements of fresh draws that would be counted.
+        Share of composite elements of fresh draws that the score would count.
+    rate
+        Share of whole elements that the score counts by chance, and subtracts.
     elements
         The elements of a cell.
     """
@@ -178,6 +189,7 @@ class BrokenTiles:
     worst: float
     evidence_p90: float
     detection_power: float
+    rate: float
     elements: list[Element]
 
     @property
@@ -198,12 +210,20 @@ class LearnedElements:
         Two discriminants, each with the mean evidence of whole windows.
     whole, composite
         Evidence of whole and of composite windows, over that mean.
+    cell_area
+        Area of a cell, px^2.
     """
 
     elements: list[Element]
     discriminants: list[tuple[Discriminant, float]]
     whole: Levels
     composite: Levels
+    cell_area: float
+
+    @property
+    def power(self) -> float:
+        """Share of composite windows with more evidence than 99 % of the whole ones."""
+        return float((self.composite > np.quantile(self.whole, _CALM)).mean())
 
     @property
     def box(self) -> Box:
@@ -214,8 +234,6 @@ class LearnedElements:
     def overlap(self) -> float:
         """Number of windows that contain the same pixel."""
         return max(len(self.elements) * self.box.area / self.cell_area, 1.0)
-
-    cell_area: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -261,9 +279,7 @@ def find_broken(verdict: Verdict, observation: Observation) -> BrokenTiles | str
     return _count_broken(evidence)
 
 
-def learn_references(
-    reference: Reference, observation: Observation, noise: Points
-) -> list[LearnedElements] | str:
+def learn_references(reference: Reference, observation: Observation, noise: Points) -> list[LearnedElements] | str:
     """Return what the references show of the elements, in groups of one shape, or the reason why they show nothing.
 
     The references are fresh draws, or else the sample. Each half of the fresh draws, or of the sample, is measured by
@@ -302,15 +318,25 @@ def _learn(cutters: list[Cutter], elements: list[Element]) -> LearnedElements | 
         return None
     parts = [half.whole_tiles(box) for half in halves]
     floor = _floor([windows for half in halves for windows in half.windows], box, [part.rows for part in parts])
+    lit = light_moments(box, len(floor))
+    area = cutters[0].lattice.area
+    learned = _discriminate(elements, [WholeTiles(part.rows, part.altered + lit) for part in parts], floor, area)
+    if learned.power >= _LIGHT_POWER:
+        return learned
+    return _discriminate(elements, parts, floor, area)
+
+
+def _discriminate(elements: list[Element], parts: list[WholeTiles], floor: Levels, area: float) -> LearnedElements:
+    """Return the evidence in each half of the references by the directions learned from the other half."""
+    samples = elements[0].box.samples
     discriminants, whole, composite = [], [], []
     for one, other in (parts, parts[::-1]):
-        discriminant = Discriminant.fit(one, other, floor, box.samples)
+        discriminant = Discriminant.fit(one, other, floor, samples)
         evidence = discriminant.evidence(other.rows)
         level = max(float(evidence.mean()), 1e-9)
         discriminants.append((discriminant, level))
         whole.append(evidence / level)
-        composite.append(discriminant.evidence(compose_tiles(other.rows, box.samples)) / level)
-    area = cutters[0].lattice.area
+        composite.append(discriminant.evidence(compose_tiles(other.rows, samples)) / level)
     return LearnedElements(elements, discriminants, np.concatenate(whole), np.concatenate(composite), area)
 
 
@@ -396,44 +422,81 @@ def _select_in_place(windows: Windows, verdict: Verdict) -> Windows:
     return windows.take(~(displaced | (near <= 1)))
 
 
-def _count_broken(evidence: list[_Evidence]) -> BrokenTiles:
-    """Return the broken elements.
+@dataclass(frozen=True)
+class _Surprisals:
+    """Surprisals of single windows of one shape: -log of the probability that a whole window has more evidence.
 
-    The score is 1 less the number of broken elements over the number that would be counted if all were composite.
+    Parameters
+    ----------
+    output, composite
+        ``(n,)``: of the windows of the output, and of composite windows of the references.
+    overlap
+        Number of windows that contain the same pixel.
     """
-    total = sum(len(one.output) for one in evidence)
-    boxes, places, values, powers, levels, usual = [], [], [], [], [], []
-    worst, countable, broken = -math.inf, 0.0, 0.0
-    for one in evidence:
-        tail = ExponentialTail.fit(one.learned.whole, _TAIL, overlap=one.learned.overlap)
 
-        def surprisal(of: Levels, tail: ExponentialTail = tail) -> Levels:
-            return np.asarray(tail.surprisal(of) - np.log(total / len(of)))
+    output: Levels
+    composite: Levels
+    overlap: float
 
-        surprisals = surprisal(one.output)
-        flagged = surprisals > BROKEN_SURPRISAL
-        power = float((surprisal(one.learned.composite) > BROKEN_SURPRISAL).mean())
-        powers.append(power * len(one.output) / total)
-        if power >= LEAST_POWER:
-            countable, broken = countable + power * len(one.output), broken + float(flagged.sum())
-        places.append(one.middles[flagged])
-        values.append(surprisals[flagged])
-        boxes += [one.learned.box] * int(flagged.sum())
-        levels.append(one.output)
-        usual.append(one.learned.whole)
-        worst = max(worst, float(surprisals.max()))
-    order = np.argsort(-np.concatenate(values), kind="stable")
+    @classmethod
+    def of(cls, evidence: _Evidence) -> _Surprisals:
+        learned = evidence.learned
+        tail = ExponentialTail.fit(learned.whole, _TAIL, overlap=learned.overlap)
+        output, composite = (
+            tail.surprisal(levels) + math.log(len(levels)) for levels in (evidence.output, learned.composite)
+        )
+        return cls(output, composite, learned.overlap)
+
+    def power(self, rate: float) -> float:
+        """Return the share of composite windows that are counted at a rate of false alarms."""
+        return float((self.composite > -math.log(rate)).mean())
+
+
+def _choose_rate(groups: list[_Surprisals]) -> float:
+    """Return the largest rate of false alarms at which a fresh draw almost surely scores :data:`_FRESH` or more.
+
+    The number of false alarms has a Poisson distribution. Windows that overlap are counted together.
+    """
+    sizes = [len(group.output) for group in groups]
+    total, clump = sum(sizes), max(group.overlap for group in groups)
+    for rate in _RATES:
+        power = sum(size * group.power(rate) for size, group in zip(sizes, groups, strict=True)) / total
+        most = total * (rate + (1 - _FRESH) * max(power - rate, 0.0))
+        if poisson.sf(math.floor(most / clump), total * rate / clump) <= _ALARMS:
+            return rate
+    return _RATES[-1]
+
+
+def _count_broken(evidence: list[_Evidence]) -> BrokenTiles:
+    """Return the broken elements, and the score.
+
+    Of composite windows a share p has a surprisal above a limit (the detection power), of whole windows a share f. If
+    a share b of the output's elements is broken, a share ``b p + (1 - b) f`` of its windows exceeds the limit. The
+    score is ``1 - b``.
+    """
+    groups = [_Surprisals.of(one) for one in evidence]
+    total, rate = sum(len(group.output) for group in groups), _choose_rate(groups)
+    strong = [group for group in groups if group.power(rate) >= LEAST_POWER]
+    power = sum(group.power(rate) * len(group.output) for group in groups) / total
+    excess = sum(float(((group.output > -math.log(rate)) - rate).sum()) for group in strong)
+    expected = sum((group.power(rate) - rate) * len(group.output) for group in strong)
+    surprisals = np.concatenate([group.output for group in groups]) - math.log(total)
+    order = np.argsort(-surprisals, kind="stable")
+    order = order[surprisals[order] > BROKEN_SURPRISAL]
+    middles = np.concatenate([one.middles for one in evidence])
+    boxes = [one.learned.box for one in evidence for _ in one.middles]
+    output = np.concatenate([one.output for one in evidence])
+    whole = np.concatenate([one.learned.whole for one in evidence])
     return BrokenTiles(
         [boxes[number] for number in order],
-        np.concatenate(places)[order],
-        np.concatenate(values)[order],
+        middles[order],
+        surprisals[order],
         tiles=total,
-        score=1 - min(broken / countable, 1.0) if countable else 1.0,
-        worst=worst,
-        evidence_p90=float(
-            np.quantile(np.concatenate(levels), 0.9) / max(float(np.quantile(np.concatenate(usual), 0.9)), 1e-9)
-        ),
-        detection_power=sum(powers),
+        score=float(np.clip(1 - excess / expected, 0, 1)) if strong else 1.0,
+        worst=float(surprisals.max()),
+        evidence_p90=float(np.quantile(output, 0.9) / max(float(np.quantile(whole, 0.9)), 1e-9)),
+        detection_power=power if strong else 0.0,
+        rate=rate,
         elements=[element for one in evidence for element in one.learned.elements],
     )
 

@@ -148,12 +148,12 @@ def _cut_masks(samples: tuple[int, int], values: int) -> NDArray[np.bool_]:
 
 
 def alteration_moments(cutter: Cutter, middles: Points, box: Box) -> Rows:
-    """Return the second moments of the changes that blur, bending and uneven light make to whole windows, ``(p, p)``.
+    """Return the second moments of the changes that blur and bending make to whole windows, ``(p, p)``.
 
     Each window is blurred by three Gaussians, completely and on one side of a cut (the border of a blurred region runs
     through tiles). It is bent by a random affine map, about as strong as a displacement of 0.15 s that is smooth over
-    2 s. It is lit from one side of a line, in all channels alike. Directions along which these changes vary are no
-    evidence of composite tiles. Otherwise a blurred band, a seam of brightness or a warp would count as broken tiles.
+    2 s. Directions along which these changes vary are no evidence of composite tiles. Otherwise a blurred band or a
+    warp would count as broken tiles.
 
     Parameters
     ----------
@@ -169,12 +169,26 @@ def alteration_moments(cutter: Cutter, middles: Points, box: Box) -> Rows:
     own, channels = _rows(wide[:, _MARGIN:-_MARGIN, _MARGIN:-_MARGIN]), wide.shape[-1]
     flat = wide.reshape(len(wide), -1, channels)
     total = _moments(_rows(cutter.cut_around(middles, box, bends=_bends(cutter.lattice.s))) - own)
-    total += _moments(np.repeat(_lights(box), channels, 1))
     cut = np.resize(_cut_masks(box.samples, own.shape[1]), own.shape)
     for deviation in _BLURS:
         change = _rows(np.einsum("qp,npc->nqc", _blur(box, deviation), flat, optimize=True)) - own
         total += _moments(change) + _moments(np.where(cut, change, 0))
     return total
+
+
+def light_moments(box: Box, values: int) -> Rows:
+    """Return the second moments of the changes that uneven light makes to windows, ``(p, p)``.
+
+    A window is lit from one side of a line, in all channels alike, in many directions and at many distances.
+
+    Parameters
+    ----------
+    box
+        The shape of the windows.
+    values
+        Number p of their values.
+    """
+    return _moments(np.repeat(_lights(box), values // (box.samples[0] * box.samples[1]), 1))
 
 
 def _rows(values: Values) -> Rows:
