@@ -44,9 +44,10 @@ LEAST_POWER = 0.1
 _LEAST_WINDOWS, _LEAST_REFERENCES, _LEAST_OF_ELEMENT = 12, 12, 4
 """Least number of windows of one shape in the output and in each half of the references; least number in an image of
 windows around one element."""
-_LIGHT_POWER = 0.5
-"""Detection power above which a step of gray light is no evidence. In a gray texture such a step cannot be
-distinguished from an element of two tones."""
+_ALTERATIONS, _ENOUGH_POWER = ((1.0, 1.0), (0.0, 1.0), (0.0, 0.05)), 0.5
+"""Weights of uneven light, and of blur and bending, in the variation of whole elements: the first pair with at least
+this detection power. In a gray texture a step of light cannot be distinguished from an element of two tones, and in an
+element of a few pixels the border of a blurred region cannot."""
 _MOST_REFERENCES, _MOST_ALTERED_PARTS = 400, 2
 """Largest number of windows in each half of the references, and of groups of windows that are altered."""
 _TAIL = 0.9
@@ -320,10 +321,12 @@ def _learn(cutters: list[Cutter], elements: list[Element]) -> LearnedElements | 
     floor = _floor([windows for half in halves for windows in half.windows], box, [part.rows for part in parts])
     lit = light_moments(box, len(floor))
     area = cutters[0].lattice.area
-    learned = _discriminate(elements, [WholeTiles(part.rows, part.altered + lit) for part in parts], floor, area)
-    if learned.power >= _LIGHT_POWER:
-        return learned
-    return _discriminate(elements, parts, floor, area)
+    for light, other in _ALTERATIONS:
+        altered = [WholeTiles(part.rows, other * part.altered + light * lit) for part in parts]
+        learned = _discriminate(elements, altered, floor, area)
+        if learned.power >= _ENOUGH_POWER:
+            break
+    return learned
 
 
 def _discriminate(elements: list[Element], parts: list[WholeTiles], floor: Levels, area: float) -> LearnedElements:
