@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.stats import poisson
+from scipy.stats import nbinom
 
 from nrbench.imaging.convert import Image, gray, quantize
 from nrbench.lattice.geometry import Points
@@ -30,20 +30,23 @@ from .whole_elements.composite_tiles import (
     compose_tiles,
     light_moments,
 )
-from .whole_elements.elements import Box, Cutter, Element, Windows, find_elements, subtract_mean
+from .whole_elements.elements import Box, Cutter, Element, Windows, find_color_axes, find_elements, subtract_mean
 
 _FRESH, _ALARMS = 0.95, 0.002
 """Score of fresh draws, and probability that a fresh draw scores less by chance."""
-_RATES = tuple(0.01 * 2.0**-k for k in range(12))
-"""Shares of whole elements that are counted by chance, tried in this order."""
+_RATES = tuple(0.09 * 2.0**-k for k in range(15))
+"""Shares of whole elements beyond the limits that are tried."""
 BROKEN_SURPRISAL = 8.0
 """Surprisal above which a tile is broken: see ``benchmarks/validation.py alarms``."""
 LEAST_POWER = 0.1
 """Detection power below which broken tiles are not counted."""
 
-_LEAST_WINDOWS, _LEAST_REFERENCES, _LEAST_OF_ELEMENT = 12, 12, 4
-"""Least number of windows of one shape in the output and in each half of the references; least number in an image of
+_LEAST_WINDOWS, _LEAST_REFERENCES, _LEAST_OF_ELEMENT = 12, 6, 4
+"""Least number of windows of one shape in the output and in each part of the references; least number in an image of
 windows around one element."""
+_FOLDS, _LEAST_AREA = 4, 0.1
+"""Number of parts of a sample; share of the cell's area that an element of a photograph covers at least. Smaller
+regions that vary together are grain."""
 _ALTERATIONS, _ENOUGH_POWER = ((1.0, 1.0), (0.0, 1.0), (0.0, 0.05)), 0.5
 """Weights of uneven light, and of blur and bending, in the variation of whole elements: the first pair with at least
 this detection power. In a gray texture a step of light cannot be distinguished from an element of two tones, and in an
@@ -175,9 +178,9 @@ class BrokenTiles:
     evidence_p90
         90th percentile of the evidence over that of fresh draws.
     detection_power
-        Share of composite elements of fresh draws that the score would count.
+        Share of composite elements of fresh draws that the score would count beyond chance.
     rate
-        Share of whole elements that the score counts by chance, and subtracts.
+        Share of elements that the score attributes to chance.
     elements
         The elements of a cell.
     """
@@ -213,6 +216,8 @@ class LearnedElements:
         Evidence of whole and of composite windows, over that mean.
     cell_area
         Area of a cell, px^2.
+    colors
+        ``(C, k)``: the axes of color.
     """
 
     elements: list[Element]
@@ -220,6 +225,7 @@ class LearnedElements:
     whole: Levels
     composite: Levels
     cell_area: float
+    colors: Points
 
     @property
     def power(self) -> float:
@@ -263,10 +269,11 @@ def find_broken(verdict: Verdict, observation: Observation) -> BrokenTiles | str
     """
     if verdict.lack_of_power:
         return f"undecided: {verdict.lack_of_power}"
-    output = Cutter.from_measurements(verdict.output, offset_noise(verdict.references))
     learned = learn_references(verdict.reference, observation, offset_noise(verdict.references))
     if isinstance(learned, str):
         return learned
+    output = Cutter.from_measurements(verdict.output, offset_noise(verdict.references))
+    output = output.project_colors(learned[0].colors)
     evidence = []
     for one in learned:
         windows = [_select_in_place(output.cut(element), verdict) for element in one.elements]
@@ -283,8 +290,8 @@ def find_broken(verdict: Verdict, observation: Observation) -> BrokenTiles | str
 def learn_references(reference: Reference, observation: Observation, noise: Points) -> list[LearnedElements] | str:
     """Return what the references show of the elements, in groups of one shape, or the reason why they show nothing.
 
-    The references are fresh draws, or else the sample. Each half of the fresh draws, or of the sample, is measured by
-    directions learned from the other half.
+    The references are fresh draws, or else the sample. Each half of the fresh draws, or each quarter of the sample, is
+    measured by directions learned from the rest.
 
     Parameters
     ----------
@@ -295,57 +302,68 @@ def learn_references(reference: Reference, observation: Observation, noise: Poin
     noise
         2 x 2: covariance of tile offsets in images without displacements, px^2.
     """
+    least_area = 0.0
     if reference.source == "sample":
-        cutters = [Cutter(observation.sample, reference.lattice)]
+        cutters, least_area = [Cutter(observation.sample, reference.lattice)], _LEAST_AREA
     elif observation.truth is not None and observation.truth.displacement is not None:
         cutters = [Cutter.from_measurements(one, noise) for one in reference.measurements]
     else:
         draws = observation.shared(draw_fresh)
         cutters = [Cutter(quantize(draw.image), reference.lattice) for draw in draws]
-    groups = find_elements(cutters)
-    learned = [one for group in groups if (one := _learn(cutters, group)) is not None]
-    return learned or f"undecided: the references hold fewer than 2 x {_LEAST_REFERENCES} whole elements"
+    colors = find_color_axes(cutters)
+    if len(colors) != observation.output.shape[2]:
+        return "undecided: the references hold no whole cell"
+    cutters = [cutter.project_colors(colors) for cutter in cutters]
+    groups = find_elements(cutters, least_area)
+    learned = [one for group in groups if (one := _learn(cutters, group, colors)) is not None]
+    return learned or f"undecided: the references hold fewer than {_FOLDS} x {_LEAST_REFERENCES} whole elements"
 
 
-def _learn(cutters: list[Cutter], elements: list[Element]) -> LearnedElements | None:
+def _learn(cutters: list[Cutter], elements: list[Element], colors: Points) -> LearnedElements | None:
     """Return what images without defects show of elements; None if they hold too few of them."""
-    box, halves = elements[0].box, [_Half([], [], []), _Half([], [], [])]
+    box = elements[0].box
+    folds = [_Fold([], [], []) for _ in range(2 if len(cutters) > 1 else _FOLDS)]
     for number, cutter in enumerate(cutters):
         for element in elements:
             windows = cutter.cut(element)
-            for half, part in zip(halves, _split(windows.middles, number, len(cutters)), strict=True):
-                half.add(cutter, windows.take(part))
-    if min(half.count for half in halves) < _LEAST_REFERENCES:
+            rows = subtract_mean(windows.values)
+            for fold, part in zip(folds, _split(windows.middles, number, len(cutters), len(folds)), strict=True):
+                fold.add(cutter, windows.take(part), rows[part])
+    if min(fold.count for fold in folds) < _LEAST_REFERENCES:
         return None
-    parts = [half.whole_tiles(box) for half in halves]
-    floor = _floor([windows for half in halves for windows in half.windows], box, [part.rows for part in parts])
-    lit = light_moments(box, len(floor))
+    parts = [fold.whole_tiles(box) for fold in folds]
+    floor = _floor([windows for fold in folds for windows in fold.windows], box, [part.rows for part in parts])
+    lit = light_moments(box, colors.sum(0))
     area = cutters[0].lattice.area
     for light, other in _ALTERATIONS:
         altered = [WholeTiles(part.rows, other * part.altered + light * lit) for part in parts]
-        learned = _discriminate(elements, altered, floor, area)
+        learned = _discriminate(elements, altered, floor, area, colors)
         if learned.power >= _ENOUGH_POWER:
             break
     return learned
 
 
-def _discriminate(elements: list[Element], parts: list[WholeTiles], floor: Levels, area: float) -> LearnedElements:
-    """Return the evidence in each half of the references by the directions learned from the other half."""
+def _discriminate(
+    elements: list[Element], parts: list[WholeTiles], floor: Levels, area: float, colors: Points
+) -> LearnedElements:
+    """Return the evidence in each part of the references by the directions learned from the other parts."""
     samples = elements[0].box.samples
     discriminants, whole, composite = [], [], []
-    for one, other in (parts, parts[::-1]):
+    for other in parts:
+        rest = [part for part in parts if part is not other]
+        one = WholeTiles(np.concatenate([part.rows for part in rest]), np.mean([part.altered for part in rest], 0))
         discriminant = Discriminant.fit(one, other, floor, samples)
         evidence = discriminant.evidence(other.rows)
         level = max(float(evidence.mean()), 1e-9)
         discriminants.append((discriminant, level))
         whole.append(evidence / level)
         composite.append(discriminant.evidence(compose_tiles(other.rows, samples)) / level)
-    return LearnedElements(elements, discriminants, np.concatenate(whole), np.concatenate(composite), area)
+    return LearnedElements(elements, discriminants, np.concatenate(whole), np.concatenate(composite), area, colors)
 
 
 @dataclass(frozen=True)
-class _Half:
-    """Windows of one half of the references, from each cutter and around each element."""
+class _Fold:
+    """Windows of one part of the references, from each image and around each element, and their departures."""
 
     cutters: list[Cutter]
     windows: list[Windows]
@@ -355,13 +373,12 @@ class _Half:
     def count(self) -> int:
         return sum(map(len, self.rows))
 
-    def add(self, cutter: Cutter, windows: Windows) -> None:
-        """Add windows around one element; a few are too few to subtract their mean."""
-        n = len(windows.middles)
-        if n >= _LEAST_OF_ELEMENT:
+    def add(self, cutter: Cutter, windows: Windows, rows: Rows) -> None:
+        """Add windows around one element."""
+        if len(rows):
             self.cutters.append(cutter)
             self.windows.append(windows)
-            self.rows.append(subtract_mean(windows.values))
+            self.rows.append(rows)
 
     def whole_tiles(self, box: Box) -> WholeTiles:
         """Return at most as many windows as are needed, and the moments of their alterations."""
@@ -374,16 +391,13 @@ class _Half:
         return WholeTiles(rows[:: -(-len(rows) // _MOST_REFERENCES)], np.mean(altered, 0))
 
 
-def _split(middles: Points, number: int, images: int) -> list[NDArray[np.bool_]]:
-    """Return two halves of the windows: those of every second image, or of both ends of a single image."""
+def _split(middles: Points, number: int, images: int, parts: int) -> list[NDArray[np.bool_]]:
+    """Return the parts of the windows: those of every second image, or those between lines across a single image."""
     if images > 1:
-        own = np.full(len(middles), number % 2 == 0)
-        return [own, ~own]
-    if not len(middles):
-        return [np.zeros(0, np.bool_)] * 2
-    along = middles[:, int(np.argmax(np.ptp(middles, axis=0)))]
-    low = along <= np.median(along)
-    return [low, ~low]
+        return [np.full(len(middles), number % parts == part) for part in range(parts)]
+    along = middles[:, int(np.argmax(np.ptp(middles, axis=0)))] if len(middles) else np.zeros(0)
+    place = np.argsort(np.argsort(along, kind="stable"), kind="stable") * parts // max(len(along), 1)
+    return [place == part for part in range(parts)]
 
 
 def _output_evidence(learned: LearnedElements, rows: Rows) -> Levels:
@@ -435,11 +449,14 @@ class _Surprisals:
         ``(n,)``: of the windows of the output, and of composite windows of the references.
     overlap
         Number of windows that contain the same pixel.
+    references
+        Number of whole windows of the references.
     """
 
     output: Levels
     composite: Levels
     overlap: float
+    references: int
 
     @classmethod
     def of(cls, evidence: _Evidence) -> _Surprisals:
@@ -448,41 +465,68 @@ class _Surprisals:
         output, composite = (
             tail.surprisal(levels) + math.log(len(levels)) for levels in (evidence.output, learned.composite)
         )
-        return cls(output, composite, learned.overlap)
+        return cls(output, composite, learned.overlap, len(learned.whole))
 
     def power(self, rate: float) -> float:
         """Return the share of composite windows that are counted at a rate of false alarms."""
         return float((self.composite > -math.log(rate)).mean())
 
 
-def _choose_rate(groups: list[_Surprisals]) -> float:
-    """Return the largest rate of false alarms at which a fresh draw almost surely scores :data:`_FRESH` or more.
+@dataclass(frozen=True)
+class _Limit:
+    """The limit above which windows are counted for the score.
 
-    The number of false alarms has a Poisson distribution. Windows that overlap are counted together.
+    Parameters
+    ----------
+    rate
+        Share of whole windows that exceed it.
+    power
+        Share of composite windows that exceed it.
+    chance
+        Share of windows that is attributed to chance: the expected one, or more, so that a fresh draw almost surely
+        scores :data:`_FRESH` or more.
     """
-    sizes = [len(group.output) for group in groups]
-    total, clump = sum(sizes), max(group.overlap for group in groups)
-    for rate in _RATES:
-        power = sum(size * group.power(rate) for size, group in zip(sizes, groups, strict=True)) / total
-        most = total * (rate + (1 - _FRESH) * max(power - rate, 0.0))
-        if poisson.sf(math.floor(most / clump), total * rate / clump) <= _ALARMS:
-            return rate
-    return _RATES[-1]
+
+    rate: float
+    power: float
+    chance: float
+
+    @classmethod
+    def at(cls, rate: float, groups: list[_Surprisals]) -> _Limit:
+        """Return the limit with a given rate.
+
+        The number of whole windows beyond it has a negative binomial distribution: Poisson's, with a rate that is known
+        from a number of references. Windows that overlap are counted together.
+        """
+        sizes = np.array([len(group.output) for group in groups], np.float64)
+        clump = float(sizes @ [group.overlap for group in groups] / sizes.sum())
+        power = float(sizes @ [group.power(rate) for group in groups] / sizes.sum())
+        known = max(rate * sum(group.references for group in groups) / clump, 0.5)
+        mean = rate * sizes.sum() / clump
+        most = float(nbinom.isf(_ALARMS, known, known / (known + mean))) * clump / sizes.sum()
+        return cls(rate, power, max(rate, (most - (1 - _FRESH) * power) / _FRESH))
+
+    @property
+    def net_power(self) -> float:
+        """Share of composite windows that are counted and not attributed to chance."""
+        return max(self.power - self.chance, 0.0)
 
 
 def _count_broken(evidence: list[_Evidence]) -> BrokenTiles:
     """Return the broken elements, and the score.
 
-    Of composite windows a share p has a surprisal above a limit (the detection power), of whole windows a share f. If
-    a share b of the output's elements is broken, a share ``b p + (1 - b) f`` of its windows exceeds the limit. The
-    score is ``1 - b``.
+    Of composite windows a share p exceeds the limit, of whole windows at most a share q. If a share b of the output's
+    elements is broken, a share ``b p + (1 - b) q`` of its windows exceeds it. The score is ``1 - b``. The limit is the
+    one with the largest ``p - q``.
     """
     groups = [_Surprisals.of(one) for one in evidence]
-    total, rate = sum(len(group.output) for group in groups), _choose_rate(groups)
-    strong = [group for group in groups if group.power(rate) >= LEAST_POWER]
-    power = sum(group.power(rate) * len(group.output) for group in groups) / total
-    excess = sum(float(((group.output > -math.log(rate)) - rate).sum()) for group in strong)
-    expected = sum((group.power(rate) - rate) * len(group.output) for group in strong)
+    strong = [max(_Limit.at(rate, [group]).net_power for rate in _RATES) >= LEAST_POWER for group in groups]
+    if any(strong):
+        evidence = [one for one, keep in zip(evidence, strong, strict=True) if keep]
+        groups = [group for group, keep in zip(groups, strong, strict=True) if keep]
+    limit = max((_Limit.at(rate, groups) for rate in _RATES), key=lambda one: one.net_power)
+    total = sum(len(group.output) for group in groups)
+    counted = float(np.mean(np.concatenate([group.output for group in groups]) > -math.log(limit.rate)))
     surprisals = np.concatenate([group.output for group in groups]) - math.log(total)
     order = np.argsort(-surprisals, kind="stable")
     order = order[surprisals[order] > BROKEN_SURPRISAL]
@@ -495,11 +539,11 @@ def _count_broken(evidence: list[_Evidence]) -> BrokenTiles:
         middles[order],
         surprisals[order],
         tiles=total,
-        score=float(np.clip(1 - excess / expected, 0, 1)) if strong else 1.0,
+        score=float(np.clip(1 - (counted - limit.chance) / max(limit.net_power, 1e-9), 0, 1)),
         worst=float(surprisals.max()),
         evidence_p90=float(np.quantile(output, 0.9) / max(float(np.quantile(whole, 0.9)), 1e-9)),
-        detection_power=power if strong else 0.0,
-        rate=rate,
+        detection_power=limit.net_power,
+        rate=limit.chance,
         elements=[element for one in evidence for element in one.learned.elements],
     )
 

@@ -176,19 +176,21 @@ def alteration_moments(cutter: Cutter, middles: Points, box: Box) -> Rows:
     return total
 
 
-def light_moments(box: Box, values: int) -> Rows:
+def light_moments(box: Box, gray: Levels) -> Rows:
     """Return the second moments of the changes that uneven light makes to windows, ``(p, p)``.
 
-    A window is lit from one side of a line, in all channels alike, in many directions and at many distances.
+    A window is lit from one side of a line, in all channels of the image alike, in many directions and at many
+    distances.
 
     Parameters
     ----------
     box
         The shape of the windows.
-    values
-        Number p of their values.
+    gray
+        ``(k,)``: a step of one gray level along each axis of color of the windows.
     """
-    return _moments(np.repeat(_lights(box), values // (box.samples[0] * box.samples[1]), 1))
+    lights = _lights(box)
+    return _moments((lights[..., np.newaxis] * gray).reshape(len(lights), -1))
 
 
 def _rows(values: Values) -> Rows:

@@ -37,6 +37,8 @@ _TRIM = 0.03
 _LEAST_ENERGY, _MOST_ELEMENTS = 0.1, 8
 """A further element explains at least this share of the energy that the first one explains; largest number of elements
 in a cell."""
+_COLOR_GRID, _LEAST_COLOR = (6, 6), 0.003
+"""Samples of a cell from which the axes of color are found, and the least share of the variance along an axis."""
 _ALIKE = 1.3
 """Boxes whose sides differ by less than this factor have one shape."""
 
@@ -155,6 +157,12 @@ class Cutter:
         cutter._tracked = cKDTree(whole), find_middles(measurements, noise) - whole
         return cutter
 
+    def project_colors(self, axes: Points) -> Cutter:
+        """Return the same cutter for the image with other channels: ``axes`` is ``(C, k)``."""
+        other = Cutter(np.asarray(self._image @ axes.astype(np.float32)), self.lattice)
+        other.lattice, other._tracked = self.lattice, self._tracked
+        return other
+
     def cut(self, element: Element) -> Windows:
         """Return all windows around an element that lie inside the image."""
         middles = self.places((float(element.place[0]), float(element.place[1])))
@@ -234,7 +242,24 @@ def subtract_mean(values: Values) -> NDArray[np.float64]:
     return flat - flat.mean(0) if len(flat) else flat
 
 
-def find_elements(cutters: list[Cutter]) -> list[list[Element]]:
+def find_color_axes(cutters: list[Cutter]) -> Points:
+    """Return the axes of color along which cells differ from each other, ``(C, k)``, orthonormal.
+
+    Axes with less than a small share of the variance are left out, so that a gray texture has one.
+    """
+    covariance = 0.0
+    for cutter in cutters:
+        _, values = cutter.cut_cells(_COLOR_GRID)
+        departures = (values - values.mean(0)).reshape(-1, values.shape[-1]) if len(values) else values.reshape(-1, 1)
+        if len(departures):
+            covariance = covariance + departures.T.astype(np.float64) @ departures
+    if isinstance(covariance, float):
+        return np.eye(1)
+    variances, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes[:, variances >= _LEAST_COLOR * max(float(variances.sum()), 1e-12)])
+
+
+def find_elements(cutters: list[Cutter], least_area: float = 0.0) -> list[list[Element]]:
     """Return the elements of a cell, in groups whose windows have one shape; none if no image contains a whole cell.
 
     An element is a region whose samples vary together from cell to cell: a brick, or a thread with its pieces on both
@@ -248,18 +273,22 @@ def find_elements(cutters: list[Cutter]) -> list[list[Element]]:
     ----------
     cutters
         Images without defects.
+    least_area
+        Least area of an element, over that of a cell.
     """
     if not any(len(cutter.cut_cells((1, 1))[0]) for cutter in cutters):
         return []
     field = _CellCovariance.measure(cutters)
     free, first, elements = np.ones(len(field.variance)), 0.0, []
-    while len(elements) < _MOST_ELEMENTS:
+    for _ in range(_MOST_ELEMENTS):
         energy = field.explained @ (free * field.variance)[field.index] * free
         best = int(np.argmax(energy))
         first = max(first, float(energy[best]))
         if not energy[best] > _LEAST_ENERGY * first:
             break
-        elements.append(field.enclose(best))
+        element = field.enclose(best)
+        if element.box.area >= least_area * field.lattice.area:
+            elements.append(element)
         free[field.index[field.explained[best] > 0]] = 0
     return _group(elements)
 
