@@ -62,3 +62,13 @@ REFERENCE_SCATTER = 0.125
 """Largest 95th percentile, in s, of the misplacement of the references' windows with which the verdict has power."""
 LEAST_SPREAD = 1e-3
 """Interquartile range of the references' NCC below which the ranges are not compared: the windows are nearly equal."""
+FIELD_SURPRISAL = 8.0
+"""Surprisal above which the displacement field of a bent texture has a phase step or a displaced patch."""
+PHASE_STEP = 0.14
+"""Least phase step, in s, of a bent texture."""
+DISPLACED_PATCH = 0.25
+"""Least displacement, in s, of a patch of up to 3 x 3 tiles of a bent texture."""
+AMPLITUDE_DEVIATIONS = 4.0
+"""Number of standard deviations, over fresh draws, of the logarithm of amplitude and roughness."""
+LEAST_AMPLITUDE_TOLERANCE = 0.2
+"""Least tolerance of these logarithms: differences of 20 % are not visible."""

@@ -137,6 +137,10 @@ class Reference:
         """Return the image that is compared with the periodic image: the image itself, or its detail."""
         return _subtract_blur(image, self.detail)
 
+    def straighten(self, image: Image) -> Image:
+        """Return the image without smooth displacements if the geometry of the texture varies; else the image."""
+        return image
+
     @cached_property
     def measurements(self) -> tuple[Measurements, ...]:
         """Measurements of the reference images."""

@@ -155,6 +155,10 @@ class Verdict:
     @cached_property
     def excesses(self) -> dict[str, float]:
         """The ratio of each fault to its limit: above 1 regularity is lost."""
+        return self.compare_limits()
+
+    def compare_limits(self) -> dict[str, float]:
+        """Return the ratio of each fault to its limit; :attr:`excesses` keeps it."""
         most = limits.MISPLACED_SHARE + 2 * self.reference_misplaced
         windows, references = self.output.windows, [image.windows for image in self.references]
         model = self.reference.source == "model"
@@ -176,7 +180,12 @@ class Verdict:
     @property
     def faults(self) -> tuple[str, ...]:
         """A sentence for each fault beyond its limit; empty if there is none."""
-        sentences = {
+        sentences = self.describe_faults()
+        return tuple(sentences[name] for name, excess in self.excesses.items() if excess > 1)
+
+    def describe_faults(self) -> dict[str, str]:
+        """Return a sentence for each fault, whether it is beyond its limit or not."""
+        return {
             "misplaced windows": f"{self.misplaced_windows.mean():.0%} of the windows are out of place",
             "worst neighborhood": f"a neighborhood is off by {self.worst_neighborhood:.2f} s",
             "bent": "the content is bent",
@@ -185,7 +194,6 @@ class Verdict:
             "courses": "a course of tiles has slid",
             "single tiles": f"{len(self.bad_places)} tile(s) displaced or broken",
         }
-        return tuple(sentences[name] for name, excess in self.excesses.items() if excess > 1)
 
     @cached_property
     def lack_of_power(self) -> str:

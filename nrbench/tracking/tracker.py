@@ -302,7 +302,14 @@ class Track:
         return float((self.correlation[seen] >= least).mean()) if seen.any() else 0.0
 
 
-def track_lattice(image: Image, lattice: Lattice, tile: MeanTile) -> Track:
+def track_lattice(
+    image: Image,
+    lattice: Lattice,
+    tile: MeanTile,
+    first_width: float = _FIRST_WIDTH,
+    refined_widths: tuple[float, ...] = _REFINED_WIDTHS,
+    start: Field | None = None,
+) -> Track:
     """Track a lattice through an image.
 
     At each node of a grid with spacing half a tile the image is correlated with the mean tile, under a Gaussian window
@@ -319,6 +326,13 @@ def track_lattice(image: Image, lattice: Lattice, tile: MeanTile) -> Track:
         Reduced. Its phase need not fit the image.
     tile
         The mean tile to track, see :meth:`MeanTile.of`.
+    first_width
+        Width in tiles of the windows that are unwrapped. Narrow windows follow displacements with slopes above 0.3.
+    refined_widths
+        Width in tiles of the windows of each refinement, none wider than the one before.
+    start
+        Displacements from which the refinements start, at the nodes of an earlier track of this image with the same
+        ``first_width``; None: the unwrapped displacements.
 
     Examples
     --------
@@ -331,12 +345,9 @@ def track_lattice(image: Image, lattice: Lattice, tile: MeanTile) -> Track:
     1.0
     """
     planes = _centered(image) @ tile.colors
-    nodes = Nodes.of(lattice, image.shape[:2], _FIRST_WIDTH)
-    product = tile.product(nodes.coefficients(planes, tile.harmonics.frequencies))
-    strength = np.sqrt(max(tile.power, _FLAT) * _energy(nodes, planes))[..., np.newaxis, np.newaxis]
-    wrapped = unwrap(np.asarray(_surfaces(product, tile.harmonics) / strength, np.float32), lattice)
-    field = _invert(nodes, _refine(product, tile.harmonics, wrapped, _FIRST_STEPS))
-    for width in _REFINED_WIDTHS:
+    nodes = Nodes.of(lattice, image.shape[:2], first_width)
+    field = _find_displacements(planes, nodes, tile) if start is None else start
+    for width in refined_widths:
         nodes = nodes.narrowed(width)
         still = _straighten(planes, nodes, field)
         coefficients = nodes.coefficients(still, tile.harmonics.frequencies)
@@ -345,6 +356,14 @@ def track_lattice(image: Image, lattice: Lattice, tile: MeanTile) -> Track:
         field = rest + nodes.interpolate(field, nodes.places + rest)
     heights = 2 * _shift(tile.unweighted().product(coefficients), tile.harmonics, rest).real.sum(0)
     return Track(image, lattice, nodes, field, heights / np.sqrt(max(tile.power, _FLAT) * _energy(nodes, still)), tile)
+
+
+def _find_displacements(planes: Values, nodes: Nodes, tile: MeanTile) -> Field:
+    """Return the unwrapped displacements at the nodes."""
+    product = tile.product(nodes.coefficients(planes, tile.harmonics.frequencies))
+    strength = np.sqrt(max(tile.power, _FLAT) * _energy(nodes, planes))[..., np.newaxis, np.newaxis]
+    surfaces = np.asarray(_surfaces(product, tile.harmonics) / strength, np.float32)
+    return _invert(nodes, _refine(product, tile.harmonics, unwrap(surfaces, tile.harmonics.lattice), _FIRST_STEPS))
 
 
 def unwrap(surfaces: Surfaces, lattice: Lattice) -> Field:

@@ -1,0 +1,188 @@
+"""Tests for faults of a displacement field: phase steps along lines, displaced patches, amplitude and roughness."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from nrbench.lattice.geometry import Points
+
+from .covariance import Covariance, SampledField
+
+Values = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+_DIRECTIONS = 12
+"""Number of directions of lines."""
+_LEAST_SIDE = 0.1
+"""Least share of the nodes of a block on either side of a line."""
+_BLOCK = 18
+"""Largest number of nodes along each side of a block. The time for a block grows with its sixth power."""
+_LEAST_NODES = 12
+"""Least number of reliable nodes of a block."""
+_PATCHES = (1, 2, 3)
+"""Sides, in nodes, of the patches that may be displaced as a whole."""
+_FREE = 10.0
+"""Standard deviation, in s, of the phase of the field. It is free, so any large number serves."""
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Tests for a displacement of some nodes against the others, one for each set of nodes.
+
+    Parameters
+    ----------
+    statistic
+        ``(m,)``: log-likelihood ratio of the best displacement and none. Without faults, its distribution is about
+        exponential with mean 1.
+    distance
+        ``(m,)``: length of the best displacement, in s.
+    power
+        ``(m,)``: the statistic that a displacement of s would have on average, without the part of chance.
+    sets
+        ``bool (m, nodes)``: the displaced nodes, row by row over the whole grid.
+    """
+
+    statistic: Values
+    distance: Values
+    power: Values
+    sets: Flags
+
+
+@dataclass(frozen=True)
+class FieldTests:
+    """All tests of one field.
+
+    Parameters
+    ----------
+    field
+        The field.
+    lines
+        Tests for a step along lines.
+    patches
+        Tests for displaced patches of up to 3 x 3 nodes.
+    """
+
+    field: SampledField
+    lines: Faults
+    patches: Faults
+
+
+def test_field(field: SampledField, covariance: Covariance) -> FieldTests:
+    """Test a field for steps along lines, in blocks that overlap by half, and for displaced patches.
+
+    The displacements of a block are normal with the given covariance and any mean. A fault adds a constant vector to
+    the displacements of some nodes: those on one side of a line, or those of a patch. The best vector and its
+    log-likelihood ratio follow by generalized least squares. This is the matched filter for the fault in noise of that
+    covariance. Time is linear in the number of blocks.
+    """
+    rows, columns = field.reliable.shape
+    lines: list[Faults] = []
+    patches: list[Faults] = []
+    for y in _block_starts(rows):
+        for x in _block_starts(columns):
+            inside = np.zeros((rows, columns), np.bool_)
+            inside[y : y + _BLOCK, x : x + _BLOCK] = True
+            block = np.flatnonzero((inside & field.reliable).ravel())
+            if len(block) < _LEAST_NODES:
+                continue
+            places = field.places.reshape(-1, 2)[block]
+            precision = _precision(places, covariance)
+            values = field.displacement.reshape(-1, 2)[block]
+            at = np.stack(np.divmod(block, columns), -1)
+            for result, sets in ((lines, _half_planes(places)), (patches, _patches(at))):
+                result.append(_test_sets(sets, precision, values, block, rows * columns))
+    return FieldTests(field, _join(lines, rows * columns), _join(patches, rows * columns))
+
+
+def _block_starts(side: int) -> list[int]:
+    count = 1 + math.ceil(max(side - _BLOCK, 0) / (_BLOCK / 2))
+    return [int(start) for start in np.unique(np.linspace(0, max(side - _BLOCK, 0), count).astype(int))]
+
+
+def _precision(places: Points, covariance: Covariance) -> Values:
+    """Return the inverse of the covariance matrix of displacements along one axis, with a free mean."""
+    matrix = covariance.between(places, places) + _FREE**2
+    matrix[np.diag_indices_from(matrix)] += covariance.noise
+    return np.asarray(scipy.linalg.inv(matrix, overwrite_a=True, check_finite=False))
+
+
+def _half_planes(places: Points) -> Flags:
+    """Return the nodes on one side of lines in all directions, half of the nodes' distance apart, ``(m, n)``."""
+    sets = []
+    step = math.sqrt(float(np.ptp(places[:, 0]) * np.ptp(places[:, 1])) / len(places)) / 2
+    for angle in np.arange(_DIRECTIONS) * (math.pi / _DIRECTIONS):
+        along = places @ (math.cos(angle), math.sin(angle))
+        offsets = np.arange(along.min() + step / 2, along.max(), max(step, 1e-3))
+        sets.append(along > offsets[:, np.newaxis])
+    every = np.concatenate(sets)
+    share = every.mean(1)
+    return np.unique(every[(share >= _LEAST_SIDE) & (share <= 1 - _LEAST_SIDE)], axis=0)
+
+
+def _patches(at: NDArray[np.int64]) -> Flags:
+    """Return the nodes of patches around each node, ``(m, n)``; ``at`` holds the row and column of each node."""
+    apart = at[np.newaxis] - at[:, np.newaxis]
+    sets = [((apart >= 0) & (apart < side)).all(-1) for side in _PATCHES]
+    # Patches of which more than a third is missing are left out.
+    return np.concatenate([one[one.sum(1) >= 2 / 3 * side**2] for one, side in zip(sets, _PATCHES, strict=True)])
+
+
+def _test_sets(sets: Flags, precision: Values, values: Points, block: NDArray[np.intp], nodes: int) -> Faults:
+    filters = sets.astype(np.float64) @ precision
+    energy = np.maximum((filters * sets).sum(1), 1e-12)
+    moments = filters @ values
+    every = np.zeros((len(sets), nodes), np.bool_)
+    every[:, block] = sets
+    return Faults((moments**2).sum(1) / energy / 2, np.hypot(*moments.T) / energy, energy / 2, every)
+
+
+def _join(parts: list[Faults], nodes: int) -> Faults:
+    if not parts:
+        return Faults(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, nodes), np.bool_))
+    return Faults(
+        *(np.concatenate([getattr(one, name) for one in parts]) for name in ("statistic", "distance", "power", "sets"))
+    )
+
+
+def smooth_field(field: SampledField, covariance: Covariance, places: Points) -> Points:
+    """Return the most likely displacement at places ``(n, 2)``, in s, given the reliable nodes: simple kriging.
+
+    Parameters
+    ----------
+    field
+        The field.
+    covariance
+        Covariance of the field.
+    places
+        (x, y) in s. Each is predicted from the nodes of the block around it.
+    """
+    result = np.zeros((len(places), 2))
+    rows, columns = field.reliable.shape
+    y0, x0 = (_block_starts(side) for side in (rows, columns))
+    step = np.array([_step(field.places[:, 0, 1]), _step(field.places[0, :, 0])])
+    at = places[:, ::-1] / step
+    # Each place belongs to the block whose middle is nearest.
+    own = [
+        np.abs(at[:, [axis]] - (np.array(starts) + min(_BLOCK, side) / 2)).argmin(1)
+        for axis, (starts, side) in enumerate(((y0, rows), (x0, columns)))
+    ]
+    for j, y in enumerate(y0):
+        for i, x in enumerate(x0):
+            wanted = (own[0] == j) & (own[1] == i)
+            inside = np.zeros((rows, columns), np.bool_)
+            inside[y : y + _BLOCK, x : x + _BLOCK] = True
+            block = np.flatnonzero((inside & field.reliable).ravel())
+            if not len(block) or not wanted.any():
+                continue
+            nodes, values = field.places.reshape(-1, 2)[block], field.displacement.reshape(-1, 2)[block]
+            cross = covariance.between(places[wanted], nodes) + _FREE**2
+            result[wanted] = cross @ (_precision(nodes, covariance) @ values)
+    return result
+
+
+def _step(along: Values) -> float:
+    return float(along[-1] - along[0]) / max(len(along) - 1, 1) or 1.0

@@ -1,0 +1,280 @@
+"""The verdict on textures whose geometry varies (types II and III): follow the local lattice, and test its field."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.fold import Tile, Values, fold
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import Again, Shape, Texture
+from nrbench.tracking.tracker import MeanTile
+
+from ..bending.covariance import Covariance, Variogram
+from ..bending.field_tests import Faults, FieldTests, test_field
+from ..bending.tracked_image import StraightenedImage, TrackedImage, straighten, track_image, track_references
+from ..ncc.periodic import Periodic, tile_box
+from . import limits
+from .exponential_tail import ExponentialTail
+from .reference import DRAWS, FIRST_DRAW, KnownLattice, Reference, ReferenceImage, canonical_lattice
+from .verdict import Verdict, compute_verdict
+
+_TILES_A_SIDE = 12
+"""Number of tiles along each side of a fresh draw, from which the covariance of the displacements is estimated."""
+_SIDES = (128, 320)
+"""Smallest and largest side of a fresh draw, px."""
+_TAIL, _LINE_OVERLAP, _PATCH_OVERLAP = 0.9, 12.0, 4.0
+"""Quantile of the statistics of fresh draws where their tail begins, and number of overlapping tests that count as one:
+lines in many directions divide the same nodes."""
+
+
+@dataclass(frozen=True)
+class Bending:
+    """What is known about the displacements of a texture.
+
+    Parameters
+    ----------
+    lattice
+        The undisturbed lattice, reduced.
+    tile
+        The mean tile that is tracked.
+    references
+        Tracked images without faults.
+    covariance
+        Covariance of their displacement fields.
+    """
+
+    lattice: Lattice
+    tile: MeanTile
+    references: tuple[TrackedImage, ...]
+    covariance: Covariance
+
+    @classmethod
+    def of(cls, images: Sequence[Image], lattice: Lattice, tile: MeanTile) -> Bending:
+        """Track images without faults."""
+        references, covariance = track_references(images, lattice, tile)
+        return cls(lattice, tile, references, covariance)
+
+    def track(self, image: Image) -> TrackedImage:
+        """Track an image."""
+        return track_image(image, self.lattice, self.tile, self.references[0].level, self.covariance)
+
+    def straighten(self, tracked: TrackedImage) -> StraightenedImage:
+        """Return an image without its smooth displacement."""
+        return straighten(tracked, self.covariance)
+
+    @cached_property
+    def tests(self) -> tuple[FieldTests, ...]:
+        """Tests of the references."""
+        return tuple(test_field(one.field, self.covariance) for one in self.references)
+
+    @cached_property
+    def line_tail(self) -> ExponentialTail:
+        """Tail of the statistics of lines in the references."""
+        return _fit_tail([one.lines for one in self.tests], _LINE_OVERLAP)
+
+    @cached_property
+    def patch_tail(self) -> ExponentialTail:
+        """Tail of the statistics of patches in the references."""
+        return _fit_tail([one.patches for one in self.tests], _PATCH_OVERLAP)
+
+    @cached_property
+    def variogram(self) -> Variogram:
+        """Variogram of the references."""
+        return Variogram.of([one.field for one in self.references])
+
+
+def _fit_tail(faults: Sequence[Faults], overlap: float) -> ExponentialTail:
+    values = np.concatenate([one.statistic for one in faults])
+    return ExponentialTail.fit(values if len(values) else np.zeros(1), _TAIL, overlap)
+
+
+@dataclass(frozen=True)
+class BentReference(Reference):
+    """A reference whose images were straightened.
+
+    Parameters
+    ----------
+    bending
+        What is known about the displacements.
+    """
+
+    bending: Bending | None = None
+
+    @property
+    def displacements(self) -> Bending:
+        """What is known about the displacements."""
+        assert self.bending is not None
+        return self.bending
+
+    def straighten(self, image: Image) -> Image:
+        """Return the image without its smooth displacement."""
+        return self.displacements.straighten(self.displacements.track(image)).image
+
+
+def bent_reference_from_model(truth: Texture, lattice: Lattice, again: Again) -> BentReference:
+    """Return the reference of a texture whose model displaces its content.
+
+    Fresh draws are tracked and straightened. The variance of each pixel from tile to tile, and the regular share, are
+    those of the straightened draws.
+    """
+    lattice = canonical_lattice(lattice)
+    side = np.ceil(np.clip(_TILES_A_SIDE * tile_box(lattice), *_SIDES)).astype(int)
+    shape = (int(side[1]), int(side[0]))
+    draws = []
+    for k in range(DRAWS):
+        draw = again(shape, FIRST_DRAW + k)
+        if draw is None or draw.ideal is None:
+            raise ValueError(f"the texture's model gave no fresh draw of {shape[1]}x{shape[0]} px with an ideal image")
+        draws.append(draw)
+    whole = draws[0].ideal
+    assert whole is not None
+    reduced = lattice.reduced()
+    bending = Bending.of([quantize(draw.image) for draw in draws], reduced, MeanTile.of(whole, reduced))
+    straight = [bending.straighten(one) for one in bending.references]
+    folded = [_fold_departures(one, whole, lattice) for one in straight]
+    counts = np.sum([tile.counts for tile in folded], 0)
+    values = np.sum([tile.values * tile.counts[..., np.newaxis] for tile in folded], 0)
+    variance = Tile(np.asarray(values / np.maximum(counts, 1e-9)[..., np.newaxis], np.float32), counts, lattice)
+
+    def ideal(wanted: Shape) -> Values:
+        if wanted[0] <= shape[0] and wanted[1] <= shape[1]:
+            return np.asarray(whole[: wanted[0], : wanted[1]])
+        large = again(wanted, FIRST_DRAW)
+        if large is None or large.ideal is None:
+            raise ValueError(f"the texture's model gave no fresh draw of {wanted[1]}x{wanted[0]} px")
+        return large.ideal
+
+    periodic = Periodic(lattice, ideal, variance)
+    regular = float(whole.var((0, 1), dtype=np.float64).mean())
+    share = regular / max(regular + float(variance.values.mean()), 1e-12)
+    images = tuple(ReferenceImage(one.image, periodic) for one in straight)
+    return BentReference("model", periodic, images, share, KnownLattice(lattice, "model"), bending=bending)
+
+
+def _fold_departures(straight: StraightenedImage, ideal: Values, lattice: Lattice) -> Tile:
+    """Return the mean tile of the squared departures of a straightened image from the ideal image."""
+    (x, y), (height, width) = straight.corner, straight.image.shape[:2]
+    departures = (straight.image - ideal[y : y + height, x : x + width]) ** 2
+    return fold(departures.mean(-1, keepdims=True), lattice.shifted((-float(x), -float(y))))
+
+
+@dataclass(frozen=True)
+class BentVerdict(Verdict):
+    """The verdict on an output of a texture whose geometry varies.
+
+    The lattice is tracked through the output, and the output is straightened: the smooth part of the displacements is
+    removed. All tests of :class:`~.verdict.Verdict` are then made on the straightened output, beside straightened fresh
+    draws. Tests of the displacements themselves are added.
+
+    Parameters
+    ----------
+    reference
+        The reference; its images are straightened.
+    straightened
+        The straightened output.
+    tests
+        Tests of the displacement field of the output.
+    """
+
+    reference: BentReference
+    straightened: StraightenedImage
+    tests: FieldTests
+
+    @property
+    def bending(self) -> Bending:
+        """What is known about the displacements of the texture."""
+        return self.reference.displacements
+
+    @cached_property
+    def line_excess(self) -> NDArray[np.float64]:
+        """For each line, the ratio of the phase step along it to its limits; above 1 there is a step."""
+        return _fault_excess(self.tests.lines, self.bending.line_tail, limits.PHASE_STEP)
+
+    @cached_property
+    def patch_excess(self) -> NDArray[np.float64]:
+        """For each patch, the ratio of its displacement to its limits; above 1 it is displaced."""
+        return _fault_excess(self.tests.patches, self.bending.patch_tail, limits.DISPLACED_PATCH)
+
+    @cached_property
+    def untracked_share(self) -> float:
+        """Share of the places of the output at which the tile was not found."""
+        return 1 - self.straightened.tracked.reliable_share
+
+    @cached_property
+    def variogram(self) -> Variogram:
+        """Variogram of the output."""
+        return Variogram.of([self.tests.field])
+
+    @property
+    def amplitude_ratio(self) -> float:
+        """Amplitude of the displacements over that of fresh draws."""
+        return self.variogram.amplitude / max(self.bending.variogram.amplitude, 1e-6)
+
+    @property
+    def roughness_ratio(self) -> float:
+        """Roughness of the displacements over that of fresh draws; the inverse of their correlation lengths' ratio."""
+        return self.variogram.roughness / max(self.bending.variogram.roughness, 1e-6)
+
+    @property
+    def amplitude_tolerance(self) -> float:
+        """Tolerance of the logarithm of the ratio of amplitudes: four standard deviations over fresh draws."""
+        area = self.bending.covariance.correlation_area
+        chance = area / max(self.variogram.area, 1e-6) + area / max(self.bending.variogram.area, 1e-6)
+        return max(limits.AMPLITUDE_DEVIATIONS * math.sqrt(chance) / 2, limits.LEAST_AMPLITUDE_TOLERANCE)
+
+    @property
+    def too_regular(self) -> bool:
+        """Whether the displacements are smaller than those of fresh draws. This is lost randomness."""
+        return math.log(max(self.amplitude_ratio, 1e-6)) < -self.amplitude_tolerance
+
+    def compare_limits(self) -> dict[str, float]:
+        """Return the ratio of each fault to its limit; above 1 regularity is lost."""
+        usual = max(1 - one.reliable_share for one in self.bending.references)
+        tolerance = self.amplitude_tolerance
+        return {
+            **super().compare_limits(),
+            "phase step": float(self.line_excess.max(initial=0.0)),
+            "patch": float(self.patch_excess.max(initial=0.0)),
+            "not tracked": self.untracked_share / (limits.MISPLACED_SHARE + 2 * usual),
+            "amplitude": math.log(max(self.amplitude_ratio, 1e-6)) / tolerance,
+            "roughness": math.log(max(self.roughness_ratio, 1e-6)) / tolerance if not self.too_regular else 0.0,
+        }
+
+    def describe_faults(self) -> dict[str, str]:
+        """Return a sentence for each fault."""
+        lines, patches = self.tests.lines.distance, self.tests.patches.distance
+        return {
+            **super().describe_faults(),
+            "phase step": f"a phase step of {_at_largest(lines, self.line_excess):.2f} s",
+            "patch": f"a patch is off by {_at_largest(patches, self.patch_excess):.2f} s from where its neighbors put it",
+            "not tracked": f"the tile was not found at {self.untracked_share:.0%} of its places",
+            "amplitude": f"displacements are {self.amplitude_ratio:.1f} times as large as in fresh draws",
+            "roughness": f"displacements are {self.roughness_ratio:.1f} times as rough as in fresh draws",
+        }
+
+
+def _at_largest(values: NDArray[np.float64], by: NDArray[np.float64]) -> float:
+    return float(values[by.argmax()]) if len(values) else 0.0
+
+
+def _fault_excess(faults: Faults, tail: ExponentialTail, least: float) -> NDArray[np.float64]:
+    """Return the ratio of each fault to its limits; above 1 it is more than chance, and larger than ``least`` s."""
+    surprisal = tail.surprisal(faults.statistic) / limits.FIELD_SURPRISAL
+    return np.minimum(surprisal, faults.distance / least)
+
+
+def compute_bent_verdict(output: Image, reference: BentReference) -> BentVerdict:
+    """Return the verdict on an output of a texture whose geometry varies."""
+    bending = reference.displacements
+    straightened = bending.straighten(bending.track(output))
+    verdict = compute_verdict(straightened.image, reference)
+    tests = test_field(straightened.tracked.field, bending.covariance)
+    return BentVerdict(reference, verdict.output, verdict.drift, verdict.own_lattice, straightened, tests)
