@@ -26,18 +26,18 @@ COLORS = {"region": (1.0, 0.6, 0.0), "displaced": (0.9, 0.1, 0.1), "broken": (0.
 _DIM = 0.5
 
 
-def draw_defects(verdict: Verdict) -> Image:
+def draw_defects(verdict: Verdict, output: Image) -> Image:
     """Return the output in faint gray, with the quarter cells around the middles of bad tiles in :data:`COLORS`.
 
     If a tile has several faults, displaced takes precedence over broken, and broken over region.
     """
-    output, tiles = verdict.output.image, verdict.output.tiles
+    tiles, shape = verdict.output.tiles, output.shape[:2]
     faint = np.repeat((1 - _DIM + _DIM * gray(output))[..., np.newaxis], 3, 2)
     flags = {"region": verdict.in_displaced_region, "broken": verdict.broken, "displaced": verdict.displaced}
     tints = np.full((len(tiles.centers) + 1, 3), np.nan, np.float32)
     for name, flag in flags.items():
         tints[:-1][flag] = COLORS[name]
-    tint = tints[find_nearest_tiles(tiles, output.shape[:2])]
+    tint = tints[verdict.map_to_output(find_nearest_tiles(tiles, verdict.output.image.shape[:2]), shape)]
     return np.clip(np.where(np.isnan(tint), faint, (1 - _DIM) * faint + _DIM * tint), 0, 1)
 
 
@@ -148,7 +148,7 @@ def _score(observation: Observation) -> Score:
         return Score.missing(Regularity.columns, verdict)
     values = compute_columns(verdict)
     reasons = {name: _reason(name, verdict) for name, value in values.items() if value is None}
-    return Score(values, reasons, {"defects": draw_defects(verdict)}, _records(verdict))
+    return Score(values, reasons, {"defects": draw_defects(verdict, observation.output)}, _records(verdict))
 
 
 def compute_columns(verdict: Verdict) -> dict[str, Value]:
@@ -203,6 +203,8 @@ def _reason(name: str, verdict: Verdict) -> str:
     """Return the reason why a column is None."""
     if name == "intact" and verdict.preserved is False:
         return "undecided: regularity is lost, and no single tile stands out"
+    if name == "preserved" and verdict.preserved is None:
+        return f"undecided: {verdict.doubt}"
     if name in ("preserved", "intact", "score"):
         fault = "one bad tile" if name == "intact" else "a course that slid by 0.15 s"
         faint = f"{fault} could stay undetected at the regular share {verdict.reference.regular_share:.2f}"

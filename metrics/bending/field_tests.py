@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -23,8 +24,11 @@ _BLOCK = 18
 """Largest number of nodes along each side of a block. The time for a block grows with its sixth power."""
 _LEAST_NODES = 12
 """Least number of reliable nodes of a block."""
-_PATCHES = (1, 2, 3)
+_PATCHES = (2, 3)
 """Sides, in nodes, of the patches that may be displaced as a whole."""
+_OUTLYING, _TIMES_MEDIAN, _MOST_OUTLIERS = 8.0, 6.0, 0.1
+"""A node is an outlier if its log-likelihood ratio exceeds both the first number and the second one times the median.
+At most the third share of the nodes, the worst ones, are dropped: the tracker locks onto wrong places at a few nodes."""
 _FREE = 10.0
 """Standard deviation, in s, of the phase of the field. It is free, so any large number serves."""
 
@@ -82,20 +86,41 @@ def test_field(field: SampledField, covariance: Covariance) -> FieldTests:
     rows, columns = field.reliable.shape
     lines: list[Faults] = []
     patches: list[Faults] = []
+    for block in _blocks(field):
+        places = field.places.reshape(-1, 2)[block]
+        precision = _precision(places, covariance)
+        values = field.displacement.reshape(-1, 2)[block]
+        at = np.stack(np.divmod(block, columns), -1)
+        for result, sets in ((lines, _half_planes(places)), (patches, _patches(at))):
+            result.append(_test_sets(sets, precision, values, block, rows * columns))
+    return FieldTests(field, _join(lines, rows * columns), _join(patches, rows * columns))
+
+
+def drop_outliers(field: SampledField, covariance: Covariance) -> SampledField:
+    """Return the field without the nodes that lie far from where all other nodes of their block put them."""
+    rows, columns = field.reliable.shape
+    statistic = np.zeros(rows * columns)
+    for block in _blocks(field):
+        precision = _precision(field.places.reshape(-1, 2)[block], covariance)
+        residual = precision @ field.displacement.reshape(-1, 2)[block]
+        statistic[block] = np.maximum(statistic[block], (residual**2).sum(1) / np.diag(precision) / 2)
+    usual = statistic[field.reliable.ravel()]
+    if not len(usual):
+        return field
+    limit = max(_OUTLYING, _TIMES_MEDIAN * float(np.median(usual)), float(np.quantile(usual, 1 - _MOST_OUTLIERS)))
+    return replace(field, reliable=field.reliable & (statistic <= limit).reshape(rows, columns))
+
+
+def _blocks(field: SampledField) -> Iterator[NDArray[np.intp]]:
+    """Yield the reliable nodes of each block that has enough of them."""
+    rows, columns = field.reliable.shape
     for y in _block_starts(rows):
         for x in _block_starts(columns):
             inside = np.zeros((rows, columns), np.bool_)
             inside[y : y + _BLOCK, x : x + _BLOCK] = True
             block = np.flatnonzero((inside & field.reliable).ravel())
-            if len(block) < _LEAST_NODES:
-                continue
-            places = field.places.reshape(-1, 2)[block]
-            precision = _precision(places, covariance)
-            values = field.displacement.reshape(-1, 2)[block]
-            at = np.stack(np.divmod(block, columns), -1)
-            for result, sets in ((lines, _half_planes(places)), (patches, _patches(at))):
-                result.append(_test_sets(sets, precision, values, block, rows * columns))
-    return FieldTests(field, _join(lines, rows * columns), _join(patches, rows * columns))
+            if len(block) >= _LEAST_NODES:
+                yield block
 
 
 def _block_starts(side: int) -> list[int]:

@@ -18,7 +18,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
 from .covariance import Correlogram, Covariance, SampledField
-from .field_tests import smooth_field
+from .field_tests import drop_outliers, smooth_field
 
 Flags = NDArray[np.bool_]
 _WIDTH, _REFINEMENTS = 1.0, 3
@@ -27,9 +27,9 @@ _CORRELATION = 0.75
 """Share of the references' median correlation below which a node is not reliable."""
 _STEEPEST = 0.75
 """Largest slope between neighboring nodes that belong together."""
-_RETRACKED = 0.02
-"""Share of unreliable nodes above which an image is tracked again, from the displacements of the reliable nodes."""
 _ROUNDS = 2
+_LARGE = 0.16
+"""Standard deviation of displacements, in s, above which their covariance is used while they are unwrapped."""
 _BORDER = 1.0
 """Distance, px, of reliable nodes from the border of the image."""
 _NEAR = 0.3
@@ -84,39 +84,47 @@ class TrackedImage:
 def track_references(
     images: Sequence[Image], lattice: Lattice, tile: MeanTile
 ) -> tuple[tuple[TrackedImage, ...], Covariance]:
-    """Track images without faults, and return them with the covariance of their fields."""
-    tracks = [_track(image, lattice, tile) for image in images]
+    """Track images without faults, and return them with the covariance of their fields.
+
+    If the displacements are large, the images are tracked again with that covariance.
+    """
+    tracked, covariance = _track_all(images, lattice, tile, None)
+    if covariance.variance <= _LARGE**2:
+        return tracked, covariance
+    for _ in range(_ROUNDS):
+        tracked, covariance = _track_all(images, lattice, tile, covariance)
+    return tracked, covariance
+
+
+def _track_all(
+    images: Sequence[Image], lattice: Lattice, tile: MeanTile, covariance: Covariance | None
+) -> tuple[tuple[TrackedImage, ...], Covariance]:
+    tracks = [_track(image, lattice, tile, covariance) for image in images]
     inside = [TrackedImage(track, -1.0).inside for track in tracks]
     values = np.concatenate([track.correlation[where] for track, where in zip(tracks, inside, strict=True)])
     level = _CORRELATION * float(np.median(values)) if len(values) else 0.0
-    tracked = [join_groups(TrackedImage(track, level), None) for track in tracks]
+    tracked = tuple(join_groups(TrackedImage(track, level), covariance) for track in tracks)
     covariance = Covariance.fit(Correlogram.of([one.field for one in tracked]))
-    tracked = [_repair(one, tile, covariance) for one in tracked]
-    return tuple(tracked), Covariance.fit(Correlogram.of([one.field for one in tracked]))
+    tracked = tuple(_drop(one, covariance) for one in tracked)
+    return tracked, Covariance.fit(Correlogram.of([one.field for one in tracked]))
+
+
+def _drop(tracked: TrackedImage, covariance: Covariance) -> TrackedImage:
+    """Drop the outlying nodes of an image."""
+    kept = drop_outliers(tracked.field, covariance).reliable
+    dropped = np.zeros_like(kept) if tracked.dropped is None else tracked.dropped
+    return replace(tracked, dropped=dropped | (tracked.field.reliable & ~kept))
 
 
 def track_image(image: Image, lattice: Lattice, tile: MeanTile, level: float, covariance: Covariance) -> TrackedImage:
     """Track an image whose field has the covariance of the references, if it has no faults."""
-    tracked = join_groups(TrackedImage(_track(image, lattice, tile), level), covariance)
-    return _repair(tracked, tile, covariance)
+    known = covariance if covariance.variance > _LARGE**2 else None
+    return _drop(join_groups(TrackedImage(_track(image, lattice, tile, known), level), covariance), covariance)
 
 
-def _track(image: Image, lattice: Lattice, tile: MeanTile, start: Points | None = None) -> Track:
-    return track_lattice(image, lattice, tile, _WIDTH, (_WIDTH,) * _REFINEMENTS, start)
-
-
-def _repair(tracked: TrackedImage, tile: MeanTile, covariance: Covariance) -> TrackedImage:
-    """Track an image again where nodes are not reliable, from the field of the other nodes."""
-    for _ in range(_ROUNDS):
-        if 1 - tracked.reliable_share <= _RETRACKED or not tracked.field.reliable.any():
-            break
-        start = _smooth_displacement(tracked, covariance)
-        track = _track(tracked.track.image, tracked.track.lattice, tile, start)
-        again = join_groups(TrackedImage(track, tracked.level), covariance)
-        if again.reliable_share <= tracked.reliable_share:
-            break
-        tracked = again
-    return tracked
+def _track(image: Image, lattice: Lattice, tile: MeanTile, covariance: Covariance | None) -> Track:
+    known = covariance.scaled(lattice.s) if covariance is not None else None
+    return track_lattice(image, lattice, tile, _WIDTH, (_WIDTH,) * _REFINEMENTS, known)
 
 
 def join_groups(tracked: TrackedImage, covariance: Covariance | None) -> TrackedImage:

@@ -6,14 +6,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import Tile, Values, fold
-from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Shape, Texture
 from nrbench.tracking.tracker import MeanTile
 
@@ -24,6 +26,7 @@ from ..ncc.periodic import Periodic, tile_box
 from . import limits
 from .exponential_tail import ExponentialTail
 from .reference import DRAWS, FIRST_DRAW, KnownLattice, Reference, ReferenceImage, canonical_lattice
+from .tiles import breakage_excess, displacement_excess
 from .verdict import Verdict, compute_verdict
 
 _TILES_A_SIDE = 12
@@ -33,6 +36,8 @@ _SIDES = (128, 320)
 _TAIL, _LINE_OVERLAP, _PATCH_OVERLAP = 0.9, 12.0, 4.0
 """Quantile of the statistics of fresh draws where their tail begins, and number of overlapping tests that count as one:
 lines in many directions divide the same nodes."""
+_GAP = 3.0
+"""Distance, px, up to which pixels of the output that no pixel of the straightened output comes from are filled."""
 
 
 @dataclass(frozen=True)
@@ -235,6 +240,93 @@ class BentVerdict(Verdict):
         """Whether the displacements are smaller than those of fresh draws. This is lost randomness."""
         return math.log(max(self.amplitude_ratio, 1e-6)) < -self.amplitude_tolerance
 
+    @cached_property
+    def displacement_excess(self) -> NDArray[np.float64]:
+        """For each tile, the ratio of its better fit elsewhere to the limits; above 1 the tile is displaced.
+
+        Where the texture is strained, tiles fit worse, and several neighbors at once. Therefore the limit is that of
+        faint textures, whatever the regular share is.
+        """
+        return displacement_excess(self.output.tiles, self._reference_tiles, 0.0)
+
+    @cached_property
+    def breakage_excess(self) -> NDArray[np.float64]:
+        """For each tile, the ratio of its bad fit in its place to the limits; above 1 the tile is broken."""
+        return breakage_excess(self.output.tiles, self._reference_tiles, limits.FAINT_TILE_SURPRISAL)
+
+    @cached_property
+    def in_displaced_region(self) -> NDArray[np.bool_]:
+        """Which tiles lie in a displaced region.
+
+        These are the tiles in a window that is out of place or in a course that has slid, those of a displaced patch,
+        and those on the smaller side of a phase step: the rest of the output has another phase.
+        """
+        flags = np.zeros(self.tests.field.reliable.size, np.bool_)
+        for faults, excess in ((self.tests.lines, self.line_excess), (self.tests.patches, self.patch_excess)):
+            for one in np.flatnonzero(excess > 1):
+                # Of overlapping lines, only those with the largest excess in their neighborhood matter.
+                if faults is self.tests.patches or excess[one] >= excess.max():
+                    flags |= faults.sets[one]
+        if flags.sum() > self.tests.field.reliable.sum() / 2:
+            flags = ~flags & self.tests.field.reliable.ravel()
+        places = self.tests.field.places.reshape(-1, 2) * self.straightened.tracked.s
+        _, node = cKDTree(places).query(self.output.tiles.centers + self.straightened.corner)
+        return np.asarray(super().in_displaced_region | flags[node])
+
+    @cached_property
+    def step_power(self) -> float:
+        """Surprisal that a phase step of 0.25 s would have on most lines, over the limit; below 1 it may be missed."""
+        power = self.tests.lines.power
+        if not len(power):
+            return 0.0
+        expected = math.sqrt(2 * float(np.median(power)) * limits.SURE_STEP**2)
+        low = max(expected - limits.STEP_DEVIATIONS, 0.0) ** 2 / 2
+        values = np.append(np.zeros(len(power) - 1), low)
+        return float(self.bending.line_tail.surprisal(values)[-1]) / limits.FIELD_SURPRISAL
+
+    @cached_property
+    def lack_of_power(self) -> str:
+        """The reason why a fault could stay undetected; empty if it could not.
+
+        Windows of the straightened references may be off where the texture is strained. This matters less than for
+        textures of constant geometry, because phase steps are detected in the displacement field.
+        """
+        rows, columns = self.output.windows.grid
+        least = limits.LEAST_WINDOWS
+        if min(rows, columns) < least:
+            return f"the output holds {columns} x {rows} windows of 2 tiles, at least {least} x {least} are needed"
+        if self.reference.regular_share < limits.LEAST_SHARE:
+            return f"the regular share {self.reference.regular_share:.2f} is under {limits.LEAST_SHARE:g}"
+        if self.reference_misplaced > limits.BENT_REFERENCE_MISPLACED:
+            return (
+                f"{self.reference_misplaced:.0%} of the windows of the fresh draws are not in place once straightened"
+            )
+        return ""
+
+    @property
+    def preserved(self) -> bool | None:
+        """The verdict: True, False, or None if no fault was found and a phase step of 0.25 s could stay undetected."""
+        preserved = super().preserved
+        return None if preserved and self.step_power < 1 else preserved
+
+    @property
+    def doubt(self) -> str:
+        """The reason why the verdict is undecided."""
+        if self.lack_of_power or self.step_power >= 1:
+            return super().doubt
+        return "a phase step of 0.25 s could stay undetected among displacements as large as those of the texture"
+
+    def map_to_output(self, values: NDArray[Any], shape: Shape) -> NDArray[Any]:
+        """Return values of the pixels of the straightened output at the pixels of the output; -1 beyond it."""
+        sources = np.rint(self.straightened.sources).astype(np.intp)
+        mapped = np.full(shape, -1, values.dtype)
+        known = np.zeros(shape, np.bool_)
+        mapped[sources[..., 1], sources[..., 0]] = values
+        known[sources[..., 1], sources[..., 0]] = True
+        # Pixels that no pixel of the straightened output comes from take the value of a neighbor.
+        distance, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
+        return np.where(distance <= _GAP, mapped[tuple(nearest)], mapped)
+
     def compare_limits(self) -> dict[str, float]:
         """Return the ratio of each fault to its limit; above 1 regularity is lost."""
         usual = max(1 - one.reliable_share for one in self.bending.references)
@@ -254,7 +346,7 @@ class BentVerdict(Verdict):
         return {
             **super().describe_faults(),
             "phase step": f"a phase step of {_at_largest(lines, self.line_excess):.2f} s",
-            "patch": f"a patch is off by {_at_largest(patches, self.patch_excess):.2f} s from where its neighbors put it",
+            "patch": f"a patch is off by {_at_largest(patches, self.patch_excess):.2f} s from its neighbors",
             "not tracked": f"the tile was not found at {self.untracked_share:.0%} of its places",
             "amplitude": f"displacements are {self.amplitude_ratio:.1f} times as large as in fresh draws",
             "roughness": f"displacements are {self.roughness_ratio:.1f} times as rough as in fresh draws",

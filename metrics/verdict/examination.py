@@ -10,8 +10,12 @@ import numpy as np
 from nrbench.plugins.forms import Observation
 
 from ..ncc.periodic import WINDOW_TILES, window_shape
+from .bent import BentReference, bent_reference_from_model, compute_bent_verdict
 from .reference import LATTICE_UNCERTAINTY, KnownLattice, Reference, find_known_lattice, make_reference
 from .verdict import Verdict, compute_verdict
+
+_BENT_KINDS = ("II", "III")
+"""Types of textures whose geometry varies."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +39,22 @@ class Examination:
     def reference(self) -> Reference | str:
         """The reference of the output, or the reason why there is none."""
         reason = self.known_lattice.reason or self._find_small_picture()
-        return reason or make_reference(self.observation, self.known_lattice)
+        if reason:
+            return reason
+        truth, again, lattice = self.observation.truth, self.observation.again, self.known_lattice.lattice
+        if self.known_lattice.origin == "model" and truth is not None and truth.kind in _BENT_KINDS:
+            assert lattice is not None and again is not None
+            return bent_reference_from_model(truth, lattice, again)
+        return make_reference(self.observation, self.known_lattice)
 
     @cached_property
     def verdict(self) -> Verdict | str:
         """The verdict on the output, or the reason why there is none."""
         if isinstance(self.reference, str):
             return self.reference
-        verdict = compute_verdict(self.observation.output, self.reference)
+        output, reference = self.observation.output, self.reference
+        bent = isinstance(reference, BentReference)
+        verdict = compute_bent_verdict(output, reference) if bent else compute_verdict(output, reference)
         return verdict.obstacle or verdict
 
     def _find_small_picture(self) -> str:

@@ -68,6 +68,11 @@ PHASE_STEP = 0.14
 """Least phase step, in s, of a bent texture."""
 DISPLACED_PATCH = 0.25
 """Least displacement, in s, of a patch of up to 3 x 3 tiles of a bent texture."""
+SURE_STEP, STEP_DEVIATIONS = 0.25, 1.65
+"""Phase step, in s, that must be detected for the verdict that regularity is preserved, and the number of standard
+deviations by which chance may lower its statistic."""
+BENT_REFERENCE_MISPLACED = 0.1
+"""Share of misplaced windows in straightened references above which the verdict on a bent texture has no power."""
 AMPLITUDE_DEVIATIONS = 4.0
 """Number of standard deviations, over fresh draws, of the logarithm of amplitude and roughness."""
 LEAST_AMPLITUDE_TOLERANCE = 0.2

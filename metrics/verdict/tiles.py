@@ -42,24 +42,26 @@ def elsewhere_excess(tiles: Tiles, references: list[Tiles]) -> float:
     return share / (limits.MISPLACED_SHARE + 2 * most)
 
 
-def breakage_excess(tiles: Tiles, references: list[Tiles]) -> Ratios:
+def breakage_excess(tiles: Tiles, references: list[Tiles], limit: float = limits.TILE_SURPRISAL) -> Ratios:
     """Return for each tile the ratio of its bad fit in its place to the limits; above 1 the tile is broken.
 
     A broken tile has too low a correlation with the periodic image, or too little of its contrast. If the tiles around
-    it have low contrast too, the cause is a blur, and the contrast is compared with theirs.
+    it have low contrast too, the cause is a blur, and the contrast is compared with theirs. ``limit`` is the surprisal
+    above which a tile is broken.
     """
     slopes = np.concatenate([other.slope for other in references])
-    slope, which = tiles.slope.copy(), np.flatnonzero(_shortfall(tiles.slope, slopes) > 1)
+    slope, which = tiles.slope.copy(), np.flatnonzero(_shortfall(tiles.slope, slopes, limit) > 1)
     around = tiles.median_around(tiles.slope, which) / max(float(np.median(slopes)), 1e-6)
     slope[which] /= np.clip(around, _LEAST_CONTRAST, 1)
     return np.maximum(
-        _shortfall(tiles.here, np.concatenate([other.here for other in references])), _shortfall(slope, slopes)
+        _shortfall(tiles.here, np.concatenate([other.here for other in references]), limit),
+        _shortfall(slope, slopes, limit),
     )
 
 
-def _shortfall(values: Ratios, usual: Ratios) -> Ratios:
+def _shortfall(values: Ratios, usual: Ratios, limit: float) -> Ratios:
     """Return the ratio of the shortfall of values from the references' values to both limits of a broken tile."""
-    surprisal = ExponentialTail.fit(-usual, overlap=_SHARED).surprisal(-values) / limits.TILE_SURPRISAL
+    surprisal = ExponentialTail.fit(-usual, overlap=_SHARED).surprisal(-values) / limit
     loss = (1 - values / max(float(np.median(usual)), 1e-6)) / (1 - limits.FIT_FLOOR)
     return np.minimum(surprisal, loss)
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
+from nrbench.plugins.forms import Shape
 
 from ..ncc.periodic import TOLERANCE
 from . import limits
@@ -225,6 +227,17 @@ class Verdict:
         if self.lack_of_power:
             return False if self.misplaced_windows.mean() > limits.GROSS_SHARE + 2 * self.reference_misplaced else None
         return False if self.faults else (self.reference.regular_share >= limits.SURE_SHARE or None)
+
+    @property
+    def doubt(self) -> str:
+        """The reason why the verdict is undecided, if it is."""
+        share = self.reference.regular_share
+        faint = f"a course that slid by 0.15 s could stay undetected at the regular share {share:.2f}"
+        return self.lack_of_power or faint
+
+    def map_to_output(self, values: NDArray[Any], shape: Shape) -> NDArray[Any]:
+        """Return values of the pixels of the measured image at the pixels of the output, which are the same here."""
+        return values
 
     @property
     def intact(self) -> bool | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import scipy.fft
@@ -15,7 +16,7 @@ from scipy.interpolate import make_interp_spline
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.unwrapping_kernels import grow
+from nrbench.tracking.unwrapping_kernels import grow, grow_by_kriging
 
 __all__ = ["MeanTile", "Track", "track_lattice"]
 
@@ -47,12 +48,30 @@ _REACH = 3.0
 """Standard deviations of a window by which the image is padded."""
 _NODES_A_TILE = 2.0
 
+_NEIGHBORS = 2
+"""Neighbors, in nodes along each axis, from which kriging predicts a node."""
+_DEPARTURE_COST = 0.006
+"""Cost, in correlation, of a departure from the prediction by one standard deviation; one by five costs 0.15."""
+_FREE_PHASE = 3.0
+"""Standard deviation, in s, of the displacement of the whole image, which is not known."""
+
 Field = NDArray[np.float64]
 """A displacement (x, y) px at each node, ``(rows, columns, 2)``, or a number at each node, ``(rows, columns)``."""
 Coefficients = NDArray[np.complex64]
 """``(K, C, rows, columns)``: K harmonics of C channels at the nodes."""
 Surfaces = NDArray[np.float32]
 """``(rows, columns, LABELS, LABELS)``: correlation of each node at displacement (i t1 + j t2) / LABELS."""
+
+
+class FieldCovariance(Protocol):
+    """The covariance of displacements along one axis."""
+
+    @property
+    def noise(self) -> float:
+        """Variance of the error of one node, px^2."""
+
+    def at(self, distances: Field) -> Field:
+        """Return the covariance at distances in px, px^2."""
 
 
 @dataclass(frozen=True)
@@ -308,7 +327,7 @@ def track_lattice(
     tile: MeanTile,
     first_width: float = _FIRST_WIDTH,
     refined_widths: tuple[float, ...] = _REFINED_WIDTHS,
-    start: Field | None = None,
+    covariance: FieldCovariance | None = None,
 ) -> Track:
     """Track a lattice through an image.
 
@@ -330,9 +349,9 @@ def track_lattice(
         Width in tiles of the windows that are unwrapped. Narrow windows follow displacements with slopes above 0.3.
     refined_widths
         Width in tiles of the windows of each refinement, none wider than the one before.
-    start
-        Displacements from which the refinements start, at the nodes of an earlier track of this image with the same
-        ``first_width``; None: the unwrapped displacements.
+    covariance
+        Covariance of the displacements, where it is known. Nodes are then predicted from their neighbors by kriging
+        while the displacements are unwrapped, which follows displacements that change much from tile to tile.
 
     Examples
     --------
@@ -346,7 +365,7 @@ def track_lattice(
     """
     planes = _centered(image) @ tile.colors
     nodes = Nodes.of(lattice, image.shape[:2], first_width)
-    field = _find_displacements(planes, nodes, tile) if start is None else start
+    field = _find_displacements(planes, nodes, tile, covariance)
     for width in refined_widths:
         nodes = nodes.narrowed(width)
         still = _straighten(planes, nodes, field)
@@ -358,12 +377,37 @@ def track_lattice(
     return Track(image, lattice, nodes, field, heights / np.sqrt(max(tile.power, _FLAT) * _energy(nodes, still)), tile)
 
 
-def _find_displacements(planes: Values, nodes: Nodes, tile: MeanTile) -> Field:
+def _find_displacements(planes: Values, nodes: Nodes, tile: MeanTile, covariance: FieldCovariance | None) -> Field:
     """Return the unwrapped displacements at the nodes."""
     product = tile.product(nodes.coefficients(planes, tile.harmonics.frequencies))
     strength = np.sqrt(max(tile.power, _FLAT) * _energy(nodes, planes))[..., np.newaxis, np.newaxis]
     surfaces = np.asarray(_surfaces(product, tile.harmonics) / strength, np.float32)
-    return _invert(nodes, _refine(product, tile.harmonics, unwrap(surfaces, tile.harmonics.lattice), _FIRST_STEPS))
+    lattice = tile.harmonics.lattice
+    wrapped = (
+        unwrap(surfaces, lattice) if covariance is None else _unwrap_by_kriging(surfaces, lattice, nodes, covariance)
+    )
+    return _invert(nodes, _refine(product, tile.harmonics, wrapped, _FIRST_STEPS))
+
+
+def _unwrap_by_kriging(surfaces: Surfaces, lattice: Lattice, nodes: Nodes, covariance: FieldCovariance) -> Field:
+    """Return the displacement of each node as :func:`unwrap` does, where the covariance of displacements is known."""
+    side = np.arange(LABELS) / LABELS
+    steps = lattice.wrap(np.stack(np.meshgrid(side, side, indexing="ij"), -1) @ lattice.matrix)
+    trust = np.maximum(surfaces.max((2, 3)), 1e-3).astype(np.float64) ** 2
+    step = [n / count for n, count in zip(nodes.padded, nodes.counts, strict=True)]
+    lags = np.arange(-2 * _NEIGHBORS, 2 * _NEIGHBORS + 1)
+    table = covariance.at(np.hypot(lags[:, np.newaxis] * step[0], lags * step[1])) + (_FREE_PHASE * lattice.s) ** 2
+    noise = covariance.noise + (lattice.s / LABELS) ** 2 / 6
+    return grow_by_kriging(
+        np.ascontiguousarray(surfaces, np.float32),
+        trust,
+        np.ascontiguousarray(steps),
+        np.ascontiguousarray(lattice.matrix),
+        np.ascontiguousarray(table),
+        float(noise),
+        _DEPARTURE_COST,
+        1,
+    )
 
 
 def unwrap(surfaces: Surfaces, lattice: Lattice) -> Field:

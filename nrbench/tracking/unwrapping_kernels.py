@@ -1,4 +1,4 @@
-"""Compiled loop of :func:`nrbench.tracking.tracker.unwrap`."""
+"""Compiled loops of :func:`nrbench.tracking.tracker.unwrap`."""
 
 from __future__ import annotations
 
@@ -80,6 +80,108 @@ def grow(
         for k in range(n):
             for m in range(n):
                 value = surfaces[y, x, (k + i) % n, (m + j) % n] - costs[k, m]
+                if value > highest:
+                    highest, u, v = value, k, m
+        for axis in range(2):
+            field[y, x, axis] = (i * matrix[0, axis] + j * matrix[1, axis]) / n + steps[u, v, axis]
+    return field
+
+
+@kernel(
+    "float64[:, :, ::1](float32[:, :, :, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[:, ::1],"
+    " float64, float64, int64)"
+)
+def grow_by_kriging(
+    surfaces: NDArray[np.float32],
+    trust: NDArray[np.float64],
+    steps: NDArray[np.float64],
+    matrix: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+    noise: float,
+    cost: float,
+    sweeps: int,
+) -> NDArray[np.float64]:
+    """Return a continuous displacement (x, y) px of each node, ``(rows, columns, 2)``.
+
+    The field grows as in :func:`grow`. Each node is predicted from its known neighbors by kriging, which continues the
+    slope of the field, and the cost of a departure depends on the variance of the prediction.
+
+    Parameters
+    ----------
+    surfaces
+        ``(rows, columns, n, n)``: correlation at displacement (i t1 + j t2) / n.
+    trust
+        ``(rows, columns)``, positive: nodes of larger trust are added first.
+    steps
+        ``(n, n, 2)``: each displacement as its shortest representative.
+    matrix
+        Rows t1 and t2.
+    covariance
+        ``(4 r + 1, 4 r + 1)``, px^2: covariance of displacements along one axis, by the lag between nodes in rows and
+        columns, from -2 r to 2 r. Neighbors up to r nodes away along each axis predict a node.
+    noise
+        Variance of the error of a node, px^2.
+    cost
+        Cost, in correlation, of a squared departure, over the variance of the prediction.
+    sweeps
+        How often every node is revised.
+    """
+    rows, columns, n = surfaces.shape[0], surfaces.shape[1], surfaces.shape[2]
+    count, reach = rows * columns, (covariance.shape[0] - 1) // 4
+    middle, most = 2 * reach, (2 * reach + 1) ** 2
+    field, state = np.zeros((rows, columns, 2)), np.zeros((rows, columns), np.int64)
+    order, front, waiting = np.zeros(count, np.int64), np.zeros(count, np.int64), 1
+    near = np.zeros((most, 2), np.int64)
+    front[0] = np.argmax(trust)
+    determinant = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
+    for turn in range(count * (1 + sweeps)):
+        if turn < count:
+            best = 0
+            for k in range(1, waiting):
+                if (
+                    trust[front[k] // columns, front[k] % columns]
+                    > trust[front[best] // columns, front[best] % columns]
+                ):
+                    best = k
+            order[turn] = front[best]
+            waiting -= 1
+            front[best] = front[waiting]
+        y, x = order[turn % count] // columns, order[turn % count] % columns
+        state[y, x] = 1
+        known = 0
+        for b in range(max(y - reach, 0), min(y + reach + 1, rows)):
+            for a in range(max(x - reach, 0), min(x + reach + 1, columns)):
+                if state[b, a] == 0 and abs(b - y) <= 1 and abs(a - x) <= 1:
+                    state[b, a] = 2
+                    front[waiting] = b * columns + a
+                    waiting += 1
+                elif state[b, a] == 1 and (a != x or b != y):
+                    near[known, 0], near[known, 1] = b, a
+                    known += 1
+        near_x, near_y, variance = 0.0, 0.0, covariance[middle, middle] + noise
+        if known > 0:
+            system, right = np.empty((known, known)), np.empty((known, 1))
+            for k in range(known):
+                right[k, 0] = covariance[near[k, 0] - y + middle, near[k, 1] - x + middle]
+                for m in range(known):
+                    system[k, m] = covariance[near[k, 0] - near[m, 0] + middle, near[k, 1] - near[m, 1] + middle]
+                system[k, k] += noise
+            weights = np.linalg.solve(system, right)
+            for k in range(known):
+                near_x += weights[k, 0] * field[near[k, 0], near[k, 1], 0]
+                near_y += weights[k, 0] * field[near[k, 0], near[k, 1], 1]
+                variance -= weights[k, 0] * right[k, 0]
+        i = int(np.rint(n * (near_x * matrix[1, 1] - near_y * matrix[1, 0]) / determinant))
+        j = int(np.rint(n * (near_y * matrix[0, 0] - near_x * matrix[0, 1]) / determinant))
+        # The label nearest to the prediction is up to half a label away from it.
+        off_x = (i * matrix[0, 0] + j * matrix[1, 0]) / n - near_x
+        off_y = (i * matrix[0, 1] + j * matrix[1, 1]) / n - near_y
+        price = cost / variance if known > 0 else 0.0
+        highest, u, v = -1e30, 0, 0
+        for k in range(n):
+            for m in range(n):
+                away = (steps[k, m, 0] + off_x) ** 2 + (steps[k, m, 1] + off_y) ** 2
+                value = surfaces[y, x, (k + i) % n, (m + j) % n] - price * away
                 if value > highest:
                     highest, u, v = value, k, m
         for axis in range(2):
