@@ -141,7 +141,7 @@ def _score(observation: Observation) -> Score:
     records = {
         "tiles": broken.tiles,
         "limit": BROKEN_SURPRISAL,
-        "places": [[float(x), float(y)] for x, y in broken.places],
+        "places": [[float(x), float(y)] for x, y in verdict.locate_in_output(broken.places)],
         "surprisals": [float(value) for value in broken.surprisals],
         "elements": [
             {"place": [float(value) for value in one.place], "sides": one.box.sides.tolist()} for one in broken.elements
@@ -151,9 +151,9 @@ def _score(observation: Observation) -> Score:
         reason = f"undecided: only {broken.detection_power:.0%} of joined tiles would be detected"
         reasons = {name: reason for name in Integrity.columns if name != "detection_power"}
         return Score(values | dict.fromkeys(reasons), reasons, records=records)
-    pictures = {"broken": draw_broken(observation.output, broken)}
+    pictures = {"broken": draw_broken(verdict.output.image, broken)}
     if len(broken.places):
-        pictures["worst"] = enlarge_worst(observation.output, broken)
+        pictures["worst"] = enlarge_worst(verdict.output.image, broken)
     return Score(values, {}, pictures, records)
 
 
@@ -304,7 +304,7 @@ def learn_references(reference: Reference, observation: Observation, noise: Poin
     """
     least_area = 0.0
     if reference.source == "sample":
-        cutters, least_area = [Cutter(observation.sample, reference.lattice)], _LEAST_AREA
+        cutters, least_area = [Cutter(*reference.straighten(observation.sample))], _LEAST_AREA
     elif observation.truth is not None and observation.truth.displacement is not None:
         cutters = [Cutter.from_measurements(one, noise) for one in reference.measurements]
     else:

@@ -123,7 +123,7 @@ def score_tiles(observation: Observation, verdict: Verdict) -> Score:
     if min(energies.reference, float(verdict.reference.periodic.variance.values.mean())) < _LEAST_VARIANCE:
         return Score.missing(columns, "not applicable: the texture hardly varies from tile to tile")
 
-    lattice, sample = verdict.reference.lattice, observation.sample
+    sample, lattice = verdict.reference.straighten(observation.sample)
     sources = [count_sources(sample, lattice, size) for size in SIZES]
     twins = find_twins(tiles.output, tiles.reference, tiles.weights, sources, energies.ratio)
     distances = measure_distances(tiles.output, tiles.fresh, tiles.weights, tiles.mean)
@@ -135,6 +135,8 @@ def score_tiles(observation: Observation, verdict: Verdict) -> Score:
         "repetition": score_repetition(narrow, len(tiles.output)),
         "distance": float(np.clip(1 - max(distances.values()), 0, 1)),
     }
+    if verdict.geometry_score is not None:
+        parts["geometry"] = verdict.geometry_score
     values: dict[str, Value] = {
         "score": min(parts.values()),
         "variation": energies.ratio,

@@ -100,7 +100,7 @@ class Regularity:
         "misplacement_median_px": _distance(_MEDIAN, "px"),
         "misplacement_p95_px": _distance(_P95, "px"),
         "misplacement_ratio": Column(
-            "Median displacement of windows over that of fresh draws, for textures of varying geometry (II, III).",
+            "Displacements over those of fresh draws: their amplitude where the geometry varies (types II, III).",
             range=(0.0, math.inf),
             better="one",
         ),
@@ -174,13 +174,12 @@ def _verdict_columns(verdict: Verdict) -> dict[str, Value]:
 def _displacement_columns(verdict: Verdict) -> dict[str, Value]:
     misplacement, s = verdict.output.windows.misplacement, verdict.reference.lattice.s
     median, p95 = (float(value) for value in np.quantile(misplacement, (0.5, 0.95)))
-    usual = verdict.usual_misplacement
     return {
         "misplacement_median": median,
         "misplacement_p95": p95,
         "misplacement_median_px": median * s,
         "misplacement_p95_px": p95 * s,
-        "misplacement_ratio": median / usual if usual > 0 else None,
+        "misplacement_ratio": verdict.misplacement_ratio,
         "pairwise_displacement": verdict.output.windows.pairwise_displacement,
         "misplaced_share": float(verdict.misplaced_windows.mean()),
         "worst_neighborhood": verdict.worst_neighborhood,
@@ -237,5 +236,6 @@ def _records(verdict: Verdict) -> dict[str, Any]:
         "misplacement_limit": verdict.limit,
         "faults": list(verdict.faults),
         "excess": verdict.excesses,
-        "bad_places": [[float(x), float(y)] for x, y in verdict.bad_places],
+        "bad_places": [[float(x), float(y)] for x, y in verdict.locate_in_output(verdict.bad_places)],
+        **verdict.describe_displacements(),
     }

@@ -240,7 +240,7 @@ class ComparedTiles:
     @classmethod
     def of(cls, observation: Observation, verdict: Verdict) -> ComparedTiles:
         """Cut all tiles of an observation."""
-        lattice, sample = verdict.reference.lattice, observation.sample
+        sample, lattice = verdict.reference.straighten(observation.sample)
         grid, model = even_grid(lattice), verdict.reference.source == "model"
         tiles = TileSet.on(sample, lattice, grid)
         output = _cut_displaced(verdict.output, verdict.references, grid)
@@ -306,7 +306,7 @@ def _cut_fresh(observation: Observation, verdict: Verdict, grid: Grid) -> tuple[
         if draw.displacement is None:
             sets.append(TileSet.on(image, verdict.reference.lattice, grid))
         else:
-            measurements = Measurements.at(image, verdict.reference.periodic)
+            measurements = Measurements.at(verdict.reference.straighten(image)[0], verdict.reference.periodic)
             sets.append(_cut_displaced(measurements, verdict.references, grid))
     return tuple(sets)
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import Tile, Values, fold
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Again, Shape, Texture
 from nrbench.tracking.tracker import MeanTile
 
@@ -119,9 +119,11 @@ class BentReference(Reference):
         assert self.bending is not None
         return self.bending
 
-    def straighten(self, image: Image) -> Image:
-        """Return the image without its smooth displacement."""
-        return self.displacements.straighten(self.displacements.track(image)).image
+    def straighten(self, image: Image) -> tuple[Image, Lattice]:
+        """Return an image without its smooth displacement, and the lattice of its tiles."""
+        straight = self.displacements.straighten(self.displacements.track(image))
+        x, y = straight.corner
+        return straight.image, self.lattice.shifted((-float(x), -float(y)))
 
 
 def bent_reference_from_model(truth: Texture, lattice: Lattice, again: Again) -> BentReference:
@@ -316,6 +318,22 @@ class BentVerdict(Verdict):
             return super().doubt
         return "a phase step of 0.25 s could stay undetected among displacements as large as those of the texture"
 
+    @property
+    def geometry_score(self) -> float:
+        """How far the displacements vary like those of fresh draws, in [0, 1]; 1 within the tolerance.
+
+        This is the smaller over the larger amplitude of output and fresh draws. An output whose displacements are
+        smaller is too regular: it has lost randomness, not regularity.
+        """
+        ratio = math.log(max(self.amplitude_ratio, 1e-6))
+        return math.exp(min(self.amplitude_tolerance - abs(ratio), 0.0))
+
+    def locate_in_output(self, points: Points) -> Points:
+        """Return the places (x, y) px in the output of places in the straightened output."""
+        height, width = self.straightened.sources.shape[:2]
+        x, y = np.clip(np.rint(points), 0, (width - 1, height - 1)).astype(np.intp).T
+        return np.asarray(self.straightened.sources[y, x] + points - np.rint(points))
+
     def map_to_output(self, values: NDArray[Any], shape: Shape) -> NDArray[Any]:
         """Return values of the pixels of the straightened output at the pixels of the output; -1 beyond it."""
         sources = np.rint(self.straightened.sources).astype(np.intp)
@@ -326,6 +344,25 @@ class BentVerdict(Verdict):
         # Pixels that no pixel of the straightened output comes from take the value of a neighbor.
         distance, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
         return np.where(distance <= _GAP, mapped[tuple(nearest)], mapped)
+
+    @property
+    def misplacement_ratio(self) -> float | None:
+        """Amplitude of the displacements over that of fresh draws."""
+        return self.amplitude_ratio
+
+    def describe_displacements(self) -> dict[str, Any]:
+        """Return the records on displacements."""
+        return {
+            "displacements": {
+                "amplitude": self.variogram.amplitude,
+                "amplitude_ratio": self.amplitude_ratio,
+                "roughness_ratio": self.roughness_ratio,
+                "tolerance": self.amplitude_tolerance,
+                "too_regular": self.too_regular,
+                "not_tracked": self.untracked_share,
+                "power_for_a_step": self.step_power,
+            }
+        }
 
     def compare_limits(self) -> dict[str, float]:
         """Return the ratio of each fault to its limit; above 1 regularity is lost."""

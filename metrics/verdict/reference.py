@@ -137,9 +137,12 @@ class Reference:
         """Return the image that is compared with the periodic image: the image itself, or its detail."""
         return _subtract_blur(image, self.detail)
 
-    def straighten(self, image: Image) -> Image:
-        """Return the image without smooth displacements if the geometry of the texture varies; else the image."""
-        return image
+    def straighten(self, image: Image) -> tuple[Image, Lattice]:
+        """Return an image without its smooth displacements, and the lattice of its tiles.
+
+        If the geometry of the texture does not vary, this is the image itself and the true lattice.
+        """
+        return image, self.lattice
 
     @cached_property
     def measurements(self) -> tuple[Measurements, ...]:

@@ -122,6 +122,16 @@ class Verdict:
         return float(np.median(np.concatenate([image.windows.misplacement for image in self.references])))
 
     @property
+    def misplacement_ratio(self) -> float | None:
+        """Median misplacement of the output's windows over that of the references'; None if theirs is zero."""
+        usual = self.usual_misplacement
+        return float(np.median(self.output.windows.misplacement)) / usual if usual > 0 else None
+
+    def describe_displacements(self) -> dict[str, Any]:
+        """Return the records on displacements, if the geometry of the texture varies; else nothing."""
+        return {}
+
+    @property
     def displaced(self) -> Flags:
         """Which tiles fit better elsewhere than chance allows."""
         return self.displacement_excess > 1
@@ -234,6 +244,15 @@ class Verdict:
         share = self.reference.regular_share
         faint = f"a course that slid by 0.15 s could stay undetected at the regular share {share:.2f}"
         return self.lack_of_power or faint
+
+    @property
+    def geometry_score(self) -> float | None:
+        """How far the displacements vary like those of fresh draws, in [0, 1]; None if the geometry does not vary."""
+        return None
+
+    def locate_in_output(self, points: Points) -> Points:
+        """Return the places (x, y) px in the output of places in the measured image, which are the same here."""
+        return points
 
     def map_to_output(self, values: NDArray[Any], shape: Shape) -> NDArray[Any]:
         """Return values of the pixels of the measured image at the pixels of the output, which are the same here."""
