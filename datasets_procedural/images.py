@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import read_image
+from nrbench.imaging.files import read_image, read_shape
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Region, Shape, Texture
 from nrbench.truth import TruthTable
@@ -26,6 +26,18 @@ ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
 """Endings of picture files."""
 _ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
 """The keys of a suite's row that are read from ``truth.json``."""
+OUTPUT_SCALE = 2
+"""Sides of an output over those of its sample, at least."""
+OUTPUT_TILES = 6
+"""Least number of tiles along each side of an output. The verdict on regularity then has 5 x 5 windows of two tiles."""
+SAMPLE_TILES = 4
+"""Least number of tiles along each side of a sample that leaves a region for the oracle. Each half of the sample then
+contains a window of two tiles, which the verdict compares with the mean tile of the other half."""
+SAMPLE_SIDE = 128
+"""Least side, px, of such a sample if the lattice is not known."""
+_LARGEST, _LARGEST_TILES = 512, 8
+"""Largest side of such a sample: in px, or in tiles if that is more. It limits the time of a run."""
+_LARGEST_OUTPUT = 16384
 
 
 @dataclass(frozen=True)
@@ -58,7 +70,8 @@ class Images:
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
         """Return a random crop of ``shape`` at a border of the picture; where the picture is smaller, all of it.
 
-        A crop at a border leaves the widest possible strip beside it, from which :meth:`again` cuts.
+        A crop at a border leaves the widest possible strip beside it, from which :meth:`again` cuts. The border is
+        drawn. If the strip beside only two of the borders has room for twice the crop, it is one of these two.
 
         Raises
         ------
@@ -68,11 +81,7 @@ class Images:
         check(min(shape) >= 1, f"shape {shape[1]}x{shape[0]} px has no pixels; give at least 1 a side")
         image = self._read()
         height, width = (min(wanted, side) for wanted, side in zip(shape, image.shape, strict=False))
-        room = np.array([image.shape[1] - width, image.shape[0] - height])
-        corner = rng.integers(room + 1)
-        side = rng.integers(2)
-        corner[side] = room[side] * rng.integers(2)
-        x0, y0 = map(int, corner)
+        x0, y0 = _region_corner(image.shape[:2], (height, width), rng)
         return self._cut(image, (x0, y0, x0 + width, y0 + height))
 
     def again(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture | None:
@@ -88,9 +97,10 @@ class Images:
 
     @staticmethod
     def directory_rows(directory: str | Path) -> list[dict[str, Any]]:
-        """Return a suite row (``name``, ``family``, ``parameters``) for each picture of a directory, sorted by name.
+        """Return a suite row (``name``, ``parameters``, sizes) for each picture of a directory, sorted by name.
 
-        No picture is opened. Hidden files and the contact sheet of ``nrbench render`` are left out.
+        The sizes of sample and output are those of :func:`plan_sizes`. No pixels are read. Hidden files and the contact
+        sheet of ``nrbench render`` are left out.
 
         The directory may have a ``truth.csv`` with generating vectors: columns ``file,t1x,t1y,t2x,t2y`` and optionally
         ``originx,originy``; others are ignored. A picture without a line, or with empty numbers, has no known lattice.
@@ -113,6 +123,7 @@ class Images:
                 "name": name,
                 "family": "picture",
                 "parameters": {"path": str(path), **truth.get(path.name, {})},
+                **_row_sizes(path, truth.get(path.name, {}), rendered.get(path.name, {})),
                 **rendered.get(path.name, {}),
             }
             for name, path in _named(pictures)
@@ -139,12 +150,87 @@ class Images:
         )
 
 
+def plan_sizes(picture: Shape, lattice: Lattice | None = None) -> tuple[Shape, Shape]:
+    """Return the shapes of the sample and of the output for a picture.
+
+    The output is :data:`OUTPUT_SCALE` times as high and as wide as the sample, and contains at least
+    :data:`OUTPUT_TILES` tiles along each side. The sample is as large as possible under the condition that the picture
+    has room for the sample and for a region of the output's shape, side by side or one above the other. If such a
+    sample would contain too few tiles, the sample is the whole picture, and there is no region for the oracle.
+
+    Parameters
+    ----------
+    picture
+        Height and width of the picture, px.
+    lattice
+        Its lattice; None if it is not known.
+
+    Returns
+    -------
+    sample, output
+        Heights and widths, px.
+
+    Examples
+    --------
+    >>> plan_sizes((512, 512))
+    ((170, 256), (340, 512))
+    >>> plan_sizes((512, 512), Lattice((64, 0), (0, 64)))
+    ((512, 512), (1024, 1024))
+    """
+    sides = np.array(picture)
+    tile = np.array(_tile_extent(lattice)) if lattice is not None else np.zeros(2)
+    least = SAMPLE_TILES * tile if lattice is not None else np.full(2, SAMPLE_SIDE)
+    wanted = np.ceil(OUTPUT_TILES * tile)
+    most = np.maximum(_LARGEST, np.ceil(_LARGEST_TILES * tile))
+    samples = []
+    for axis in (0, 1):
+        sample = np.minimum(sides // OUTPUT_SCALE, most)
+        sample[axis] = min(sides[axis] // (OUTPUT_SCALE + 1), sides[axis] - wanted[axis], most[axis])
+        if (sample >= least).all() and (wanted <= sides).all():
+            samples.append(sample)
+    sample = max(samples, key=lambda one: float((one / np.maximum(tile, 1)).min()), default=sides)
+    output = np.minimum(np.maximum(OUTPUT_SCALE * sample, wanted), _LARGEST_OUTPUT)
+    return (int(sample[0]), int(sample[1])), (int(output[0]), int(output[1]))
+
+
+def _tile_extent(lattice: Lattice) -> tuple[float, float]:
+    """Return height and width of an upright box of about the extent of one cell: sqrt(t1^2 + t2^2) along each axis."""
+    width, height = np.sqrt((lattice.canonical().matrix ** 2).sum(0))
+    return float(height), float(width)
+
+
+def _row_sizes(path: Path, truth: Mapping[str, Any], rendered: Mapping[str, Any]) -> dict[str, str]:
+    """Return the sizes in the row of a picture; none if the file is no picture, which is reported when it is drawn."""
+    lattice = Lattice(truth["t1"], truth["t2"]) if "t1" in truth else None
+    try:
+        shape = read_shape(path)
+        sample, output = plan_sizes(shape, lattice)
+    except BadInput:
+        return {}
+    if "sample" in rendered:
+        scaled = OUTPUT_SCALE * np.array(shape)
+        sample, output = shape, (int(scaled[0]), int(scaled[1]))
+    sizes = {"sample": sample, "size": output}
+    return {name: f"{width}x{height}" for name, (height, width) in sizes.items()}
+
+
 @lru_cache(maxsize=2)
 def _cached(path: Path, _written: int) -> Image:
     """Read a picture, once for all regions that are cut from it."""
     image = read_image(path)
     image.setflags(write=False)
     return image
+
+
+def _region_corner(picture: Shape, shape: Shape, rng: np.random.Generator) -> tuple[int, int]:
+    """Draw the corner (x, y) of a rectangle of ``shape`` at a border of the picture; see :meth:`Images.render`."""
+    room = np.array([picture[1] - shape[1], picture[0] - shape[0]])
+    corner = rng.integers(room + 1)
+    side, ratio = int(rng.integers(2)), room / (shape[1], shape[0])
+    if ratio[side] < OUTPUT_SCALE <= ratio[1 - side]:
+        side = 1 - side
+    corner[side] = room[side] * rng.integers(2)
+    return int(corner[0]), int(corner[1])
 
 
 def _free_corner(picture: Shape, shape: Shape, region: Region, rng: np.random.Generator) -> tuple[int, int] | None:

@@ -16,6 +16,7 @@ from nrbench.running.runner import is_cached, metrics_of
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED, RunDirectory
 from nrbench.suites.plan import Plan
+from nrbench.suites.suite import size_text
 
 
 def status_counts(run: Run) -> dict[str, int]:
@@ -106,10 +107,12 @@ def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
             "method": cell.label,
             "lattice_source": cell.lattice_source,
             "replicate": cell.replicate,
+            "sample": size_text(sample.texture.image.shape[:2]) if sample.texture else "",
+            "size": size_text(sample.shape),
             "cached": is_cached(directory, cell, metrics, retry_failed),
             "fault": cell.fault,
         }
-        for cell, _ in plan.cells
+        for cell, sample in plan.cells
     ]
     cached = sum(bool(cell["cached"]) for cell in cells)
     head = {"suite": plan.suite.name, "hash": plan.suite.hash, "out": str(root)}
@@ -120,8 +123,16 @@ def plan_lines(summary: dict[str, Any]) -> list[str]:
     """Return the summary of a plan as text, one line a texture."""
     counts = f"{summary['cached']} cells cached, {summary['new']} new"
     head = f"suite {summary['suite']} ({summary['hash']}) -> {summary['out']}: {counts}"
-    by_texture = itertools.groupby(summary["cells"], key=lambda cell: cell["texture"])
-    return [head, *(f"  {texture}: {', '.join(map(_cell_text, cells))}" for texture, cells in by_texture)]
+    by_texture = itertools.groupby(summary["cells"], key=lambda cell: (cell["texture"], _sizes_text(cell)))
+    return [
+        head,
+        *(f"  {texture}{sizes}: {', '.join(map(_cell_text, cells))}" for (texture, sizes), cells in by_texture),
+    ]
+
+
+def _sizes_text(cell: dict[str, Any]) -> str:
+    """Return the sizes of sample and output; empty if the sample could not be drawn."""
+    return f" ({cell['sample']} -> {cell['size']} px)" if cell["sample"] else ""
 
 
 def _cell_text(cell: dict[str, Any]) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import PIL.ExifTags
 import PIL.Image
 import PIL.ImageOps
 import PIL.PngImagePlugin
@@ -18,6 +19,8 @@ from nrbench.imaging.convert import MIN_SIDE, Image, as_image, to_bytes
 
 _DIRECT = {"L", "RGB", "I;16"}
 _VIA = {"1": "L", "P": "RGB", "CMYK": "RGB", "YCbCr": "RGB", "LAB": "RGB", "HSV": "RGB"}
+_TURNED = (5, 6, 7, 8)
+"""EXIF orientations that exchange height and width."""
 
 
 def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
@@ -52,6 +55,27 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
         raise BadInput(f"{where}: has too many pixels; crop it, or scale it down") from None
     except (OSError, SyntaxError, EOFError) as error:
         raise BadInput(f"{where}: cannot be read ({error}); it may be cut short: save it again as PNG") from None
+
+
+def read_shape(path: str | Path) -> tuple[int, int]:
+    """Return height and width of the picture in a file, after its EXIF rotation, without reading its pixels.
+
+    Raises
+    ------
+    BadInput
+        If there is no such file, or it is no image.
+    """
+    where = f"picture {path}"
+    _check_file(Path(path), where)
+    try:
+        with warnings.catch_warnings(action="ignore"), Path(path).open("rb") as file, PIL.Image.open(file) as opened:
+            width, height = opened.size
+            turned = opened.getexif().get(PIL.ExifTags.Base.Orientation, 1) in _TURNED
+    except PIL.Image.DecompressionBombError:
+        raise BadInput(f"{where}: has too many pixels; crop it, or scale it down") from None
+    except (OSError, SyntaxError, EOFError):
+        raise BadInput(f"{where}: is no picture that can be read; pass a PNG, JPEG or TIFF file") from None
+    return (width, height) if turned else (height, width)
 
 
 def _check_file(path: Path, where: str) -> None:

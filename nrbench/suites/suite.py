@@ -27,8 +27,7 @@ DEFAULT = "default"
 """The suite that runs if none is named. Its methods are also those of a directory of pictures."""
 
 PICTURE_SIZES = {"sample": "256x256", "size": "256x256"}
-"""Sizes for a directory of pictures. A sample shows several periods of a wall, and pictures have room for an output
-beside it."""
+"""Sizes for those pictures of a directory whose rows have none."""
 
 
 def parse_size(text: Any) -> Shape:

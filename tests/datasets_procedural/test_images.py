@@ -9,11 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nrbench.datasets_procedural.images import Images, _free_corner, read_rendered, read_truth
+from nrbench.datasets_procedural.images import (
+    Images,
+    _free_corner,
+    _region_corner,
+    plan_sizes,
+    read_rendered,
+    read_truth,
+)
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image, write_image
-from nrbench.plugins.forms import Region
+from nrbench.lattice.geometry import Lattice
+from nrbench.metrics.ncc.periodic import tile_box
+from nrbench.plugins.forms import Region, Shape
 from nrbench.suites.plan import draw_samples
 from nrbench.suites.suite import load_suite
 
@@ -162,8 +171,8 @@ def test_empty_directory(tmp_path: Path) -> None:
         Images.directory_rows(tmp_path)
 
 
-def test_listing_opens_no_picture(tmp_path: Path) -> None:
-    """A folder of 2000 files is listed without reading any; hidden files are left out; names stay unlike."""
+def test_listing_reads_no_pixels(tmp_path: Path) -> None:
+    """A folder of 2000 broken files is listed without an error; hidden files are left out; names stay unlike."""
     for i in range(1000):
         (tmp_path / f"wall{i:04d}.png").write_bytes(b"not read")
         (tmp_path / f"wall{i:04d}.JPG").touch()
@@ -181,9 +190,33 @@ def test_mixed_sizes(tmp_path: Path) -> None:
     (tmp_path / "truth.csv").write_text("file,t1x,t1y,t2x,t2y\nbig.png,10,0,0,10\n")
     drawings = {sample.row.name: sample for sample in draw_samples(load_suite(tmp_path))}
     shapes = {name: each.texture.image.shape for name, each in drawings.items() if each.texture}
-    assert shapes == {"big": (256, 200, 3), "small": (30, 40, 1), "long": (20, 256, 3)}
+    assert shapes == {"big": (100, 100, 3), "small": (30, 40, 1), "long": (20, 400, 3)}
+    outputs = {name: each.shape for name, each in drawings.items() if each.texture}
+    assert outputs == {"big": (200, 200), "small": (60, 80), "long": (40, 800)}
     assert "broken.png" in drawings["broken"].fault
     assert {name for name, each in drawings.items() if each.texture and each.texture.lattice} == {"big"}
+
+
+LATTICES = st.builds(
+    lambda a, b, shear: Lattice((a, 0.0), (shear * a, b)), st.floats(8, 200), st.floats(8, 200), st.floats(0, 0.5)
+)
+
+
+@given(st.tuples(st.integers(40, 2000), st.integers(40, 2000)), st.none() | LATTICES)
+@settings(max_examples=200, deadline=None)
+def test_sizes_of_a_folder(picture: Shape, lattice: Lattice | None) -> None:
+    """Outputs have twice the sample's sides and 6 tiles; a smaller sample than the picture leaves the oracle room."""
+    sample, output = plan_sizes(picture, lattice)
+    assert all(out >= 2 * own for out, own in zip(output, sample, strict=True))
+    if lattice is not None:
+        assert (np.array(output) >= 6 * tile_box(lattice)[::-1] - 1e-6).all()
+    if sample == picture:
+        return
+    assert (np.array(sample) >= (4 * tile_box(lattice)[::-1] if lattice else 128)).all()
+    for seed in range(4):
+        corner = _region_corner(picture, sample, np.random.default_rng(seed))
+        region = (*corner, corner[0] + sample[1], corner[1] + sample[0])
+        assert _free_corner(picture, output, region, np.random.default_rng(0)) is not None
 
 
 @pytest.mark.parametrize("shape", [(0, 10), (10, -1)])
