@@ -76,7 +76,11 @@ class Regularity:
     displaced, missing or broken.
 
     All limits are relative to fresh draws of the model. For a photograph they are relative to the sample, each part of
-    which is compared with the mean tile of the rest. See :mod:`nrbench.metrics.verdict.limits`. For a photograph the
+    which is compared with the mean tile of the rest. See :mod:`nrbench.metrics.verdict.limits`. The windows are then 2,
+    3 or 4 tiles wide: the smallest size at which the windows of the sample lie in their places. The record
+    ``resolution`` is the smallest displacement of a neighborhood, in s, that would be called lost. ``preserved`` is
+    undecided if it exceeds 0.3 s, unless most windows are misplaced or the mean tile of the output is not that of the
+    sample (record ``tile_fit``). For a photograph the
     affine part of the displacement is reported as drift. It is left out of everything else as long as the lattice of
     the output is within 2 % of the given one, which is the uncertainty of a lattice marked by hand.
 
@@ -84,7 +88,7 @@ class Regularity:
     sample; no method uses it by default. The record ``lattice_from`` names the source: model, given, or dominance.
     """
 
-    version: ClassVar[str] = "6"
+    version: ClassVar[str] = "7"
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),
         "intact": Column(
@@ -234,6 +238,9 @@ def _records(verdict: Verdict) -> dict[str, Any]:
         "phase": [float(value) for value in windows.phase],
         "windows": list(windows.grid),
         "misplacement_limit": verdict.limit,
+        "window_tiles": verdict.reference.periodic.window_tiles,
+        "resolution": verdict.resolution,
+        "tile_fit": verdict.tile_fit if verdict.reference.source == "sample" else None,
         "faults": list(verdict.faults),
         "excess": verdict.excesses,
         "bad_places": [[float(x), float(y)] for x, y in verdict.locate_in_output(verdict.bad_places)],

@@ -83,11 +83,14 @@ class Periodic:
         tile.
     variance
         Mean tile of the squared departures from the periodic image, one channel.
+    window_tiles
+        Width, in tiles, of the windows that are registered.
     """
 
     lattice: Lattice
     ideal: Callable[[Shape], Values] | Tile
     variance: Tile
+    window_tiles: float = WINDOW_TILES
 
     def image(self, shape: Shape) -> Values:
         """Return the periodic image of ``shape``, with its first pixel at (0, 0)."""
@@ -108,12 +111,12 @@ class Periodic:
         if not isinstance(self.ideal, Tile):
             raise TypeError("a periodic image that is a function cannot change its lattice; give one tile instead")
         ideal, variance = (Tile(tile.values, tile.counts, lattice) for tile in (self.ideal, self.variance))
-        return Periodic(lattice, ideal, variance)
+        return Periodic(lattice, ideal, variance, self.window_tiles)
 
     @cached_property
     def windows(self) -> Template:
-        """Template that contains every displacement of a two-tile window within one cell."""
-        window = window_shape(self.lattice, WINDOW_TILES)
+        """Template that contains every displacement of a window within one cell."""
+        window = window_shape(self.lattice, self.window_tiles)
         cell = np.ceil(np.abs(self.lattice.matrix).sum(0)).astype(int) + 2
         shape = (window[0] + int(cell[1]), window[1] + int(cell[0]))
         return Template(self.colors.project(self._patch(shape)), self.weights(shape), window)
@@ -170,7 +173,7 @@ class Periodic:
 
     @cached_property
     def cell_search(self) -> CellSearch:
-        """Search for two-tile windows within one cell of displacements about the middle of their template."""
+        """Search for the windows within one cell of displacements about the middle of their template."""
         template = self.windows
         rows, columns = (
             side - length + 1 for side, length in zip(template.weights.shape, template.window, strict=True)

@@ -77,3 +77,18 @@ AMPLITUDE_DEVIATIONS = 4.0
 """Number of standard deviations, over fresh draws, of the logarithm of amplitude and roughness."""
 LEAST_AMPLITUDE_TOLERANCE = 0.2
 """Least tolerance of these logarithms: differences of 20 % are not visible."""
+MODEL_QUANTILE, SAMPLE_QUANTILE = 0.95, 0.9
+"""Quantile of the misplacement of the references' windows that measures their scatter, with and without a model."""
+SAMPLE_MISPLACED = 0.1
+"""Share of the sample's windows that may lie more than 0.25 s from their places if the sample counts as consistent."""
+NEIGHBORHOOD_RATIO = 1.5
+"""Displacement of the worst neighborhood over that of the sample's worst, above which it is displaced."""
+UNEVEN_SHARE, UNEVEN_RATIO = 0.3, 2.0
+"""The limits :data:`MISPLACED_SHARE` and :data:`NEIGHBORHOOD_RATIO` of a sample whose windows do not lie in their
+places. Bends and shifts that are longer than the sample displace more windows of a larger region of the same texture.
+"""
+LEAST_RESOLUTION = 0.3
+"""Largest displacement, in s, of a neighborhood that may stay undetected if the verdict is *preserved*. Of a region
+that is displaced by 0.3 s people see that the lines of the pattern break; smaller steps pass as irregular work."""
+TILE_FIT = 0.5
+"""Fit of the mean tile, over that of parts of the sample, below which regularity is lost at any regular share."""

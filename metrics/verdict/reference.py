@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.detectors.dominance import Dominance
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.fold import Values, fold, tile_grid
+from nrbench.imaging.fold import Tile, Values, fold, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Again, NoLatticeFound, Observation, Shape, Texture
 
 from ..ncc.periodic import LARGE, WINDOW_TILES, Periodic, tile_box, window_shape
 from . import limits
 from .measurements import Measurements
-from .windows import displace_lattice, fit_drift, register_windows, stretch_matrix
+from .windows import RegisteredWindows, displace_lattice, fit_drift, register_windows, stretch_matrix
 
 Origin = Literal["model", "given", "dominance"]
 NO_LATTICE = "not applicable: no lattice in the truth"
@@ -40,6 +41,8 @@ _SIDES = (128, 320)
 _DETAIL = 0.2
 """Standard deviation, in s, of the blur that is subtracted to get the detail. This removes colors that differ from tile
 to tile, but not the joints."""
+_WINDOW_SIZES = (WINDOW_TILES, 3.0, 4.0)
+"""Widths of windows, in tiles, that are tried in this order."""
 _WINDOWS, _MOST = 1.5, 0.7
 """Length of a part of the sample: in windows, and at most as a share of the sample."""
 
@@ -123,6 +126,10 @@ class Reference:
         sample.
     detail
         Standard deviation, px, of the blur that is subtracted from images before they are compared; 0: no blur.
+    sample_windows
+        Without a model: windows of parts of the sample, each registered against the mean tile of the rest.
+    tile_fit
+        Without a model: the mean :func:`compare_mean_tiles` of parts of the sample with the rest.
     """
 
     source: Literal["model", "sample"]
@@ -132,6 +139,8 @@ class Reference:
     known: KnownLattice
     fit: Points = field(default_factory=lambda: np.eye(2))
     detail: float = 0.0
+    sample_windows: tuple[RegisteredWindows, ...] = ()
+    tile_fit: float = 1.0
 
     def prepare_image(self, image: Values) -> Values:
         """Return the image that is compared with the periodic image: the image itself, or its detail."""
@@ -148,6 +157,33 @@ class Reference:
     def measurements(self) -> tuple[Measurements, ...]:
         """Measurements of the reference images."""
         return tuple(Measurements.at(one.image, one.periodic, self.prepare_image(one.image)) for one in self.images)
+
+    @property
+    def windows(self) -> tuple[RegisteredWindows, ...]:
+        """Windows of the texture without defects: those of the fresh draws, or of parts of the sample."""
+        return self.sample_windows if self.source == "sample" else tuple(one.windows for one in self.measurements)
+
+    @cached_property
+    def misplacement(self) -> NDArray[np.float64]:
+        """Misplacement of all :attr:`windows`, in s."""
+        return np.concatenate([one.misplacement for one in self.windows]) if self.windows else np.zeros(0)
+
+    @cached_property
+    def scatter(self) -> float:
+        """Usual upper bound of the misplacement of the windows, in s.
+
+        It is the 95th percentile for a model. It is the 90th for a sample, whose windows are few: one of them may lock
+        onto a wrong place.
+        """
+        level = limits.SAMPLE_QUANTILE if self.source == "sample" else limits.MODEL_QUANTILE
+        return float(np.quantile(self.misplacement, level)) if len(self.misplacement) else 0.0
+
+    @property
+    def consistent(self) -> bool:
+        """Whether the windows of the sample lie in their places."""
+        beyond = self.misplacement > 2 * limits.REFERENCE_SCATTER
+        enough = len(beyond) > 0 and float(beyond.mean()) <= limits.SAMPLE_MISPLACED
+        return enough and self.scatter <= limits.REFERENCE_SCATTER
 
     @property
     def lattice(self) -> Lattice:
@@ -170,20 +206,72 @@ def make_reference(observation: Observation, known: KnownLattice) -> Reference:
     assert known.lattice is not None
     if known.origin == "model" and observation.truth is not None and observation.again is not None:
         return reference_from_model(observation.truth, known.lattice, observation.again)
-    return reference_from_sample(observation.sample, known.lattice, known.origin)
+    return reference_from_sample(observation.sample, known.lattice, known.origin, observation.output.shape[:2])
 
 
-def reference_from_sample(sample: Image, lattice: Lattice, origin: Origin = "given") -> Reference:
+def reference_from_sample(
+    sample: Image, lattice: Lattice, origin: Origin = "given", output: Shape | None = None
+) -> Reference:
     """Return the reference of a sample, or of its detail if the regular share of the sample is too small.
 
     Large differences of color between tiles dominate the variance and hide the joints, which still show the lattice to
     people.
+
+    Parameters
+    ----------
+    sample, lattice, origin
+        As in :func:`fold_reference`.
+    output
+        Shape of the output; None: windows of 2 tiles are used without a look at larger ones.
     """
-    whole = fold_reference(sample, lattice, origin)
-    if whole.regular_share >= limits.SURE_SHARE:
-        return whole
-    fine = fold_reference(sample, lattice, origin, _DETAIL * canonical_lattice(lattice).s)
-    return fine if fine.regular_share > whole.regular_share else whole
+    reference = fold_reference(sample, lattice, origin)
+    if reference.regular_share < limits.SURE_SHARE:
+        fine = fold_reference(sample, lattice, origin, _DETAIL * canonical_lattice(lattice).s)
+        reference = fine if fine.regular_share > reference.regular_share else reference
+    return _choose_windows(reference, sample, output)
+
+
+def _choose_windows(reference: Reference, sample: Image, output: Shape | None) -> Reference:
+    """Return the reference with the smallest windows of :data:`_WINDOW_SIZES` that lie in their places in the sample.
+
+    A small window of a texture with much randomness contains too little of its regular part: it fits a wrong place
+    better than its own. A window of twice the width contains four times as many pixels. Small windows are preferred
+    because they show smaller regions that are displaced.
+
+    A size is used only if the output has room for :data:`~.limits.LEAST_WINDOWS` windows along each side. If the
+    windows of no size lie in their places, the size with the smallest misplacement is used.
+    """
+    candidates = []
+    for tiles in _WINDOW_SIZES if output is not None else _WINDOW_SIZES[:1]:
+        periodic = replace(reference.periodic, window_tiles=tiles)
+        enough = (limits.LEAST_WINDOWS + 1) / 2 * np.array(window_shape(periodic.lattice, tiles))
+        if candidates and (np.array(output) < enough).any():
+            break
+        windows = _register_sample(sample, replace(reference, periodic=periodic))
+        candidate = replace(reference, periodic=periodic, sample_windows=windows)
+        if candidate.consistent:
+            return candidate
+        candidates.append(candidate)
+    return min(candidates, key=lambda one: one.scatter if one.windows else np.inf)
+
+
+def _register_sample(sample: Image, reference: Reference) -> tuple[RegisteredWindows, ...]:
+    """Register the windows of parts of the sample, each against the mean tile of the rest.
+
+    The parts are the two ends of each side that has room for a window, so that every pixel of the sample is compared.
+    The phase of all parts is known: it is that of the lattice of the sample.
+    """
+    prepared, lattice = reference.prepare_image(sample), reference.lattice
+    tiles, registered = reference.periodic.window_tiles, []
+    for axis in (0, 1):
+        window = window_shape(lattice, tiles)
+        if window[axis] > _MOST * sample.shape[axis] or window[1 - axis] > sample.shape[1 - axis]:
+            continue
+        for part in _split_sample(sample.shape[:2], lattice, axis, tiles):
+            cross_fit = _cross_fit_part(prepared, prepared, lattice, part)
+            periodic = replace(cross_fit.periodic, window_tiles=tiles)
+            registered.append(replace(register_windows(cross_fit.image, periodic), known_phase=np.zeros(2)))
+    return tuple(one for one in registered if len(one.corners))
 
 
 def _subtract_blur(image: Values, sigma: float) -> Values:
@@ -238,16 +326,59 @@ def fold_reference(sample: Image, lattice: Lattice, origin: Origin = "given", de
     if not 0 < np.linalg.norm(stretch_matrix(drift) - np.eye(2), 2) <= LATTICE_UNCERTAINTY:
         drift = np.zeros((2, 2))
     periodic = _fold_periodic(prepared, displace_lattice(known.lattice, drift, np.zeros(2)), everywhere)
-    parts = _split_sample(sample.shape[:2], periodic.lattice)
+    ratio = np.array(sample.shape[:2]) / window_shape(periodic.lattice, WINDOW_TILES)
+    axis = int(sample.shape[1] >= sample.shape[0])
+    if _MOST * ratio[axis] < 1 <= _MOST * ratio[1 - axis]:
+        axis = 1 - axis
+    parts = _split_sample(sample.shape[:2], periodic.lattice, axis)
     images = tuple(_cross_fit_part(sample, prepared, periodic.lattice, part) for part in parts)
     share = _sample_regular_share(prepared, periodic.lattice)
-    return Reference("sample", periodic, images, share, known, stretch_matrix(drift), detail)
+    crops = (_crop(prepared, part) for part in parts)
+    fits = [compare_mean_tiles(crop, one.periodic, share) for crop, one in zip(crops, images, strict=True)]
+    fit = float(np.mean(fits))
+    return Reference("sample", periodic, images, share, known, stretch_matrix(drift), detail, tile_fit=fit)
 
 
-def _split_sample(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of the two ends of the sample's longer side: halves, or longer parts if windows would not fit."""
-    axis = int(shape[1] >= shape[0])
-    length = int(np.clip(_WINDOWS * window_shape(lattice, WINDOW_TILES)[axis], shape[axis] / 2, _MOST * shape[axis]))
+def compare_mean_tiles(image: Values, periodic: Periodic, regular_share: float, drift: Points | None = None) -> float:
+    """Return how much of the periodic image an image contains as a whole: about 1 for the same texture, 0 by chance.
+
+    The image is folded by the lattice. The result is the correlation of its mean tile with that of the periodic image
+    at the best phase, times the square root of its regular share over the usual share. Content off the lattice has a
+    small regular share; another pattern has another mean tile. The result is divided by the correlation that two mean
+    tiles of the same texture have, because each contains a part of the departures: the usual share over the sum of the
+    usual share and of 1/n of the rest, for n cells.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    periodic
+        A periodic image of one tile.
+    regular_share
+        The usual regular share, that of the sample.
+    drift
+        2 x 2 matrix of an affine displacement of the image; None: no drift.
+    """
+    if not isinstance(periodic.ideal, Tile):
+        raise TypeError("the mean tile of a model is not known; give a periodic image of one tile")
+    lattice = displace_lattice(periodic.lattice, np.zeros((2, 2)) if drift is None else drift, np.zeros(2))
+    usual = periodic.ideal.values - periodic.ideal.values.mean((0, 1))
+    tile = fold(image, lattice, grid=usual.shape[:2]).values
+    tile = tile - tile.mean((0, 1))
+    spectrum = (scipy.fft.rfft2(tile, axes=(0, 1)) * np.conj(scipy.fft.rfft2(usual, axes=(0, 1)))).sum(-1)
+    energy = float(np.sqrt((tile**2).sum(dtype=np.float64) * (usual**2).sum(dtype=np.float64)))
+    correlation = float(scipy.fft.irfft2(spectrum, usual.shape[:2]).max()) / max(energy, 1e-12)
+    cells = [image.shape[0] * image.shape[1] / lattice.area, float(periodic.ideal.counts.sum()) / lattice.area]
+    share = max(regular_share, limits.NO_SHARE)
+    expected = float(np.prod([share / (share + (1 - share) / max(count, 1.0)) for count in cells])) ** 0.5
+    return correlation * float(np.sqrt(_sample_regular_share(image, lattice) / share)) / expected
+
+
+def _split_sample(
+    shape: Shape, lattice: Lattice, axis: int, tiles: float = WINDOW_TILES
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks of the two ends of one side of the sample: halves, or longer parts if windows would not fit."""
+    length = int(np.clip(_WINDOWS * window_shape(lattice, tiles)[axis], shape[axis] / 2, _MOST * shape[axis]))
     along = np.arange(shape[axis])
     along = along[np.newaxis] if axis else along[:, np.newaxis]
     first, last = (np.broadcast_to(end, shape) for end in (along < length, along >= shape[axis] - length))
@@ -256,11 +387,15 @@ def _split_sample(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.bool_], ND
 
 def _cross_fit_part(sample: Image, prepared: Values, lattice: Lattice, part: NDArray[np.bool_]) -> ReferenceImage:
     """Return one part of the sample as a reference image, with the mean tile of the rest as its periodic image."""
-    rows, columns = np.flatnonzero(part.any(1)), np.flatnonzero(part.any(0))
-    crop = sample[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     rest = _fold_periodic(prepared, lattice, ~part)
-    shifted = lattice.shifted((-float(columns[0]), -float(rows[0])))
-    return ReferenceImage(crop, rest.with_lattice(shifted))
+    shifted = lattice.shifted((-float(part.any(0).argmax()), -float(part.any(1).argmax())))
+    return ReferenceImage(_crop(sample, part), rest.with_lattice(shifted))
+
+
+def _crop(image: Values, part: NDArray[np.bool_]) -> Values:
+    """Return the rectangle of an image that a mask covers."""
+    rows, columns = np.flatnonzero(part.any(1)), np.flatnonzero(part.any(0))
+    return image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
 def _fold_periodic(sample: Values, lattice: Lattice, mask: NDArray[np.bool_]) -> Periodic:

@@ -17,7 +17,7 @@ from ..ncc.periodic import TOLERANCE
 from . import limits
 from .courses import course_gain_excess, course_slide_excess
 from .measurements import Measurements
-from .reference import Reference
+from .reference import Reference, compare_mean_tiles
 from .tiles import Tiles, breakage_excess, displacement_excess, elsewhere_excess, measure_tiles
 from .windows import OwnLattice, fit_drift, fit_own_lattice, neighborhood_excess, register_windows, scatter_excess
 
@@ -42,23 +42,26 @@ class Verdict:
         2 x 2 matrix: the affine part of the output's displacement.
     own_lattice
         The least-squares lattice of the output; None if it has too few windows.
+    tile_fit
+        Without a model: how much of the periodic image the output contains as a whole, see
+        :func:`~.reference.compare_mean_tiles`. It is 1 for a model.
     """
 
     reference: Reference
     output: Measurements
     drift: Points
     own_lattice: OwnLattice | None
+    tile_fit: float = 1.0
 
     @property
     def references(self) -> tuple[Measurements, ...]:
         """Measurements of the reference images."""
         return self.reference.measurements
 
-    @cached_property
+    @property
     def scatter(self) -> float:
-        """95th percentile of the misplacement of the windows of the references, in s."""
-        reference = np.concatenate([image.windows.misplacement for image in self.references])
-        return float(np.quantile(reference, 0.95)) if len(reference) else 0.0
+        """Usual upper bound of the misplacement of the windows of the references, in s."""
+        return self.reference.scatter
 
     @property
     def limit(self) -> float:
@@ -73,13 +76,37 @@ class Verdict:
     @cached_property
     def reference_misplaced(self) -> float:
         """Share of the references' windows that are out of place."""
-        reference = np.concatenate([image.windows.misplacement for image in self.references])
+        reference = self.reference.misplacement
         return float((reference > self.limit).mean()) if len(reference) else 1.0
+
+    @property
+    def neighborhood_limit(self) -> float:
+        """Limit of the displacement of a neighborhood, in s. Without a model it exceeds that of the sample's worst."""
+        if self.reference.source == "model":
+            return self.limit
+        usual = max((float(one.neighborhoods().max()) for one in self.reference.windows), default=0.0)
+        ratio = limits.NEIGHBORHOOD_RATIO if self.reference.consistent else limits.UNEVEN_RATIO
+        return max(self.limit, ratio * usual)
+
+    @property
+    def resolution(self) -> float | None:
+        """The smallest displacement of a neighborhood that would be called lost, in s; None if none would.
+
+        A neighborhood consists of 3 x 3 windows. Windows that lock onto wrong places hide a displacement only if they
+        are many.
+        """
+        too_few = min(self.output.windows.grid) < limits.LEAST_WINDOWS or not self.reference.windows
+        return None if too_few or self.reference_misplaced > self._most_misplaced else self.neighborhood_limit
+
+    @property
+    def _most_misplaced(self) -> float:
+        """Largest share of misplaced windows in the references with which the verdict has power."""
+        return limits.REFERENCE_MISPLACED if self.reference.source == "model" else 2 * limits.SAMPLE_MISPLACED
 
     @cached_property
     def structure(self) -> float:
         """Median NCC of the output's windows over that of the references'."""
-        reference = np.concatenate([image.windows.structure for image in self.references])
+        reference = self._reference_structure
         return float(np.median(self.output.windows.structure) / max(np.median(reference), 1e-6))
 
     @cached_property
@@ -110,7 +137,7 @@ class Verdict:
     @cached_property
     def structure_spread(self) -> float | None:
         """Interquartile range of the NCC of the windows over that of the references; None if theirs is negligible."""
-        reference = np.concatenate([image.windows.structure for image in self.references])
+        reference = self._reference_structure
         usual, spread = (
             float(np.ptp(np.quantile(some, (0.25, 0.75)))) for some in (reference, self.output.windows.structure)
         )
@@ -119,7 +146,13 @@ class Verdict:
     @property
     def usual_misplacement(self) -> float:
         """Median misplacement of the references' windows, in s."""
-        return float(np.median(np.concatenate([image.windows.misplacement for image in self.references])))
+        return float(np.median(self.reference.misplacement)) if len(self.reference.misplacement) else 0.0
+
+    @property
+    def _reference_structure(self) -> Ratios:
+        """NCC of all windows of the references."""
+        windows = self.reference.windows
+        return np.concatenate([one.structure for one in windows]) if windows else np.ones(1)
 
     @property
     def misplacement_ratio(self) -> float | None:
@@ -171,18 +204,26 @@ class Verdict:
 
     def compare_limits(self) -> dict[str, float]:
         """Return the ratio of each fault to its limit; :attr:`excesses` keeps it."""
-        most = limits.MISPLACED_SHARE + 2 * self.reference_misplaced
-        windows, references = self.output.windows, [image.windows for image in self.references]
+        uneven = self.reference.source == "sample" and not self.reference.consistent
+        most = (limits.UNEVEN_SHARE if uneven else limits.MISPLACED_SHARE) + 2 * self.reference_misplaced
+        windows, references = self.output.windows, self.reference.windows
         model = self.reference.source == "model"
-        return {
+        excesses = {
             "misplaced windows": float(self.misplaced_windows.mean()) / most,
-            "worst neighborhood": neighborhood_excess(windows, references, self.limit, model),
+            "worst neighborhood": neighborhood_excess(windows, references, self.neighborhood_limit, model),
             "bent": scatter_excess(windows, references) if model else 0.0,
             "structure": (1 - self.structure) / (1 - limits.STRUCTURE),
             "tiles elsewhere": elsewhere_excess(self.output.tiles, self._reference_tiles),
             "courses": float(self.course_excess.max(initial=0.0)),
             "single tiles": float(self.tile_excess.max(initial=0.0)),
         }
+        return excesses if model else {**excesses, "mean tile": self._mean_tile_excess}
+
+    @property
+    def _mean_tile_excess(self) -> float:
+        """Ratio of the loss of the mean tile to its limit."""
+        usual = min(self.reference.tile_fit, 1.0)
+        return (usual - self.tile_fit) / (usual * (1 - limits.TILE_FIT)) if usual > 0 else 0.0
 
     @property
     def excess(self) -> float:
@@ -193,7 +234,7 @@ class Verdict:
     def faults(self) -> tuple[str, ...]:
         """A sentence for each fault beyond its limit; empty if there is none."""
         sentences = self.describe_faults()
-        return tuple(sentences[name] for name, excess in self.excesses.items() if excess > 1)
+        return tuple(sentences[name] for name in self._decisive if self.excesses[name] > 1)
 
     def describe_faults(self) -> dict[str, str]:
         """Return a sentence for each fault, whether it is beyond its limit or not."""
@@ -205,7 +246,34 @@ class Verdict:
             "tiles elsewhere": "many tiles fit better elsewhere",
             "courses": "a course of tiles has slid",
             "single tiles": f"{len(self.bad_places)} tile(s) displaced or broken",
+            "mean tile": f"the mean tile contains {max(self.tile_fit, 0):.0%} of the sample's pattern",
         }
+
+    @property
+    def _decisive(self) -> tuple[str, ...]:
+        """The faults that count. Without a model those of tiles count only at a sufficient regular share.
+
+        The windows of the sample must also lie in their places within the tolerance, because a tile counts as in place
+        only within the tolerance.
+        """
+        names = tuple(self.excesses)
+        if self.reference.source == "model":
+            return names
+        single = ("tiles elsewhere", "courses", "single tiles")
+        even = self.reference.consistent and self.limit <= TOLERANCE
+        fine = even and self.reference.regular_share >= limits.LEAST_SHARE
+        return tuple(name for name in names if name != "mean tile" and (fine or name not in single))
+
+    @property
+    def gross(self) -> bool:
+        """Whether the output is lost although smaller faults could stay undetected.
+
+        Most windows are misplaced, or, without a model, the mean tile of the output is not that of the sample.
+        """
+        misplaced = self.misplaced_windows.mean() if len(self.misplaced_windows) else 0.0
+        if misplaced > limits.GROSS_SHARE + 2 * self.reference_misplaced:
+            return True
+        return self.reference.source == "sample" and self._mean_tile_excess > 1
 
     @cached_property
     def lack_of_power(self) -> str:
@@ -213,7 +281,12 @@ class Verdict:
         rows, columns = self.output.windows.grid
         if min(rows, columns) < limits.LEAST_WINDOWS:
             least = limits.LEAST_WINDOWS
-            return f"the output holds {columns} x {rows} windows of 2 tiles, at least {least} x {least} are needed"
+            tiles = f"{self.reference.periodic.window_tiles:g}"
+            return (
+                f"the output holds {columns} x {rows} windows of {tiles} tiles, at least {least} x {least} are needed"
+            )
+        if self.reference.source == "sample":
+            return self._lack_of_resolution
         if self.reference.regular_share < limits.LEAST_SHARE:
             return f"the regular share {self.reference.regular_share:.2f} is under {limits.LEAST_SHARE:g}"
         if self.scatter > limits.REFERENCE_SCATTER:
@@ -225,6 +298,20 @@ class Verdict:
         return ""
 
     @property
+    def _lack_of_resolution(self) -> str:
+        """The reason why, without a model, a displaced neighborhood could stay undetected; empty if it could not."""
+        if not self.reference.windows:
+            return "the sample is smaller than a window of 2 tiles"
+        if self.resolution is None:
+            return f"{self.reference_misplaced:.0%} of the windows of the sample lock onto a wrong place"
+        if self.resolution > limits.LEAST_RESOLUTION:
+            return (
+                f"a neighborhood that is displaced by less than {self.resolution:.2f} s could stay undetected, because "
+                f"windows of the sample are themselves off by up to {self.scatter:.2f} s"
+            )
+        return ""
+
+    @property
     def lattice_doubtful(self) -> bool:
         """Whether the given lattice may be wrong because the sample has too little regularity."""
         return self.reference.source == "sample" and bool(self.lack_of_power)
@@ -232,11 +319,14 @@ class Verdict:
     @property
     def preserved(self) -> bool | None:
         """The verdict: True, False, or None if no fault was found and none could have been detected."""
-        if min(self.output.windows.grid) < limits.LEAST_WINDOWS:
+        model = self.reference.source == "model"
+        if model and min(self.output.windows.grid) < limits.LEAST_WINDOWS:
             return None
         if self.lack_of_power:
-            return False if self.misplaced_windows.mean() > limits.GROSS_SHARE + 2 * self.reference_misplaced else None
-        return False if self.faults else (self.reference.regular_share >= limits.SURE_SHARE or None)
+            return False if self.gross else None
+        if self.faults:
+            return False
+        return True if not model or self.reference.regular_share >= limits.SURE_SHARE else None
 
     @property
     def doubt(self) -> str:
@@ -311,4 +401,10 @@ def compute_verdict(output: Image, reference: Reference) -> Verdict:
     aligned = windows.subtract_drift(allowed_drift)
     tiles = measure_tiles(prepared, reference.periodic, aligned.phase, allowed_drift)
     measurements = Measurements(output, prepared, reference.periodic, aligned, tiles)
-    return Verdict(reference, measurements, drift, fit_own_lattice(windows, drift))
+    fit = 1.0
+    if reference.source == "sample":
+        fit = max(
+            compare_mean_tiles(prepared, reference.periodic, reference.regular_share, one)
+            for one in (allowed_drift, np.zeros((2, 2)))
+        )
+    return Verdict(reference, measurements, drift, fit_own_lattice(windows, drift), fit)

@@ -52,6 +52,8 @@ class RegisteredWindows:
         ``(n, 2)``: (x, y) px from the ideal place to the content, modulo the lattice.
     structure
         ``(n,)``: weighted NCC of the window with the periodic image at that displacement.
+    known_phase
+        The displacement (x, y) px that the windows should have; None: the one that most of them share.
     """
 
     lattice: Lattice
@@ -60,11 +62,12 @@ class RegisteredWindows:
     corners: NDArray[np.intp]
     displacement: Points
     structure: NDArray[np.float64]
+    known_phase: Points | None = None
 
     @cached_property
     def phase(self) -> Points:
-        """The displacement (x, y) px that most windows share."""
-        return find_consensus(self.displacement, self.lattice)
+        """The displacement (x, y) px that most windows share, or the known one."""
+        return find_consensus(self.displacement, self.lattice) if self.known_phase is None else self.known_phase
 
     @cached_property
     def offsets(self) -> Points:
@@ -121,7 +124,7 @@ class RegisteredWindows:
 
 
 def register_windows(image: Image, periodic: Periodic) -> RegisteredWindows:
-    """Register windows 2 tiles wide, half a window apart, over one cell of displacements.
+    """Register windows, half a window apart, over one cell of displacements. They are 2 tiles wide unless stated.
 
     If the window at p shows the content that the periodic image has at q, its displacement is p - q. All windows are
     searched for in one patch of the periodic image that contains a whole cell of places q.
