@@ -173,7 +173,7 @@ def _fold_departures(straight: StraightenedImage, ideal: Values, lattice: Lattic
     return fold(departures.mean(-1, keepdims=True), lattice.shifted((-float(x), -float(y))))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BentVerdict(Verdict):
     """The verdict on an output of a texture whose geometry varies.
 
@@ -406,4 +406,6 @@ def compute_bent_verdict(output: Image, reference: BentReference) -> BentVerdict
     straightened = bending.straighten(bending.track(output))
     verdict = compute_verdict(straightened.image, reference)
     tests = test_field(straightened.tracked.field, bending.covariance)
-    return BentVerdict(reference, verdict.output, verdict.drift, verdict.own_lattice, straightened, tests)
+    return BentVerdict(
+        reference, verdict.output, verdict.drift, verdict.own_lattice, straightened=straightened, tests=tests
+    )
