@@ -346,18 +346,23 @@ def _learn(cutters: list[Cutter], elements: list[Element], colors: Points) -> Le
 def _discriminate(
     elements: list[Element], parts: list[WholeTiles], floor: Levels, area: float, colors: Points
 ) -> LearnedElements:
-    """Return the evidence in each part of the references by the directions learned from the other parts."""
+    """Return the evidence in each part of the references by the directions learned from the other parts.
+
+    The variances along the directions are measured on one more part of a sample, so that a slow change of the sample is
+    a variation of whole elements. Two halves of fresh draws do not differ in this way.
+    """
     samples = elements[0].box.samples
     discriminants, whole, composite = [], [], []
-    for other in parts:
-        rest = [part for part in parts if part is not other]
+    for number, held in enumerate(parts):
+        other = held if len(parts) == 2 else parts[number - 1]
+        rest = [part for part in parts if part is not held and part is not other]
         one = WholeTiles(np.concatenate([part.rows for part in rest]), np.mean([part.altered for part in rest], 0))
         discriminant = Discriminant.fit(one, other, floor, samples)
-        evidence = discriminant.evidence(other.rows)
-        level = max(float(evidence.mean()), 1e-9)
+        evidence = discriminant.evidence(held.rows)
+        level = max(float(evidence.mean()), 1e-9) if len(parts) == 2 else 1.0
         discriminants.append((discriminant, level))
         whole.append(evidence / level)
-        composite.append(discriminant.evidence(compose_tiles(other.rows, samples)) / level)
+        composite.append(discriminant.evidence(compose_tiles(held.rows, samples)) / level)
     return LearnedElements(elements, discriminants, np.concatenate(whole), np.concatenate(composite), area, colors)
 
 

@@ -26,6 +26,8 @@ _SAMPLES, _FEWEST, _MOST = 36, 3, 12
 """Number of samples of a window, and the least and largest number along each of its sides."""
 _GRID_SAMPLES, _GRID_STEP = 144, 1.5
 """Largest number of samples of a cell, and their least distance in px, where covariances are measured."""
+_ENOUGH_CELLS = 200
+"""Number of cells from which no further image is used."""
 _HIGH = 0.5
 """Correlation with the middle of an element, above the background, from which a sample belongs to the element."""
 _CHANCE = 4.0
@@ -37,8 +39,9 @@ _TRIM = 0.03
 _LEAST_ENERGY, _MOST_ELEMENTS = 0.1, 8
 """A further element explains at least this share of the energy that the first one explains; largest number of elements
 in a cell."""
-_COLOR_GRID, _LEAST_COLOR = (6, 6), 0.003
-"""Samples of a cell from which the axes of color are found, and the least share of the variance along an axis."""
+_COLOR_GRID, _COLOR_IMAGES, _LEAST_COLOR = (6, 6), 2, 0.003
+"""Samples of a cell, and number of images, from which the axes of color are found; least share of the variance along an
+axis."""
 _ALIKE = 1.3
 """Boxes whose sides differ by less than this factor have one shape."""
 
@@ -248,7 +251,7 @@ def find_color_axes(cutters: list[Cutter]) -> Points:
     Axes with less than a small share of the variance are left out, so that a gray texture has one.
     """
     covariance = 0.0
-    for cutter in cutters:
+    for cutter in cutters[:_COLOR_IMAGES]:
         _, values = cutter.cut_cells(_COLOR_GRID)
         departures = (values - values.mean(0)).reshape(-1, values.shape[-1]) if len(values) else values.reshape(-1, 1)
         if len(departures):
@@ -325,7 +328,10 @@ class _CellCovariance:
         """Measure the covariances over all cells of some images."""
         lattice = cutters[0].lattice
         grid = _cell_grid(lattice)
-        cells = [cutter.cut_cells(grid) for cutter in cutters]
+        cells: list[tuple[NDArray[np.int64], Values]] = []
+        for cutter in cutters:
+            if sum(len(numbers) for numbers, _ in cells) < _ENOUGH_CELLS:
+                cells.append(cutter.cut_cells(grid))
         mean = np.concatenate([values for _, values in cells]).mean(0)
         samples = grid[0] * grid[1]
         sums, counts = np.zeros((3, 3, samples, samples)), np.zeros((3, 3))
