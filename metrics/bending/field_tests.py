@@ -28,7 +28,7 @@ _PATCHES = (2, 3)
 """Sides, in nodes, of the patches that may be displaced as a whole."""
 _OUTLYING, _TIMES_MEDIAN, _MOST_OUTLIERS = 8.0, 6.0, 0.1
 """A node is an outlier if its log-likelihood ratio exceeds both the first number and the second one times the median.
-At most the third share of the nodes, the worst, are dropped: the tracker locks onto wrong places at a few nodes."""
+At most the third share of the nodes is dropped: the tracker locks onto wrong places at a few nodes."""
 _FREE = 10.0
 """Standard deviation, in s, of the phase of the field. It is free, so any large number serves."""
 

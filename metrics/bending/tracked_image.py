@@ -28,6 +28,9 @@ _CORRELATION = 0.75
 _STEEPEST = 0.75
 """Largest slope between neighboring nodes that belong together."""
 _ROUNDS = 2
+"""Number of times that the references are tracked again in this case."""
+_COSTS = (0.006, 0.002)
+"""Costs of departures from the prediction that are tried in this case. The track that fits best is kept."""
 _LARGE = 0.16
 """Standard deviation of displacements, in s, above which their covariance is used while they are unwrapped."""
 _BORDER = 1.0
@@ -123,8 +126,18 @@ def track_image(image: Image, lattice: Lattice, tile: MeanTile, level: float, co
 
 
 def _track(image: Image, lattice: Lattice, tile: MeanTile, covariance: Covariance | None) -> Track:
-    known = covariance.scaled(lattice.s) if covariance is not None else None
-    return track_lattice(image, lattice, tile, _WIDTH, (_WIDTH,) * _REFINEMENTS, known)
+    refined = (_WIDTH,) * _REFINEMENTS
+    if covariance is None:
+        return track_lattice(image, lattice, tile, _WIDTH, refined)
+    known = covariance.scaled(lattice.s)
+    tracks = [track_lattice(image, lattice, tile, _WIDTH, refined, known, cost) for cost in _COSTS]
+    return max(tracks, key=_fit)
+
+
+def _fit(track: Track) -> float:
+    """Return the mean correlation of the nodes inside the image."""
+    inside = TrackedImage(track, -1.0).inside
+    return float(track.correlation[inside].mean()) if inside.any() else -1.0
 
 
 def join_groups(tracked: TrackedImage, covariance: Covariance | None) -> TrackedImage:

@@ -33,7 +33,7 @@ _TILES_A_SIDE = 12
 """Number of tiles along each side of a fresh draw, from which the covariance of the displacements is estimated."""
 _SIDES = (128, 320)
 """Smallest and largest side of a fresh draw, px."""
-_TAIL, _LINE_OVERLAP, _PATCH_OVERLAP = 0.9, 12.0, 4.0
+_TAIL, _LINE_OVERLAP, _PATCH_OVERLAP = 0.9, 6.0, 4.0
 """Quantile of the statistics of fresh draws where their tail begins, and number of overlapping tests that count as one:
 lines in many directions divide the same nodes."""
 _GAP = 3.0
@@ -246,15 +246,16 @@ class BentVerdict(Verdict):
     def displacement_excess(self) -> NDArray[np.float64]:
         """For each tile, the ratio of its better fit elsewhere to the limits; above 1 the tile is displaced.
 
-        Where the texture is strained, tiles fit worse, and several neighbors at once. Therefore the limit is that of
-        faint textures, whatever the regular share is.
+        Where the texture is strained, tiles fit worse, and several neighbors at once. Therefore the limit is higher
+        than on textures of constant geometry.
         """
-        return displacement_excess(self.output.tiles, self._reference_tiles, 0.0)
+        excess = displacement_excess(self.output.tiles, self._reference_tiles, 0.0)
+        return excess * (limits.FAINT_TILE_SURPRISAL / limits.BENT_TILE_SURPRISAL)
 
     @cached_property
     def breakage_excess(self) -> NDArray[np.float64]:
         """For each tile, the ratio of its bad fit in its place to the limits; above 1 the tile is broken."""
-        return breakage_excess(self.output.tiles, self._reference_tiles, limits.FAINT_TILE_SURPRISAL)
+        return breakage_excess(self.output.tiles, self._reference_tiles, limits.BENT_TILE_SURPRISAL)
 
     @cached_property
     def in_displaced_region(self) -> NDArray[np.bool_]:
@@ -368,8 +369,9 @@ class BentVerdict(Verdict):
         """Return the ratio of each fault to its limit; above 1 regularity is lost."""
         usual = max(1 - one.reliable_share for one in self.bending.references)
         tolerance = self.amplitude_tolerance
+        usual_faults = super().compare_limits()
         return {
-            **super().compare_limits(),
+            **{name: excess * limits.BENT_FACTORS.get(name, 1.0) for name, excess in usual_faults.items()},
             "phase step": float(self.line_excess.max(initial=0.0)),
             "patch": float(self.patch_excess.max(initial=0.0)),
             "not tracked": self.untracked_share / (limits.MISPLACED_SHARE + 2 * usual),

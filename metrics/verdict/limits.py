@@ -64,7 +64,7 @@ LEAST_SPREAD = 1e-3
 """Interquartile range of the references' NCC below which the ranges are not compared: the windows are nearly equal."""
 FIELD_SURPRISAL = 8.0
 """Surprisal above which the displacement field of a bent texture has a phase step or a displaced patch."""
-PHASE_STEP = 0.14
+PHASE_STEP = 0.16
 """Least phase step, in s, of a bent texture."""
 DISPLACED_PATCH = 0.25
 """Least displacement, in s, of a patch of up to 3 x 3 tiles of a bent texture."""
@@ -75,8 +75,14 @@ BENT_REFERENCE_MISPLACED = 0.1
 """Share of misplaced windows in straightened references above which the verdict on a bent texture has no power."""
 AMPLITUDE_DEVIATIONS = 4.0
 """Number of standard deviations, over fresh draws, of the logarithm of amplitude and roughness."""
-LEAST_AMPLITUDE_TOLERANCE = 0.2
-"""Least tolerance of these logarithms: differences of 20 % are not visible."""
+LEAST_AMPLITUDE_TOLERANCE = 0.35
+"""Least tolerance of these logarithms. Elements that are longer than a tile move together, so that the amplitudes of
+fresh draws scatter more than independent displacements would."""
+BENT_TILE_SURPRISAL = 30.0
+"""Surprisal above which one tile of a bent texture is bad."""
+BENT_FACTORS = {"courses": 0.5, "bent": 0.65}
+"""Factors of the ratios of some faults to their limits on bent textures. Straightening leaves errors where the texture
+is strained, which depend on the draw."""
 MODEL_QUANTILE, SAMPLE_QUANTILE = 0.95, 0.9
 """Quantile of the misplacement of the references' windows that measures their scatter, with and without a model."""
 SAMPLE_MISPLACED = 0.1

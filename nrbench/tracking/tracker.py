@@ -328,6 +328,7 @@ def track_lattice(
     first_width: float = _FIRST_WIDTH,
     refined_widths: tuple[float, ...] = _REFINED_WIDTHS,
     covariance: FieldCovariance | None = None,
+    departure_cost: float = _DEPARTURE_COST,
 ) -> Track:
     """Track a lattice through an image.
 
@@ -352,6 +353,8 @@ def track_lattice(
     covariance
         Covariance of the displacements, where it is known. Nodes are then predicted from their neighbors by kriging
         while the displacements are unwrapped, which follows displacements that change much from tile to tile.
+    departure_cost
+        Cost, in correlation, of a departure from that prediction by one standard deviation.
 
     Examples
     --------
@@ -365,7 +368,7 @@ def track_lattice(
     """
     planes = _centered(image) @ tile.colors
     nodes = Nodes.of(lattice, image.shape[:2], first_width)
-    field = _find_displacements(planes, nodes, tile, covariance)
+    field = _find_displacements(planes, nodes, tile, covariance, departure_cost)
     for width in refined_widths:
         nodes = nodes.narrowed(width)
         still = _straighten(planes, nodes, field)
@@ -377,19 +380,25 @@ def track_lattice(
     return Track(image, lattice, nodes, field, heights / np.sqrt(max(tile.power, _FLAT) * _energy(nodes, still)), tile)
 
 
-def _find_displacements(planes: Values, nodes: Nodes, tile: MeanTile, covariance: FieldCovariance | None) -> Field:
+def _find_displacements(
+    planes: Values, nodes: Nodes, tile: MeanTile, covariance: FieldCovariance | None, departure_cost: float
+) -> Field:
     """Return the unwrapped displacements at the nodes."""
     product = tile.product(nodes.coefficients(planes, tile.harmonics.frequencies))
     strength = np.sqrt(max(tile.power, _FLAT) * _energy(nodes, planes))[..., np.newaxis, np.newaxis]
     surfaces = np.asarray(_surfaces(product, tile.harmonics) / strength, np.float32)
     lattice = tile.harmonics.lattice
     wrapped = (
-        unwrap(surfaces, lattice) if covariance is None else _unwrap_by_kriging(surfaces, lattice, nodes, covariance)
+        unwrap(surfaces, lattice)
+        if covariance is None
+        else _unwrap_by_kriging(surfaces, lattice, nodes, covariance, departure_cost)
     )
     return _invert(nodes, _refine(product, tile.harmonics, wrapped, _FIRST_STEPS))
 
 
-def _unwrap_by_kriging(surfaces: Surfaces, lattice: Lattice, nodes: Nodes, covariance: FieldCovariance) -> Field:
+def _unwrap_by_kriging(
+    surfaces: Surfaces, lattice: Lattice, nodes: Nodes, covariance: FieldCovariance, departure_cost: float
+) -> Field:
     """Return the displacement of each node as :func:`unwrap` does, where the covariance of displacements is known."""
     side = np.arange(LABELS) / LABELS
     steps = lattice.wrap(np.stack(np.meshgrid(side, side, indexing="ij"), -1) @ lattice.matrix)
@@ -405,7 +414,7 @@ def _unwrap_by_kriging(surfaces: Surfaces, lattice: Lattice, nodes: Nodes, covar
         np.ascontiguousarray(lattice.matrix),
         np.ascontiguousarray(table),
         float(noise),
-        _DEPARTURE_COST,
+        departure_cost,
         1,
     )
 
