@@ -88,7 +88,8 @@ MODEL_QUANTILE, SAMPLE_QUANTILE = 0.95, 0.9
 SAMPLE_MISPLACED = 0.1
 """Share of the sample's windows that may lie more than 0.25 s from their places if the sample counts as consistent."""
 NEIGHBORHOOD_RATIO = 1.5
-"""Displacement of the worst neighborhood over that of the sample's worst, above which it is displaced."""
+"""Displacement of the worst neighborhood over the 90th percentile of those of the sample, above which it is displaced.
+"""
 UNEVEN_SHARE, UNEVEN_RATIO = 0.3, 2.0
 """The limits :data:`MISPLACED_SHARE` and :data:`NEIGHBORHOOD_RATIO` of a sample whose windows do not lie in their
 places. Bends and shifts that are longer than the sample displace more windows of a larger region of the same texture.

@@ -81,10 +81,15 @@ class Verdict:
 
     @property
     def neighborhood_limit(self) -> float:
-        """Limit of the displacement of a neighborhood, in s. Without a model it exceeds that of the sample's worst."""
-        if self.reference.source == "model":
+        """Limit of the displacement of a neighborhood, in s. Without a model it exceeds what the sample shows.
+
+        A quantile is taken instead of the largest displacement, because a part of the sample may contain so few windows
+        that one of them is the median of a neighborhood.
+        """
+        if self.reference.source == "model" or not self.reference.windows:
             return self.limit
-        usual = max((float(one.neighborhoods().max()) for one in self.reference.windows), default=0.0)
+        displacement = np.concatenate([one.neighborhoods() for one in self.reference.windows])
+        usual = float(np.quantile(displacement, limits.SAMPLE_QUANTILE))
         ratio = limits.NEIGHBORHOOD_RATIO if self.reference.consistent else limits.UNEVEN_RATIO
         return max(self.limit, ratio * usual)
 
