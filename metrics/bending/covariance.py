@@ -153,7 +153,7 @@ class Covariance:
         """Return the covariance of the field without errors at places ``(n, 2)`` and others ``(m, 2)``, in s."""
         apart = np.hypot(*np.moveaxis(places[:, np.newaxis] - others[np.newaxis], -1, 0))
         table = np.arange(0, float(apart.max(initial=0.0)) + 2 * _STEP, _STEP)
-        return np.interp(apart, table, j0(table[:, np.newaxis] * _wave_numbers()) @ self.weights)
+        return np.asarray(np.interp(apart, table, j0(table[:, np.newaxis] * _wave_numbers()) @ self.weights))
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,7 @@ def _half_planes(places: Points) -> Flags:
 def _patches(at: NDArray[np.int64]) -> Flags:
     """Return the nodes of patches around each node, ``(m, n)``; ``at`` holds the row and column of each node."""
     apart = at[np.newaxis] - at[:, np.newaxis]
-    sets = [((apart >= 0) & (apart < side)).all(-1) for side in _PATCHES]
+    sets = [np.asarray(((apart >= 0) & (apart < side)).all(-1)) for side in _PATCHES]
     # Patches of which more than a third is missing are left out.
     return np.concatenate([one[one.sum(1) >= 2 / 3 * side**2] for one, side in zip(sets, _PATCHES, strict=True)])
 

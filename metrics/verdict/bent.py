@@ -409,5 +409,10 @@ def compute_bent_verdict(output: Image, reference: BentReference) -> BentVerdict
     verdict = compute_verdict(straightened.image, reference)
     tests = test_field(straightened.tracked.field, bending.covariance)
     return BentVerdict(
-        reference, verdict.output, verdict.drift, verdict.own_lattice, straightened=straightened, tests=tests
+        reference=reference,
+        output=verdict.output,
+        drift=verdict.drift,
+        own_lattice=verdict.own_lattice,
+        straightened=straightened,
+        tests=tests,
     )

@@ -53,8 +53,11 @@ class Examination:
         if isinstance(self.reference, str):
             return self.reference
         output, reference = self.observation.output, self.reference
-        bent = isinstance(reference, BentReference)
-        verdict = compute_bent_verdict(output, reference) if bent else compute_verdict(output, reference)
+        verdict = (
+            compute_bent_verdict(output, reference)
+            if isinstance(reference, BentReference)
+            else compute_verdict(output, reference)
+        )
         return verdict.obstacle or verdict
 
     def _find_small_picture(self) -> str:

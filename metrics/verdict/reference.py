@@ -241,7 +241,7 @@ def _choose_windows(reference: Reference, sample: Image, output: Shape | None) -
     A size is used only if the output has room for :data:`~.limits.LEAST_WINDOWS` windows along each side. If the
     windows of no size lie in their places, the size with the smallest misplacement is used.
     """
-    candidates = []
+    candidates: list[Reference] = []
     for tiles in _WINDOW_SIZES if output is not None else _WINDOW_SIZES[:1]:
         periodic = replace(reference.periodic, window_tiles=tiles)
         enough = (limits.LEAST_WINDOWS + 1) / 2 * np.array(window_shape(periodic.lattice, tiles))
@@ -371,7 +371,7 @@ def compare_mean_tiles(image: Values, periodic: Periodic, regular_share: float, 
     cells = [image.shape[0] * image.shape[1] / lattice.area, float(periodic.ideal.counts.sum()) / lattice.area]
     share = max(regular_share, limits.NO_SHARE)
     expected = float(np.prod([share / (share + (1 - share) / max(count, 1.0)) for count in cells])) ** 0.5
-    return correlation * float(np.sqrt(_sample_regular_share(image, lattice) / share)) / expected
+    return float(correlation * np.sqrt(_sample_regular_share(image, lattice) / share) / expected)
 
 
 def _split_sample(

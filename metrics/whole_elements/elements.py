@@ -250,13 +250,14 @@ def find_color_axes(cutters: list[Cutter]) -> Points:
 
     Axes with less than a small share of the variance are left out, so that a gray texture has one.
     """
-    covariance = 0.0
+    covariance: NDArray[np.float64] | None = None
     for cutter in cutters[:_COLOR_IMAGES]:
         _, values = cutter.cut_cells(_COLOR_GRID)
         departures = (values - values.mean(0)).reshape(-1, values.shape[-1]) if len(values) else values.reshape(-1, 1)
         if len(departures):
-            covariance = covariance + departures.T.astype(np.float64) @ departures
-    if isinstance(covariance, float):
+            own = departures.T.astype(np.float64) @ departures
+            covariance = own if covariance is None else covariance + own
+    if covariance is None:
         return np.eye(1)
     variances, axes = np.linalg.eigh(covariance)
     return np.asarray(axes[:, variances >= _LEAST_COLOR * max(float(variances.sum()), 1e-12)])
