@@ -16,7 +16,7 @@ from nrbench.imaging.convert import Image, gray, quantize
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Column, Observation, Score
 
-from .residual_tiles.tiles import draw_fresh, offset_noise
+from .residual_tiles.tiles import draw_fresh, measure_fresh, offset_noise
 from .verdict.examination import examine
 from .verdict.exponential_tail import ExponentialTail
 from .verdict.reference import Reference
@@ -306,7 +306,7 @@ def learn_references(reference: Reference, observation: Observation, noise: Poin
     if reference.source == "sample":
         cutters, least_area = [Cutter(*reference.straighten(observation.sample))], _LEAST_AREA
     elif observation.truth is not None and observation.truth.displacement is not None:
-        cutters = [Cutter.from_measurements(one, noise) for one in reference.measurements]
+        cutters = [Cutter.from_measurements(one, noise) for one in observation.shared(measure_fresh)]
     else:
         draws = observation.shared(draw_fresh)
         cutters = [Cutter(quantize(draw.image), reference.lattice) for draw in draws]

@@ -16,6 +16,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Observation, Shape, Texture
 
 from ..ncc.periodic import TOLERANCE
+from ..verdict.examination import examine
 from ..verdict.measurements import Measurements
 from ..verdict.reference import FIRST_DRAW
 from ..verdict.verdict import Verdict
@@ -298,17 +299,21 @@ def draw_fresh(observation: Observation) -> tuple[Texture, ...]:
     return tuple(draw for draw in draws if draw is not None)
 
 
+def measure_fresh(observation: Observation) -> tuple[Measurements, ...]:
+    """Return the measurements of :func:`draw_fresh` whose content is displaced. Metrics share them."""
+    reference = examine(observation).reference
+    assert not isinstance(reference, str)
+    draws = observation.shared(draw_fresh)
+    return tuple(Measurements.at(reference.straighten(quantize(one.image))[0], reference.periodic) for one in draws)
+
+
 def _cut_fresh(observation: Observation, verdict: Verdict, grid: Grid) -> tuple[TileSet, ...]:
     """Cut fresh draws of the output's size: on the lattice, or displaced if the model displaces its content."""
-    sets = []
-    for draw in observation.shared(draw_fresh):
-        image = quantize(draw.image)
-        if draw.displacement is None:
-            sets.append(TileSet.on(image, verdict.reference.lattice, grid))
-        else:
-            measurements = Measurements.at(verdict.reference.straighten(image)[0], verdict.reference.periodic)
-            sets.append(_cut_displaced(measurements, verdict.references, grid))
-    return tuple(sets)
+    draws = observation.shared(draw_fresh)
+    if any(draw.displacement is not None for draw in draws):
+        measured = observation.shared(measure_fresh)
+        return tuple(_cut_displaced(measurements, verdict.references, grid) for measurements in measured)
+    return tuple(TileSet.on(quantize(draw.image), verdict.reference.lattice, grid) for draw in draws)
 
 
 def _cut_halves(sample: Image, tiles: TileSet) -> tuple[TileSet, TileSet]:
