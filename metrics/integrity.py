@@ -1,4 +1,4 @@
-"""Integrity: share of tiles that are whole, not joined of parts that do not belong together."""
+"""Integrity: share of elements that are whole, not joined of parts that do not belong together."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ _FRESH, _ALARMS = 0.95, 0.002
 _RATES = tuple(0.09 * 2.0**-k for k in range(15))
 """Shares of whole elements beyond the limits that are tried."""
 BROKEN_SURPRISAL = 8.0
-"""Surprisal above which a tile is broken: see ``benchmarks/validation.py alarms``."""
+"""Surprisal above which an element is surely broken: see ``benchmarks/validation.py alarms``."""
 LEAST_POWER = 0.1
-"""Detection power below which broken tiles are not counted."""
+"""Detection power below which elements are not judged."""
 
 _LEAST_WINDOWS, _LEAST_REFERENCES, _LEAST_OF_ELEMENT = 12, 6, 4
 """Least number of windows of one shape in the output and in each part of the references; least number in an image of
@@ -52,7 +52,7 @@ _ALTERATIONS, _ENOUGH_POWER = ((1.0, 1.0), (0.0, 1.0), (0.0, 0.05)), 0.5
 this detection power. In a gray texture a step of light cannot be distinguished from an element of two tones, and in an
 element of a few pixels the border of a blurred region cannot."""
 _MOST_REFERENCES, _MOST_ALTERED_PARTS = 400, 2
-"""Largest number of windows in each half of the references, and of groups of windows that are altered."""
+"""Largest number of windows in each part of the references, and of groups of windows that are altered."""
 _TAIL = 0.9
 """Quantile above which the evidence of whole tiles has an exponential tail."""
 _ALIGNMENT = 0.4
@@ -75,52 +75,71 @@ _WORST, _SIDE, _GAP = 8, 96, 4
 
 @dataclass(frozen=True)
 class Integrity:
-    """Share of broken tiles: tiles that are joined of parts that do not belong together.
+    """Share of whole elements: elements that are not joined of parts that do not belong together.
 
     A brick has one color. A method that cuts and blends inside bricks makes two-tone bricks. These lie in their places,
-    so regularity does not detect them. Windows of one cell are cut around the elements, at the displacements that the
-    output shows, and their mean is subtracted. The variation of whole tiles is learned from fresh draws, and that of
-    composite tiles from tiles of fresh draws that are joined along straight cuts. Directions along which only composite
-    tiles vary provide the evidence (:class:`~.whole_elements.composite_tiles.Discriminant`); each half of the fresh
-    draws is measured by directions learned from the other half. A tile is broken if its evidence exceeds chance, given
-    the number of tiles (:class:`~.verdict.exponential_tail.ExponentialTail`). ``evidence_p90`` describes the tail and
-    not the median, because most tiles of a copier are whole copies.
+    so regularity does not detect them. A window has the extent of an element: a brick, or a thread with its pieces on
+    both sides of a crossing (:func:`~.whole_elements.elements.find_elements`). A cell can hold several elements. The
+    windows are cut around all elements in place, at the displacements that the output shows, and their mean is
+    subtracted. The variation of whole elements is learned from fresh draws, and that of composite elements from
+    elements of fresh draws that are joined along straight cuts. Directions along which only composite elements vary
+    provide the evidence (:class:`~.whole_elements.composite_tiles.Discriminant`). Each half of the fresh draws is
+    measured by directions learned from the other half.
 
-    The effects of blur, uneven light and smooth bending on whole tiles are no evidence
-    (:func:`~.whole_elements.composite_tiles.alteration_moments`). Tiles without contrast after a strong blur, and their
-    neighbors, are left out. These are faults of appearance and of regularity. A warp of more than 0.15 s deforms tiles
-    and may break some; so may a seam that clips values.
+    *Score.* Of composite elements a share p has evidence above a limit, and of whole elements at most a share q. If a
+    share b of the output's elements is broken, the share of elements above the limit is ``c = b p + (1 - b) q``. The
+    score is ``1 - b = 1 - (c - q) / (p - q)``, between 0 and 1. It corrects for broken elements that the test misses
+    and for whole ones that it counts. The limit is the one with the largest ``p - q``, which is ``detection_power``. q
+    is the share of fresh elements above the limit. It is larger for few elements, so that a fresh draw scores less than
+    0.95 with a probability of about 0.002 only. Elements whose power is below 0.1 are not judged: their parts have no
+    tone of their own, or too few are known.
 
-    The scores do not depend on the lattice's origin: the windows are placed where most of a window covaries with its
-    middle, and once more half a cell aside along both vectors. Tiles that regularity detects as displaced
-    are left out, because they lie over other elements. For a photograph the sample replaces the fresh draws.
+    *Broken tiles.* ``broken_share`` and ``broken_tiles`` count only elements whose evidence exceeds chance for each
+    element alone, given their number (:class:`~.verdict.exponential_tail.ExponentialTail`). The pictures show them. An
+    element that consists of several pieces, such as a thread, is counted once in every cell, so a joint breaks all
+    windows that contain it. ``evidence_p90`` describes the tail and not the median, because most elements of a copier
+    are whole copies.
+
+    The effects of blur, uneven light and smooth bending on whole elements are no evidence
+    (:func:`~.whole_elements.composite_tiles.alteration_moments`,
+    :func:`~.whole_elements.composite_tiles.light_moments`), unless this leaves too little power: in a gray texture a
+    step of light looks like an element of two tones. Tiles without contrast after a strong blur, and their neighbors,
+    are left out. These are faults of appearance and of regularity. A warp of more than 0.15 s deforms elements and may
+    break some; so may a seam that clips values.
+
+    The scores do not depend on the lattice's origin. Elements that regularity detects as displaced are left out,
+    because they lie over other elements. For a photograph the sample replaces the fresh draws. It is divided into four
+    parts: directions are learned from two, the variances along them from a third, and the fourth is measured.
     """
 
-    version: ClassVar[str] = "5"
+    version: ClassVar[str] = "6"
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
-            "Share of elements that are whole, corrected for missed ones: 1 as in fresh draws, 0 no element whole.",
+            "1 = elements as whole as in fresh draws, 0 = no element whole; corrected for those that are missed.",
             better="higher",
         ),
         "broken_share": Column(
-            "Share of the tiles in place that are joined of parts that do not belong together.", better="lower"
+            "Share of the elements in place that are surely joined of parts that do not belong together.",
+            better="lower",
         ),
         "broken_tiles": Column(
-            "Number of tiles in place that are joined of parts that do not belong together.",
+            "Number of elements in place that are surely joined of parts that do not belong together.",
             "tiles",
             (0.0, math.inf),
             "lower",
         ),
         "evidence_p90": Column(
-            "90th percentile of the tiles' evidence of being joined, over that of fresh draws.",
+            "90th percentile of the elements' evidence of being joined, over that of fresh draws.",
             range=(0.0, math.inf),
             better="lower",
         ),
-        "detection_power": Column("Share of fresh tiles, joined along straight cuts, that would be counted as broken."),
+        "detection_power": Column(
+            "Share of fresh elements, joined along straight cuts, that the score would count beyond chance."
+        ),
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return the scores, and two pictures: ``broken`` shows all broken tiles, ``worst`` enlarges the worst ones."""
+        """Return the scores, and pictures of all broken elements (``broken``) and of the worst ones (``worst``)."""
         return observation.shared(_score)
 
 
@@ -148,7 +167,7 @@ def _score(observation: Observation) -> Score:
         ],
     }
     if broken.detection_power < LEAST_POWER:
-        reason = f"undecided: only {broken.detection_power:.0%} of joined tiles would be detected"
+        reason = f"undecided: only {broken.detection_power:.0%} of joined elements would be detected"
         reasons = {name: reason for name in Integrity.columns if name != "detection_power"}
         return Score(values | dict.fromkeys(reasons), reasons, records=records)
     pictures = {"broken": draw_broken(verdict.output.image, broken)}
