@@ -84,6 +84,11 @@ class Regularity:
     affine part of the displacement is reported as drift. It is left out of everything else as long as the lattice of
     the output is within 2 % of the given one, which is the uncertainty of a lattice marked by hand.
 
+    If a model displaces its content (types II and III), the lattice is tracked through output and fresh draws, and the
+    smooth part of the displacements is removed before the windows are compared. The displacements themselves are tested
+    for phase steps along lines, for displaced patches, and for their amplitude and roughness beside fresh draws. See
+    :class:`~nrbench.metrics.verdict.bent.BentVerdict`.
+
     Without a model the given lattice is used. If none is given, the detector ``dominance`` finds the lattice of the
     sample; no method uses it by default. The record ``lattice_from`` names the source: model, given, or dominance.
     """

@@ -75,7 +75,7 @@ class FieldTests:
     patches: Faults
 
 
-def test_field(field: SampledField, covariance: Covariance) -> FieldTests:
+def measure_faults(field: SampledField, covariance: Covariance) -> FieldTests:
     """Test a field for steps along lines, in blocks that overlap by half, and for displaced patches.
 
     The displacements of a block are normal with the given covariance and any mean. A fault adds a constant vector to

@@ -20,7 +20,7 @@ from nrbench.plugins.forms import Again, Shape, Texture
 from nrbench.tracking.tracker import MeanTile
 
 from ..bending.covariance import Covariance, Variogram
-from ..bending.field_tests import Faults, FieldTests, test_field
+from ..bending.field_tests import Faults, FieldTests, measure_faults
 from ..bending.tracked_image import StraightenedImage, TrackedImage, straighten, track_image, track_references
 from ..ncc.periodic import Periodic, tile_box
 from . import limits
@@ -78,7 +78,7 @@ class Bending:
     @cached_property
     def tests(self) -> tuple[FieldTests, ...]:
         """Tests of the references."""
-        return tuple(test_field(one.field, self.covariance) for one in self.references)
+        return tuple(measure_faults(one.field, self.covariance) for one in self.references)
 
     @cached_property
     def line_tail(self) -> ExponentialTail:
@@ -407,7 +407,7 @@ def compute_bent_verdict(output: Image, reference: BentReference) -> BentVerdict
     bending = reference.displacements
     straightened = bending.straighten(bending.track(output))
     verdict = compute_verdict(straightened.image, reference)
-    tests = test_field(straightened.tracked.field, bending.covariance)
+    tests = measure_faults(straightened.tracked.field, bending.covariance)
     return BentVerdict(
         reference=reference,
         output=verdict.output,

@@ -1,0 +1,150 @@
+"""The verdict on textures whose geometry varies, and the tests of their displacement fields."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from nrbench.datasets_procedural.weave import Weave
+from nrbench.imaging.convert import Image, quantize
+from nrbench.metrics.bending.covariance import Correlogram, Covariance, SampledField, Variogram
+from nrbench.metrics.bending.field_tests import drop_outliers, measure_faults, smooth_field
+from nrbench.metrics.randomness import Randomness
+from nrbench.metrics.regularity import Regularity
+from nrbench.metrics.verdict.bent import BentReference, compute_bent_verdict
+from nrbench.metrics.verdict.examination import examine
+from nrbench.plugins.forms import Observation, Shape, Task, Texture
+from nrbench.synthesizers.planted import Planted
+
+BENT = Weave(bend=0.5, color=0.2)
+SIDE = 192
+
+
+@cache
+def sample() -> Texture:
+    """Return a sample of the bent texture."""
+    texture = BENT.render((128, 128), np.random.default_rng(3))
+    return replace(texture, image=quantize(texture.image))
+
+
+@cache
+def draw(shape: Shape, k: int) -> Texture:
+    """Return a fresh draw of the bent texture."""
+    return BENT.again(sample(), shape, np.random.default_rng([4, k]))
+
+
+def observe(output: Image) -> Observation:
+    """Return an observation of an output."""
+    return Observation(sample().image, quantize(np.clip(output, 0, 1)), sample(), again=draw)
+
+
+@cache
+def fresh() -> Observation:
+    """Return an observation of a fresh draw."""
+    return observe(draw((SIDE, SIDE), 9).image)
+
+
+@cache
+def straight() -> Observation:
+    """Return an observation of a draw of the same texture without its displacements."""
+    return observe(replace(BENT, bend=0.0).again(sample(), (SIDE, SIDE), np.random.default_rng(5)).image)
+
+
+def sine_waves(rng: np.random.Generator, count: int = 16, spread: float = 0.12) -> SampledField:
+    """Return a field of waves 5 s long, of standard deviation ``spread``, with errors of 0.02 s."""
+    x, y = np.meshgrid(np.arange(count) * 0.9, np.arange(count) * 0.9)
+    angles, phases = rng.uniform(0, 2 * np.pi, (2, 12, 2))
+    along = x[..., np.newaxis, np.newaxis] * np.cos(angles) + y[..., np.newaxis, np.newaxis] * np.sin(angles)
+    waves = np.cos(2 * np.pi * along / 5 + phases).sum(-2) * spread * np.sqrt(2 / 12)
+    noisy = waves + rng.normal(0, 0.02, waves.shape)
+    return SampledField(np.stack([x, y], -1), noisy, np.ones((count, count), np.bool_))
+
+
+def test_the_covariance_of_known_waves() -> None:
+    """The fitted covariance has the variance of the waves, and changes its sign at about half of their length."""
+    rng = np.random.default_rng(0)
+    covariance = Covariance.fit(Correlogram.of([sine_waves(rng) for _ in range(6)]))
+    at = covariance.between(np.zeros((1, 2)), np.array([[0.0, 0.0], [2.0, 0.0]]))[0]
+    assert np.sqrt(at[0]) == pytest.approx(0.12, rel=0.2)
+    assert at[1] < 0
+    assert np.sqrt(covariance.noise) == pytest.approx(0.02, abs=0.02)
+
+
+def test_a_step_in_a_field_is_found_and_measured() -> None:
+    """A step of 0.25 s along a line has a statistic far above those of fields without a step, and its length."""
+    rng = np.random.default_rng(1)
+    covariance = Covariance.fit(Correlogram.of([sine_waves(rng) for _ in range(6)]))
+    field = sine_waves(rng)
+    usual = measure_faults(field, covariance).lines
+    beyond = (field.places @ (0.8, 0.6) > 8)[..., np.newaxis]
+    lines = measure_faults(replace(field, displacement=field.displacement + beyond * (0.15, 0.2)), covariance).lines
+    assert lines.statistic.max() > 10 * usual.statistic.max()
+    assert lines.distance[lines.statistic.argmax()] == pytest.approx(0.25, abs=0.08)
+
+
+def test_outliers_are_dropped_and_predicted() -> None:
+    """Nodes on wrong places are dropped, and kriging predicts their displacements from the others."""
+    rng = np.random.default_rng(2)
+    covariance = Covariance.fit(Correlogram.of([sine_waves(rng) for _ in range(6)]))
+    field = sine_waves(rng)
+    wrong = field.displacement.copy()
+    wrong[5, 7] += 0.6
+    kept = drop_outliers(replace(field, displacement=wrong), covariance)
+    assert not kept.reliable[5, 7]
+    assert kept.reliable.mean() > 0.9
+    assert smooth_field(kept, covariance, field.places[5, 7][np.newaxis])[0] == pytest.approx(
+        field.displacement[5, 7], abs=0.08
+    )
+
+
+def test_the_amplitude_does_not_depend_on_the_size_of_the_field() -> None:
+    """The variogram of a large field and of its parts give nearly the same amplitude."""
+    field = sine_waves(np.random.default_rng(3), 40)
+    parts = [
+        SampledField(*(one[y : y + 13, x : x + 13] for one in (field.places, field.displacement, field.reliable)))
+        for y in (0, 13, 26)
+        for x in (0, 13, 26)
+    ]
+    assert Variogram.of(parts).amplitude == pytest.approx(Variogram.of([field]).amplitude, rel=0.1)
+
+
+def test_a_bent_fresh_draw_is_preserved() -> None:
+    """A fresh draw is preserved with all tiles in place, and its displacements are as large as in others."""
+    score = Regularity().score(fresh())
+    assert score.values["preserved"] is True
+    assert score.values["score"] > 0.98
+    assert 0.7 < float(score.values["misplacement_ratio"] or 0) < 1.4
+    assert score.pictures["defects"].shape[:2] == (SIDE, SIDE)
+
+
+def test_a_phase_step_in_a_bent_texture_is_lost() -> None:
+    """Regularity is lost with a phase step of 0.25 s, which is much less than the displacements of the texture."""
+    task = Task(sample().image, (SIDE, SIDE), None, np.random.default_rng(0), again=draw)
+    score = Regularity().score(observe(Planted("phase-step", 0.25).synthesize(task).image))
+    assert score.values["preserved"] is False
+    assert score.records["excess"]["phase step"] > 1
+    assert score.values["score"] < 0.9
+
+
+def test_a_straightened_output_has_lost_randomness() -> None:
+    """An output without the displacements keeps its regularity; its amplitude shows that it is too regular."""
+    score = Regularity().score(straight())
+    assert score.values["preserved"] is True
+    assert score.records["displacements"]["too_regular"] is True
+    assert score.values["misplacement_ratio"] < 0.3
+    assert Randomness().score(straight()).values["score"] < 0.4
+    assert Randomness().score(fresh()).values["score"] > 0.9
+
+
+def test_places_are_mapped_to_the_output() -> None:
+    """The straightened output shows at a place what the output shows at the place that it is mapped to."""
+    reference = examine(fresh()).reference
+    assert isinstance(reference, BentReference)
+    verdict = compute_bent_verdict(fresh().output, reference)
+    places = np.array([[40.0, 50.0], [90.0, 70.0]])
+    x, y = np.rint(verdict.locate_in_output(places)).astype(int).T
+    straight_colors = verdict.output.image[50, 40], verdict.output.image[70, 90]
+    assert np.abs(fresh().output[y, x] - straight_colors).mean() < 0.15
