@@ -218,7 +218,9 @@ class Verdict:
             "worst neighborhood": neighborhood_excess(windows, references, self.neighborhood_limit, model),
             "bent": scatter_excess(windows, references) if model else 0.0,
             "structure": (1 - self.structure) / (1 - limits.STRUCTURE),
-            "tiles elsewhere": elsewhere_excess(self.output.tiles, self._reference_tiles),
+            "tiles elsewhere": elsewhere_excess(
+                self.output.tiles, self._reference_tiles, 0.0 if model else limits.GAIN_FLOOR
+            ),
             "courses": float(self.course_excess.max(initial=0.0)),
             "single tiles": float(self.tile_excess.max(initial=0.0)),
         }
