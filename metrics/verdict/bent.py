@@ -264,17 +264,17 @@ class BentVerdict(Verdict):
         These are the tiles in a window that is out of place or in a course that has slid, those of a displaced patch,
         and those on the smaller side of a phase step: the rest of the output has another phase.
         """
-        flags = np.zeros(self.tests.field.reliable.size, np.bool_)
-        for faults, excess in ((self.tests.lines, self.line_excess), (self.tests.patches, self.patch_excess)):
-            for one in np.flatnonzero(excess > 1):
-                # Of overlapping lines, only those with the largest excess in their neighborhood matter.
-                if faults is self.tests.patches or excess[one] >= excess.max():
-                    flags |= faults.sets[one]
-        if flags.sum() > self.tests.field.reliable.sum() / 2:
-            flags = ~flags & self.tests.field.reliable.ravel()
-        places = self.tests.field.places.reshape(-1, 2) * self.straightened.tracked.s
+        field, lines, patches = self.tests.field, self.tests.lines, self.tests.patches
+        reliable = field.reliable.ravel()
+        if not reliable.any():
+            return np.ones(len(self.output.tiles.centers), np.bool_)
+        flags = np.asarray(patches.sets[self.patch_excess > 1].any(0))
+        if (self.line_excess > 1).any():
+            beyond = lines.sets[self.line_excess.argmax()]
+            flags = flags | (beyond if beyond.sum() <= reliable.sum() / 2 else ~beyond & reliable)
+        places = field.places.reshape(-1, 2)[reliable] * self.straightened.tracked.s
         _, node = cKDTree(places).query(self.output.tiles.centers + self.straightened.corner)
-        return np.asarray(super().in_displaced_region | flags[node])
+        return np.asarray(super().in_displaced_region | flags[reliable][node])
 
     @cached_property
     def step_power(self) -> float:
