@@ -19,6 +19,7 @@ from nrbench.plugins.forms import Column, Observation, Score
 from .residual_tiles.tiles import draw_fresh, measure_fresh, offset_noise
 from .verdict.examination import examine
 from .verdict.exponential_tail import ExponentialTail
+from .verdict.measurements import Measurements
 from .verdict.reference import Reference
 from .verdict.verdict import Verdict
 from .whole_elements.composite_tiles import (
@@ -323,7 +324,9 @@ def learn_references(reference: Reference, observation: Observation, noise: Poin
     """
     least_area = 0.0
     if reference.source == "sample":
-        cutters, least_area = [Cutter(*reference.straighten(observation.sample))], _LEAST_AREA
+        sample, least_area = observation.sample, _LEAST_AREA
+        measured = Measurements.at(sample, reference.periodic, reference.prepare_image(sample))
+        cutters = [Cutter.from_measurements(measured, noise)]
     elif observation.truth is not None and observation.truth.displacement is not None:
         cutters = [Cutter.from_measurements(one, noise) for one in observation.shared(measure_fresh)]
     else:
@@ -346,7 +349,7 @@ def _learn(cutters: list[Cutter], elements: list[Element], colors: Points) -> Le
         for element in elements:
             windows = cutter.cut(element)
             rows = subtract_mean(windows.values)
-            for fold, part in zip(folds, _split(windows.middles, number, len(cutters), len(folds)), strict=True):
+            for fold, part in zip(folds, _split(windows.middles, box, number, len(cutters), len(folds)), strict=True):
                 fold.add(cutter, windows.take(part), rows[part])
     if min(fold.count for fold in folds) < _LEAST_REFERENCES:
         return None
@@ -415,13 +418,18 @@ class _Fold:
         return WholeTiles(rows[:: -(-len(rows) // _MOST_REFERENCES)], np.mean(altered, 0))
 
 
-def _split(middles: Points, number: int, images: int, parts: int) -> list[NDArray[np.bool_]]:
-    """Return the parts of the windows: those of every second image, or those between lines across a single image."""
+def _split(middles: Points, box: Box, number: int, images: int, parts: int) -> list[NDArray[np.bool_]]:
+    """Return the parts of the windows: those of every second image, or those in parallel strips of a single image.
+
+    Strips along the threads of a sample do not share threads. All parts are empty if the strips are narrower than half
+    a window, because windows of different strips would then show the same pixels.
+    """
     if images > 1:
         return [np.full(len(middles), number % parts == part) for part in range(parts)]
-    along = middles[:, int(np.argmax(np.ptp(middles, axis=0)))] if len(middles) else np.zeros(0)
+    widths = np.ptp(middles, axis=0) / parts / box.reach if len(middles) else np.zeros(2)
+    along = middles[:, int(np.argmax(widths))]
     place = np.argsort(np.argsort(along, kind="stable"), kind="stable") * parts // max(len(along), 1)
-    return [place == part for part in range(parts)]
+    return [(place == part) & (widths.max() >= 1) for part in range(parts)]
 
 
 def _output_evidence(learned: LearnedElements, rows: Rows) -> Levels:
@@ -525,7 +533,7 @@ class _Limit:
         sizes = np.array([len(group.output) for group in groups], np.float64)
         clump = float(sizes @ [group.overlap for group in groups] / sizes.sum())
         power = float(sizes @ [group.power(rate) for group in groups] / sizes.sum())
-        known = max(rate * sum(group.references for group in groups) / clump, 0.5)
+        known = rate * sum(group.references for group in groups) / clump
         mean = rate * sizes.sum() / clump
         most = float(nbinom.isf(_ALARMS, known, known / (known + mean))) * clump / sizes.sum()
         return cls(rate, power, max(rate, (most - (1 - _FRESH) * power) / _FRESH))

@@ -67,6 +67,66 @@ def test_the_share_of_broken_tiles_grows_with_that_of_two_tone_ones(
     assert spearmanr([size for size, _ in pairs], shares).statistic >= 0.95
 
 
+def copy_cells(task: Task) -> Image:
+    """Return random copies of the sample's cells, cut along the lattice's vectors with hard edges."""
+    lattice, sample = task.lattice, task.sample
+    assert lattice is not None
+    cell = lattice.to_cell(np.stack(np.meshgrid(*map(np.arange, task.shape[::-1])), -1).astype(float))
+    number = np.floor(cell).astype(int)
+    corners = lattice.from_cell(np.array([(0, 0), (1, 0), (0, 1), (1, 1)]))
+    first = lattice.points(sample.shape[:2])
+    moved = (first - lattice.origin)[:, np.newaxis] + corners
+    first = first[((moved >= 0) & (moved <= np.array(sample.shape[1::-1]) - 1)).all((1, 2))]
+    low = number.reshape(-1, 2).min(0)
+    chosen = task.rng.integers(len(first), size=tuple(np.ptp(number.reshape(-1, 2), axis=0) + 1))
+    away = (cell - number) @ lattice.matrix
+    x, y = np.rint(first[chosen[tuple(np.moveaxis(number - low, -1, 0))]] + away).astype(int).clip(0, 127).T
+    return np.asarray(sample[y.T, x.T])
+
+
+@pytest.mark.parametrize("row", load_suite("core").texture, ids=lambda row: row.name)
+def test_copies_of_cells_with_hard_edges_break_the_elements(row: TextureRow) -> None:
+    """Cells that are copied at random join parts of different elements: the score is at most 0.2."""
+    model = plugins.build("datasets", row.dataset, row.parameters)
+    drawn = model.render((128, 128), np.random.default_rng(3))
+    case = Case(model, replace(drawn, image=quantize(drawn.image)))
+    copies = copy_cells(Task(case.texture.image, (192, 192), case.texture.lattice, np.random.default_rng(0)))
+    value = integrity(case.observe(quantize(copies))).values["score"]
+    assert value is not None
+    assert value <= 0.2
+
+
+@pytest.mark.parametrize(
+    ("model", "sides", "kinds"),
+    [
+        (Brick(width=22.7, height=9.3, joint=1.8, small_every=6, color=0.15, intensity=0.2), (6.5, 20), 7),
+        (Brick(color=0.2, noise=0.03, rotation=13.0), (10, 25), 1),
+        (Weave(color=0.2, noise=0.03), (11, 47), 2),
+    ],
+    ids=("long cell", "running bond", "threads"),
+)
+def test_windows_have_the_extent_of_the_elements(model: Model, sides: tuple[float, float], kinds: int) -> None:
+    """Windows are as long and broad as a brick, even if a cell holds seven; those of threads are longer than a cell."""
+    draws = [model.render((256, 256), np.random.default_rng(k)) for k in range(3)]
+    assert draws[0].lattice is not None
+    lattices = [draw.lattice.canonical() for draw in draws if draw.lattice is not None]
+    groups = find_elements([Cutter(quantize(one.image), lattice) for one, lattice in zip(draws, lattices, strict=True)])
+    elements = [element for group in groups for element in group]
+    assert len(elements) == kinds
+    assert sorted(np.hypot(*elements[0].box.sides.T)) == pytest.approx(sides, rel=0.2)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_sample_alone_tells_whole_from_broken_elements(case: Cases, name: str) -> None:
+    """Without a model a fresh draw has a score of at least 0.95, and copies of cells have at most 0.2."""
+    own = case(name)
+    copies = copy_cells(Task(own.texture.image, (192, 192), own.texture.lattice, np.random.default_rng(0)))
+    values = [integrity(own.observe(image, model=False)).values for image in (own.fresh(), quantize(copies))]
+    assert None not in (values[0]["score"], values[1]["score"])
+    assert values[0]["score"] >= 0.95
+    assert values[1]["score"] <= 0.2
+
+
 def test_one_two_tone_brick_is_found_in_its_place(case: Cases) -> None:
     """A brick whose half has another one's color is the only broken tile."""
     texture, image = case("brick").texture, np.array(case("brick").fresh())
