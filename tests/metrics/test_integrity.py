@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from nrbench import metrics
+from nrbench import metrics, plugins
 from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.metrics.integrity import Integrity, learn_references
 from nrbench.metrics.verdict.reference import Reference
 from nrbench.metrics.whole_elements.composite_tiles import Discriminant, WholeTiles, compose_tiles
-from nrbench.plugins.forms import Again, Observation, Score, Task, Texture
+from nrbench.metrics.whole_elements.elements import Cutter, find_elements
+from nrbench.plugins.forms import Observation, Score, Task, Texture
+from nrbench.suites.suite import TextureRow, load_suite
 from nrbench.synthesizers.rsgf import Rsgf
 
 from .conftest import MODELS, Case
@@ -26,10 +30,10 @@ def learned() -> Iterator[None]:
     """Learn from the references of each texture once, because they do not depend on the output."""
     kept: dict[Any, Any] = {}
 
-    def learn_once(reference: Reference, sample: Image, again: Again | None, lattice: Lattice) -> Any:
-        key = id(reference), lattice.t1, lattice.t2
+    def learn_once(reference: Reference, observation: Observation, noise: Points) -> Any:
+        key = id(reference), observation.output.shape
         if key not in kept:
-            kept[key] = reference, learn_references(reference, sample, again, lattice)
+            kept[key] = reference, learn_references(reference, observation, noise)
         return kept[key][1]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -50,6 +54,7 @@ def test_a_fresh_draw_is_whole(case: Cases, name: str) -> None:
     """Fresh draws have no broken tile, and evidence of about 1."""
     values = [integrity(case(name).observe(case(name).fresh(k=k))).values for k in range(3)]
     assert [one["broken_tiles"] for one in values] == [0, 0, 0]
+    assert min(one["score"] for one in values) >= 0.95
     assert np.mean([one["evidence_p90"] for one in values]) == pytest.approx(1, abs=0.3)
 
 
@@ -116,7 +121,7 @@ def test_windows_have_the_extent_of_the_elements(model: Model, sides: tuple[floa
     assert sorted(np.hypot(*elements[0].box.sides.T)) == pytest.approx(sides, rel=0.2)
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", ["brick", "hexagon"])
 def test_the_sample_alone_tells_whole_from_broken_elements(case: Cases, name: str) -> None:
     """Without a model a fresh draw has a score of at least 0.95, and copies of cells have at most 0.2."""
     own = case(name)
@@ -144,12 +149,13 @@ def test_one_two_tone_brick_is_found_in_its_place(case: Cases) -> None:
 
 @pytest.mark.parametrize("model", [True, False])
 def test_a_method_that_cuts_bricks_breaks_them(case: Cases, model: bool) -> None:
-    """Blended patches smaller than a brick break more than a fifth of the bricks, with or without the model."""
+    """Blended patches smaller than a brick break more than a fifth of them; the score also shows it without a model."""
     texture = case("brick").texture
     task = Task(texture.image, (192, 192), texture.lattice, np.random.default_rng(0))
     made = quantize(Rsgf(block=20, border=5, seam="blend", subpixel=False).synthesize(task).image)
     score = integrity(case("brick").observe(made, model))
-    assert score.values["broken_share"] > 0.2
+    assert score.values["score"] < 0.8
+    assert score.values["broken_share"] > (0.2 if model else 0.0)
     assert score.pictures["broken"].shape == (192, 192, 3)
     assert score.pictures["worst"].ndim == 3
 
@@ -204,9 +210,8 @@ def test_without_power_the_share_is_undecided() -> None:
     model = Brick(color=0.0, intensity=0.0, noise=0.1)
     plain = Case(model, model.render((128, 128), np.random.default_rng(0)))
     score = integrity(plain.observe(plain.fresh()))
-    assert score.values["broken_share"] is None
-    assert score.values["detection_power"] is not None and score.values["detection_power"] < 0.1
-    assert score.reasons["broken_share"].startswith("undecided: only")
+    assert score.values["score"] is None
+    assert score.reasons["score"].startswith("undecided: ")
 
 
 def test_missing_scores_have_reasons(case: Cases) -> None:
@@ -222,7 +227,9 @@ def test_the_discriminant_separates_composite_from_whole_tiles() -> None:
     """For tiles of one tone each, composite tiles have five times the evidence of whole ones."""
     rng = np.random.default_rng(0)
     one, other = (np.repeat(rng.normal(size=(200, 1)), 49, 1) + 0.1 * rng.normal(size=(200, 49)) for _ in range(2))
-    discriminant = Discriminant.fit(*(WholeTiles(rows, np.zeros((49, 49))) for rows in (one, other)), np.full(49, 1e-4))
-    whole, composite = discriminant.evidence(other), discriminant.evidence(compose_tiles(other))
+    discriminant = Discriminant.fit(
+        *(WholeTiles(rows, np.zeros((49, 49))) for rows in (one, other)), np.full(49, 1e-4), (7, 7)
+    )
+    whole, composite = discriminant.evidence(other), discriminant.evidence(compose_tiles(other, (7, 7)))
     assert np.median(composite) > 5 * np.quantile(whole, 0.95)
     assert (discriminant.composite > 2 * discriminant.whole).all()
