@@ -39,12 +39,12 @@ _RATES = tuple(0.09 * 2.0**-k for k in range(15))
 """Shares of whole elements beyond the limits that are tried."""
 BROKEN_SURPRISAL = 8.0
 """Surprisal above which an element is surely broken: see ``benchmarks/validation.py alarms``."""
-LEAST_POWER = 0.1
-"""Detection power below which elements are not judged."""
+LEAST_POWER, LEAST_SAMPLE_POWER = 0.1, 0.3
+"""Detection power below which elements are not judged, with fresh draws and with a sample alone."""
 
 _LEAST_WINDOWS, _LEAST_REFERENCES, _LEAST_OF_ELEMENT = 12, 6, 4
-"""Least number of windows of one shape in the output and in each part of the references; least number in an image of
-windows around one element."""
+"""Least number of windows of one shape in the output, and of windows without a common pixel in each part of the
+references; least number in an image of windows around one element."""
 _FOLDS, _LEAST_AREA = 4, 0.1
 """Number of parts of a sample; share of the cell's area that an element of a photograph covers at least. Smaller
 regions that vary together are grain."""
@@ -92,8 +92,8 @@ class Integrity:
     score is ``1 - b = 1 - (c - q) / (p - q)``, between 0 and 1. It corrects for broken elements that the test misses
     and for whole ones that it counts. The limit is the one with the largest ``p - q``, which is ``detection_power``. q
     is the share of fresh elements above the limit. It is larger for few elements, so that a fresh draw scores less than
-    0.95 with a probability of about 0.002 only. Elements whose power is below 0.1 are not judged: their parts have no
-    tone of their own, or too few are known.
+    0.95 with a probability of about 0.002 only. Elements whose power is below 0.1, or 0.3 for a photograph, are not
+    judged: their parts have no tone of their own, or too few are known.
 
     *Broken tiles.* ``broken_share`` and ``broken_tiles`` count only elements whose evidence exceeds chance for each
     element alone, given their number (:class:`~.verdict.exponential_tail.ExponentialTail`). The pictures show them. An
@@ -167,7 +167,7 @@ def _score(observation: Observation) -> Score:
             {"place": [float(value) for value in one.place], "sides": one.box.sides.tolist()} for one in broken.elements
         ],
     }
-    if broken.detection_power < LEAST_POWER:
+    if broken.detection_power < broken.least_power:
         reason = f"undecided: only {broken.detection_power:.0%} of joined elements would be detected"
         reasons = {name: reason for name in Integrity.columns if name != "detection_power"}
         return Score(values | dict.fromkeys(reasons), reasons, records=records)
@@ -199,6 +199,8 @@ class BrokenTiles:
         90th percentile of the evidence over that of fresh draws.
     detection_power
         Share of composite elements of fresh draws that the score would count beyond chance.
+    least_power
+        Detection power below which the elements are not judged.
     rate
         Share of elements that the score attributes to chance.
     elements
@@ -213,6 +215,7 @@ class BrokenTiles:
     worst: float
     evidence_p90: float
     detection_power: float
+    least_power: float
     rate: float
     elements: list[Element]
 
@@ -304,7 +307,7 @@ def find_broken(verdict: Verdict, observation: Observation) -> BrokenTiles | str
             evidence.append(_Evidence(middles, np.concatenate(levels), one))
     if not evidence:
         return f"undecided: fewer than {_LEAST_WINDOWS} whole elements in place to compare"
-    return _count_broken(evidence)
+    return _count_broken(evidence, LEAST_POWER if verdict.reference.source == "model" else LEAST_SAMPLE_POWER)
 
 
 def learn_references(reference: Reference, observation: Observation, noise: Points) -> list[LearnedElements] | str:
@@ -351,7 +354,8 @@ def _learn(cutters: list[Cutter], elements: list[Element], colors: Points) -> Le
             rows = subtract_mean(windows.values)
             for fold, part in zip(folds, _split(windows.middles, box, number, len(cutters), len(folds)), strict=True):
                 fold.add(cutter, windows.take(part), rows[part])
-    if min(fold.count for fold in folds) < _LEAST_REFERENCES:
+    overlap = max(len(elements) * box.area / cutters[0].lattice.area, 1.0)
+    if min(fold.count for fold in folds) / overlap < _LEAST_REFERENCES:
         return None
     parts = [fold.whole_tiles(box) for fold in folds]
     floor = _floor([windows for fold in folds for windows in fold.windows], box, [part.rows for part in parts])
@@ -433,14 +437,15 @@ def _split(middles: Points, box: Box, number: int, images: int, parts: int) -> l
 
 
 def _output_evidence(learned: LearnedElements, rows: Rows) -> Levels:
-    """Return the evidence of an output's windows.
+    """Return the evidence of an output's windows, the median over the discriminants.
 
+    The variances along the directions of one of them can be much too small if it was learned from few windows.
     If many elements are broken, the mean of the calm windows is subtracted instead of the mean of all. Otherwise the
     cuts of the broken elements would change the mean and add evidence to whole ones.
     """
     calm_level = float(np.quantile(learned.whole, _CALM))
     for _ in range(_ROUNDS):
-        evidence = np.mean([discriminant.evidence(rows) / level for discriminant, level in learned.discriminants], 0)
+        evidence = np.median([discriminant.evidence(rows) / level for discriminant, level in learned.discriminants], 0)
         calm = evidence <= max(calm_level, float(np.quantile(evidence, _LEAST_CALM)))
         if calm.mean() > _MANY_CALM:
             break
@@ -544,7 +549,7 @@ class _Limit:
         return max(self.power - self.chance, 0.0)
 
 
-def _count_broken(evidence: list[_Evidence]) -> BrokenTiles:
+def _count_broken(evidence: list[_Evidence], least_power: float) -> BrokenTiles:
     """Return the broken elements, and the score.
 
     Of composite windows a share p exceeds the limit, of whole windows at most a share q. If a share b of the output's
@@ -552,7 +557,7 @@ def _count_broken(evidence: list[_Evidence]) -> BrokenTiles:
     one with the largest ``p - q``.
     """
     groups = [_Surprisals.of(one) for one in evidence]
-    strong = [max(_Limit.at(rate, [group]).net_power for rate in _RATES) >= LEAST_POWER for group in groups]
+    strong = [max(_Limit.at(rate, [group]).net_power for rate in _RATES) >= least_power for group in groups]
     if any(strong):
         evidence = [one for one, keep in zip(evidence, strong, strict=True) if keep]
         groups = [group for group, keep in zip(groups, strong, strict=True) if keep]
@@ -575,6 +580,7 @@ def _count_broken(evidence: list[_Evidence]) -> BrokenTiles:
         worst=float(surprisals.max()),
         evidence_p90=float(np.quantile(output, 0.9) / max(float(np.quantile(whole, 0.9)), 1e-9)),
         detection_power=limit.net_power,
+        least_power=least_power,
         rate=limit.chance,
         elements=[element for one in evidence for element in one.learned.elements],
     )
