@@ -340,6 +340,8 @@ def learn_references(reference: Reference, observation: Observation, noise: Poin
         return "undecided: the references hold no whole cell"
     cutters = [cutter.project_colors(colors) for cutter in cutters]
     groups = find_elements(cutters, least_area)
+    if not groups:
+        return "undecided: no part of a cell varies together, so that joined elements look whole"
     learned = [one for group in groups if (one := _learn(cutters, group, colors)) is not None]
     return learned or f"undecided: the references hold fewer than {_FOLDS} x {_LEAST_REFERENCES} whole elements"
 
@@ -540,7 +542,7 @@ class _Limit:
         power = float(sizes @ [group.power(rate) for group in groups] / sizes.sum())
         known = rate * sum(group.references for group in groups) / clump
         mean = rate * sizes.sum() / clump
-        most = float(nbinom.isf(_ALARMS, known, known / (known + mean))) * clump / sizes.sum()
+        most = float(nbinom.isf(_ALARMS, known, known / (known + mean)) * clump / sizes.sum())
         return cls(rate, power, max(rate, (most - (1 - _FRESH) * power) / _FRESH))
 
     @property

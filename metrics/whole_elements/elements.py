@@ -34,6 +34,8 @@ _CHANCE = 4.0
 """Correlations below this many standard errors are chance."""
 _VARIANCE_FLOOR = 0.05
 """Share of the mean variance that is added to the variance of every sample."""
+_RESOLVED_SIDE, _RESOLVED_STEPS = 5.0, 1.9
+"""Least side of a square of the same area as an element: in px, and in distances of the samples."""
 _TRIM = 0.03
 """Share of an element's samples that may lie outside its box, on each side."""
 _LEAST_ENERGY, _MOST_ELEMENTS = 0.1, 8
@@ -291,7 +293,7 @@ def find_elements(cutters: list[Cutter], least_area: float = 0.0) -> list[list[E
         if not energy[best] > _LEAST_ENERGY * first:
             break
         element = field.enclose(best)
-        if element.box.area >= least_area * field.lattice.area:
+        if element.box.area >= max(least_area * field.lattice.area, field.least_resolved_area):
             elements.append(element)
         free[field.index[field.explained[best] > 0]] = 0
     return _group(elements)
@@ -363,6 +365,11 @@ class _CellCovariance:
         chance = _CHANCE / np.sqrt(np.maximum(counts.max(), 1))
         high = near & (rho >= background + np.maximum(_HIGH * (1 - background), min(chance, 0.8)))
         return cls(lattice, uv, around, np.tile(np.arange(samples), 9), variance, np.where(high, rho**2, 0.0))
+
+    @property
+    def least_resolved_area(self) -> float:
+        """Area, px^2, below which a region that varies together may be grain that the samples have in common."""
+        return max(_RESOLVED_SIDE, _RESOLVED_STEPS * float(np.sqrt(self.lattice.area / len(self.uv)))) ** 2
 
     def enclose(self, sample: int) -> Element:
         """Return the element of a sample: the smallest box around the samples that it explains."""
