@@ -261,15 +261,15 @@ class Verdict:
         """The faults that count. Without a model those of tiles count only at a sufficient regular share.
 
         The windows of the sample must also lie in their places within the tolerance, because a tile counts as in place
-        only within the tolerance.
+        only within the tolerance. The same holds for the mean tile, which detects a pattern of twice the period.
         """
         names = tuple(self.excesses)
         if self.reference.source == "model":
             return names
-        single = ("tiles elsewhere", "courses", "single tiles")
+        tiles = ("tiles elsewhere", "courses", "single tiles", "mean tile")
         even = self.reference.consistent and self.limit <= TOLERANCE
         fine = even and self.reference.regular_share >= limits.LEAST_SHARE
-        return tuple(name for name in names if name != "mean tile" and (fine or name not in single))
+        return tuple(name for name in names if fine or name not in tiles)
 
     @property
     def gross(self) -> bool:
