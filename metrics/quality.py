@@ -12,8 +12,9 @@ from .integrity import Integrity
 from .randomness import Randomness
 from .regularity import Regularity
 
-LOST = 0.5
-"""Factor of the regularity of an output that lost its lattice: such an output has at most half of the full quality."""
+LOST = 0.25
+"""Factor of the regularity of an output that lost its lattice. Such an output has at most a quarter of the full quality:
+if its second half is out of step, nobody calls it half good."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,8 @@ class Quality:
     respect is not made good by another: wallpaper is perfectly regular, and a heap of bricks is perfectly random. The
     quality of a method is the mean over textures.
 
-    *Regularity* is the share of tiles in place, ``regularity.score``. It counts one half if the verdict is that the
-    lattice is lost, so that an output whose second half is out of step is not called half good. *Integrity* is
+    *Regularity* is the share of tiles in place, ``regularity.score``. It counts a quarter if the verdict is that the
+    lattice is lost. *Integrity* is
     ``integrity.score``, *randomness* is ``randomness.score``.
 
     Randomness is not measured where the lattice is lost. Integrity is not measured where elements cannot be told from
@@ -34,10 +35,10 @@ class Quality:
     It is None if the verdict on regularity is undecided, and on textures without a lattice.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column("The worst of regularity, integrity and randomness; 1 as a fresh draw.", better="higher"),
-        "regularity": Column("Share of tiles in place; half of it if the lattice is lost.", better="higher"),
+        "regularity": Column("Share of tiles in place; a quarter of it if the lattice is lost.", better="higher"),
         "integrity": Column("Wholeness of the elements, see integrity.score.", better="higher"),
         "randomness": Column("Randomness kept, see randomness.score.", better="higher"),
     }

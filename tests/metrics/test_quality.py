@@ -75,8 +75,8 @@ def test_hard_edged_copies_of_cells_have_little_quality(name: str) -> None:
     assert scores["score"] <= 0.2
 
 
-def test_a_lost_lattice_counts_half(case: Cases) -> None:
-    """After a phase step half of the tiles are in place; the regularity is half of their share."""
+def test_a_lost_lattice_counts_a_quarter(case: Cases) -> None:
+    """After a phase step half of the tiles are in place; the regularity is a quarter of their share."""
     observation = case("brick").observe(case("brick").planted("phase-step", 0.3)[0])
     share = Regularity().score(observation).values["score"]
     assert quality(observation).values["regularity"] == LOST * share
