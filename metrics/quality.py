@@ -13,8 +13,8 @@ from .randomness import Randomness
 from .regularity import Regularity
 
 LOST = 0.25
-"""Factor of the regularity of an output that lost its lattice. Such an output has at most a quarter of the full quality:
-if its second half is out of step, nobody calls it half good."""
+"""Factor of the regularity of an output that lost its lattice: if its second half is out of step, nobody calls it half
+good."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,7 @@ class Quality:
     quality of a method is the mean over textures.
 
     *Regularity* is the share of tiles in place, ``regularity.score``. It counts a quarter if the verdict is that the
-    lattice is lost. *Integrity* is
-    ``integrity.score``, *randomness* is ``randomness.score``.
+    lattice is lost. *Integrity* is ``integrity.score``, *randomness* is ``randomness.score``.
 
     Randomness is not measured where the lattice is lost. Integrity is not measured where elements cannot be told from
     composite ones, and randomness not where a texture does not vary. The quality is then the smallest of the others.
