@@ -79,6 +79,7 @@ BENCHMARKS = (
         "Where fresh draws and baselines lie",
         "validation.py references --count 43 --replicates 100",
     ),
+    Benchmark("labels.py", "Whether labels given by eye agree with the scores"),
     Benchmark(
         "variation_band.py score runs/variation.csv --replicates 1 --draws 2 --textures core/brick-*",
         "Whether methods vary as the texture does",
