@@ -34,10 +34,10 @@ TITLES = {
 
 
 def caption(record: CellRecord) -> str:
-    """Return the verdict and the two perils of one output, in two lines."""
-    preserved, variation = record.values["regularity.preserved"], record.values["randomness.variation"]
+    """Return the verdict and the quality of one output, in two lines."""
+    preserved, quality = record.values["regularity.preserved"], record.values["quality.score"]
     verdict = {True: "lattice preserved", False: "lattice lost", None: "undecided"}[preserved]
-    return f"{verdict}\n" + (f"variation {variation:.2f}" if variation is not None else "not scored further")
+    return f"{verdict}\n" + (f"quality {quality:.2f}" if quality is not None else "not scored further")
 
 
 def main() -> None:
