@@ -72,8 +72,8 @@ def speed(largest: int) -> None:
     """Print the tables of costs."""
     load_kernels()
     samples = {side: drawn(MODELS["brick"], side) for side in (128, 239)}
-    masks = {side: FftmPixel().analysis.of(texture.image) for side, texture in samples.items()}
-    row("analysis, 128 x 128", lambda: FftmPixel().analysis.of(samples[128].image), 256**2, 3)
+    masks = {side: FftmPixel().find_mask(texture.image) for side, texture in samples.items()}
+    row("analysis, 128 x 128", lambda: FftmPixel().find_mask(samples[128].image), 256**2, 3)
     for side, texture in samples.items():
         for size in (2, 3, 4, 5, 6):
             for dimensions in (0, 16):
@@ -95,7 +95,7 @@ def speed(largest: int) -> None:
 def coherence(directory: Path) -> None:
     """Print the mean runs, and write the pictures."""
     for model, texture in ((name, drawn(each, 128, 3)) for name, each in MODELS.items()):
-        mask = FftmPixel().analysis.of(texture.image)
+        mask = FftmPixel().find_mask(texture.image)
         for name, method in FINDS.items():
             made = guided(method, texture.image, mask, 256)
             assert made.source is not None
@@ -112,7 +112,7 @@ def coherence(directory: Path) -> None:
 def weight() -> None:
     """Print the correlation of output and mask by weight."""
     for model, texture in ((name, drawn(each, 128, 3)) for name, each in MODELS.items()):
-        mask = FftmPixel().analysis.of(texture.image)
+        mask = FftmPixel().find_mask(texture.image)
         for c in (0.0, 0.001, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 5.0, 10.0, 100.0):
             made = guided(FftmPixel(weight=c), texture.image, mask, 256)
             like = np.corrcoef(made.image.ravel(), made.extras["mask"].ravel())[0, 1]
