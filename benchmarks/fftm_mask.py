@@ -43,7 +43,7 @@ from nrbench.imaging.fold import fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.spectra.harmonic_groups import fold_frequencies, lattice_orders, select_spaced
 from nrbench.spectra.harmonics import Harmonic, Harmonics, analyze
-from nrbench.spectra.regular_part import HARMONIC, line_floor
+from nrbench.spectra.regular_part import HARMONIC_RATIO, line_floor
 from nrbench.spectra.spectrum import Spectrum
 from nrbench.spectra.wave_fit import FixedWaves, wave_sum
 from nrbench.synthesizers.masks.texture_mask import MaskParameters
@@ -84,7 +84,7 @@ def thresholds(sample: Planes, frequencies: Planes) -> Planes:
     """Return the power that a wave must have at places of a sample for the automatic mask to take it, ``(n, C)``."""
     waves = FixedWaves(Spectrum(sample), frequencies)
     left = waves.subtract()
-    return HARMONIC * line_floor(np.abs(Spectrum(left).bins()) ** 2, (SIDE, SIDE), frequencies, frequencies)
+    return HARMONIC_RATIO * line_floor(np.abs(Spectrum(left).bins()) ** 2, (SIDE, SIDE), frequencies, frequencies)
 
 
 def above_threshold(ideal: Planes, sample: Planes, lattice: Lattice) -> Planes:
