@@ -113,7 +113,8 @@ def _whitened(sets: list[Rows]) -> list[Rows]:
 def compare_sets(sets: list[Rows]) -> float:
     """Return the energy distance of the first set to all others, less the mean of that of each of these to the rest."""
     start = np.cumsum([0, *(len(rows) for rows in sets)])
-    lengths = _lengths(np.concatenate(sets))
+    rows = np.concatenate(sets)
+    lengths = _lengths(rows - rows[start[1] :].mean(0, dtype=np.float64).astype(np.float32))
     sums = np.add.reduceat(np.add.reduceat(lengths, start[:-1], 0, np.float64), start[:-1], 1)
     counts = np.array([len(rows) for rows in sets], np.float64)
 
@@ -129,7 +130,10 @@ def compare_sets(sets: list[Rows]) -> float:
 
 
 def _lengths(rows: Rows) -> NDArray[np.float32]:
-    """Return the distances between all rows, in place: scipy's cdist computes in double precision."""
+    """Return the distances between all rows, in place: scipy's cdist computes in double precision.
+
+    The rows are centered, so that squares of large features do not cancel.
+    """
     powers = (rows**2).sum(1)
     squares = rows @ rows.T
     squares *= -2

@@ -157,7 +157,8 @@ def test_the_distance_of_one_distribution_is_zero() -> None:
     rng = np.random.default_rng(0)
     grain = with_tiles(fresh[0], (0.1 * rng.standard_normal((81, 16, 16, 3))).astype(np.float32))
     assert (grain.departures**2).mean() == pytest.approx((fresh[0].departures ** 2).mean(), rel=0.2)
-    assert distances(grain, fresh)["parts"] > 0.1
+    for name, value in distances(grain, fresh).items():
+        assert value > 20 * spread[name], name
     assert distances(grain, fresh)["detail"] > 0.9
 
 
@@ -175,4 +176,4 @@ def test_the_order_of_tiles_does_not_matter() -> None:
     fresh, own = tuple(tiles(9, 9, seed) for seed in (10, 11)), tiles(9, 9, 1)
     mixed = own.take(np.random.default_rng(0).permutation(len(own)))
     for name, value in distances(own, fresh).items():
-        assert distances(mixed, fresh)[name] == pytest.approx(value, abs=1e-5)
+        assert distances(mixed, fresh)[name] == pytest.approx(value, abs=1e-6)
