@@ -31,22 +31,14 @@ def displacement_excess(tiles: Tiles, references: list[Tiles], regular_share: fl
     return np.minimum(tail.surprisal(tiles.gain) / limit, tiles.gain / limits.GAIN_FLOOR)
 
 
-def elsewhere_excess(tiles: Tiles, references: list[Tiles], floor: float = 0.0) -> float:
+def elsewhere_excess(tiles: Tiles, references: list[Tiles]) -> float:
     """Return the ratio of the share of tiles that fit better elsewhere to its limit; above 1 the pattern is different.
 
     This detects a pattern of twice the period. It fits the windows of two tiles, in which half of the joints are
     missing. If there are few references, the limit of a single tile is so wide that no single tile exceeds it.
-
-    Parameters
-    ----------
-    tiles, references
-        The tiles of the output, and those of images without defects.
-    floor
-        NCC by which a tile must fit better elsewhere to count. Use a positive number if the references are few: small
-        tiles of a fresh draw may fit a little better elsewhere by chance.
     """
-    most = max((float((other.gain > floor).mean()) for other in references if len(other.gain)), default=1.0)
-    share = float((tiles.gain > floor).mean()) if len(tiles.gain) else 0.0
+    most = max((float((other.gain > 0).mean()) for other in references if len(other.gain)), default=1.0)
+    share = float((tiles.gain > 0).mean()) if len(tiles.gain) else 0.0
     return share / (limits.MISPLACED_SHARE + 2 * most)
 
 

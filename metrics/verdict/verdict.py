@@ -218,9 +218,7 @@ class Verdict:
             "worst neighborhood": neighborhood_excess(windows, references, self.neighborhood_limit, model),
             "bent": scatter_excess(windows, references) if model else 0.0,
             "structure": (1 - self.structure) / (1 - limits.STRUCTURE),
-            "tiles elsewhere": elsewhere_excess(
-                self.output.tiles, self._reference_tiles, 0.0 if model else limits.GAIN_FLOOR
-            ),
+            "tiles elsewhere": elsewhere_excess(self.output.tiles, self._reference_tiles),
             "courses": float(self.course_excess.max(initial=0.0)),
             "single tiles": float(self.tile_excess.max(initial=0.0)),
         }
@@ -261,15 +259,15 @@ class Verdict:
         """The faults that count. Without a model those of tiles count only at a sufficient regular share.
 
         The windows of the sample must also lie in their places within the tolerance, because a tile counts as in place
-        only within the tolerance. The same holds for the mean tile, which detects a pattern of twice the period.
+        only within the tolerance. The mean tile counts only where windows cannot decide, see :attr:`gross`.
         """
         names = tuple(self.excesses)
         if self.reference.source == "model":
             return names
-        tiles = ("tiles elsewhere", "courses", "single tiles", "mean tile")
+        tiles = ("tiles elsewhere", "courses", "single tiles")
         even = self.reference.consistent and self.limit <= TOLERANCE
         fine = even and self.reference.regular_share >= limits.LEAST_SHARE
-        return tuple(name for name in names if fine or name not in tiles)
+        return tuple(name for name in names if name != "mean tile" and (fine or name not in tiles))
 
     @property
     def gross(self) -> bool:
