@@ -96,7 +96,8 @@ class Integrity:
     judged: their parts have no tone of their own, or too few are known.
 
     *Broken tiles.* ``broken_share`` and ``broken_tiles`` count only elements whose evidence exceeds chance for each
-    element alone, given their number (:class:`~.verdict.exponential_tail.ExponentialTail`). The pictures show them. An
+    element alone, given their number (:class:`~.verdict.exponential_tail.ExponentialTail`). For a photograph they count
+    those above the limit of the score, if there are more than chance explains. The pictures show them. An
     element that consists of several pieces, such as a thread, is counted once in every cell, so a joint breaks all
     windows that contain it. ``evidence_p90`` describes the tail and not the median, because most elements of a copier
     are whole copies.
@@ -113,18 +114,18 @@ class Integrity:
     parts: directions are learned from two, the variances along them from a third, and the fourth is measured.
     """
 
-    version: ClassVar[str] = "6"
+    version: ClassVar[str] = "7"
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
             "1 = elements as whole as in fresh draws, 0 = no element whole; corrected for those that are missed.",
             better="higher",
         ),
         "broken_share": Column(
-            "Share of the elements in place that are surely joined of parts that do not belong together.",
+            "Share of the elements in place that are joined of parts that do not belong together.",
             better="lower",
         ),
         "broken_tiles": Column(
-            "Number of elements in place that are surely joined of parts that do not belong together.",
+            "Number of elements in place that are joined of parts that do not belong together.",
             "tiles",
             (0.0, math.inf),
             "lower",
@@ -193,16 +194,12 @@ class BrokenTiles:
         Number of elements in place, whole within the output.
     score
         Estimated share of whole elements.
-    worst
-        Surprisal of the most suspicious element, broken or not.
     evidence_p90
         90th percentile of the evidence over that of fresh draws.
     detection_power
         Share of composite elements of fresh draws that the score would count beyond chance.
     least_power
         Detection power below which the elements are not judged.
-    rate
-        Share of elements that the score attributes to chance.
     elements
         The elements of a cell.
     """
@@ -212,12 +209,16 @@ class BrokenTiles:
     surprisals: Levels
     tiles: int
     score: float
-    worst: float
     evidence_p90: float
     detection_power: float
     least_power: float
-    rate: float
     elements: list[Element]
+
+    @classmethod
+    def none(cls) -> BrokenTiles:
+        """Return the result if no part of a cell varies together, so that joined elements look whole: no power."""
+        nowhere, nothing = np.zeros((0, 2)), np.zeros(0)
+        return cls([], nowhere, nothing, 0, 1.0, 0.0, 0.0, LEAST_POWER, [])
 
     @property
     def share(self) -> float:
@@ -295,6 +296,8 @@ def find_broken(verdict: Verdict, observation: Observation) -> BrokenTiles | str
     learned = learn_references(verdict.reference, observation, offset_noise(verdict.references))
     if isinstance(learned, str):
         return learned
+    if not learned:
+        return BrokenTiles.none()
     output = Cutter.from_measurements(verdict.output, offset_noise(verdict.references))
     output = output.project_colors(learned[0].colors)
     evidence = []
@@ -307,11 +310,13 @@ def find_broken(verdict: Verdict, observation: Observation) -> BrokenTiles | str
             evidence.append(_Evidence(middles, np.concatenate(levels), one))
     if not evidence:
         return f"undecided: fewer than {_LEAST_WINDOWS} whole elements in place to compare"
-    return _count_broken(evidence, LEAST_POWER if verdict.reference.source == "model" else LEAST_SAMPLE_POWER)
+    return _count_broken(evidence, model=verdict.reference.source == "model")
 
 
 def learn_references(reference: Reference, observation: Observation, noise: Points) -> list[LearnedElements] | str:
     """Return what the references show of the elements, in groups of one shape, or the reason why they show nothing.
+
+    The list is empty if no part of a cell varies together.
 
     The references are fresh draws, or else the sample. Each half of the fresh draws, or each quarter of the sample, is
     measured by directions learned from the rest.
@@ -341,7 +346,7 @@ def learn_references(reference: Reference, observation: Observation, noise: Poin
     cutters = [cutter.project_colors(colors) for cutter in cutters]
     groups = find_elements(cutters, least_area)
     if not groups:
-        return "undecided: no part of a cell varies together, so that joined elements look whole"
+        return []
     learned = [one for group in groups if (one := _learn(cutters, group, colors)) is not None]
     return learned or f"undecided: the references hold fewer than {_FOLDS} x {_LEAST_REFERENCES} whole elements"
 
@@ -551,13 +556,17 @@ class _Limit:
         return max(self.power - self.chance, 0.0)
 
 
-def _count_broken(evidence: list[_Evidence], least_power: float) -> BrokenTiles:
+def _count_broken(evidence: list[_Evidence], model: bool) -> BrokenTiles:
     """Return the broken elements, and the score.
 
     Of composite windows a share p exceeds the limit, of whole windows at most a share q. If a share b of the output's
     elements is broken, a share ``b p + (1 - b) q`` of its windows exceeds it. The score is ``1 - b``. The limit is the
     one with the largest ``p - q``.
+
+    Without a model, few whole elements are known, and no element alone exceeds chance. Then the elements above the
+    limit of the score are broken, if they are more than chance explains.
     """
+    least_power = LEAST_POWER if model else LEAST_SAMPLE_POWER
     groups = [_Surprisals.of(one) for one in evidence]
     strong = [max(_Limit.at(rate, [group]).net_power for rate in _RATES) >= least_power for group in groups]
     if any(strong):
@@ -568,7 +577,10 @@ def _count_broken(evidence: list[_Evidence], least_power: float) -> BrokenTiles:
     counted = float(np.mean(np.concatenate([group.output for group in groups]) > -math.log(limit.rate)))
     surprisals = np.concatenate([group.output for group in groups]) - math.log(total)
     order = np.argsort(-surprisals, kind="stable")
-    order = order[surprisals[order] > BROKEN_SURPRISAL]
+    least = BROKEN_SURPRISAL
+    if not model and counted > limit.chance:
+        least = min(least, -math.log(limit.rate * total))
+    order = order[surprisals[order] > least]
     middles = np.concatenate([one.middles for one in evidence])
     boxes = [one.learned.box for one in evidence for _ in one.middles]
     output = np.concatenate([one.output for one in evidence])
@@ -579,11 +591,9 @@ def _count_broken(evidence: list[_Evidence], least_power: float) -> BrokenTiles:
         surprisals[order],
         tiles=total,
         score=float(np.clip(1 - (counted - limit.chance) / max(limit.net_power, 1e-9), 0, 1)),
-        worst=float(surprisals.max()),
         evidence_p90=float(np.quantile(output, 0.9) / max(float(np.quantile(whole, 0.9)), 1e-9)),
         detection_power=limit.net_power,
         least_power=least_power,
-        rate=limit.chance,
         elements=[element for one in evidence for element in one.learned.elements],
     )
 

@@ -3,7 +3,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import quantize
 from nrbench.metrics.quality import LOST, Quality
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Observation, Score, Synthesizer, Task
@@ -13,7 +13,7 @@ from nrbench.synthesizers.shuffle import Shuffle
 from nrbench.synthesizers.supertile import Supertile
 from nrbench.synthesizers.tiling import Tiling
 
-from .conftest import MODELS, Case, make_case
+from .conftest import MODELS, Case, copy_cells, make_case
 
 Cases = Callable[[str], Case]
 PERILS = ("regularity", "integrity", "randomness")
@@ -26,24 +26,6 @@ def quality(observation: Observation) -> Score:
     assert score.values["score"] == min(known)
     assert score.values["score"] == score.values[score.records["worst"]]
     return score
-
-
-def copy_cells(task: Task) -> Image:
-    """Fill each cell of the lattice with a random whole cell of the sample, without blending."""
-    lattice, sample = task.lattice, task.sample
-    assert lattice is not None
-    y, x = np.indices(task.shape)
-    uv = lattice.to_cell(np.stack([x, y], -1).astype(float))
-    number = np.floor(uv).astype(int)
-    last = np.array(sample.shape[1::-1]) - 1
-    cells = np.unique(np.rint(lattice.to_cell(lattice.points(sample.shape[:2]))).astype(int), axis=0)
-    corners = lattice.from_cell(cells[:, np.newaxis] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]))
-    whole = cells[((corners >= 0) & (corners <= last)).all((1, 2))]
-    low = number.reshape(-1, 2).min(0)
-    choice = task.rng.integers(len(whole), size=number.reshape(-1, 2).max(0) - low + 1)
-    source = whole[choice[number[..., 0] - low[0], number[..., 1] - low[1]]] + uv - number
-    column, row = np.moveaxis(np.clip(np.rint(lattice.from_cell(source)).astype(int), 0, last), -1, 0)
-    return sample[row, column]
 
 
 def synthesis_task(case: Case, seed: int = 0) -> Task:
