@@ -141,7 +141,7 @@ WORST = {"tile": max, "at 8x: tied": min, "mean tile ": min}
 
 
 def cell(name: str, values: list[float]) -> str:
-    """Return a median as text, with the worst where it is asked for."""
+    """Return a median as text, with the worst value for the columns in WORST."""
     digits = DIGITS.get(name, 3)
     worst = f" ({WORST[name](values):.{digits}f})" if name in WORST else ""
     return f"{np.median(values):.{digits}f}{worst}"

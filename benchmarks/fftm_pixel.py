@@ -121,7 +121,7 @@ def weight() -> None:
 
 
 def main() -> None:
-    """Print what is asked for."""
+    """Run the study named by the first argument: speed, coherence or weight."""
     what = sys.argv[1] if len(sys.argv) > 1 else "speed"
     if what == "speed":
         speed(int(sys.argv[2]) if len(sys.argv) > 2 else 2048)

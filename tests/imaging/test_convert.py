@@ -1,4 +1,4 @@
-"""The door: what users hold comes in as one form, and what cannot be used is refused by name."""
+"""Conversion at the border: what users hold becomes one form, and what cannot be used is refused by name."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def test_a_phase_step_in_a_faint_texture_is_lost() -> None:
     assert score(FAINT, stepped).values["preserved"] is False
 
 
-def test_an_uneven_sample_is_the_yardstick() -> None:
+def test_an_output_is_compared_with_an_uneven_sample() -> None:
     """Bricks that are displaced in the sample may be displaced in the output; scattered patches are lost."""
     image, lattice = quantize(sample_of(UNEVEN).image), lattice_of(UNEVEN)
     assert reference_from_sample(image, lattice).scatter > 0.05

@@ -1,4 +1,4 @@
-"""The registry: every plugin through the same door, the broken ones isolated."""
+"""The registry: all plugins enter in the same way, and broken ones are isolated."""
 
 from __future__ import annotations
 

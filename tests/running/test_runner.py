@@ -159,7 +159,7 @@ def test_a_detector_finds_each_lattice_once(tmp_path: Path) -> None:
 
 
 def test_two_runs_in_one_directory_are_refused(tmp_path: Path) -> None:
-    """While one process runs in a directory a second one is told so."""
+    """While one process runs in a directory, a second one ends with a message."""
     from nrbench.runs.store import RunDirectory
 
     directory = RunDirectory(tmp_path / "run")

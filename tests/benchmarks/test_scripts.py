@@ -1,0 +1,36 @@
+"""The scripts in benchmarks/ fit the present names of the package."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+FOLDER = Path(__file__).parents[2] / "benchmarks"
+NAMES = sorted(path.stem for path in FOLDER.glob("*.py"))
+Load = Callable[[str], ModuleType]
+
+
+@pytest.fixture
+def load(monkeypatch: pytest.MonkeyPatch) -> Iterator[Load]:
+    """Import scripts as if they were started in their folder, and forget them afterwards."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    yield importlib.import_module
+    for name in NAMES:
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_script_can_be_imported(load: Load, name: str) -> None:
+    """A script that imports a name which is gone fails here, not after half an hour of benchmarks."""
+    assert load(name).__doc__
+
+
+def test_the_list_names_every_script(load: Load) -> None:
+    """`make benchmark` starts each script of the folder, and no script that does not exist."""
+    listed = {benchmark.script.split()[0] for benchmark in load("all").BENCHMARKS}
+    assert listed == {f"{name}.py" for name in NAMES} - {"all.py", "unit.py"}
