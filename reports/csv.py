@@ -24,6 +24,12 @@ from .statistics.detections import detectors_table, tabulate_answers
 from .statistics.estimates import Estimate
 from .statistics.levels import breaking_points_table, compare_levels, levels_table
 from .statistics.people import agreement_table, compare_people, labels_table
+from .statistics.published import (
+    compare_with_published,
+    published_classes_table,
+    published_rates_table,
+    published_table,
+)
 from .statistics.verdicts import QUALITY, is_valid_baseline
 
 OWN_COLUMNS: Mapping[str, str] = {
@@ -64,6 +70,10 @@ class CsvTables:
     If the suite has textures at two levels or more of one departure, ``levels.csv`` has the mean quality of each method
     at each level, and ``breaking_points.csv`` the first level at which it is below 0.5.
 
+    If the suite has analogues of figures of the report of 2004, ``published.csv`` has one row a figure and method,
+    ``published_rates.csv`` the success rates as published and as measured over the same figures, and
+    ``published_classes.csv`` the agreement by class of texture, with kappa and the kappa of random pairings.
+
     If detectors found the lattices, ``detections.csv`` has one row an answer, and ``detectors.csv`` each detector's
     share of right answers, with its interval over draws, by family, departure and level; an empty cell there stands for
     all of them (of the textures that have a lattice).
@@ -96,6 +106,12 @@ class CsvTables:
             tables["perils"] = perils_table(points)
         if panels := compare_levels(run, comparison):
             tables |= {"levels": levels_table(panels), "breaking_points": breaking_points_table(panels)}
+        if published := compare_with_published(run, comparison):
+            tables |= {
+                "published": published_table(published),
+                "published_rates": published_rates_table(published),
+                "published_classes": published_classes_table(published),
+            }
         if people := compare_people(run, self.labels):
             tables |= {"labels": labels_table(run, self.labels), "agreement": agreement_table(people)}
         answers = tabulate_answers(run)

@@ -34,7 +34,8 @@ from .statistics.comparison import (
 from .statistics.detections import KINDS, STOCHASTIC, DetectorComparison, compare_detectors
 from .statistics.levels import BROKEN, compare_levels
 from .statistics.people import compare_people
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS
+from .statistics.published import SENTENCE, compare_with_published
+from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MARKS, MEANINGS
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"
 _KEY_VERSIONS = ("nrbench", "python", "numpy", "scipy", "scikit-image", "numba", "pandas", "pillow")
@@ -51,8 +52,9 @@ class HtmlReport:
     """The whole run on one page, ``report.html``, which works offline from ``file://``.
 
     It shows the ranking of the methods by quality, the perils plane, where each method breaks, the comparison by
-    texture, the accuracy of each detector of the lattice axis, each texture's sample, lattice and outputs side by side,
-    the failures and their causes, the provenance of the run, and the meaning of every score.
+    texture, the verdicts beside those that the report of 2004 published, the accuracy of each detector of the lattice
+    axis, each texture's sample, lattice and outputs side by side, the failures and their causes, the provenance of the
+    run, and the meaning of every score.
 
     Parameters
     ----------
@@ -107,6 +109,9 @@ class HtmlReport:
             "failed_scores": _failed_scores(run.cells),
             "columns": describe_scores(run),
             "meanings": MEANINGS,
+            "marks": MARKS,
+            "published": compare_with_published(run, comparison),
+            "published_sentence": SENTENCE,
             "baseline_sign": BASELINE_SIGN,
             "baseline_legend": BASELINE_LEGEND,
             "embedded": pictures.embedded,

@@ -12,8 +12,18 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
-from .statistics.comparison import LEADING_LEGEND, Comparison, Entry, MethodSummary, SummaryRow, compare_methods
-from .statistics.format import format_interval, format_number, strip_control
+from .statistics.comparison import (
+    LEADING_LEGEND,
+    Comparison,
+    Entry,
+    Method,
+    MethodSummary,
+    SummaryRow,
+    compare_methods,
+)
+from .statistics.estimates import Estimate
+from .statistics.format import format_interval, format_number, format_signed, strip_control
+from .statistics.published import SENTENCE, FigureRow, PublishedComparison, compare_with_published
 from .statistics.verdicts import BASELINE_LEGEND, QUALITY, RANKING, SHARES_LEGEND
 
 _SPECIAL: Mapping[str, str] = {
@@ -45,6 +55,9 @@ _OTHER: Mapping[str, str] = {
 class LatexTables:
     r"""``summary.tex`` (methods by scores) and ``comparison.tex`` (textures by methods), for ``\input`` in a paper.
 
+    If the run has analogues of the figures of the report of 2004, ``published.tex`` has its tables 2 and 3 with the
+    published mark before the measured one, and the success rates over the same figures.
+
     They need ``\usepackage{booktabs}`` and ``\usepackage[T1]{fontenc}``, nothing else. Names are escaped. A dagger
     marks a reference, which is never ranked. A double dagger marks a baseline that is valid on that kind of texture. A
     raised g marks a method that received the true lattice; any other raised word is the detector that found its
@@ -67,11 +80,13 @@ class LatexTables:
             raise BadInput(f"report latex: columns is {self.columns}; give at least 1")
 
     def write(self, run: Run, directory: Path) -> list[Path]:
-        """Write both files and return their paths; none if the run has no regularity score."""
+        """Write the files and return their paths; none if the run has no regularity score."""
         comparison = compare_methods(run)
         if not comparison.scored or not comparison.rows:
             return []
         contents = {"summary": _summary(run, comparison), "comparison": _comparison(run, comparison, self.columns)}
+        if published := compare_with_published(run, comparison):
+            contents["published"] = _published(run, published)
         return [_write(directory / f"{name}.tex", lines) for name, lines in contents.items()]
 
 
@@ -193,6 +208,54 @@ def _entry(entry: Entry | None) -> str:
         return ""
     sign = r"\nrbValidBaseline{}" if entry.baseline_valid else ""
     return rf"\nrb{_MARKS[entry.verdict][0]}{{}} {escape_latex(entry.detail)}".rstrip() + sign
+
+
+def _published(run: Run, published: PublishedComparison) -> Iterator[str]:
+    names = [_published_method(method) for method in published.methods]
+    for regular, number, words in ((True, 2, "regular textures"), (False, 3, "near-regular textures")):
+        rows = published.table(regular)
+        if not rows:
+            continue
+        lines = [_line(["figure", "description", *names]), r"\midrule"]
+        for row in rows:
+            places = [_published_place(row, i, method) for i, method in enumerate(published.methods)]
+            lines.append(_line([str(row.figure.number), escape_latex(row.figure.description), *places]))
+        caption = (
+            f"{_suite(run)}: the report's table {number}, {words}. The published verdict, then the measured one: "
+            rf"\nrbPreserved{{}} preserved, \nrbLost{{}} lost, \nrbUndecided{{}} no verdict, a number: share of "
+            rf"replicates that preserve, in percent; \nrbRefused{{}}: the report did not run it. {SENTENCE}"
+        )
+        yield from _float(f"published-{number}", caption, "rl" + "c" * len(names), lines)
+    heads = ["figures", "method", "published, all", "published", "measured", "difference"]
+    lines = [_line(heads), r"\midrule"]
+    for one in published.rates:
+        rates = [_rate(rate) for rate in (one.published, one.same, one.measured)]
+        difference = _mathematical(f"{format_signed(one.difference.value)} {format_interval(one.difference)}".rstrip())
+        lines.append(_line([escape_latex(one.group), _published_method(one.method), *rates, difference]))
+    caption = (
+        f"{_suite(run)}: success rates in percent as published and as measured. The last three columns rest on the "
+        "same n figures, those with a measured verdict. 95\\,\\% intervals over figures: Wilson's for rates, a "
+        f"bootstrap for the difference. {SENTENCE}"
+    )
+    yield from _float("published-rates", caption, "llrrrr", lines)
+
+
+def _published_method(method: Method) -> str:
+    return escape_latex(method.name) + (r"\nrbGiven{}" if method.lattice_source == "given" else "")
+
+
+def _published_place(row: FigureRow, index: int, method: Method) -> str:
+    word, share = row.figure.verdicts.get(method.name.partition(":")[0]), row.measured[index]
+    known = {1.0: "preserved", 0.0: "lost", None: "undecided"}
+    marks = [_MARKS[name][0] if name else None for name in (word or "refused", known.get(share))]
+    return " ".join(rf"\nrb{mark}{{}}" if mark else f"{100 * (share or 0):.0f}" for mark in marks)
+
+
+def _rate(one: Estimate) -> str:
+    if one.value is None:
+        return "--"
+    ends = _mathematical(format_interval(one, as_percent=True))
+    return rf"{100 * one.value:.0f} {ends} \textit{{/{one.n}}}"
 
 
 def _suite(run: Run) -> str:
