@@ -12,6 +12,7 @@ import pandas as pd
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
+from .statistics.claims import claim_tests_table, claims_table, evaluate_claims
 from .statistics.comparison import (
     Comparison,
     MethodSummary,
@@ -70,6 +71,9 @@ class CsvTables:
     If the suite has textures at two levels or more of one departure, ``levels.csv`` has the mean quality of each method
     at each level, and ``breaking_points.csv`` the first level at which it is below 0.5.
 
+    If the suite tests claims, ``claims.csv`` has the mean of each series at each level, and ``claim_tests.csv`` what is
+    expected and whether it held, failed or is undecided.
+
     If the suite has analogues of figures of the report of 2004, ``published.csv`` has one row a figure and method,
     ``published_rates.csv`` the success rates as published and as measured over the same figures, and
     ``published_classes.csv`` the agreement by class of texture, with kappa and the kappa of random pairings.
@@ -106,6 +110,8 @@ class CsvTables:
             tables["perils"] = perils_table(points)
         if panels := compare_levels(run, comparison):
             tables |= {"levels": levels_table(panels), "breaking_points": breaking_points_table(panels)}
+        if claims := evaluate_claims(run):
+            tables |= {"claims": claims_table(claims), "claim_tests": claim_tests_table(claims)}
         if published := compare_with_published(run, comparison):
             tables |= {
                 "published": published_table(published),

@@ -20,9 +20,11 @@ from nrbench.storage import write_aside
 
 from .page.forest_plot import forest_axes
 from .page.gallery import PictureSource, build_disagreement, build_gallery, layer_titles, score_shade
+from .plots.claim_plot import plot_claim
 from .plots.level_plot import plot_levels
 from .plots.perils_plane import plot_perils_plane
 from .statistics import format as text_format
+from .statistics.claims import evaluate_claims
 from .statistics.comparison import (
     LEADING_LEGEND,
     LEADING_SIGN,
@@ -52,9 +54,9 @@ class HtmlReport:
     """The whole run on one page, ``report.html``, which works offline from ``file://``.
 
     It shows the ranking of the methods by quality, the perils plane, where each method breaks, the comparison by
-    texture, the verdicts beside those that the report of 2004 published, the accuracy of each detector of the lattice
-    axis, each texture's sample, lattice and outputs side by side, the failures and their causes, the provenance of the
-    run, and the meaning of every score.
+    texture, the claims that the suite tests, the verdicts beside those that the report of 2004 published, the accuracy
+    of each detector of the lattice axis, each texture's sample, lattice and outputs side by side, the failures and
+    their causes, the provenance of the run, and the meaning of every score.
 
     Parameters
     ----------
@@ -84,7 +86,7 @@ class HtmlReport:
         pictures = PictureSource.for_cells(run.cells, directory, self.embed_mib * 2**20)
         detectors = compare_detectors(run)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
-        people = compare_people(run, self.labels)
+        people, claims = compare_people(run, self.labels), evaluate_claims(run)
         disagreements = people.disagreements if people else ()
         references = (i for i, method in enumerate(comparison.methods) if i and method.reference)
         content: dict[str, Any] = {
@@ -110,6 +112,8 @@ class HtmlReport:
             "columns": describe_scores(run),
             "meanings": MEANINGS,
             "marks": MARKS,
+            "claims": claims,
+            "claim_plots": [_svg_source(plot_claim(one, "svg")) for one in claims],
             "published": compare_with_published(run, comparison),
             "published_sentence": SENTENCE,
             "baseline_sign": BASELINE_SIGN,

@@ -251,17 +251,18 @@ def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
     BadInput
         For unknown methods, parameters or lattice sources, or patterns that match no texture.
     """
-    methods = [Method.parse(spec) for spec in dict.fromkeys(suite.methods)]
+    methods = {spec: Method.parse(spec) for spec in suite.all_methods}
     sources = list({source.name: source for source in map(Source.parse, suite.lattice)}.values())
     if not methods:
         raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
-    if not sources and any(method.uses_lattice for method in methods):
+    if not sources and any(method.uses_lattice for method in methods.values()):
         raise BadInput(f'suite {suite.name}: names no lattice source; add lattice = ["own"] or pass --lattice own')
     samples = draw_samples(suite, textures)
     cells = [
         (_make_cell(suite, sample, method, source), sample)
         for sample in samples
-        for method in methods
+        for spec, method in methods.items()
+        if suite.runs(spec, sample.row.name)
         for source in (sources if method.uses_lattice else [Source("none")])
     ]
     return Plan(suite, samples, cells)

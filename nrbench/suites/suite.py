@@ -21,6 +21,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Shape
 from nrbench.plugins.parameters import nearest
+from nrbench.suites.claims import Claim, Expectation, Series
 
 LARGEST_SIDE = 16384
 DEFAULT = "default"
@@ -181,6 +182,9 @@ class Suite(BaseModel):
     texture
         The textures. In a file they are ``[[texture]]`` tables, or ``[[grid]]`` tables of several textures each; see
         :class:`Grid`.
+    claim
+        Sentences of papers to test, ``[[claim]]`` tables; see :class:`~nrbench.suites.claims.Claim`. A method runs only
+        on the textures of the claims that name it. If ``methods`` is empty, it is the methods of all claims.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -195,6 +199,7 @@ class Suite(BaseModel):
     methods: tuple[str, ...] = Field(default=(), min_length=0)
     metrics: tuple[str, ...] = ()
     texture: tuple[TextureRow, ...] = ()
+    claim: tuple[Claim, ...] = ()
 
     @property
     def hash(self) -> str:
@@ -209,7 +214,17 @@ class Suite(BaseModel):
             i: {key for key in ("departure", "level") if getattr(row, key) in ("", None)}
             for i, row in enumerate(self.texture)
         }
-        return {"texture": rows, **({} if self.metrics else {"metrics": True})}
+        return {"texture": rows, **{key: True for key in ("metrics", "claim") if not getattr(self, key)}}
+
+    @property
+    def all_methods(self) -> tuple[str, ...]:
+        """The methods; those of the claims if the suite names none."""
+        return self.methods or tuple(dict.fromkeys(method for claim in self.claim for method in claim.methods))
+
+    def runs(self, method: str, texture: str) -> bool:
+        """Return whether a method runs on a texture. A method that claims name runs only on their textures."""
+        claims = [claim for claim in self.claim if method in claim.methods]
+        return not claims or any(claim.runs(method, texture) for claim in claims)
 
     def with_changes(self, **changes: Any) -> Suite:
         """Return the suite with some fields replaced, checked like the file."""
@@ -234,6 +249,14 @@ def validated_suite(content: dict[str, Any], where: str) -> Suite:
         raise BadInput(f"{where}: two textures have the name {twice!r}; rename one")
     if not rows:
         raise BadInput(f"{where}: has no texture; add a [[texture]] table with name and dataset")
+    for claim in suite.claim:
+        for series in claim.series:
+            for level in series.levels:
+                if not any(claim.uses(series, level, name) for name in rows):
+                    raise BadInput(
+                        f"{where}: claim {claim.name!r}, series {series.name!r}, level {level:g}: no texture matches "
+                        f"{', '.join(series.patterns_at(level) or claim.textures)}"
+                    )
     return suite
 
 
@@ -254,11 +277,20 @@ def _without_grids(content: dict[str, Any], where: str) -> dict[str, Any]:
     return {**{key: value for key, value in content.items() if key != "grid"}, "texture": rows}
 
 
+_TABLES: dict[str, type[BaseModel]] = {
+    "texture": TextureRow,
+    "claim": Claim,
+    "series": Series,
+    "expect": Expectation,
+}
+
+
 def _first(error: ValidationError) -> str:
     first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
     place = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        model = TextureRow if first["loc"][0] == "texture" else Suite
+        tables = [part for part in first["loc"][:-1] if part in _TABLES]
+        model = _TABLES[str(tables[-1])] if tables else Suite
         return f"key {place!r} is not known{nearest(str(first['loc'][-1]), model.model_fields)}"
     message = first["msg"].removeprefix("Value error, ")
     return f"{place}: {message}"

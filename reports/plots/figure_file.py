@@ -11,6 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 INK, GRAY, FAINT = "black", "0.45", "0.8"
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
+"""The palette of M. Okabe and K. Ito, "Color universal design", 2008; it is safe for color-blind readers."""
+SIGNS = "osD^vPX*"
+"""The markers of lines, so that color is not the only difference."""
 SMALL: Any = {"color": GRAY, "fontsize": 7}
 _STYLE: Any = {
     "font.family": "DejaVu Sans",

@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 
 from ..statistics.comparison import Method
 from ..statistics.levels import BROKEN, LevelPanel
-from .figure_file import FAINT, GRAY, INK, SMALL, make_figure, render_figure
+from .figure_file import COLORS, FAINT, GRAY, INK, SIGNS, SMALL, make_figure, render_figure
 
-_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
-"""The palette of M. Okabe and K. Ito, "Color universal design", 2008; it is safe for color-blind readers."""
-_SIGNS = "osD^vPX*"
 _REFERENCE_SIGNS = "d<"
 _WIDEST = 2.9
 """Width of a panel with its labels, inches, at least."""
@@ -82,8 +79,8 @@ def _line_styles(methods: Sequence[Method]) -> list[dict[str, Any]]:
     styles: list[dict[str, Any]] = []
     for method in methods:
         place = sum(other.reference == method.reference for other in methods[: len(styles)])
-        signs = _REFERENCE_SIGNS if method.reference else _SIGNS
-        color = GRAY if method.reference else _COLORS[place % len(_COLORS)]
+        signs = _REFERENCE_SIGNS if method.reference else SIGNS
+        color = GRAY if method.reference else COLORS[place % len(COLORS)]
         dashes = "-" if place < len(signs) else "--"
         styles.append({"color": color, "marker": signs[place % len(signs)], "ls": dashes})
     return styles
