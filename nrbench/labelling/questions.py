@@ -30,7 +30,7 @@ class Question:
     text
         The question.
     meanings
-        What each of :data:`ANSWERS` means.
+        What yes and no mean.
     column
         The score that measures the same.
     rule
@@ -40,7 +40,7 @@ class Question:
 
     name: str
     text: str
-    meanings: tuple[str, str, str]
+    meanings: tuple[str, str]
     column: str
     rule: Callable[[Scores], bool | None] | None = None
 
@@ -79,7 +79,6 @@ LATTICE = Question(
         "all elements of the output are in the pattern of the sample: none is missing, doubled, cut short or out of "
         "line. Judge their places, not their colors.",
         "the pattern is broken at some place; one element is enough.",
-        "you cannot decide.",
     ),
     PRESERVED,
     _is_preserved,
@@ -91,7 +90,6 @@ ELEMENTS = Question(
         "each element looks like one piece, as in the sample.",
         "an element is cut, or joined of parts that do not belong together, such as a brick of two colors; one element "
         "is enough.",
-        "you cannot decide.",
     ),
     "integrity.score",
     _has_whole_elements,
@@ -102,7 +100,6 @@ MORE = Question(
     (
         "the output could be another part of the same wall, cloth or floor.",
         "it could not: it is broken, repeats itself like wallpaper, is blurred, or looks different.",
-        "you cannot decide.",
     ),
     "quality.score",
 )

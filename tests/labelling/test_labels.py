@@ -131,7 +131,7 @@ def test_the_questions_decide(run: Run) -> None:
 def test_a_page_asks_its_questions(run: Run) -> None:
     """Each question of the page stands in it once with its answers, and no other question does."""
     page = page_html(run.root, make_page(run, questions=["elements", "more"]))
-    assert page.count('<p class="question"') == 2 and page.count('<button type="button" class="answer"') == 6
+    assert page.count('<div class="question"') == 2 and page.count('<button type="button" class="answer"') == 6
     for question in (ELEMENTS, MORE):
         assert page.count(f"<h2>{question.text}</h2>") == 1
         assert all(meaning in page for meaning in question.meanings)
@@ -333,7 +333,7 @@ def test_label_writes_page_and_key(run: Run, capsys: pytest.CaptureFixture[str])
         assert hint in capsys.readouterr().err
     assert call("label run -o page.html --questions more,lattice") == 0
     assert "questions: more, lattice" in capsys.readouterr().out
-    assert Path("page.html").read_text("utf-8").count('<p class="question"') == 2
+    assert Path("page.html").read_text("utf-8").count('<div class="question"') == 2
     assert call("label nowhere") == 2
     assert "is no run" in capsys.readouterr().err
 

@@ -42,15 +42,21 @@ function picture(image, index) {
   return image.decode();
 }
 function fit() {
-  const images = [part("sample"), part("output")];
-  const width = images.reduce((sum, image) => sum + image.naturalWidth, 0);
-  const height = Math.max(...images.map((image) => image.naturalHeight));
-  if (!width) return;
-  const others = [document.querySelector("header"), part("questions"), document.querySelector("footer")];
-  const used = others.reduce((sum, element) => sum + element.offsetHeight, 70);
-  const room = Math.min((innerWidth - 80) / width, (innerHeight - used) / height);
+  const [sample, output] = [part("sample"), part("output")];
+  if (!sample.naturalWidth || !output.naturalWidth) return;
+  const bars = ["header", "footer"].reduce((sum, name) => sum + document.querySelector(name).offsetHeight, 0);
+  const width = innerWidth - 90;
+  const height = innerHeight - bars - 70;
+  const asked = part("questions");
+  // The questions stand below the sample, beside the output.
+  const room = Math.min(
+    width / (sample.naturalWidth + output.naturalWidth),
+    (width - asked.offsetWidth) / output.naturalWidth,
+    height / output.naturalHeight,
+    (height - asked.offsetHeight - 10) / sample.naturalHeight
+  );
   const scale = room >= 1 ? Math.min(4, Math.floor(room)) : Math.max(0.25, room);
-  for (const image of images) {
+  for (const image of [sample, output]) {
     image.width = Math.round(image.naturalWidth * scale);
     image.height = Math.round(image.naturalHeight * scale);
   }
