@@ -1,17 +1,25 @@
 """Whether labels agree with the scores; the labels were given without knowing the methods or the scores.
 
-``python benchmarks/labels.py``
+``python benchmarks/labels.py [FILE.csv]``
 
-``labels/outputs.csv`` holds the answers of two labellers (vision-language models that saw nothing but the pictures) to
-three questions about outputs of methods on textures of ``core`` and ``report2004``: is the lattice kept (1 or 0), are
-the elements whole (1 or 0), does it look like more of the same texture (1 to 5). Each output is made again, compared
-with the hash of its pixels, and scored. Prints Cohen's kappa between the labellers, and between them and the verdict,
-and the rank correlation of ``quality.score`` with the answers.
+``labels/outputs.csv``, which is read by default, holds the answers of two labellers (vision-language models that saw
+nothing but the pictures) to three questions about outputs of methods on textures of ``core`` and ``report2004``: is
+the lattice kept (1 or 0), are the elements whole (1 or 0), does it look like more of the same texture (1 to 5). Another
+file is a table ``labels.csv`` that ``nrbench report RUN --labels ...`` wrote: one row for each output, person and
+question, with the answers yes, no and cannot say.
+
+Each output is made again, compared with the hash of its pixels, and scored. Outputs that differ are counted, and so are
+outputs of pictures or of changed suites, which cannot be made again. Prints Cohen's kappa between the labellers, and
+between them and the automatic answers, over the outputs that both decide, and the rank correlation of ``quality.score``
+with the answers to the third question.
 """
 
 from __future__ import annotations
 
-import csv
+import itertools
+import sys
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,42 +28,114 @@ import pandas as pd
 from scipy.stats import kendalltau, spearmanr
 
 from nrbench import plugins
+from nrbench.errors import BadInput
+from nrbench.labelling.questions import ELEMENTS, LATTICE, MORE
 from nrbench.metrics.integrity import Integrity
 from nrbench.metrics.quality import Quality
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Observation, Task
+from nrbench.plugins.parameters import parse_spec
 from nrbench.running.phases import checked_synthesis
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.plan import Sample, draw_samples
 from nrbench.suites.suite import load_suite
 
 LABELS = Path(__file__).parent / "labels" / "outputs.csv"
+OUTPUT = ["suite", "texture", "method", "lattice_source", "replicate", "pixels"]
+"""The columns that identify an output."""
+ANSWER = ["person", "question", "answer"]
+_STORED_QUESTIONS = {"lattice": LATTICE.name, "whole": ELEMENTS.name, "same": MORE.name}
+_VALUES = {"yes": 1.0, "no": 0.0, "cannot say": np.nan}
 
 
-def score_output(sample: Sample, seed: int, row: dict[str, str]) -> dict[str, Any]:
-    """Make an output again, and return its scores.
+def read_labels(path: Path) -> pd.DataFrame:
+    """Read the first answers of a file of labels.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row an answer, with the columns :data:`OUTPUT` and :data:`ANSWER`. The answers are numbers: 1 for yes, 0 for
+        no, NaN for cannot say, or the 1 to 5 of ``outputs.csv``.
+    """
+    table = pd.read_csv(path, keep_default_na=False, dtype=str)
+    if "question" in table:
+        table = table[table["again"] == "False"]
+        labels = table[OUTPUT + ANSWER].assign(answer=table["answer"].map(_VALUES))
+    else:
+        table = table.assign(lattice_source="given", replicate="0")
+        parts = [
+            table[OUTPUT].assign(person=person, question=name, answer=table[f"{person}_{column}"].astype(float))
+            for person, (column, name) in itertools.product(("first", "second"), _STORED_QUESTIONS.items())
+        ]
+        labels = pd.concat(parts, ignore_index=True)
+    return labels.assign(replicate=labels["replicate"].astype(int))
+
+
+def score_output(sample: Sample, seed: int, row: Mapping[str, Any]) -> dict[str, Any]:
+    """Make an output again, and return its scores by ``metric.column``.
 
     Raises
     ------
     ValueError
-        When the pixels differ from those that were labelled.
+        When the pixels differ from those that were labelled, or the lattice came from a detector of its own.
     """
     assert sample.texture is not None
     texture, again = sample.texture, sample.recipe.again(sample.texture)
-    method = plugins.build("synthesizers", row["method"], {})
-    own = getattr(method, "reference", False)
-    rng = stream("synthesis", seed, pixels_hash(texture.image), 0)
-    lattice = texture.lattice if getattr(method, "uses_lattice", True) else None
-    task = Task(texture.image, sample.shape, lattice, rng, again=again if own else None)
+    method = plugins.build("synthesizers", *parse_spec(row["method"]))
+    reference = getattr(method, "reference", False)
+    rng = stream("synthesis", seed, pixels_hash(texture.image), row["replicate"])
+    if row["lattice_source"] not in ("given", "own", "none"):
+        raise ValueError(f"{row['texture']}, {row['method']}: the lattice of a detector is not detected again")
+    given = row["lattice_source"] == "given" and getattr(method, "uses_lattice", True)
+    task = Task(
+        texture.image,
+        sample.shape,
+        texture.lattice if given else None,
+        rng,
+        again=again if reference else None,
+        recompose=sample.recipe.recompose(sample.recipe.render()) if reference else None,
+    )
     output = checked_synthesis(method.synthesize(task), texture.image, sample.shape).image
     if not pixels_hash(output).startswith(row["pixels"]):
         raise ValueError(f"{row['texture']}, {row['method']}: the output is not the one that was labelled")
     observation = Observation(texture.image, output, texture, again=again)
+    metrics = {"regularity": Regularity(), "integrity": Integrity(), "quality": Quality()}
     return {
-        "preserved": Regularity().score(observation).values["preserved"],
-        "integrity": Integrity().score(observation).values["score"],
-        "quality": Quality().score(observation).values["score"],
+        f"{name}.{column}": value
+        for name, metric in metrics.items()
+        for column, value in metric.score(observation).values.items()
     }
+
+
+def score_outputs(outputs: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+    """Return the outputs that could be made again, with their scores, and why the others could not.
+
+    Parameters
+    ----------
+    outputs
+        One row an output, with the columns :data:`OUTPUT`.
+    """
+    scored, lost = [], []
+    for name, part in outputs.groupby("suite"):
+        try:
+            suite = load_suite(str(name))
+            samples = {
+                (sample.row.name, sample.recipe.replicate): sample
+                for sample in draw_samples(suite, sorted(set(part["texture"])))
+            }
+        except BadInput as error:
+            lost += [str(error)] * len(part)
+            continue
+        for row in part.to_dict("records"):
+            sample = samples.get((row["texture"], row["replicate"]))
+            if sample is None:
+                lost.append(f"{row['texture']}: suite {name} has no draw {row['replicate']} of it")
+                continue
+            try:
+                scored.append({**row, **score_output(sample, suite.seed, row)})
+            except ValueError as error:
+                lost.append(str(error))
+    return pd.DataFrame(scored, columns=None if scored else OUTPUT), lost
 
 
 def kappa(one: pd.Series[Any], other: pd.Series[Any]) -> float:
@@ -66,45 +146,47 @@ def kappa(one: pd.Series[Any], other: pd.Series[Any]) -> float:
     return (agreement - chance) / (1 - chance) if chance < 1 else 1.0
 
 
-def main() -> None:
+def main(path: Path) -> None:
     """Score all labelled outputs and print the agreement."""
-    with LABELS.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    scores, lost = [], []
-    for name in sorted({row["suite"] for row in rows}):
-        suite = load_suite(name)
-        textures = sorted({row["texture"] for row in rows if row["suite"] == name})
-        samples = {sample.row.name: sample for sample in draw_samples(suite, textures)}
-        for row in rows:
-            if row["suite"] == name:
-                try:
-                    scores.append({**row, **score_output(samples[row["texture"]], suite.seed, row)})
-                except ValueError as error:
-                    lost.append(str(error))
-    table = pd.DataFrame(scores)
-    table["same"] = (table["first_same"].astype(float) + table["second_same"].astype(float)) / 2
-    print(f"{len(table)} outputs of {table['texture'].nunique()} textures; {len(lost)} differ from the labelled ones")
-    for question in ("lattice", "whole"):
-        print(
-            f"{question}: kappa of the labellers {kappa(table[f'first_{question}'], table[f'second_{question}']):.2f}"
-        )
-    decided = table[table["preserved"].notna()]
-    verdict = decided["preserved"].map({True: "1", False: "0"})
-    for who in ("first", "second"):
-        print(
-            f"verdict and the {who} labeller: kappa {kappa(verdict, decided[f'{who}_lattice']):.2f} (n {len(decided)})"
-        )
-    known = table[table["quality"].notna()]
-    print(f"quality and the third answer: Spearman {spearmanr(known['quality'], known['same']).statistic:.2f}")
+    labels = read_labels(path)
+    table, lost = score_outputs(labels[OUTPUT].drop_duplicates(ignore_index=True))
+    print(f"{len(table)} outputs of {table['texture'].nunique()} textures; {len(lost)} cannot be made again")
+    for why, count in Counter(lost).most_common(5):
+        print(f"  {count} x {why}")
+    if table.empty:
+        return
+    answers = labels.pivot(index=OUTPUT, columns=["question", "person"], values="answer")
+    answers = answers.reindex(pd.MultiIndex.from_frame(table[OUTPUT]))
+    scores = table.to_dict("records")
+    for question in (LATTICE, ELEMENTS):
+        if question.name not in answers or question.rule is None:
+            continue
+        given = answers[question.name]
+        automatic = pd.Series([question.rule(values) for values in scores], given.index).astype(float)
+        for one, other in itertools.combinations(given.columns, 2):
+            print_kappa(f"{question.name}: {one} and {other}", given[one], given[other])
+        for person in given.columns:
+            print_kappa(f"{question.name}: automatic answer and {person}", automatic, given[person])
+    if MORE.name not in answers:
+        return
+    table["same"] = answers[MORE.name].mean(axis=1).to_numpy()
+    known = table[table[MORE.column].notna() & table["same"].notna()]
+    print(f"quality and the third answer: Spearman {spearmanr(known[MORE.column], known['same']).statistic:.2f}")
     by_texture = [
-        kendalltau(part["quality"], part["same"]).statistic
+        kendalltau(part[MORE.column], part["same"]).statistic
         for _, part in known.groupby("texture")
-        if len(part) >= 4 and part["same"].nunique() > 1 and part["quality"].nunique() > 1
+        if len(part) >= 4 and part["same"].nunique() > 1 and part[MORE.column].nunique() > 1
     ]
     print(f"order of methods by texture: mean Kendall's tau {np.mean(by_texture):.2f} ({len(by_texture)} textures)")
-    means = table.groupby("method")[["quality", "integrity", "same"]].mean().sort_values("same")
-    print(means.round(2).to_string())
+    means = table.groupby("method")[[MORE.column, ELEMENTS.column, "same"]].mean()
+    print(means.sort_values("same").round(2).to_string())
+
+
+def print_kappa(name: str, one: pd.Series[Any], other: pd.Series[Any]) -> None:
+    """Print the kappa of two series of answers over those that both give."""
+    both = one.notna() & other.notna()
+    print(f"{name}: kappa {kappa(one[both], other[both]):.2f} (n {int(both.sum())})")
 
 
 if __name__ == "__main__":
-    main()
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else LABELS)

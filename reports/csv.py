@@ -88,7 +88,7 @@ class CsvTables:
     ----------
     labels
         Answer files of the labelling pages of ``nrbench label``. They add ``labels.csv``, one row an answer, and
-        ``agreement.csv``, one row a pair of raters.
+        ``agreement.csv``, one row a question and pair of raters.
     """
 
     labels: tuple[Path, ...] = ()

@@ -13,7 +13,8 @@ from typing import Any, ClassVar
 import jinja2
 from markupsafe import Markup
 
-from nrbench.labelling.labels import ANSWERS, content_hash
+from nrbench.labelling.labels import content_hash
+from nrbench.labelling.questions import ANSWERS, WHOLE_SCORE
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RUN_FILE
 from nrbench.storage import write_aside
@@ -64,8 +65,7 @@ class HtmlReport:
         The page embeds pictures of up to this many MiB in total. Above, it links the run's own files and must stay in
         the run directory.
     labels
-        Answer files of the labelling pages of ``nrbench label``. They add the agreement of people with the automatic
-        verdict.
+        Answer files of the labelling pages of ``nrbench label``. They add the agreement of people with the scores.
     """
 
     embed_mib: float = 60.0
@@ -87,7 +87,10 @@ class HtmlReport:
         detectors = compare_detectors(run)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         people, claims = compare_people(run, self.labels), evaluate_claims(run)
-        disagreements = people.disagreements if people else ()
+        disagreements = {
+            name: [(one, build_disagreement(run, one.record, asked.question, pictures)) for one in asked.disagreements]
+            for name, asked in (people.questions.items() if people else ())
+        }
         references = (i for i, method in enumerate(comparison.methods) if i and method.reference)
         content: dict[str, Any] = {
             "info": run.info,
@@ -125,7 +128,8 @@ class HtmlReport:
             "kinds": KINDS,
             "people": people,
             "answers": ANSWERS,
-            "disagreements": [(one, build_disagreement(run, one.record, pictures)) for one in disagreements],
+            "whole_score": WHOLE_SCORE,
+            "disagreements": disagreements,
         }
         return _fill_template(content)
 

@@ -190,10 +190,18 @@ def status_command(run: Path, as_json: bool) -> None:
     help="Share of the outputs that are shown twice.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of order and names.")
-def label_command(run: Path, output: Path | None, repeat: float, seed: int) -> None:
+@click.option(
+    "--questions",
+    default="lattice,elements,more",
+    show_default=True,
+    metavar="NAME,...",
+    help="The questions about each output, in this order.",
+)
+def label_command(run: Path, output: Path | None, repeat: float, seed: int, questions: str) -> None:
     """Write a page on which people label the outputs of RUN, without the methods' names.
 
-    `nrbench report RUN --labels FILE...` reads the answers that the page saves.
+    The questions are: is the lattice kept (`lattice`), are the elements whole (`elements`), does it look like more of
+    the same (`more`). `nrbench report RUN --labels FILE...` reads the answers that the page saves.
     """
     from nrbench.errors import BadInput
     from nrbench.labelling.labels import make_page, page_html, write_key
@@ -204,10 +212,12 @@ def label_command(run: Path, output: Path | None, repeat: float, seed: int) -> N
         raise BadInput(f"{output}: the page is HTML; end the name in .html")
     if output is not None and not output.absolute().parent.is_dir():
         raise BadInput(f"{output}: its directory does not exist; make it first")
-    page = make_page(Run(run), repeat, seed)
+    page = make_page(Run(run), repeat, seed, [name.strip() for name in questions.split(",")])
     path = output or page.key_file(run).with_suffix(".html")
     html = page_html(run, page)
     key = write_key(run, page)
     write_aside(path, lambda aside: aside.write_text(html, "utf-8"))
     repeats = sum(item.again for item in page.items)
-    print(f"{path}\n{len(page.items)} items, {repeats} of them second showings; the key {key} stays with the run")
+    asked = ", ".join(page.questions)
+    print(f"{path}\n{len(page.items)} items, {repeats} of them second showings; questions: {asked}")
+    print(f"the key {key} stays with the run")

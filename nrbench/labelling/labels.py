@@ -8,6 +8,7 @@ import hashlib
 import json
 import math
 import struct
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,11 +24,16 @@ from nrbench.runs.store import RunDirectory
 from nrbench.storage import read_json, write_json
 from nrbench.streams import stream
 
-ANSWERS = ("preserved", "lost", "cannot say")
-"""A person's possible answers, in the order of the keys 1, 2, 3."""
-COLUMNS = ("item", "answer", "seconds", "order")
-"""The columns of a file of answers."""
-PRESERVED = "regularity.preserved"
+from .questions import ANSWERS, LATTICE, PRESERVED, QUESTIONS, find_questions
+
+COLUMNS = ("item", "question", "answer", "seconds", "order")
+"""The columns of a file of answers. It has one row for each item and question."""
+_ONE_QUESTION_COLUMNS = ("item", "answer", "seconds", "order")
+"""The columns of a file of a page that asked for the lattice only, and had other words for the answers."""
+_WORDS = {
+    COLUMNS: {word: word for word in ANSWERS},
+    _ONE_QUESTION_COLUMNS: dict(zip(("preserved", "lost", "cannot say"), ANSWERS, strict=True)),
+}
 _LETTERS = "bcdfghjkmnpqrstvwxz"
 _LEAST_GAP = 10
 _TEMPLATES = Path(__file__).parent / "templates"
@@ -55,10 +61,21 @@ class Item:
 
 @dataclass(frozen=True)
 class LabelPage:
-    """The content of a page to label: its name, and its items in the order in which they are shown."""
+    """The content of a page to label.
+
+    Parameters
+    ----------
+    name
+        Its name.
+    items
+        Its items, in the order in which they are shown.
+    questions
+        The names of the questions about each item, in the order in which they are asked.
+    """
 
     name: str
     items: Sequence[Item]
+    questions: Sequence[str]
 
     def key_file(self, root: Path) -> Path:
         """Return the path of the page's key file, which lists the cell of each item."""
@@ -67,21 +84,25 @@ class LabelPage:
 
 @dataclass(frozen=True)
 class Answer:
-    """One person's answer to one item.
+    """One person's answer to one question about one item.
 
     Parameters
     ----------
     item
         The item, with the cell's key.
+    question
+        Name of the question.
     answer
-        One of :data:`ANSWERS`.
+        One of :data:`~nrbench.labelling.questions.ANSWERS`.
     seconds
-        Seconds from the display of the picture to the answer.
+        Seconds to the answer: from the display of the pictures for the first question about an item, from the answer
+        before it for the others.
     order
         Position of the item in the order of the page, from 1.
     """
 
     item: Item
+    question: str
     answer: str
     seconds: float
     order: int
@@ -102,25 +123,27 @@ class Person:
     name: str
     answers: Sequence[Answer]
 
-    def by_cell(self, again: bool = False) -> dict[str, str]:
-        """Return the first answers, or with ``again`` the second answers, by the key of the cell."""
-        return {each.item.cell: each.answer for each in self.answers if each.item.again == again}
-
-
-def verdict_as_answer(record: CellRecord) -> str:
-    """Return the verdict on a cell as one of :data:`ANSWERS`; "undecided" is ``cannot say``."""
-    preserved = record.values.get(PRESERVED)
-    return ANSWERS[2] if preserved is None else ANSWERS[0] if preserved else ANSWERS[1]
+    def by_cell(self, question: str, again: bool = False) -> dict[str, str]:
+        """Return the first answers to a question, or with ``again`` the second answers, by the key of the cell."""
+        asked = [each for each in self.answers if each.question == question]
+        return {each.item.cell: each.answer for each in asked if each.item.again == again}
 
 
 def labelled_cells(run: Run) -> list[CellRecord]:
-    """Return the cells that people label: those with an output, of textures that have a lattice."""
+    """Return the cells that people label: those with an output, of textures that have a lattice.
+
+    A photograph has a lattice if one is known, or if the verdict used one that was detected, even if it is undecided.
+    """
     ended = [record for record in run.cells if record.status == "ok" and (record.folder / "output.png").is_file()]
-    return [each for each in ended if each.lattice_truth is not None or each.values.get(PRESERVED) is not None]
+    return [each for each in ended if each.lattice_truth is not None or _is_judged(each)]
 
 
-def make_page(run: Run, repeat: float = 0.1, seed: int = 0) -> LabelPage:
-    """Return a page with its items in random order. The same run, share and seed give the same page.
+def _is_judged(record: CellRecord) -> bool:
+    return record.values.get(PRESERVED) is not None or record.reasons.get(PRESERVED, "").startswith("undecided")
+
+
+def make_page(run: Run, repeat: float = 0.1, seed: int = 0, questions: Sequence[str] = tuple(QUESTIONS)) -> LabelPage:
+    """Return a page with its items in random order. The same arguments give the same page.
 
     Parameters
     ----------
@@ -131,22 +154,26 @@ def make_page(run: Run, repeat: float = 0.1, seed: int = 0) -> LabelPage:
     seed
         Seed of order, ids and repetitions. The random stream also depends on the cells, so that ids differ between
         runs.
+    questions
+        The names of the questions to ask, in their order.
 
     Raises
     ------
     BadInput
-        When the run has nothing to show.
+        When the run has nothing to show, or a question is unknown.
     """
+    asked = [question.name for question in find_questions(questions)]
     cells = sorted(record.key for record in labelled_cells(run))
     if not cells:
         raise BadInput(f"{run.root}: has no output of a texture with a lattice; nothing can be labelled")
-    entropy = json.dumps([cells, float(repeat), int(seed)])
+    entropy = json.dumps([cells, float(repeat), int(seed), asked])
     rng = stream("labels", entropy)
     order = [cells[i] for i in rng.permutation(len(cells))]
     showings = _showings(len(order), math.ceil(repeat * len(order) - 1e-9), rng)
     ids = _random_ids(len(showings), rng)
     name = hashlib.blake2b(entropy.encode(), digest_size=4).hexdigest()
-    return LabelPage(name, [Item(id, order[i], again) for id, (i, again) in zip(ids, showings, strict=True)])
+    items = [Item(id, order[i], again) for id, (i, again) in zip(ids, showings, strict=True)]
+    return LabelPage(name, items, asked)
 
 
 def _showings(count: int, repeats: int, rng: np.random.Generator) -> list[tuple[int, bool]]:
@@ -197,6 +224,7 @@ def page_html(root: Path, page: LabelPage) -> str:
         style_hash=content_hash(style),
         script_hash=content_hash(script),
         content=Markup(json.dumps(_content(root, page), separators=(",", ":"))),
+        questions=find_questions(page.questions),
         answers=ANSWERS,
     )
 
@@ -215,7 +243,8 @@ def _content(root: Path, page: LabelPage) -> dict[str, Any]:
         files = (without_metadata(path.read_bytes()) for path in (folder.sample, folder.output))
         pictures = [base64.b64encode(file).decode() for file in files]
         items.append([item.id, *(numbers.setdefault(picture, len(numbers)) for picture in pictures)])
-    return {"sheet": page.name, "answers": ANSWERS, "items": items, "pictures": list(numbers)}
+    names = {"sheet": page.name, "questions": list(page.questions), "answers": ANSWERS}
+    return {**names, "items": items, "pictures": list(numbers)}
 
 
 def without_metadata(png: bytes) -> bytes:
@@ -238,8 +267,8 @@ def read_people(run: Run, files: Sequence[Path]) -> list[Person]:
     Raises
     ------
     BadInput
-        For a file that cannot be read, wrong columns, an unknown answer, an item that is answered twice, or an item
-        that is on no page of this run. The message names file and line.
+        For a file that cannot be read, wrong columns, an unknown question or answer, a question that is answered twice
+        for one item, or an item that is on no page of this run. The message names file and line.
     """
     if not files:
         return []
@@ -267,18 +296,23 @@ def _known_items(run: Run) -> dict[str, Item]:
 
 
 def _read_answers(path: Path, items: Mapping[str, Item]) -> list[Answer]:
-    answers = [_answer(row, items, f"{path}, line {number}") for number, row in enumerate(_rows(path), 2)]
-    ids = [each.item.id for each in answers]
-    twice = next((id for id in ids if ids.count(id) > 1), None)
+    columns, rows = _read_rows(path)
+    words = _WORDS[columns]
+    answers = [_answer(row, items, words, f"{path}, line {number}") for number, row in enumerate(rows, 2)]
+    counts = Counter((each.item.id, each.question) for each in answers)
+    twice = next((asked for asked, count in counts.items() if count > 1), None)
     if twice:
-        raise BadInput(f"{path}: item {twice!r} is answered twice; keep the answer that counts")
+        raise BadInput(f"{path}: item {twice[0]!r}, {twice[1]}, is answered twice; keep the answer that counts")
     if not answers:
         raise BadInput(f"{path} has no answers; save them with the button of the page first")
     return answers
 
 
-def _rows(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a file of answers. Spreadsheets may have added a byte order mark."""
+def _read_rows(path: Path) -> tuple[tuple[str, ...], list[dict[str, Any]]]:
+    """Return the columns and rows of a file of answers. Spreadsheets may have added a byte order mark.
+
+    A file without the column ``question`` holds answers about the lattice.
+    """
     try:
         text = path.read_text("utf-8-sig")
     except (UnicodeDecodeError, IsADirectoryError, FileNotFoundError) as error:
@@ -289,22 +323,27 @@ def _rows(path: Path) -> list[dict[str, Any]]:
         }[type(error)]
         raise BadInput(f"{path}: {problem}; pass the CSV that the page saved") from error
     table = csv.DictReader(text.splitlines())
-    columns = table.fieldnames or []
-    if sorted(columns) != sorted(COLUMNS):
-        raise BadInput(f"{path}: expected columns {', '.join(COLUMNS)}, got {', '.join(columns) or 'none'}")
-    return [row for row in table if any(row.values())]
+    found = table.fieldnames or []
+    columns = next((columns for columns in _WORDS if sorted(columns) == sorted(found)), None)
+    if columns is None:
+        raise BadInput(f"{path}: expected columns {', '.join(COLUMNS)}, got {', '.join(found) or 'none'}")
+    return columns, [{"question": LATTICE.name, **row} for row in table if any(row.values())]
 
 
-def _answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> Answer:
-    id, answer = row["item"], row["answer"]
+def _answer(row: Mapping[str, Any], items: Mapping[str, Item], words: Mapping[str, str], where: str) -> Answer:
+    id, question, answer = row["item"], row["question"], row["answer"]
     if id not in items:
         raise BadInput(f"{where}: item {id!r} is on no page of this run; pass answers to a page made for it")
-    if answer not in ANSWERS:
-        raise BadInput(f"{where}: answer {answer!r} is not known; use one of: {', '.join(ANSWERS)}")
+    if question not in QUESTIONS:
+        raise BadInput(f"{where}: question {question!r} is not known; use one of: {', '.join(QUESTIONS)}")
+    if answer not in words:
+        raise BadInput(f"{where}: answer {answer!r} is not known; use one of: {', '.join(words)}")
     try:
         seconds, order = float(row["seconds"]), int(row["order"])
     except (TypeError, ValueError) as error:
         raise BadInput(f"{where}: seconds and order must be numbers; leave them as the page saved them") from error
     if None in row or not (math.isfinite(seconds) and seconds >= 0 and order >= 1):
-        raise BadInput(f"{where}: is no answer as the page saves it (item, answer, seconds >= 0, order >= 1)")
-    return Answer(items[id], answer, seconds, order)
+        raise BadInput(
+            f"{where}: is no answer as the page saves it ({', '.join(COLUMNS[:3])}, seconds >= 0, order >= 1)"
+        )
+    return Answer(items[id], question, words[answer], seconds, order)

@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 import PIL.Image
 
+from nrbench.labelling.questions import Question
 from nrbench.lattice.geometry import Lattice
 from nrbench.runs.records import CellRecord, Run
 
@@ -23,7 +24,8 @@ SAME_LATTICE = 0.05
 """Lattices whose reduced vectors agree within this many px share one drawing."""
 _SMALLEST, _LARGEST = 192, 384
 _MAX_LOST_SHADE = 3
-_DEFECTS = "regularity.defects"
+_DEFECTS = {"regularity": "regularity.defects", "integrity": "integrity.broken"}
+"""The picture of the defects that a metric finds."""
 _FULL = 0.995
 """From this quality on, which is printed as 1.00, no peril limits an output."""
 
@@ -152,7 +154,7 @@ class OutputFigure:
 
 @dataclass(frozen=True)
 class DisagreementFigure:
-    """An output on which people and the automatic verdict differ.
+    """An output on which people and the automatic answer to a question differ.
 
     Parameters
     ----------
@@ -163,9 +165,9 @@ class DisagreementFigure:
     scale
         Page pixels for each pixel, the same for all three.
     explanation
-        Why the verdict is undecided; empty if it is not.
+        Why the score has no value; empty if it has one.
     scores
-        The scores of regularity.
+        The scores of the metric that answers the question.
     """
 
     method: Method
@@ -246,17 +248,17 @@ def build_gallery(run: Run, comparison: Comparison, pictures: PictureSource) -> 
     return sections
 
 
-def build_disagreement(run: Run, record: CellRecord, pictures: PictureSource) -> DisagreementFigure:
-    """Return the figure of a cell on which people and the automatic verdict differ."""
+def build_disagreement(run: Run, record: CellRecord, question: Question, pictures: PictureSource) -> DisagreementFigure:
+    """Return the figure of a cell on which people and the automatic answer to a question differ."""
     output = pictures.load(record.folder / "output.png")
-    names = [name for name in run.columns if name.startswith("regularity.")]
+    names = [name for name in run.columns if name.startswith(f"{question.metric}.")]
     return DisagreementFigure(
         method=_method_of(record),
         sample=pictures.load(record.folder / "sample.png"),
         output=output,
-        layer=pictures.load(record.pictures.get(_DEFECTS)) if output else None,
+        layer=pictures.load(record.pictures.get(_DEFECTS.get(question.metric, ""))) if output else None,
         scale=output.scale if output else 1.0,
-        explanation=explain_verdict(record),
+        explanation=explain_verdict(record, question.column),
         scores=_score_lines(run, record, names),
     )
 

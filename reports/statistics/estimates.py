@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri, stdtrit
+from scipy.stats import kendalltau
 
 from nrbench.streams import stream
 
@@ -280,6 +281,43 @@ def mean_kappa(pairs: ConfusionTables) -> Estimate:
     if len(draws) < RESAMPLES / 2:
         return Estimate(float(value[0]), n=n, of=of)
     return Estimate(float(value[0]), *_expanded_percentiles(draws, units), n, of)
+
+
+def rank_agreement(scores: NDArray[np.float64], answers: NDArray[np.float64]) -> tuple[float, float]:
+    """Compare the order of methods by a score with their order by people's answers.
+
+    Parameters
+    ----------
+    scores, answers
+        ``(n,)``: the score and the mean answer of each method.
+
+    Returns
+    -------
+    tau
+        Kendall's tau-b, in [-1, 1]. It does not reach 1 if the answers do not distinguish all methods that the score
+        distinguishes.
+    ordered
+        Share of the pairs with different answers that the score puts in the same order, in [0, 1]; pairs with equal
+        scores count half. Chance gives 0.5.
+
+    Notes
+    -----
+    Both are NaN if all answers are equal: there is no order to compare with. If all scores are equal, the score does
+    not know the order that there is: tau is 0.
+
+    Examples
+    --------
+    >>> tau, ordered = rank_agreement(np.array([0.1, 0.4, 0.9]), np.array([0.0, 1.0, 1.0]))
+    >>> round(tau, 2), ordered
+    (0.82, 1.0)
+    """
+    i, j = np.triu_indices(len(answers), 1)
+    differ = answers[i] != answers[j]
+    if not differ.any():
+        return math.nan, math.nan
+    signs = np.sign(scores[i] - scores[j])[differ] * np.sign(answers[i] - answers[j])[differ]
+    tau = float(kendalltau(scores, answers).statistic) if np.ptp(scores) else 0.0
+    return tau, float((1 + signs.mean()) / 2)
 
 
 def _mean_of_known(values: NDArray[np.float64]) -> NDArray[np.float64]:

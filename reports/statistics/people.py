@@ -1,26 +1,31 @@
-"""Compare the automatic verdicts of a run with the answers of people, and people with each other."""
+"""Compare the scores of a run with the answers of people, and people with each other, question by question."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from nrbench.labelling.labels import ANSWERS, Person, read_people, verdict_as_answer
+from nrbench.imaging.files import read_image
+from nrbench.labelling.labels import Person, read_people
+from nrbench.labelling.questions import ANSWERS, QUESTIONS, Question
 from nrbench.runs.records import CellRecord, Run
+from nrbench.streams import pixels_hash
 
-from .estimates import Estimate, count_answers, mean_kappa
+from .estimates import Estimate, as_numbers, count_answers, mean_kappa, means_over_textures, rank_agreement
+from .verdicts import method_label
 
 JUDGE = "judge"
-"""The name of the automatic verdict among the raters."""
-DECIDED = ANSWERS[:2]
+"""The name of the automatic score among the raters."""
+DECIDED = YES, NO = ANSWERS[:2]
 LABEL_COLUMNS = (
-    *("person", "texture", "method", "lattice_source", "replicate", "again", "answer", "judge", "seconds", "order"),
-    "key",
+    *("person", "suite", "texture", "method", "lattice_source", "replicate", "again", "question", "answer", "judge"),
+    *("score", "seconds", "order", "key", "pixels"),
 )
 """The columns of :func:`labels_table`."""
 
@@ -34,9 +39,9 @@ class RaterAgreement:
     first, second
         The raters. For a mean: the common rater or group, and the number of pairs.
     kappa
-        Cohen's kappa over :data:`~nrbench.labelling.labels.ANSWERS`; for several pairs the mean.
+        Cohen's kappa over :data:`~nrbench.labelling.questions.ANSWERS`; for several pairs the mean.
     decided
-        The same over the items that both answered with preserved or lost.
+        The same over the items that both answered with yes or no.
     equal
         Share of equal answers; None without items.
     n
@@ -55,19 +60,44 @@ class RaterAgreement:
 
 
 @dataclass(frozen=True)
+class RankAgreement:
+    """The agreement of the order of methods by a score with the order by people's answers.
+
+    Parameters
+    ----------
+    first, second
+        The automatic score, and a person or all people.
+    tau
+        Kendall's tau-b within each texture, mean over textures. The methods of a texture are ordered by their mean
+        score, and by their share of yes among the answers yes and no.
+    ordered
+        Share of the pairs of methods with different shares of yes that the score puts in the same order, mean over
+        textures. Pairs with equal scores count half.
+    n
+        Number of outputs with a score and an answer yes or no.
+    """
+
+    first: str
+    second: str
+    tau: Estimate
+    ordered: Estimate
+    n: int
+
+
+@dataclass(frozen=True)
 class Disagreement:
-    """An output on which at least one person and the automatic verdict differ.
+    """An output on which at least one person and the automatic answer differ.
 
     Parameters
     ----------
     record
         The cell.
     verdict
-        The automatic verdict, as one of the answers that people can give.
+        The automatic answer.
     people
         The answer of each person.
     opposite
-        Whether one of them is preserved and the other lost.
+        Whether one of them is yes and another no.
     """
 
     record: CellRecord
@@ -77,17 +107,21 @@ class Disagreement:
 
 
 @dataclass(frozen=True)
-class PeopleComparison:
-    """The agreement of people with the automatic verdict, with each other and with themselves.
+class QuestionComparison:
+    """The agreement of people with the automatic score, with each other and with themselves on one question.
 
     Parameters
     ----------
-    people
-        The people who gave answers.
+    question
+        The question.
     outputs
         Number of outputs with an answer.
     with_verdict
-        The automatic verdict with each person; if there are several, their mean comes last.
+        The automatic answer with each person; if there are several, their mean comes last. Empty if no automatic answer
+        exists.
+    ranks
+        The order of methods by score and by each person; if there are several, that by all people comes last. Empty if
+        there is an automatic answer.
     between
         Every two people; if there are several pairs, their mean comes last.
     selves
@@ -96,40 +130,106 @@ class PeopleComparison:
         The opposite ones first.
     """
 
-    people: Sequence[Person]
+    question: Question
     outputs: int
     with_verdict: Sequence[RaterAgreement]
+    ranks: Sequence[RankAgreement]
     between: Sequence[RaterAgreement]
     selves: Sequence[RaterAgreement]
     disagreements: Sequence[Disagreement]
 
 
-RaterPair = tuple[str, str, Mapping[str, str], Mapping[str, str]]
-"""The names of two raters, and the answers of each by cell."""
+@dataclass(frozen=True)
+class PeopleComparison:
+    """The comparison of people with the scores of a run.
+
+    Parameters
+    ----------
+    people
+        The people who gave answers.
+    outputs
+        Number of outputs with an answer.
+    questions
+        The comparison for each question that somebody answered, by the name of the question.
+    """
+
+    people: Sequence[Person]
+    outputs: int
+    questions: Mapping[str, QuestionComparison]
+
+
+Answers = Mapping[str, str]
+"""The answers of a rater by cell."""
+RaterPair = tuple[str, str, Answers, Answers]
+"""The names of two raters, and the answers of each."""
 
 
 def compare_people(run: Run, files: Sequence[Path]) -> PeopleComparison | None:
-    """Compare people with the automatic verdict, from the answer files of the labelling pages; None without files.
+    """Compare people with the scores of a run, from the answer files of the labelling pages; None without files.
 
     The first showing of an output counts. The second showing counts for self-agreement only.
     """
     people = read_people(run, files)
     if not people:
         return None
-    textures = {record.key: record.texture for record in run.cells}
-    answers = {person.name: person.by_cell() for person in people}
-    verdicts = {record.key: verdict_as_answer(record) for record in run.cells}
-    names = list(answers)
-    pairs = [(a, b, answers[a], answers[b]) for a, b in itertools.combinations(names, 2)]
-    repeats = [(person.name, "shown again", person.by_cell(), person.by_cell(again=True)) for person in people]
+    answered = {one.question for person in people for one in person.answers}
     return PeopleComparison(
         people=people,
+        outputs=len({one.item.cell for person in people for one in person.answers}),
+        questions={name: _compare(run, people, QUESTIONS[name]) for name in QUESTIONS if name in answered},
+    )
+
+
+def _compare(run: Run, people: Sequence[Person], question: Question) -> QuestionComparison:
+    """Compare the people who answered a question."""
+    textures = {record.key: record.texture for record in run.cells}
+    asked = [person for person in people if any(one.question == question.name for one in person.answers)]
+    answers = {person.name: person.by_cell(question.name) for person in asked}
+    known = ((record.key, question.automatic_answer(record)) for record in run.cells)
+    verdicts = {key: answer for key, answer in known if answer is not None}
+    names = list(answers)
+    pairs = [(a, b, answers[a], answers[b]) for a, b in itertools.combinations(names, 2)]
+    repeats = [
+        (person.name, "shown again", answers[person.name], person.by_cell(question.name, again=True))
+        for person in asked
+    ]
+    judged = [(JUDGE, name, verdicts, answers[name]) for name in names] if question.rule else []
+    return QuestionComparison(
+        question=question,
         outputs=len(set().union(*answers.values())),
-        with_verdict=_agreements([(JUDGE, name, verdicts, answers[name]) for name in names], textures, JUDGE),
+        with_verdict=_agreements(judged, textures, JUDGE),
+        ranks=[] if question.rule else _rank_agreements(run, question, answers),
         between=_agreements(pairs, textures, "people"),
         selves=[_agreement([pair], textures) for pair in repeats],
         disagreements=_list_disagreements(run, verdicts, answers),
     )
+
+
+def _rank_agreements(run: Run, question: Question, answers: Mapping[str, Answers]) -> list[RankAgreement]:
+    """Return the agreement of the score with each person, and with the answers of several people together last."""
+    groups = {name: [one] for name, one in answers.items()}
+    if len(groups) > 1:
+        groups["all people"] = list(answers.values())
+    return [_rank_agreement(run, question, name, group) for name, group in groups.items()]
+
+
+def _rank_agreement(run: Run, question: Question, name: str, people: Sequence[Answers]) -> RankAgreement:
+    rows = []
+    for record in run.cells:
+        said = [one[record.key] for one in people if one.get(record.key) in DECIDED]
+        score = record.values.get(question.column)
+        if said and score is not None:
+            label = method_label(record.method, record.lattice_source)
+            rows.append([record.texture, label, float(score), said.count(YES) / len(said)])
+    cells = pd.DataFrame(rows, columns=["texture", "label", "score", "yes"])
+    methods = cells.groupby(["texture", "label"], sort=False, as_index=False).mean()
+    orders = [
+        [texture, *rank_agreement(part["score"].to_numpy(), part["yes"].to_numpy())]
+        for texture, part in methods.groupby("texture", sort=False)
+    ]
+    table = pd.DataFrame(orders, columns=["texture", "tau", "ordered"])
+    means = means_over_textures(table, ["tau", "ordered"])
+    return RankAgreement(JUDGE, name, means["tau"], means["ordered"], len(cells))
 
 
 def _agreements(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: str) -> list[RaterAgreement]:
@@ -160,41 +260,66 @@ def _agreement(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: s
     )
 
 
-def _list_disagreements(
-    run: Run, verdicts: Mapping[str, str], answers: Mapping[str, Mapping[str, str]]
-) -> list[Disagreement]:
+def _list_disagreements(run: Run, verdicts: Answers, answers: Mapping[str, Answers]) -> list[Disagreement]:
     disagreements = []
     for record in run.cells:
         own = {name: by_cell[record.key] for name, by_cell in answers.items() if record.key in by_cell}
-        verdict = verdicts[record.key]
-        if any(answer != verdict for answer in own.values()):
+        verdict = verdicts.get(record.key)
+        if verdict is not None and any(answer != verdict for answer in own.values()):
             opposite = verdict in DECIDED and any(answer in DECIDED and answer != verdict for answer in own.values())
             disagreements.append(Disagreement(record, verdict, own, opposite))
     return sorted(disagreements, key=lambda one: not one.opposite)
 
 
 def labels_table(run: Run, files: Sequence[Path]) -> pd.DataFrame:
-    """Return one row an answer: the person, the output, the answer, its time, and the automatic verdict."""
+    """Return one row an answer: the person, the output, the question, the answer, its time, and the score.
+
+    ``judge`` is the automatic answer; it is empty for a question that has none. ``score`` is the value of the column of
+    the question. ``pixels`` is the hash of the output's pixels, which identifies an output that is made again.
+    """
     records = {record.key: record for record in run.cells}
+    people = read_people(run, files)
+    shown = {one.item.cell for person in people for one in person.answers}
+    pixels = {key: _hash_output(records[key]) for key in shown}
     rows = []
-    for person in read_people(run, files):
+    for person in people:
         for one in person.answers:
-            record = records[one.item.cell]
-            output = [record.texture, record.method, record.lattice_source, record.replicate, one.item.again]
-            rows.append(
-                [person.name, *output, one.answer, verdict_as_answer(record), one.seconds, one.order, record.key]
-            )
+            record, question = records[one.item.cell], QUESTIONS[one.question]
+            output = [record.suite, record.texture, record.method, record.lattice_source, record.replicate]
+            said = [one.item.again, question.name, one.answer, question.automatic_answer(record)]
+            score = as_numbers([record.values.get(question.column)])[0]
+            rows.append([person.name, *output, *said, score, one.seconds, one.order, record.key, pixels[record.key]])
     return pd.DataFrame(rows, columns=list(LABEL_COLUMNS))
 
 
+def _hash_output(record: CellRecord) -> str | None:
+    """Return the hash of an output's pixels; None if the file has been removed."""
+    path = record.folder / "output.png"
+    return pixels_hash(read_image(path, smallest=1)) if path.is_file() else None
+
+
 def agreement_table(comparison: PeopleComparison) -> pd.DataFrame:
-    """Return one row a pair of raters: number of items, share of equal answers, kappa with its interval."""
-    kinds = {"judge and people": comparison.with_verdict, "people": comparison.between, "self": comparison.selves}
+    """Return one row a question and pair of raters: number of items, and the agreement with its interval.
+
+    Pairs with answers have the share of equal answers and kappa; a question without an automatic answer has the
+    agreement of the orders of methods in their place.
+    """
+    names = [f"{name}{part}" for name in ("kappa", "kappa_decided", "tau", "ordered") for part in ("", "_low", "_high")]
     rows = [
-        [kind, one.first, one.second, one.n, one.equal]
-        + [part for estimate in (one.kappa, one.decided) for part in (estimate.value, estimate.low, estimate.high)]
-        for kind, agreements in kinds.items()
-        for one in agreements
+        [name, *row[:5], *(part for each in row[5:] for part in (each.value, each.low, each.high))]
+        for name, one in comparison.questions.items()
+        for row in _agreement_rows(one)
     ]
-    names = [f"{name}{part}" for name in ("kappa", "kappa_decided") for part in ("", "_low", "_high")]
-    return pd.DataFrame(rows, columns=["kind", "first", "second", "items", "share_equal", *names])
+    return pd.DataFrame(rows, columns=["question", "kind", "first", "second", "items", "share_equal", *names])
+
+
+def _agreement_rows(comparison: QuestionComparison) -> Iterator[list[Any]]:
+    """Yield the kind, the raters, the number of items, the share of equal answers and four estimates of each pair."""
+    nothing = Estimate(None)
+    for order in comparison.ranks:
+        estimates = [nothing, nothing, order.tau, order.ordered]
+        yield ["judge and people", order.first, order.second, order.n, None, *estimates]
+    kinds = {"judge and people": comparison.with_verdict, "people": comparison.between, "self": comparison.selves}
+    for kind, agreements in kinds.items():
+        for one in agreements:
+            yield [kind, one.first, one.second, one.n, one.equal, one.kappa, one.decided, nothing, nothing]

@@ -81,12 +81,12 @@ def verdict(record: CellRecord) -> str:
     return "not applicable" if no_lattice or reason.startswith("not applicable") else "undecided"
 
 
-def explain_verdict(record: CellRecord) -> str:
-    """Return why a cell is neither preserved nor lost; empty if it is one of them."""
+def explain_verdict(record: CellRecord, column: str = PRESERVED) -> str:
+    """Return why a cell is neither preserved nor lost, or has no other score; empty if it is or has."""
     if record.status != "ok":
         where = f"{record.status} in {record.phase}" if record.phase else record.status
         return f"{where}: {record.message}" if record.message else where
-    return record.reasons.get(PRESERVED, "")
+    return record.reasons.get(column, "")
 
 
 def method_label(method: str, lattice_source: str) -> str:

@@ -11,6 +11,7 @@ import shlex
 import shutil
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,19 +22,21 @@ from PIL.PngImagePlugin import PngInfo
 import nrbench
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
+from nrbench.imaging.files import read_image
 from nrbench.labelling.labels import (
-    ANSWERS,
     LabelPage,
     labelled_cells,
     make_page,
     page_html,
     read_people,
-    verdict_as_answer,
     without_metadata,
     write_key,
 )
+from nrbench.labelling.questions import ANSWERS, ELEMENTS, LATTICE, MORE, PRESERVED, QUESTIONS, WHOLE_SCORE
+from nrbench.metrics import integrity
 from nrbench.running.runner import Options
-from nrbench.runs.records import Run
+from nrbench.runs.records import CellRecord, Run
+from nrbench.streams import pixels_hash
 from nrbench.suites.suite import load_suite
 
 from .browser import PROGRAM, Browser
@@ -64,16 +67,27 @@ def run(made: Path, tmp_path: Path) -> Run:
     return Run(Path(shutil.copytree(made, tmp_path / "run")))
 
 
-def _answer(path: Path, sheet: LabelPage, answers: Sequence[str]) -> Path:
-    rows = [[item.id, answer, 1.5, i] for i, (item, answer) in enumerate(zip(sheet.items, answers, strict=True), 1)]
+def _answer(path: Path, sheet: LabelPage, answers: Sequence[Sequence[str]]) -> Path:
+    """Write a file with the answers to all questions about each item, as a page saves it."""
+    rows = [
+        [item.id, question, answer, 1.5, i]
+        for i, (item, said) in enumerate(zip(sheet.items, answers, strict=True), 1)
+        for question, answer in zip(sheet.questions, said, strict=True)
+    ]
     with path.open("w", newline="") as file:
-        csv.writer(file).writerows([["item", "answer", "seconds", "order"], *rows])
+        csv.writer(file).writerows([["item", "question", "answer", "seconds", "order"], *rows])
     return path
 
 
-def _verdicts(run: Run, sheet: LabelPage) -> list[str]:
+def _verdicts(run: Run, sheet: LabelPage) -> list[list[str]]:
+    """Return the automatic answers to the questions about each item; ``cannot say`` where there is none."""
     records = {record.key: record for record in run.cells}
-    return [verdict_as_answer(records[item.cell]) for item in sheet.items]
+    questions = [QUESTIONS[name] for name in sheet.questions]
+    return [[one.automatic_answer(records[item.cell]) or ANSWERS[2] for one in questions] for item in sheet.items]
+
+
+def _with_scores(record: CellRecord, **values: float | bool | None) -> CellRecord:
+    return replace(record, values={name.replace("__", "."): value for name, value in values.items()})
 
 
 def test_every_output_is_shown_and_a_share_twice(run: Run) -> None:
@@ -103,6 +117,75 @@ def test_the_seed_decides(run: Run) -> None:
     assert one.name != other.name
     assert not {item.id for item in one.items} & {item.id for item in other.items}
     assert [item.cell for item in one.items] != [item.cell for item in other.items]
+
+
+def test_the_questions_decide(run: Run) -> None:
+    """Pages with other questions have other names and ids, so that their answers are never mixed."""
+    pages = [make_page(run, questions=names) for names in (["lattice"], ["more", "lattice"], ["lattice", "more"])]
+    assert [page.questions for page in pages] == [["lattice"], ["more", "lattice"], ["lattice", "more"]]
+    assert make_page(run).questions == list(QUESTIONS) == ["lattice", "elements", "more"]
+    assert len({page.name for page in pages}) == 3
+    assert len({item.id for page in pages for item in page.items}) == sum(len(page.items) for page in pages)
+
+
+def test_a_page_asks_its_questions(run: Run) -> None:
+    """Each question of the page stands in it once with its answers, and no other question does."""
+    page = page_html(run.root, make_page(run, questions=["elements", "more"]))
+    assert page.count('<div class="question"') == 2 and page.count('<button type="button" class="answer"') == 6
+    for question in (ELEMENTS, MORE):
+        assert page.count(f"<h2>{question.text}</h2>") == 1
+        assert all(meaning in page for meaning in question.meanings)
+    assert LATTICE.text not in page
+
+
+def test_pictures_with_an_undecided_verdict_are_shown(run: Run) -> None:
+    """A picture whose lattice was detected is shown even if the verdict is undecided; without a lattice it is not."""
+    reasons = ("undecided: too few windows", "not applicable: no lattice in the truth")
+    undecided, none = (
+        replace(record, cell=replace(record.cell, lattice_truth=None), reasons={PRESERVED: reason})
+        for record, reason in zip(run.cells[:2], reasons, strict=True)
+    )
+    vars(run)["cells"] = [undecided, none]
+    assert labelled_cells(run) == [undecided]
+
+
+def test_automatic_answer_about_the_lattice(run: Run) -> None:
+    """The verdict preserved is yes, lost is no, and undecided or unscored is "cannot say"."""
+    record = run.cells[0]
+    values = {True: "yes", False: "no", None: "cannot say"}
+    assert {known: LATTICE.automatic_answer(_with_scores(record, regularity__preserved=known)) for known in values} == (
+        values
+    )
+    assert LATTICE.automatic_answer(_with_scores(record)) == "cannot say"
+
+
+@pytest.mark.parametrize(
+    ("score", "broken", "answer"),
+    [
+        (1.0, 0.0, "yes"),
+        (WHOLE_SCORE, 0.0, "yes"),
+        (WHOLE_SCORE - 1e-6, 0.0, "no"),
+        (1.0, 1.0, "no"),
+        (0.2, 9.0, "no"),
+        (None, None, "cannot say"),
+    ],
+)
+def test_automatic_answer_about_the_elements(run: Run, score: float | None, broken: float | None, answer: str) -> None:
+    """It is no if an element is surely broken or the score is below that of fresh draws, else yes if measured."""
+    record = _with_scores(run.cells[0], integrity__score=score, integrity__broken_tiles=broken)
+    assert ELEMENTS.automatic_answer(record) == answer
+
+
+def test_the_limit_of_whole_elements_is_that_of_the_metric() -> None:
+    """The score below which elements are called broken is the one that ``integrity`` calibrates on fresh draws."""
+    assert vars(integrity)["_FRESH"] == WHOLE_SCORE
+
+
+def test_more_of_the_same_has_no_automatic_answer(run: Run) -> None:
+    """No value of the quality is called yes or no."""
+    assert {MORE.automatic_answer(_with_scores(run.cells[0], quality__score=value)) for value in (0.0, 1.0, None)} == (
+        {None}
+    )
 
 
 def test_the_page_hides_what_it_shows(run: Run) -> None:
@@ -136,13 +219,44 @@ def test_answers_come_back(run: Run, tmp_path: Path) -> None:
     """What a page saved is read back cell by cell, with a byte order mark and without unanswered items too."""
     sheet = make_page(run, repeat=0.25)
     write_key(run.root, sheet)
-    said = [ANSWERS[i % 3] for i in range(len(sheet.items))]
+    said = [[ANSWERS[(i + i * k) % 3] for k in range(3)] for i in range(len(sheet.items))]
     path = _answer(tmp_path / "ada.csv", sheet, said)
     path.write_text("\ufeff" + "\n".join(path.read_text().splitlines()[:-2]), "utf-8")
     (person,) = read_people(run, [path])
     assert person.name == "ada"
-    assert [one.answer for one in person.answers] == said[:-2]
-    assert person.by_cell() == {i.cell: a for i, a in zip(sheet.items[:-2], said, strict=False) if not i.again}
+    assert [one.answer for one in person.answers] == [answer for three in said for answer in three][:-2]
+    assert [one.question for one in person.answers] == (list(QUESTIONS) * len(said))[:-2]
+    for k, question in enumerate(QUESTIONS):
+        answered = list(zip(sheet.items, said, strict=True))[: None if k == 0 else -1]
+        assert person.by_cell(question) == {item.cell: three[k] for item, three in answered if not item.again}
+        assert person.by_cell(question, again=True) == {i.cell: three[k] for i, three in answered if i.again}
+
+
+def test_answers_to_one_question_in_other_words_come_back(run: Run, tmp_path: Path) -> None:
+    """A file without the column of questions is about the lattice; preserved is yes there, and lost is no."""
+    sheet = make_page(run)
+    write_key(run.root, sheet)
+    words = ("preserved", "lost", "cannot say")
+    rows = [f"{item.id},{words[i % 3]},1.5,{i + 1}" for i, item in enumerate(sheet.items)]
+    path = tmp_path / "ada.csv"
+    path.write_text("\n".join(["item,answer,seconds,order", *rows]))
+    (person,) = read_people(run, [path])
+    assert {one.question for one in person.answers} == {"lattice"}
+    assert [one.answer for one in person.answers] == [("yes", "no", "cannot say")[i % 3] for i in range(len(rows))]
+
+
+def test_files_of_pages_with_other_questions_can_be_joined(run: Run, tmp_path: Path) -> None:
+    """The rows of two pages that asked other questions, in one file, are the answers of one person."""
+    texts = []
+    for name in ("elements", "more"):
+        sheet = make_page(run, questions=[name])
+        write_key(run.root, sheet)
+        path = _answer(tmp_path / f"{name}.csv", sheet, [["yes"]] * len(sheet.items))
+        texts.append(path.read_text().splitlines())
+    (tmp_path / "ada.csv").write_text("\n".join([*texts[0], *texts[1][1:]]))
+    (person,) = read_people(run, [tmp_path / "ada.csv"])
+    assert len(person.by_cell("elements")) == len(person.by_cell("more")) == 12
+    assert person.by_cell("lattice") == {}
 
 
 def test_pages_of_several_seeds_meet(run: Run, tmp_path: Path) -> None:
@@ -153,20 +267,27 @@ def test_pages_of_several_seeds_meet(run: Run, tmp_path: Path) -> None:
         write_key(run.root, sheet)
         files.append(_answer(tmp_path / f"{name}.csv", sheet, _verdicts(run, sheet)))
     one, other = read_people(run, files)
-    assert one.by_cell() == other.by_cell()
+    assert all(one.by_cell(name) == other.by_cell(name) != {} for name in QUESTIONS)
 
 
 BAD = {
     "item,answer,seconds,order\nqqqqqqqqqq,lost,1,1\n": "on no page of this run",
-    "item,answer,order\nx,lost,1\n": "expected columns item, answer, seconds, order",
-    "item;answer;seconds;order\nx;lost;1;1\n": "expected columns item, answer, seconds, order",
+    "item,question,answer,seconds,order\nqqqqqqqqqq,more,no,1,1\n": "on no page of this run",
+    "item,answer,order\nx,lost,1\n": "expected columns item, question, answer, seconds, order",
+    "item;answer;seconds;order\nx;lost;1;1\n": "expected columns item, question, answer, seconds, order",
+    "item,question,answer,order\nx,more,no,1\n": "got item, question, answer, order",
     "": "got none",
     "item,answer,seconds,order\n": "has no answers",
+    "item,question,answer,seconds,order\n": "has no answers",
     "item,answer,seconds,order\nITEM,broken,1,1\n": "use one of: preserved, lost, cannot say",
+    "item,question,answer,seconds,order\nITEM,more,lost,1,1\n": "use one of: yes, no, cannot say",
+    "item,question,answer,seconds,order\nITEM,colors,no,1,1\n": "use one of: lattice, elements, more",
     "item,answer,seconds,order\nITEM,lost,soon,1\n": "must be numbers",
     "item,answer,seconds,order\nITEM,lost,-1,1\n": "is no answer as the page saves it",
     "item,answer,seconds,order\nITEM,lost,1,1,more\n": "is no answer as the page saves it",
     "item,answer,seconds,order\nITEM,lost,1,1\nITEM,lost,1,2\n": "is answered twice",
+    "item,question,answer,seconds,order\nITEM,more,no,1,1\nITEM,more,yes,1,2\n": "more, is answered twice",
+    "item,question,answer,seconds,order\nITEM,more,no,1,1,and\n": "is no answer as the page saves it",
 }
 
 
@@ -200,12 +321,19 @@ def test_answers_to_another_run_are_refused(run: Run, tmp_path: Path) -> None:
 def test_label_writes_page_and_key(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     """`label` writes a page to the given path and its key to the run, and refuses invalid names, paths and runs."""
     assert call("label run -o page.html --repeat 0.5 --seed 4") == 0
-    assert "18 items, 6 of them second showings" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "18 items, 6 of them second showings" in out and "questions: lattice, elements, more" in out
     assert Path("page.html").stat().st_size > 50_000
     assert len(list((run.root / "labels").glob("*.json"))) == 1
     for line, hint in {"-o page.png": "end the name in .html", "-o no/page.html": "make it first"}.items():
         assert call(f"label run {line}") == 2
         assert hint in capsys.readouterr().err
+    for names, hint in {"colors": "use some of: lattice, elements, more", "more,more": "is given twice"}.items():
+        assert call(f"label run --questions {names}") == 2
+        assert hint in capsys.readouterr().err
+    assert call("label run -o page.html --questions more,lattice") == 0
+    assert "questions: more, lattice" in capsys.readouterr().out
+    assert Path("page.html").read_text("utf-8").count('<div class="question"') == 2
     assert call("label nowhere") == 2
     assert "is no run" in capsys.readouterr().err
 
@@ -219,42 +347,112 @@ def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFix
     assert call("report run --format html,csv --labels a.csv b.csv") == 0
     with Path("run/tables/agreement.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [row["kind"] for row in rows] == ["judge and people"] * 3 + ["people"] + ["self"] * 2
-    assert {float(row["share_equal"]) for row in rows} == {1.0}
+    kinds = ["judge and people"] * 3 + ["people"] + ["self"] * 2
+    assert [(row["question"], row["kind"]) for row in rows] == [(name, kind) for name in QUESTIONS for kind in kinds]
+    graded = [row for row in rows if row["question"] == "more" and row["kind"] == "judge and people"]
+    assert {row["tau"] for row in rows} == {""}
+    assert {row["share_equal"] for row in graded} == {""}
+    assert {float(row["share_equal"]) for row in rows if row not in graded} == {1.0}
     assert {row["kappa"] for row in rows} == {""}
+    with Path("run/tables/labels.csv").open() as file:
+        labels = list(csv.DictReader(file))
+    assert len(labels) == 2 * 3 * len(sheet.items)
+    assert {row["judge"] for row in labels if row["question"] == "more"} == {""}
+    hashes = {record.key: pixels_hash(read_image(record.folder / "output.png")) for record in run.cells}
+    assert all(row["pixels"] == hashes[row["key"]] for row in labels)
     assert "Automatic verdict and people" in Path("run/report/report.html").read_text("utf-8")
     assert call("report run other") == 2
     assert "only one run is reported" in capsys.readouterr().err
 
 
+def _save(browser: Browser, folder: Path) -> None:
+    """Save the answers of a page under the name ada, and wait for the file."""
+    folder.mkdir()
+    browser.downloads(folder)
+    browser.script("document.getElementById('who').value = 'ada'; document.getElementById('save').click()")
+    for _ in range(100):
+        if any(path.suffix == ".csv" for path in folder.iterdir()):
+            break
+        browser.script("new Promise((done) => setTimeout(done, 50))")
+
+
+COUNT = "document.getElementById('count').textContent"
+
+
 @pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
 def test_keys_label_in_a_browser(run: Run, tmp_path: Path) -> None:
     """Keys answer, the arrow goes back to correct, the page resumes after it was closed, and the saved file is read."""
-    sheet = make_page(run, repeat=0.25)
+    sheet = make_page(run, repeat=0.25, questions=["lattice"])
     write_key(run.root, sheet)
     page, saved = tmp_path / "page.html", tmp_path / "saved"
     page.write_text(page_html(run.root, sheet), "utf-8")
-    saved.mkdir()
-    count = "document.getElementById('count').textContent"
     with Browser(tmp_path / "profile") as browser:
         browser.open(page)
         for key in ("Enter", "1", "2", "2", "ArrowLeft", "3"):
             browser.press(key)
-        assert browser.script(count) == "4 of 15, 3 answered"
+        assert browser.script(COUNT) == "4 of 15, 3 answered"
     with Browser(tmp_path / "profile") as browser:
         browser.open(page)
         browser.press("Enter")
-        assert browser.script(count) == "4 of 15, 3 answered"
+        assert browser.script(COUNT) == "4 of 15, 3 answered"
         for _ in range(12):
             browser.press("1")
-        assert browser.script(count) == "15 of 15 answered"
-        browser.downloads(saved)
-        browser.script("document.getElementById('who').value = 'ada'; document.getElementById('save').click()")
-        for _ in range(100):
-            if any(path.suffix == ".csv" for path in saved.iterdir()):
-                break
-            browser.script("new Promise((done) => setTimeout(done, 50))")
+        assert browser.script(COUNT) == "15 of 15 answered"
+        _save(browser, saved)
     (person,) = read_people(run, [saved / f"labels-{sheet.name}-ada.csv"])
-    assert [one.answer for one in person.answers] == ["preserved", "lost", "cannot say"] + ["preserved"] * 12
+    assert [one.answer for one in person.answers] == ["yes", "no", "cannot say"] + ["yes"] * 12
     assert [one.order for one in person.answers] == list(range(1, 16))
     assert all(0 <= one.seconds < 60 for one in person.answers)
+
+
+@pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
+def test_three_questions_are_asked_in_turn(run: Run, tmp_path: Path) -> None:
+    """A key answers the marked question and marks the next one; pictures change after the last one; all is saved."""
+    sheet = make_page(run, repeat=0)
+    write_key(run.root, sheet)
+    page, saved = tmp_path / "page.html", tmp_path / "saved"
+    page.write_text(page_html(run.root, sheet), "utf-8")
+    marked = "[...document.querySelectorAll('.question')].map((row) => row.hasAttribute('aria-current')).indexOf(true)"
+    output = "document.getElementById('output').src"
+    open_buttons = "document.querySelectorAll('.question button:not(:disabled)').length"
+    click = "document.querySelectorAll('.question')[{}].querySelectorAll('button')[{}].click()"
+    with Browser(tmp_path / "profile") as browser:
+        browser.open(page)
+        browser.press("Enter")
+        first = browser.script(output)
+        assert (browser.script(marked), browser.script(open_buttons)) == (0, 3)
+        browser.press("2")
+        assert (browser.script(marked), browser.script(open_buttons)) == (1, 6)
+        browser.press("ArrowRight")
+        assert browser.script(marked) == 1
+        browser.press("ArrowLeft")
+        browser.press("1")
+        browser.press("3")
+        assert browser.script(marked) == 2 and browser.script(output) == first
+        assert browser.script(COUNT) == "1 of 12, 0 answered"
+        browser.script("new Promise((done) => setTimeout(done, 300))")
+        browser.press("2")
+        assert browser.script(COUNT) == "2 of 12, 1 answered" and browser.script(output) != first
+    with Browser(tmp_path / "profile") as browser:
+        browser.open(page)
+        for key in ("Enter", "2"):
+            browser.press(key)
+    with Browser(tmp_path / "profile") as browser:
+        browser.open(page)
+        browser.press("Enter")
+        assert (browser.script(COUNT), browser.script(marked)) == ("2 of 12, 1 answered", 1)
+        browser.script(click.format(0, 2))
+        browser.press("1")
+        browser.press("1")
+        for _ in range(3 * 10):
+            browser.press("1")
+        assert browser.script(COUNT) == "12 of 12 answered"
+        browser.press("ArrowLeft")
+        assert browser.script(COUNT) == "12 of 12, 12 answered" and browser.script(marked) == 2
+        _save(browser, saved)
+    (person,) = read_people(run, [saved / f"labels-{sheet.name}-ada.csv"])
+    expected = ["yes", "cannot say", "no", "cannot say", "yes", "yes"] + ["yes"] * 30
+    assert [one.answer for one in person.answers] == expected
+    assert [(one.item, one.question) for one in person.answers] == [(i, q) for i in sheet.items for q in QUESTIONS]
+    assert [one.order for one in person.answers] == [i for i in range(1, 13) for _ in QUESTIONS]
+    assert 0.3 <= person.answers[2].seconds < 60 and all(0 <= one.seconds < 60 for one in person.answers)

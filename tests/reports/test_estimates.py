@@ -213,3 +213,21 @@ def test_one_texture_has_no_interval() -> None:
     """Kappa of a single texture has no interval."""
     estimate = estimates.mean_kappa(_answers(np.random.default_rng(5), 1, 30, 0.5)[None])
     assert estimate.value is not None and estimate.low is None
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 3)), min_size=2, max_size=8))
+def test_rank_agreement_counts_pairs(pairs: list[tuple[int, int]]) -> None:
+    """Tau-b and the share of pairs in the same order follow from the counts of pairs; they do not depend on scale."""
+    scores, answers = (np.array(values, float) for values in zip(*pairs, strict=True))
+    signs = [
+        (np.sign(scores[i] - scores[j]), np.sign(answers[i] - answers[j])) for i in range(len(pairs)) for j in range(i)
+    ]
+    tau, ordered = estimates.rank_agreement(scores, answers)
+    untied = [one * other for one, other in signs if other]
+    assert (tau, ordered) == pytest.approx(estimates.rank_agreement(scores**3 - 7, np.exp(answers)), nan_ok=True)
+    if not untied:
+        assert np.isnan(tau) and np.isnan(ordered)
+        return
+    known = sum(1 for one, _ in signs if one)
+    assert tau == pytest.approx(sum(untied) / np.sqrt(known * len(untied)) if known else 0.0)
+    assert ordered == pytest.approx(np.mean([(1 + sign) / 2 for sign in untied]))

@@ -1,54 +1,93 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from nrbench.labelling.labels import ANSWERS, LabelPage, make_page, verdict_as_answer, write_key
+from nrbench.labelling.labels import LabelPage, make_page, write_key
+from nrbench.labelling.questions import ANSWERS, QUESTIONS
+from nrbench.plugins.forms import Column
 from nrbench.reports.html import HtmlReport
-from nrbench.reports.statistics.people import agreement_table, compare_people, labels_table
+from nrbench.reports.statistics.people import QuestionComparison, agreement_table, compare_people, labels_table
 from nrbench.runs.records import Run
+
+from .conftest import COLUMNS
 
 Make = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
 def judged(makers: tuple[Make, Make]) -> Run:
-    """Return a run of ten textures by four methods, half of the outputs preserved."""
+    """Return a run of ten textures by four methods.
+
+    Half of the outputs are preserved. The elements of the methods m0 and m1 are whole, those of m2 are broken, and
+    those of m3 are not measured. The quality falls from m0 to m3.
+    """
     make_cell, make_run = makers
+    wholes = ((1.0, 0.0), (0.97, 0.0), (0.4, 7.0), (None, None))
     cells = [
-        make_cell(f"t{i}", f"m{j}", preserved=(i + j) % 2 == 0, score=0.9 if (i + j) % 2 == 0 else 0.3)
+        make_cell(
+            f"t{i}",
+            f"m{j}",
+            preserved=(i + j) % 2 == 0,
+            score=0.9 if (i + j) % 2 == 0 else 0.3,
+            values={"integrity.score": whole, "integrity.broken_tiles": broken, "quality.score": 0.9 - 0.2 * j},
+            reasons={"integrity.score": "undecided: no power"} if whole is None else {},
+        )
         for i in range(10)
-        for j in range(4)
+        for j, (whole, broken) in enumerate(wholes)
     ]
-    run: Run = make_run(cells)
+    score = Column("Share of whole elements.", better="higher")
+    run: Run = make_run(cells, columns={**COLUMNS, "integrity.score": score})
     return run
 
 
+def _automatic_answers(run: Run, question: str) -> dict[str, str]:
+    """Return the automatic answer to a question by cell; ``yes`` where there is none."""
+    return {record.key: QUESTIONS[question].automatic_answer(record) or "yes" for record in run.cells}
+
+
 def _file(path: Path, sheet: LabelPage, answers: Sequence[str]) -> Path:
+    """Write the answers to the only question of a page."""
+    (question,) = sheet.questions
     with path.open("w", newline="") as file:
-        rows = [[item.id, answer, 1.0, i] for i, (item, answer) in enumerate(zip(sheet.items, answers, strict=True), 1)]
-        csv.writer(file).writerows([["item", "answer", "seconds", "order"], *rows])
+        rows = [
+            [item.id, question, answer, 1.0, i]
+            for i, (item, answer) in enumerate(zip(sheet.items, answers, strict=True), 1)
+        ]
+        csv.writer(file).writerows([["item", "question", "answer", "seconds", "order"], *rows])
     return path
 
 
-def _person(run: Run, path: Path, wrong: Callable[[int, bool], str | None], repeat: float = 0.0) -> Path:
+def _person(
+    run: Run,
+    path: Path,
+    wrong: Callable[[int, bool], str | None],
+    repeat: float = 0.0,
+    question: str = "lattice",
+) -> Path:
     """Write the answers of a person who repeats the verdicts unless ``wrong(number, again)`` gives another answer."""
-    sheet = make_page(run, repeat=repeat)
+    sheet = make_page(run, repeat=repeat, questions=[question])
     write_key(run.root, sheet)
-    verdicts = {record.key: verdict_as_answer(record) for record in run.cells}
+    verdicts = _automatic_answers(run, question)
     answers = [wrong(i, item.again) or verdicts[item.cell] for i, item in enumerate(sheet.items)]
     return _file(path, sheet, answers)
 
 
+def _compare(run: Run, *files: Path, question: str = "lattice") -> QuestionComparison:
+    """Return the comparison for the only question that was answered."""
+    comparison = compare_people(run, files)
+    assert comparison is not None and list(comparison.questions) == [question]
+    return comparison.questions[question]
+
+
 def test_full_agreement_is_one(judged: Run, tmp_path: Path) -> None:
     """A person who agrees with every verdict has kappa 1, an interval of one point, and no disagreements."""
-    comparison = compare_people(judged, [_person(judged, tmp_path / "a.csv", lambda i, again: None)])
-    assert comparison is not None
+    comparison = _compare(judged, _person(judged, tmp_path / "a.csv", lambda i, again: None))
     (one,) = comparison.with_verdict
     assert (one.kappa.value, one.kappa.low, one.kappa.high, one.equal, one.n) == (1.0, 1.0, 1.0, 1.0, 40)
     assert comparison.disagreements == [] and comparison.between == []
@@ -56,16 +95,15 @@ def test_full_agreement_is_one(judged: Run, tmp_path: Path) -> None:
 
 def test_known_kappa(judged: Run, tmp_path: Path) -> None:
     """A person who reverses 10 of 40 balanced verdicts has 0.75 equal answers and kappa 0.5."""
-    verdicts = {record.key: verdict_as_answer(record) for record in judged.cells}
-    sheet = make_page(judged, repeat=0)
-    turned = {"preserved": "lost", "lost": "preserved"}
+    verdicts = _automatic_answers(judged, "lattice")
+    sheet = make_page(judged, repeat=0, questions=["lattice"])
+    turned = {"yes": "no", "no": "yes"}
     kinds = {word: [i for i, item in enumerate(sheet.items) if verdicts[item.cell] == word] for word in turned}
-    chosen = {*kinds["preserved"][:5], *kinds["lost"][:5]}
+    chosen = {*kinds["yes"][:5], *kinds["no"][:5]}
     path = _person(
         judged, tmp_path / "a.csv", lambda i, again: turned[verdicts[sheet.items[i].cell]] if i in chosen else None
     )
-    comparison = compare_people(judged, [path])
-    assert comparison is not None
+    comparison = _compare(judged, path)
     assert comparison.with_verdict[0].kappa.value == pytest.approx(0.5)
     assert comparison.with_verdict[0].table == [[15, 5, 0], [5, 15, 0], [0, 0, 0]]
     assert len(comparison.disagreements) == 10 and all(one.opposite for one in comparison.disagreements)
@@ -74,8 +112,7 @@ def test_known_kappa(judged: Run, tmp_path: Path) -> None:
 def test_cannot_say_lowers_kappa_but_not_kappa_of_the_decided(judged: Run, tmp_path: Path) -> None:
     """Five times "cannot say" lowers kappa; over items that both decide it stays 1; the disputes come as not plain."""
     path = _person(judged, tmp_path / "a.csv", lambda i, again: "cannot say" if i < 5 else None)
-    comparison = compare_people(judged, [path])
-    assert comparison is not None
+    comparison = _compare(judged, path)
     one = comparison.with_verdict[0]
     assert one.kappa.value is not None and one.kappa.value < 1
     assert one.decided.value == 1.0
@@ -84,12 +121,11 @@ def test_cannot_say_lowers_kappa_but_not_kappa_of_the_decided(judged: Run, tmp_p
 
 def test_self_agreement_counts_second_showings_only(judged: Run, tmp_path: Path) -> None:
     """A person who reverses all second answers agrees with every verdict and never with themself."""
-    other = {"preserved": "lost", "lost": "preserved"}
-    verdicts = {record.key: verdict_as_answer(record) for record in judged.cells}
-    sheet = make_page(judged, repeat=0.5)
+    other = {"yes": "no", "no": "yes"}
+    verdicts = _automatic_answers(judged, "lattice")
+    sheet = make_page(judged, repeat=0.5, questions=["lattice"])
     answers = lambda i, again: other[verdicts[sheet.items[i].cell]] if again else None  # noqa: E731
-    comparison = compare_people(judged, [_person(judged, tmp_path / "a.csv", answers, repeat=0.5)])
-    assert comparison is not None
+    comparison = _compare(judged, _person(judged, tmp_path / "a.csv", answers, repeat=0.5))
     assert comparison.with_verdict[0].equal == 1.0
     assert (comparison.selves[0].n, comparison.selves[0].equal) == (20, 0.0)
 
@@ -106,11 +142,113 @@ def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
     comparison = compare_people(judged, files)
     assert comparison is not None
     table = agreement_table(comparison)
+    assert set(table["question"]) == {"lattice"}
     assert list(table["kind"]) == ["judge and people"] * 4 + ["people"] * 4 + ["self"] * 3
     means = table[table["second"] == "mean of 3"]["kappa"].tolist()
     each = table.groupby("kind", sort=False)["kappa"].apply(lambda one: one.iloc[:3].mean()).tolist()
     assert means == pytest.approx(each[:2])
     assert len(labels_table(judged, files)) == 120
+
+
+def test_elements_are_compared_with_integrity(judged: Run, tmp_path: Path) -> None:
+    """The judge says yes above the score of fresh draws, no below, and "cannot say" where integrity has no value."""
+    path = _person(judged, tmp_path / "a.csv", lambda i, again: None, question="elements")
+    one = _compare(judged, path, question="elements").with_verdict[0]
+    assert one.table == [[20, 0, 0], [0, 10, 0], [0, 0, 10]]
+    assert one.kappa.value == one.decided.value == 1.0
+    always = _person(judged, tmp_path / "b.csv", lambda i, again: "yes", question="elements")
+    comparison = _compare(judged, always, question="elements")
+    assert comparison.with_verdict[0].table == [[20, 0, 0], [10, 0, 0], [10, 0, 0]]
+    assert [one.opposite for one in comparison.disagreements] == [True] * 10 + [False] * 10
+    assert comparison.ranks == []
+
+
+def _answers_by_method(judged: Run, path: Path, answers: Mapping[str, str]) -> Path:
+    """Write the answers of a person who answers the question ``more`` by the method."""
+    methods = {record.key: record.method for record in judged.cells}
+    sheet = make_page(judged, repeat=0, questions=["more"])
+    return _person(judged, path, lambda i, again: answers[methods[sheet.items[i].cell]], question="more")
+
+
+def test_more_of_the_same_is_compared_by_rank(judged: Run, tmp_path: Path) -> None:
+    """The order of the methods by quality and by the share of yes gives tau, whatever the level of both."""
+    best = _answers_by_method(judged, tmp_path / "a.csv", {"m0": "yes", "m1": "yes", "m2": "no", "m3": "no"})
+    worst = _answers_by_method(judged, tmp_path / "b.csv", {"m0": "no", "m1": "no", "m2": "no", "m3": "yes"})
+    one, other, both = _compare(judged, best, worst, question="more").ranks
+    assert (one.ordered.value, other.ordered.value) == (1.0, 0.0)
+    assert (one.first, one.second, one.n, one.tau.n) == ("judge", "a", 40, 10)
+    assert one.tau.value == pytest.approx(4 / np.sqrt(6 * 4))
+    assert other.tau.value == pytest.approx(-3 / np.sqrt(6 * 3))
+    assert (both.second, both.n) == ("all people", 40)
+    # The shares of yes are 1/2, 1/2, 0 and 1/2: two pairs agree with the order of the quality, and one does not.
+    assert both.tau.value == pytest.approx(1 / np.sqrt(6 * 3))
+    assert both.ordered.value == pytest.approx(2 / 3)
+
+
+def test_answers_that_cannot_be_said_are_no_part_of_the_order(judged: Run, tmp_path: Path) -> None:
+    """A method about which nobody decides has no place in the order; if nothing is left, there is no number."""
+    some = _answers_by_method(judged, tmp_path / "a.csv", {"m0": "yes", "m1": "cannot say", "m2": "no", "m3": "no"})
+    (one,) = _compare(judged, some, question="more").ranks
+    assert one.n == 30 and one.ordered.value == 1.0
+    none = _answers_by_method(judged, tmp_path / "b.csv", dict.fromkeys(("m0", "m1", "m2", "m3"), "cannot say"))
+    (one,) = _compare(judged, none, question="more").ranks
+    assert (one.n, one.tau.value, one.ordered.value) == (0, None, None)
+    same = _answers_by_method(judged, tmp_path / "c.csv", dict.fromkeys(("m0", "m1", "m2", "m3"), "yes"))
+    (one,) = _compare(judged, same, question="more").ranks
+    assert (one.n, one.tau.n, one.tau.value) == (40, 0, None)
+
+
+def test_more_of_the_same_has_no_kappa_with_the_judge(judged: Run, tmp_path: Path) -> None:
+    """There is no automatic answer, so no kappa and no disagreement; two people still have a kappa."""
+    answers = {"m0": "yes", "m1": "yes", "m2": "no", "m3": "no"}
+    files = [_answers_by_method(judged, tmp_path / f"{name}.csv", answers) for name in "ab"]
+    comparison = _compare(judged, *files, question="more")
+    assert comparison.with_verdict == [] and comparison.disagreements == []
+    assert comparison.between[0].kappa.value == 1.0
+    table = labels_table(judged, files)
+    assert table["judge"].isna().all() and table["score"].min() == pytest.approx(0.3)
+
+
+def test_questions_are_compared_one_by_one(judged: Run, tmp_path: Path) -> None:
+    """People who answered different questions are compared only on the questions that they answered."""
+    files = [
+        _person(judged, tmp_path / "a.csv", lambda i, again: None, question="lattice"),
+        _person(judged, tmp_path / "b.csv", lambda i, again: None, question="lattice"),
+        _person(judged, tmp_path / "c.csv", lambda i, again: "no" if i < 4 else None, question="more"),
+    ]
+    comparison = compare_people(judged, files)
+    assert comparison is not None and list(comparison.questions) == ["lattice", "more"]
+    assert [one.name for one in comparison.people] == ["a", "b", "c"] and comparison.outputs == 40
+    table = agreement_table(comparison)
+    columns = ["question", "kind", "first", "second"]
+    assert table[columns].apply(tuple, axis=1).tolist() == [
+        ("lattice", "judge and people", "judge", "a"),
+        ("lattice", "judge and people", "judge", "b"),
+        ("lattice", "judge and people", "judge", "mean of 2"),
+        ("lattice", "people", "a", "b"),
+        ("lattice", "self", "a", "shown again"),
+        ("lattice", "self", "b", "shown again"),
+        ("more", "judge and people", "judge", "c"),
+        ("more", "self", "c", "shown again"),
+    ]
+    assert table["kappa"].notna().tolist() == [True] * 4 + [False] * 4
+    assert table["tau"].notna().tolist() == [False] * 6 + [True, False]
+
+
+def test_the_page_has_a_part_for_each_question(judged: Run, tmp_path: Path) -> None:
+    """The page shows each answered question with its numbers, and no other question."""
+    answers = {"m0": "yes", "m1": "yes", "m2": "no", "m3": "no"}
+    files = (
+        _answers_by_method(judged, tmp_path / "ada.csv", answers),
+        _person(judged, tmp_path / "ben.csv", lambda i, again: "no", question="elements"),
+    )
+    page = HtmlReport(labels=files).render(judged, tmp_path)
+    assert page.count('class="disagreement') == 30
+    assert page.count("judge: cannot say</b> · ben: no") == 10 and page.count("undecided: no power") >= 10
+    assert [f'id="people-{name}"' in page for name in QUESTIONS] == [False, True, True]
+    part = page.partition('id="people-more"')[2].partition('<section id="gallery"')[0]
+    assert "Kendall's tau" in part and "<b>0.82</b>" in part and "<b>100 %</b>" in part
+    assert "Counts of answers" not in part and "Disagreements" not in part
 
 
 def test_the_page_shows_every_disagreement(judged: Run, tmp_path: Path) -> None:

@@ -1,0 +1,83 @@
+"""The benchmark of labels reads both forms of its files alike, and recognizes the outputs that it makes again."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from nrbench.labelling.questions import QUESTIONS
+from nrbench.streams import pixels_hash
+from nrbench.suites.plan import draw_samples
+from nrbench.suites.suite import load_suite
+
+FOLDER = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    """Import the script as if it were started in its folder."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    yield importlib.import_module("labels")
+    sys.modules.pop("labels", None)
+
+
+def test_stored_labels_are_read(script: ModuleType) -> None:
+    """The stored file holds 165 outputs, each with the answers of two labellers to three questions."""
+    labels = script.read_labels(script.LABELS)
+    assert len(labels[script.OUTPUT].drop_duplicates()) == 165
+    counts = labels.groupby(["person", "question"]).size()
+    assert set(counts) == {165} and set(counts.index.get_level_values("question")) == set(QUESTIONS)
+    assert set(counts.index.get_level_values("person")) == {"first", "second"}
+    assert set(labels[labels["question"] == "more"]["answer"]) == {1.0, 2.0, 3.0, 4.0, 5.0}
+    assert labels["answer"].notna().all() and set(labels["lattice_source"]) == {"given"}
+
+
+def test_labels_of_a_report_are_read(script: ModuleType, tmp_path: Path) -> None:
+    """Yes is 1, no is 0 and "cannot say" is no number; second showings are left out."""
+    rows = [
+        ["ada", "core", "a", "rsgf:block=30", "own", 1, again, question, answer, "f00d"]
+        for question, answer, again in (
+            ("lattice", "yes", False),
+            ("elements", "no", False),
+            ("more", "cannot say", False),
+            ("lattice", "no", True),
+        )
+    ]
+    columns = ["person", *script.OUTPUT[:-1], "again", "question", "answer", "pixels"]
+    pd.DataFrame(rows, columns=columns).to_csv(tmp_path / "labels.csv", index=False)
+    labels = script.read_labels(tmp_path / "labels.csv")
+    assert labels["question"].tolist() == ["lattice", "elements", "more"]
+    assert labels["answer"].tolist() == pytest.approx([1.0, 0.0, np.nan], nan_ok=True)
+    assert labels[script.OUTPUT].drop_duplicates().to_numpy().tolist() == [
+        ["core", "a", "rsgf:block=30", "own", 1, "f00d"]
+    ]
+
+
+def test_outputs_that_cannot_be_made_again_are_counted(script: ModuleType) -> None:
+    """Unknown suites, unknown draws, lattices of detectors and other pixels each give a reason and no score."""
+    suite = load_suite("core")
+    (sample,) = draw_samples(suite, ["brick-mild"])
+    rows = [
+        ["photos", "a", "tiling", "own", 0, "f00d"],
+        ["core", "brick-mild", "tiling", "given", 7, "f00d"],
+        ["core", "brick-mild", "tiling", "gncc", 0, "f00d"],
+        ["core", "brick-mild", "tiling", "given", 0, pixels_hash(sample.texture.image)],
+    ]
+    scored, lost = script.score_outputs(pd.DataFrame(rows, columns=script.OUTPUT))
+    assert scored.empty
+    reasons = ("has no draw 7", "is not detected again", "is not the one that was labelled")
+    assert len(lost) == 4 and all(any(reason in why for why in lost) for reason in reasons)
+
+
+def test_kappa_of_known_answers(script: ModuleType) -> None:
+    """Half of the agreement beyond chance is kappa 0.5."""
+    one = pd.Series([1.0] * 4 + [0.0] * 4)
+    assert script.kappa(one, one) == 1.0
+    assert script.kappa(one, pd.Series([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])) == pytest.approx(0.5)
