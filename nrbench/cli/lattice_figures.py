@@ -1,4 +1,4 @@
-"""Figures of the verb ``lattice``: how a detector found its lattice, and a window to pick a lattice in."""
+"""Figures of the command ``lattice``: how a detector found its lattice, and a window in which to pick a lattice."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _draw_surface(axes: Axes, surface: Surface) -> None:
 
 
 def _limits(values: NDArray[np.floating[Any]]) -> tuple[float, float]:
-    """Return the values shown black and white; extreme ones, like the peak at zero, would hide the rest."""
+    """Return the values that are drawn black and white. Extremes, like the peak at zero, are cut off."""
     low, high = np.quantile(values[np.isfinite(values)], (0.005, 0.995)) if np.isfinite(values).any() else (0, 1)
     return float(low), float(high)
 

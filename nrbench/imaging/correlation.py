@@ -20,10 +20,7 @@ FLAT = 1e-5
 
 
 def autocorrelation(image: Image) -> Correlation:
-    """Return the normalized autocorrelation at all lags, ``(2H-1, 2W-1)``.
-
-    The left half of :func:`half_autocorrelation` is added by gamma(-x) = gamma(x).
-    """
+    """Return the normalized autocorrelation at all lags, ``(2H-1, 2W-1)``; see :func:`half_autocorrelation`."""
     right = half_autocorrelation(image)
     return np.concatenate([right[::-1, :0:-1], right], 1)
 

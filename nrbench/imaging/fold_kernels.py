@@ -21,7 +21,7 @@ PAD = 2
 def accumulate_pixels(
     pixels: NDArray[np.float32], uv: NDArray[np.float64], rows: int, columns: int
 ) -> NDArray[np.float64]:
-    """Return, for each sample of a tile, the sums of the pixels' bilinear weights and of their weighted values.
+    """Return the sum of the pixels' bilinear weights and the sums of their weighted values, for each sample of a tile.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ GRID = np.stack(np.meshgrid(OFFSETS, OFFSETS), -1).reshape(-1, 2)
 LATER_STEPS = 6
 """Number of steps of the joint fit after faint waves are dropped; the other waves hardly change."""
 CANDIDATES = 20
-"""Number of candidates that are examined, per wave of the largest number of waves: those that exceed the limit most."""
+"""Number of candidates that are examined, over the largest number of waves: those that exceed the limit most."""
 
 FLOOR_BLOCK = 8
 """Side, in bins, of the blocks whose medians are computed. The error of the floor is 18 % from the 64 powers of one
@@ -208,7 +208,7 @@ def _rings(height: int, half: int) -> list[NDArray[np.intp]]:
 
 
 def _add_waves(waves: Waves, residual: Array, limit: Array, most: int) -> Waves:
-    """Return the waves with those added that start at candidates of the residual power ``(C, H, W // 2 + 1)``."""
+    """Return the waves and further ones that start at candidates of the residual power ``(C, H, W // 2 + 1)``."""
     spectrum = waves.spectrum
     bins = _candidates(residual, limit, spectrum.shape, CANDIDATES * most)
     limits = _nearest_bins(limit, bins / spectrum.size, spectrum.shape)
@@ -248,7 +248,7 @@ def _candidates(residual: Array, limit: Array, shape: tuple[int, int], most: int
 
 
 def _strongest(bins: Array, power: Array) -> NDArray[np.intp]:
-    """Return the indices of the candidates that start a wave: strong ones without a stronger one within two bins."""
+    """Return the indices of the strong candidates that have no stronger candidate within two bins."""
     order = np.argsort(-power, kind="stable")
     order = order[power[order] >= max(ROUND_SHARE * float(power.max(initial=0)), 1e-300)]
     kept: list[int] = []
@@ -291,7 +291,7 @@ def _keep_significant(waves: Waves, limit: Array, steps: int = THOROUGH.steps) -
 
 
 def _nearest_bins(grid: Array, frequencies: Array, shape: tuple[int, int]) -> Array:
-    """Return a grid ``(C, H, W // 2 + 1)`` at the bins nearest to frequencies ``(n, 2)``, as ``(n, C)``."""
+    """Return the values of a grid ``(C, H, W // 2 + 1)`` at the bins nearest to frequencies ``(n, 2)``: ``(n, C)``."""
     f = np.where(frequencies[:, :1] < 0, -frequencies, frequencies)
     cols = np.minimum(np.rint(f[:, 0] * shape[1]).astype(np.intp), grid.shape[2] - 1)
     return np.asarray(grid[:, np.rint(f[:, 1] * shape[0]).astype(np.intp) % shape[0], cols].T)

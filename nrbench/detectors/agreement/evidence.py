@@ -15,7 +15,7 @@ from nrbench.imaging.correlation import Correlation
 from nrbench.lattice.geometry import Lattice, Points, integers_within
 
 REACH = 0.75
-"""Lags up to this share of the image's sides are compared; beyond, too little overlaps."""
+"""Lags up to this share of the image's sides are compared. At larger lags the overlap is too small."""
 PAD = 4
 """Columns mirrored to the left of lag 0, for the spline."""
 NEARBY = 0.25
@@ -25,7 +25,7 @@ GROWTH = 1.7
 STEPS = 14
 """Steps of a fit: enough to cross a hundred cells and to converge."""
 MAX_SHIFT = 0.2
-"""A fit is rejected if it moves a vector by more than this share of the shorter vector: it has followed other peaks."""
+"""A fit that moves a vector by more than this share of the shorter vector is rejected: it has followed other peaks."""
 
 
 class Agreement(NamedTuple):
