@@ -248,16 +248,12 @@ class _Places:
         central = layer.coverage - 1e-3 * distance / distance.max(initial=1.0)
         positions = np.asarray(ndimage.maximum_position(central, label, np.arange(len(rows))), np.int64)
         # An element that covers no pixel is as large as its cell.
-        boxes = ndimage.find_objects(np.where((layer.coverage > 0) | _hidden(layer, label), label + 1, 0))
+        hidden = (np.bincount(label.ravel(), layer.coverage.ravel()) == 0)[label]
+        boxes = ndimage.find_objects(np.where((layer.coverage > 0) | hidden, label + 1, 0))
         first = np.array([[box[1].start, box[0].start] for box in boxes])
         last = np.array([[box[1].stop - 1, box[0].stop - 1] for box in boxes])
         pixel = np.ravel_multi_index(tuple(positions.T), shape)
         return cls(rows, np.asarray(pixel), positions[:, ::-1] - margin, first - margin, last - margin)
-
-
-def _hidden(layer: Layer, label: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return whether each pixel belongs to an element that covers no pixel."""
-    return np.asarray((np.bincount(label.ravel(), layer.coverage.ravel()) == 0)[label])
 
 
 @dataclass(frozen=True)

@@ -45,13 +45,9 @@ def _plugin_entry(plugin: Any) -> dict[str, Any]:
     shown = {"name": plugin.name, "distribution": plugin.distribution, "version": plugin.version}
     if plugin.cls is None:
         return {**shown, "about": "BROKEN", "error": plugin.error}
-    about = _first_line(plugin.cls)
+    about = (inspect.getdoc(plugin.cls) or "").partition("\n")[0]
     reference = bool(getattr(plugin.cls, "reference", False))
     return {**shown, "about": about + (" (reference: never ranked)" if reference else ""), "reference": reference}
-
-
-def _first_line(cls: type[Any]) -> str:
-    return (inspect.getdoc(cls) or "").partition("\n")[0]
 
 
 @click.command("show")

@@ -139,7 +139,7 @@ class CellRecord:
 
     @property
     def lattice_given(self) -> dict[str, Any] | None:
-        """The lattice that the method received; None if it had to find one."""
+        """The lattice that the method received; None if it received none."""
         return self.cell.lattice_given.as_dict() if self.cell.lattice_given else None
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -139,9 +140,8 @@ def find_waves(
     return WaveDetection(_keep_significant(waves, limit, effort.steps), floor, limit)
 
 
-def find_waves_quickly(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> WaveDetection:
-    """Return the waves of a short search, see :func:`find_waves`."""
-    return find_waves(spectrum, threshold, false_alarms, most, QUICK)
+find_waves_quickly: Search = partial(find_waves, effort=QUICK)
+"""A search in one pass with few steps, see :func:`find_waves`."""
 
 
 def power_limit(spectrum: Spectrum, floor: Array, threshold: float | None, false_alarms: float) -> Array:
@@ -342,9 +342,7 @@ def find_waves_analytic(spectrum: Spectrum, threshold: float | None, false_alarm
 
 
 def find_complex_waves(spectrum: Spectrum, limit: Array, most: int) -> Array:
-    """Return the frequencies of the analytic signal's waves before the joint fit, ``(n, 2)`` cycles/px.
-
-    They are in the order in which they are found.
+    """Return the frequencies of the analytic signal's waves, in the order of the search, ``(n, 2)`` cycles/px.
 
     Parameters
     ----------

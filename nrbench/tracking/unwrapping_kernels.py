@@ -15,7 +15,7 @@ def pop_most_trusted(trust: NDArray[np.float64], front: NDArray[np.int64], waiti
     for k in range(1, waiting):
         if trust[front[k] // columns, front[k] % columns] > trust[front[best] // columns, front[best] % columns]:
             best = k
-    node = front[best]
+    node = int(front[best])
     front[best] = front[waiting - 1]
     return node
 
@@ -112,14 +112,8 @@ def grow_by_kriging(
 
     Parameters
     ----------
-    surfaces
-        ``(rows, columns, n, n)``: correlation at displacement (i t1 + j t2) / n.
-    trust
-        ``(rows, columns)``, positive: nodes of larger trust are added first.
-    steps
-        ``(n, n, 2)``: each displacement as its shortest representative.
-    matrix
-        Rows t1 and t2.
+    surfaces, trust, steps, matrix, sweeps
+        As for :func:`grow`. Nodes of larger trust are only added first.
     covariance
         ``(4 r + 1, 4 r + 1)``, px^2: covariance of displacements along one axis, by the lag between nodes in rows and
         columns, from -2 r to 2 r. Neighbors up to r nodes away along each axis predict a node.
@@ -127,8 +121,6 @@ def grow_by_kriging(
         Variance of the error of a node, px^2.
     cost
         Cost, in correlation, of a squared departure, over the variance of the prediction.
-    sweeps
-        How often every node is revised.
     """
     rows, columns, n = surfaces.shape[0], surfaces.shape[1], surfaces.shape[2]
     count, reach = rows * columns, (covariance.shape[0] - 1) // 4

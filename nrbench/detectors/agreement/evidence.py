@@ -123,9 +123,9 @@ class Evidence:
         """Return the mean correlation at a basis's multiples, in units of a spread like that of Bartlett's formula.
 
         The correlation of a random field at a far lag has the variance grain / overlap. The mean over lags further
-        apart than a grain, weighted by overlap, has the variance grain / (sum of overlaps). The result is an index on
-        this scale, not a significance: the surface is a mean of several fields' correlations, and a lattice's own peaks
-        add to the grain. ``benchmarks/consensus_calibration.py`` measures which values noise reaches.
+        apart than a grain, weighted by overlap, has the variance grain / (sum of overlaps). The result is not a
+        significance, because a lattice's own peaks add to the grain. ``benchmarks/consensus_calibration.py`` measures
+        which values noise reaches.
         """
         lags = self.multiples(basis) @ basis
         total = float(self.overlaps(lags).sum())
