@@ -1,1 +1,1 @@
-"""Texture models, one a file, and the suites built of them."""
+"""Texture models, one in each file, and suites of textures."""

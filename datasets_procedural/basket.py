@@ -48,7 +48,7 @@ class Basket(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next equal crossings."""
+        """The vectors to the next equal crossings."""
         (a, b), (c, d) = _DRAFTS[self.draft][1]
         return (a * self.stake, b * self.strand), (c * self.stake, d * self.strand)
 

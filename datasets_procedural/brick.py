@@ -58,7 +58,7 @@ class Brick(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """Along a course, and to the next equal course."""
+        """The vectors along a course, and to the next equal course."""
         along = self.width * (1.5 if self.bond == "flemish" else 1.0)
         return (along, 0.0), (self._courses * _SHIFTS[self.bond] * self.width % along, self._courses * self.height)
 

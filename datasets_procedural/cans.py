@@ -39,7 +39,7 @@ class Cans(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next cans."""
+        """The vectors to the next cans."""
         p = self.period
         return (p, 0.0), ((p / 2, p * math.sqrt(3) / 2) if self.packing == "hexagonal" else (0.0, p))
 

@@ -34,7 +34,7 @@ class Card(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """Along and across the rows."""
+        """The vectors along and across the rows."""
         return (self.width, 0.0), (0.0, self.height)
 
     def pattern(self, x: Field, y: Field) -> Pattern:

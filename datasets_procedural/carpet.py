@@ -36,7 +36,7 @@ class Carpet(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next medallion along the row, and in the next row."""
+        """The vectors to the next medallion along the row, and in the next row."""
         side = self.knots * self.knot
         return (side, 0.0), (side / 2, side)
 

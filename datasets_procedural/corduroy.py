@@ -34,7 +34,7 @@ class Corduroy(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next cord, and along it."""
+        """The vectors to the next cord, and along it."""
         return (self.width, 0.0), (0.0, self.tuft)
 
     @property

@@ -44,7 +44,7 @@ class Hexagon(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next tile on the right, and to the next one below it."""
+        """The vectors to the next tile on the right, and to the next one below it."""
         return (self.period, 0.0), (self.period / 2, self.period * math.sqrt(3) / 2)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
@@ -56,7 +56,7 @@ class Hexagon(Model):
         return Pattern(_GROUT, (Layer("tile", index, coverage(distance), _GLAZE, rim(distance, 0.2, 1.5)),))
 
     def _net(self, mesh: tuple[Index, Index], local: Local) -> Pattern:
-        """Return the wires, the index of each is the sum of those of the two meshes it separates."""
+        """Return the wires. The index of a wire is the sum of the indices of the two meshes that it separates."""
         sector = np.rint(np.arctan2(local[1], local[0]) / (math.pi / 3)).astype(np.int64) % 6
         beyond = _NEIGHBORS[sector]
         index = 2 * mesh[0] + beyond[..., 0], 2 * mesh[1] + beyond[..., 1]

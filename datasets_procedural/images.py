@@ -27,7 +27,7 @@ ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
 _ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
 """The keys of a suite's row that are read from ``truth.json``."""
 OUTPUT_SCALE = 2
-"""Sides of an output over those of its sample, at least."""
+"""Least ratio of the sides of an output to those of its sample."""
 OUTPUT_TILES = 6
 """Least number of tiles along each side of an output. The verdict on regularity then has 5 x 5 windows of two tiles."""
 SAMPLE_TILES = 4
@@ -42,7 +42,7 @@ _LARGEST_OUTPUT = 16384
 
 @dataclass(frozen=True)
 class Images:
-    """A picture from a file, such as a photograph. The sample is a random crop, a fresh draw is another beside it.
+    """A picture from a file, such as a photograph. A sample and a fresh draw are random crops that do not touch.
 
     Parameters
     ----------
@@ -68,10 +68,10 @@ class Images:
         self._lattice((0, 0, 0, 0))
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
-        """Return a random crop of ``shape`` at a border of the picture; where the picture is smaller, all of it.
+        """Return a random crop of ``shape`` at a border of the picture; of a smaller picture, return all.
 
         A crop at a border leaves the widest possible strip beside it, from which :meth:`again` cuts. The border is
-        drawn. If the strip beside only two of the borders has room for twice the crop, it is one of these two.
+        drawn at random. If only two opposite borders leave a strip with room for twice the crop, it is one of these.
 
         Raises
         ------
@@ -99,8 +99,8 @@ class Images:
     def directory_rows(directory: str | Path) -> list[dict[str, Any]]:
         """Return a suite row (``name``, ``parameters``, sizes) for each picture of a directory, sorted by name.
 
-        The sizes of sample and output are those of :func:`plan_sizes`. No pixels are read. Hidden files and the contact
-        sheet of ``nrbench render`` are left out.
+        :func:`plan_sizes` gives the sizes of sample and output. No pixels are read. Hidden files and the contact sheet
+        of ``nrbench render`` are left out.
 
         The directory may have a ``truth.csv`` with generating vectors: columns ``file,t1x,t1y,t2x,t2y`` and optionally
         ``originx,originy``; others are ignored. A picture without a line, or with empty numbers, has no known lattice.
@@ -194,13 +194,13 @@ def plan_sizes(picture: Shape, lattice: Lattice | None = None) -> tuple[Shape, S
 
 
 def _tile_extent(lattice: Lattice) -> tuple[float, float]:
-    """Return height and width of an upright box of about the extent of one cell: sqrt(t1^2 + t2^2) along each axis."""
+    """Return height and width, px, of an upright box about as large as one cell: sqrt(t1^2 + t2^2) along each axis."""
     width, height = np.sqrt((lattice.canonical().matrix ** 2).sum(0))
     return float(height), float(width)
 
 
 def _row_sizes(path: Path, truth: Mapping[str, Any], rendered: Mapping[str, Any]) -> dict[str, str]:
-    """Return the sizes in the row of a picture; none if the file is no picture, which is reported when it is drawn."""
+    """Return the sizes in the row of a picture; none if the file cannot be read, which is reported when it is drawn."""
     lattice = Lattice(truth["t1"], truth["t2"]) if "t1" in truth else None
     try:
         shape = read_shape(path)
@@ -252,7 +252,7 @@ def _free_corner(picture: Shape, shape: Shape, region: Region, rng: np.random.Ge
 
 
 def _named(pictures: list[Path]) -> Iterator[tuple[str, Path]]:
-    """Yield each picture with its name: without its ending, unless two pictures would have the same name."""
+    """Yield the name and path of each picture. The name lacks the ending unless two pictures would share it."""
     stems = Counter(path.stem for path in pictures)
     return ((path.stem if stems[path.stem] == 1 else path.name, path) for path in pictures)
 
@@ -270,8 +270,7 @@ def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:
     Raises
     ------
     BadInput
-        When the table is malformed (see :class:`~nrbench.truth.TruthTable`), or a line names no
-        file in the folder.
+        When the table is malformed (see :class:`~nrbench.truth.TruthTable`), or a line names a missing file.
     """
     rows = TruthTable.read(folder).rows
     for name, row in rows.items():

@@ -42,7 +42,7 @@ class Jigsaw(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next equal pieces."""
+        """The vectors to the next equal pieces."""
         if self.tabs == "same":
             return (self.width, 0.0), (0.0, self.height)
         return (self.width, self.height), (self.width, -self.height)

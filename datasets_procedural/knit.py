@@ -32,7 +32,7 @@ class Knit(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """Along a row, and to the next one."""
+        """The vectors along a row, and to the next one."""
         return (self.width, 0.0), (0.0, self.height)
 
     def pattern(self, x: Field, y: Field) -> Pattern:

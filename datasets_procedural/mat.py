@@ -38,7 +38,7 @@ class Mat(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """From a knot to the next ones, on the next rope."""
+        """The vectors from a knot to the next ones, on the next rope."""
         return (self.width, self.height), (self.width, -self.height)
 
     @property

@@ -37,7 +37,7 @@ class Overlap(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """Those of the common lattice."""
+        """The generating vectors of the common lattice."""
         return (5 * self.period, 0.0), (0.0, 5 * self.period)
 
     def sublattices(self) -> tuple[Vectors, ...]:
@@ -46,7 +46,7 @@ class Overlap(Model):
         return ((self.period, 0.0), (0.0, self.period)), ((width, 0.0), (width / 2, rise / 2))
 
     def kind_vectors(self, name: str) -> Vectors:
-        """Return those of the kind's own lattice."""
+        """Return the generating vectors of the lattice of one kind, before rotation."""
         return self.sublattices()[("square", "hexagon").index(name)]
 
     @property

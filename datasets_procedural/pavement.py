@@ -46,7 +46,7 @@ class Pavement(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next stones of the same orientation."""
+        """The vectors to the next stones of the same orientation."""
         (a, b), (c, d) = _LATTICES[self.style]
         return (a * self.width, b * self.width), (c * self.width, d * self.width)
 

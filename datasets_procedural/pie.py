@@ -36,7 +36,7 @@ class Pie(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next equal crossings."""
+        """The vectors to the next equal crossings."""
         return (self.period, self.period), (self.period, -self.period)
 
     def pattern(self, x: Field, y: Field) -> Pattern:

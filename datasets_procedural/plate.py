@@ -30,7 +30,7 @@ class Plate(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next lozenges of the same orientation."""
+        """The vectors to the next lozenges of the same orientation."""
         return (self.period, self.period), (self.period, -self.period)
 
     def pattern(self, x: Field, y: Field) -> Pattern:

@@ -40,7 +40,7 @@ class Rug(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next lozenge along the band, and in the next band."""
+        """The vectors to the next lozenge along the band, and in the next band."""
         return (self.steps * self.step, 0.0), (0.0, 2 * self.steps * self.yarn)
 
     @property

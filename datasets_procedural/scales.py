@@ -34,7 +34,7 @@ class Scales(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """Along a row, and to the next one."""
+        """The vectors along a row, and to the next one."""
         return (self.width, 0.0), (self.width / 2, self.width / 2)
 
     def pattern(self, x: Field, y: Field) -> Pattern:

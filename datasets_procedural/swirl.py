@@ -36,7 +36,7 @@ class Swirl(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """Along a row, and to the next one."""
+        """The vectors along a row, and to the next one."""
         return (self.period, 0.0), (self.period / 2, self.period)
 
     def pattern(self, x: Field, y: Field) -> Pattern:

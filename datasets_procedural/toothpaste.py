@@ -34,7 +34,7 @@ class Toothpaste(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next strand, and along it."""
+        """The vectors to the next strand, and along it."""
         return (self.width, 0.0), (0.0, self.turn)
 
     @property
@@ -48,5 +48,5 @@ class Toothpaste(Model):
         around = np.arcsin(np.clip(2 * right / self.width, -1, 1)) / np.pi
         k, along = nearest(y - 0.5 * self.turn * around, self.turn / 4)
         strand = coverage(stripe(right, self.width - 1.5)) * coverage(stripe(along, self.turn / 4 - 0.3))
-        shade = 1.0 * round_profile(right, self.width, 0.4)
+        shade = round_profile(right, self.width, 0.4)
         return Pattern(_GAP, (Layer("stripe", (i, k), strand, _COLORS[k % 4], shade),))

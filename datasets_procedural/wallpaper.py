@@ -32,7 +32,7 @@ Operation = tuple[int, int, int, int, float, float]
 """(a, b, c, d, e, f): the cell coordinates (u, v) go to (a u + b v + e, c u + d v + f)."""
 
 _BLOCK = 4096
-"""Points whose waves are added at a time: few enough to stay in the processor's cache."""
+"""Number of points whose waves are added at a time. Their data stay in the processor's cache."""
 
 _TWO: Operation = (-1, 0, 0, -1, 0, 0)
 _THREE: Operation = (0, -1, 1, -1, 0, 0)
@@ -75,7 +75,7 @@ class Wallpaper(Model):
     group
         One of the 17, from ``"p1"`` to ``"p6m"``.
     slant
-        Degrees by which the second side leans over, from -45 to 45; for groups p1 and p2 only.
+        Degrees from the y axis to the second side, from -45 to 45; for groups p1 and p2 only.
     motif
         Number of the motif.
     """
@@ -143,9 +143,9 @@ class Motif:
     Parameters
     ----------
     orders
-        int ``(n, 2)``: the waves (k, m); only one of a wave and its negative.
+        int ``(n, 2)``: the waves (k, m), one of each pair (k, m), (-k, -m).
     terms
-        complex ``(n, count)``: the terms of each of the functions.
+        complex ``(n, count)``: the Fourier coefficients of each function.
     """
 
     orders: NDArray[np.int64]
@@ -181,7 +181,7 @@ def _powers(u: Field, most: int) -> dict[int, NDArray[np.complex128]]:
 def random_motif(seed: int, group: Group, count: int) -> Motif:
     """Return random smooth functions, each of mean 0 and variance 1, that have the symmetry of a group.
 
-    They consist of waves no shorter than 0.37 of the cell's side: few enough for a motif that is easy to remember.
+    They consist of waves no shorter than 0.37 of the cell's side, so that the motif is simple.
     """
     drawn: dict[tuple[int, int], NDArray[np.complex128]] = {}
     for k, m in _short_orders(group):

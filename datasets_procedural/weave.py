@@ -53,7 +53,7 @@ class Weave(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """To the next equal crossings."""
+        """The vectors to the next equal crossings."""
         (a, b), (c, d) = _DRAFTS[self.draft][1]
         return (a * self.warp, b * self.weft), (c * self.warp, d * self.weft)
 

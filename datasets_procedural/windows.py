@@ -44,7 +44,7 @@ class Windows(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """Along a floor, and to the next one."""
+        """The vectors along a floor, and to the next one."""
         return (self.width, 0.0), (0.0, self.height)
 
     @property

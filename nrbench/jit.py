@@ -1,6 +1,6 @@
 """Compiled kernels: numba where it is installed, plain Python with a warning where it is not.
 
-numba is imported, and a kernel compiled or read from the cache, on the kernel's first call or :func:`load_kernels`.
+The first call of a kernel, or :func:`load_kernels`, imports numba and compiles the kernel or reads it from the cache.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Kernel(Generic[P, R]):
         return self.load()(*args, **kwargs)
 
     def load(self) -> Callable[P, R]:
-        """Return the compiled function, compiling it or reading it from the cache on the first call."""
+        """Return the compiled function. The first call compiles it or reads it from the cache."""
         if self._compiled is None:
             self._compiled = _compile(self.function, self.signature)
         return self._compiled
@@ -66,33 +66,33 @@ def load_kernels() -> None:
 
 
 def cache_folder(function: Callable[..., Any], version: str) -> Path:
-    """Return the folder of a function's machine code: a user folder named by numba's version and a hash of its file.
+    """Return the folder of a function's machine code, named by numba's version and a hash of the function's file.
 
     The hash includes the files of the kernels that the function calls, because they are compiled into it.
     """
-    sources = [Path(inspect.getfile(each)) for each in (function, *_called(function))]
+    sources = [Path(inspect.getfile(each)) for each in (function, *_list_called(function))]
     texts = b"".join(source.read_bytes() for source in dict.fromkeys(sources))
     digest = hashlib.blake2b(texts, digest_size=8).hexdigest()
     return platformdirs.user_cache_path("nrbench", appauthor=False) / f"{sources[0].stem}-{digest}-numba-{version}"
 
 
-def kernels_called(function: Callable[..., Any]) -> dict[str, Kernel[..., Any]]:
-    """Return the kernels that a function names, by the names it has for them."""
+def find_called_kernels(function: Callable[..., Any]) -> dict[str, Kernel[..., Any]]:
+    """Return the kernels that a function calls, by their names in its code."""
     names = {name: function.__globals__.get(name) for name in function.__code__.co_names}
     return {name: found for name, found in names.items() if isinstance(found, Kernel)}
 
 
-def _called(function: Callable[..., Any]) -> list[Callable[..., Any]]:
+def _list_called(function: Callable[..., Any]) -> list[Callable[..., Any]]:
     """Return the functions of all kernels that a function calls, directly or not, callers first."""
     found: list[Callable[..., Any]] = []
-    for called in kernels_called(function).values():
-        found += [called.function, *_called(called.function)]
+    for called in find_called_kernels(function).values():
+        found += [called.function, *_list_called(called.function)]
     return found
 
 
-def _linked(function: Callable[P, R]) -> Callable[P, R]:
-    """Return the function with the kernels that it calls compiled: numba knows functions, not kernels."""
-    called = {name: each.load() for name, each in kernels_called(function).items()}
+def _link_kernels(function: Callable[P, R]) -> Callable[P, R]:
+    """Return the function with its kernels replaced by compiled functions, because numba cannot call kernels."""
+    called = {name: each.load() for name, each in find_called_kernels(function).items()}
     if not called:
         return function
     linked = FunctionType(
@@ -112,7 +112,7 @@ def _compile(function: Callable[P, R], signature: str) -> Callable[P, R]:
             stacklevel=3,
         )
         return function
-    return _njit(numba, _linked(function), signature)
+    return _njit(numba, _link_kernels(function), signature)
 
 
 def _njit(numba: Any, function: Callable[P, R], signature: str) -> Callable[P, R]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 
 def write_aside(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a file beside ``path``, then rename it: readers see the old file or all of the new one."""
+    """Call ``write`` with a temporary path beside ``path``, then rename that file: no reader sees a part of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.stem}-{uuid.uuid4().hex[:8]}{path.suffix}")
     try:
@@ -24,7 +24,7 @@ def write_aside(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a mapping as JSON, atomically; raise ValueError for NaN and infinity (None stands for "not known")."""
+    """Write a mapping as JSON, atomically. NaN and infinity raise ValueError; None means that a value is unknown."""
     text = json.dumps(content, indent=1, allow_nan=False, default=_plain) + "\n"
     write_aside(path, lambda aside: aside.write_text(text, "utf-8"))
 
@@ -52,6 +52,6 @@ def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an ``.npz`` by name; nothing is unpickled."""
+    """Return the arrays of an ``.npz`` by name. Pickled objects are refused."""
     with np.load(path, allow_pickle=False) as archive:
         return {name: archive[name] for name in archive.files}

@@ -17,7 +17,7 @@ def stream(role: str, *entropy: str | int) -> np.random.Generator:
     role
         What the numbers are for, e.g. ``"render"``, ``"again"``, ``"synthesis"``, ``"metric"`` or ``"detection"``.
     entropy
-        Tells this stream from others of the role. The method is never part of it, so that all methods get equal draws.
+        Distinguishes this stream from others of the role. It never contains the method, so all methods get equal draws.
 
     Returns
     -------

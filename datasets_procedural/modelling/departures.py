@@ -2,7 +2,7 @@
 
 Jitter moves elements by a quarter of s, however small they are. Where neighbors move farther apart than they are broad,
 the picture folds over. So small elements move independently only as far as their breadth allows. The rest of the
-standard deviation is a displacement that neighbors share: waves whose length is proportional to how far they move.
+displacement is shared with their neighbors: it consists of waves whose length is proportional to their amplitude.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from .random_fields import WAVES, factor_variance, factors, grain, role_seed, un
 from .recomposition import Origin, OwnDraw, Reader
 
 _INDEPENDENT = 0.27
-"""Standard deviation, as a share of an element's breadth, up to which jitter moves small elements independently."""
+"""Largest standard deviation of the independent jitter of small elements, as a share of their breadth."""
 _STRETCH = 22.0
-"""Length of the waves of the shared jitter, over its standard deviation. That of its gradients is then 0.2."""
+"""Length of the waves of the shared jitter over its standard deviation. Its gradients then have a standard deviation
+of 0.2."""
 
 Elements = dict[str, NDArray[np.float64]]
 """``NAME.index`` ``(n, k)``, ``NAME.factor`` ``(n, 3)``, ... of the n elements in the picture, for each kind."""
@@ -35,7 +36,7 @@ Elements = dict[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Departures:
-    """The strengths, all in [0, 1], that :class:`~.model.Model` documents, and two lengths in px.
+    """The strengths of all departures, in [0, 1], as in :class:`~.model.Model`, and two lengths in px.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ class Departures:
 
     @property
     def kind(self) -> Kind:
-        """``"I"`` where colors depart, ``"II"`` where places do, ``"III"`` where both, ``"0"`` where neither."""
+        """``"I"`` if only colors depart, ``"II"`` if only places depart, ``"III"`` if both depart, else ``"0"``."""
         colors = self.color or self.intensity or self.noise or self.light or self.damage or self.missing
         places = self.jitter or self.bend
         return "III" if colors and places else "II" if places else "I" if colors else "0"
@@ -76,13 +77,13 @@ class Departures:
 
     @property
     def reach(self) -> int:
-        """Number of px that no content moves beyond along either axis."""
+        """Largest distance, px, by which content can move along either axis."""
         waves_bound = math.sqrt(2 * WAVES) * (0.25 * self.s * self.bend + self._shared)
         return math.ceil(waves_bound + math.sqrt(3) * self._independent)
 
     @property
     def _independent(self) -> float:
-        """Standard deviation in px by which jitter moves each element independently: more would fold the picture over.
+        """Standard deviation in px of the independent jitter of elements. More would fold the picture over.
 
         Elements half as broad as s, with few seams, move independently up to a strength of 0.8.
         """
@@ -91,28 +92,28 @@ class Departures:
 
     @property
     def _shared(self) -> float:
-        """Standard deviation in px by which jitter moves elements with their neighbors: the rest."""
+        """Standard deviation in px of the jitter that elements share with their neighbors: the rest."""
         rest = (0.25 * self.s * self.jitter) ** 2 - self._independent**2
         return math.sqrt(rest) if rest > 1e-9 * self.s**2 else 0.0
 
     @property
     def _seam(self) -> float:
-        """Standard deviation in px of the Gaussian across seams: limited so that elements do not fold over."""
+        """Standard deviation in px of the Gaussian across seams. It is limited so that elements do not fold over."""
         size = self.element_size
         return min(max(0.25 * self.s * self.jitter, 0.1 * size), 0.3 * size)
 
     def displacement(self, around: Pattern, shape: Shape, seed: int, origin: Origin | None = None) -> Displacement:
-        """Return how far the content at each pixel moves.
+        """Return the displacement (x, y) px of the content at each pixel, ``(H, W, 2)``.
 
         Parameters
         ----------
         around
-            The pattern on the picture and :attr:`margin` px around it. Each element moves as a whole (but for the
-            shared waves), and what lies between two elements is stretched.
+            The pattern on the picture and :attr:`margin` px around it. Each element moves as a whole, except for the
+            shared waves. The space between two elements is stretched.
         shape, seed
-            The picture's, and the draw's.
+            Shape (height, width) of the picture, and seed of the draw.
         origin
-            Which draw's numbers the elements take; None: their own.
+            The draw whose random numbers the elements take. None: this draw.
         """
         moved = np.zeros((*shape, 2))
         if self.bend:
@@ -127,7 +128,7 @@ class Departures:
         return np.stack([spread * waves(role_seed(seed, f"{role}.{axis}"), shape, period) for axis in range(2)], -1)
 
     def _shared_jitter(self, shape: Shape, seed: int) -> Displacement:
-        """Return the displacement that neighbors share: waves so long that the picture does not fold over."""
+        """Return the displacement that neighbors share. Its waves are so long that the picture does not fold over."""
         return self._waves("drift", self._shared, _STRETCH * self._shared, shape, seed)
 
     def _jitter(self, around: Pattern, origin: Origin) -> Displacement:
@@ -139,7 +140,7 @@ class Departures:
         return np.stack([(self._smooth(field) / weight)[inside, inside] for field in fields], -1)
 
     def _moves(self, layer: Layer, number: int, origin: Origin) -> list[Field]:
-        """Return how far each element moves independently along x and y, times its coverage, at each point."""
+        """Return the independent displacement of each element along x and y, times its coverage, at each point."""
         census = layer.census()
         table = self._move_table(layer.name, origin.elements(number, census.index), origin.seed)
         return [layer.coverage * column.take(census.row) for column in np.ascontiguousarray(table.T)]
@@ -158,9 +159,10 @@ class Departures:
         Parameters
         ----------
         pattern, seed
-            The displaced pattern, and the draw.
+            The displaced pattern, and the seed of the draw.
         origin
-            Which draw's numbers the elements and the pixels take; None: their own. The light is always the draw's own.
+            The draw whose random numbers the elements and the pixels take. None: this draw. The light is always that of
+            this draw.
         """
         origin = origin or OwnDraw(seed)
         read = origin.reader(pattern) if self.noise or self.damage else None
@@ -214,12 +216,12 @@ class Departures:
         return np.where(number < self.missing, 1.0, 0.5 * worn)
 
     def _holes(self, shape: Shape, seed: int) -> Field:
-        """Return the share of each pixel that a hole takes: half of the plane, in blots about an element wide."""
+        """Return the share of each pixel that holes cover. They are blots, an element wide, on half of the plane."""
         slope = 2 * math.pi / self.element_size
         return np.clip(0.5 + waves(role_seed(seed, "holes"), shape, self.element_size) / slope, 0, 1)
 
     def regular_share(self, cell: Pattern, lattice: Lattice) -> float:
-        """Return the variance of the mean over draws, as a share of the mean total variance.
+        """Return the regular share: the variance of the mean over draws, over the mean total variance.
 
         Parameters
         ----------
@@ -236,7 +238,7 @@ class Departures:
     def measured_share(self, draws: Iterable[Pattern]) -> float:
         """Return the regular share over some draws of the displacements; colors and losses are integrated out.
 
-        How far a pixel moves under jitter depends on how many elements the seams around it blend.
+        There is no closed form: the displacement of a pixel depends on the number of elements at the seams around it.
 
         Parameters
         ----------

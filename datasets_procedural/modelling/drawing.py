@@ -1,8 +1,8 @@
-"""Draw the elements of a texture model: coordinates, shapes, shades, threads, and the layers they make.
+"""Draw the elements of a texture model: coordinates, shapes, shades, threads, and layers.
 
-A model calls these functions with the coordinates of all pixels at once. A coordinate function tells which element of a
-lattice each point belongs to, a shape function gives the signed distance to an outline, :func:`coverage` turns it into
-the share of the pixel that is covered, and :class:`Pattern` holds the result as layers of elements on a ground.
+A model calls these functions with the coordinates of all pixels at once. A coordinate function returns the element of a
+lattice to which each point belongs. A shape function returns the signed distance to an outline. :func:`coverage`
+returns the share of the pixel inside the outline. :class:`Pattern` holds the result as layers of elements on a ground.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Frame:
     Parameters
     ----------
     origin
-        The picture's point (x, y) px of the model's origin.
+        Position (x, y) px of the model's origin in the picture.
     rotation
         Degrees from the picture's x axis to the model's, positive towards y (clockwise on the screen).
     """
@@ -54,7 +54,7 @@ class Frame:
         margin
             Number of pixels that the grid goes beyond the picture on each side.
         moved
-            Displacement of the content at each pixel. The pixel gets the coordinates of where its content came from.
+            Displacement of the content at each pixel. A pixel gets the coordinates from which its content has moved.
         """
         x = np.arange(-margin, shape[1] + margin) - self.origin[0]
         y = np.arange(-margin, shape[0] + margin)[:, np.newaxis] - self.origin[1]
@@ -112,7 +112,7 @@ def boxes(x: Field, widths: tuple[float, ...]) -> tuple[Index, Field, Field]:
 
 
 def cells(x: Field, y: Field, width: float, height: float) -> tuple[tuple[Index, Index], Local]:
-    """Return the box (i, j) of a rectangular grid, whose centers are at multiples of width and height."""
+    """Return the box (i, j) of a rectangular grid that each point lies in. The centers are at (i width, j height)."""
     (i, right), (j, down) = nearest(x, width), nearest(y, height)
     return (i, j), (right, down)
 
@@ -120,7 +120,7 @@ def cells(x: Field, y: Field, width: float, height: float) -> tuple[tuple[Index,
 def honeycomb(x: Field, y: Field, period: float) -> tuple[tuple[Index, Index], Local]:
     """Return the hexagon (i, j) nearest to each point: centers at the lattice of (p, 0) and (p/2, p sqrt(3)/2).
 
-    The centers are two rectangular lattices, one in the middles of the other. The nearer of the two centers counts.
+    The centers form two rectangular lattices, one in the middles of the other. The nearer of the two centers is used.
     """
     rise = period * math.sqrt(3)
     ((i, j), (dx, dy)), ((k, m), (ex, ey)) = (
@@ -142,7 +142,7 @@ def hats(u: Field, v: Field) -> list[tuple[tuple[Index, Index], Field]]:
 
 
 def _hat(u: Field, parity: int) -> tuple[Index, Field]:
-    """Return the nearest even or odd number, and its linear weight."""
+    """Return the nearest even (parity 0) or odd (parity 1) number, and its linear weight."""
     i = 2 * np.rint((u - parity) / 2).astype(np.int64) + parity
     return i, np.maximum(1 - np.abs(u - i), 0)
 
@@ -258,7 +258,7 @@ class Thread:
     coverage
         The share of each pixel in which the thread is visible.
     shade
-        The shade of a round thread that rises over the others and dives under them.
+        The shade of a round thread that passes over and under the others.
     """
 
     index: Index
@@ -283,7 +283,7 @@ def interlace(
     draft
         Whether the warp lies above: a row for each weft thread, a column for each warp thread; it repeats.
     depth
-        How dark the sides of a thread are.
+        Darkness of the sides of a thread, in [0, 1].
     """
     (i, right), (j, down) = nearest(x, spacings[0]), nearest(y, spacings[1])
     sides = stripe(right, spacings[0] - gap), stripe(down, spacings[1] - gap)
@@ -291,8 +291,8 @@ def interlace(
     warp, weft = (coverage(side) for side in sides)
     warp_next = _look_up(draft, i, j + np.where(down >= 0, 1, -1))
     weft_next = _look_up(draft, i + np.where(right >= 0, 1, -1), j)
-    warp_shade = round_profile(right, spacings[0] - gap, depth) * _height(above, warp_next, down / spacings[1])
-    weft_shade = round_profile(down, spacings[1] - gap, depth) * _height(~above, ~weft_next, right / spacings[0])
+    warp_shade = round_profile(right, spacings[0] - gap, depth) * _pass_shade(above, warp_next, down / spacings[1])
+    weft_shade = round_profile(down, spacings[1] - gap, depth) * _pass_shade(~above, ~weft_next, right / spacings[0])
     warp_seen = np.where(above, warp, warp * (1 - weft))
     weft_seen = np.where(above, weft * (1 - warp), weft)
     return Thread(i, sides[0], warp_seen, warp_shade), Thread(j, sides[1], weft_seen, weft_shade)
@@ -302,7 +302,7 @@ def _look_up(draft: NDArray[np.bool_], i: Index, j: Index) -> NDArray[np.bool_]:
     return np.asarray(draft[j % draft.shape[0], i % draft.shape[1]])
 
 
-def _height(here: NDArray[np.bool_], beyond: NDArray[np.bool_], along: Field) -> Field:
+def _pass_shade(here: NDArray[np.bool_], beyond: NDArray[np.bool_], along: Field) -> Field:
     """Return the shade of a thread between two crossings, at each of which it lies above or below."""
     start, end = np.where(here, 1.0, -1.0), np.where(beyond, 1.0, -1.0)
     return np.asarray(0.78 + 0.22 * ((start + end) / 2 + (start - end) / 2 * np.cos(np.pi * along)))
@@ -320,7 +320,7 @@ class Layer:
     name
         The kind: ``"brick"``.
     index
-        The element at each point: one array of whole numbers for each part of its index.
+        The index of the element at each point: one array of whole numbers for each part of the index.
     coverage
         The share in [0, 1] of each pixel in which the element is visible. Over all layers the sum is at most 1.
     color
@@ -341,7 +341,7 @@ class Layer:
         return weight * np.asarray(self.color, np.float32)
 
     def census(self) -> Census:
-        """Return the list of elements, and the element that each point belongs to."""
+        """Return the list of elements, and the element to which each point belongs."""
         low = [int(part.min()) for part in self.index]
         sizes = [int(part.max()) - first + 1 for part, first in zip(self.index, low, strict=True)]
         row = np.ravel_multi_index([part - first for part, first in zip(self.index, low, strict=True)], sizes)
@@ -364,7 +364,7 @@ class Census:
     row: NDArray[np.intp]
 
     def visible(self, coverage: Field) -> NDArray[np.bool_]:
-        """Return which elements cover a part of any pixel, ``(n,)``."""
+        """Return whether each element covers a part of any pixel, ``(n,)``."""
         return np.bincount(self.row[coverage > 0], minlength=len(self.index)) > 0
 
     def means(self, field: NDArray[np.float64]) -> NDArray[np.float64]:

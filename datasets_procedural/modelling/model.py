@@ -36,9 +36,9 @@ _DRAWS = 32
 class Model(ABC):
     """A texture model: a pattern on a lattice, with departures that act on the pattern's own elements.
 
-    A model gives its vectors and its pattern; this class makes textures of them. The parameters below belong to every
-    model and stand at the end of its page. Except for damaged and missing elements, no departure changes the mean color
-    of a point, before clipping. The ideal image has no damage and no displacement.
+    A subclass defines its vectors and its pattern; this class draws textures of them. All models have the parameters
+    below. They follow a model's own parameters on its page. Except for damaged and missing elements, no departure
+    changes the mean color of a point, before clipping. The ideal image has no damage and no displacement.
 
     ``Texture.elements`` holds, for each kind of element and the n of them in the picture, ``NAME.index`` ``(n, k)``,
     whole numbers, ``NAME.factor`` ``(n, 3)``, and where there are such departures ``NAME.damage`` ``(n,)``, the share
@@ -131,11 +131,11 @@ class Model(ABC):
         return self.s / 2
 
     def sublattices(self) -> tuple[Vectors, ...]:
-        """Return the generating vectors, before rotation, of parts that have a lattice of their own."""
+        """Return the generating vectors, before rotation, of the parts of the pattern that have their own lattices."""
         return ()
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
-        """Return a texture of ``shape``: its phase, then its departures, drawn from ``rng``."""
+        """Return a texture of ``shape``. Its phase, and then its departures, are drawn from ``rng``."""
         fractions = rng.random(2)
         u, v = fractions if self.phase is None else self.phase
         origin = np.array([u, v]) @ self._lattice((0.0, 0.0)).matrix
@@ -150,16 +150,16 @@ class Model(ABC):
     def recompose(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture:
         """Return a draw on the lattice of ``texture`` in which each element copies an element of ``texture``.
 
-        The copied element lies at an equal place, differs by a lattice vector, and is drawn uniformly. The copy takes
-        its color, its losses, its independent displacement and its grain. What no element owns is drawn afresh: light,
-        bend, and the displacement that neighbors share. Details are in :mod:`~.recomposition`.
+        The copied element is drawn uniformly from those at equal places, which differ by a lattice vector. The copy has
+        its color, losses, independent displacement and grain. Light, bend, and the displacement that neighbors share
+        belong to no element and are drawn again. Details are in :mod:`~.recomposition`.
         """
         if texture.lattice is None or texture.draw_seed is None:
             raise BadInput(f"texture {texture.name!r} was not drawn by a model; pass one that this model rendered")
         return self._draw(shape, texture.lattice.origin, rng, texture)
 
     def kind_vectors(self, name: str) -> Vectors:
-        """Return the generating vectors, before rotation, that lead to equal elements of one kind."""
+        """Return the generating vectors of the lattice of one kind of element, before rotation."""
         return self.vectors
 
     @cached_property
@@ -204,9 +204,9 @@ class Model(ABC):
         return Lattice(frame.vector(t1), frame.vector(t2), origin)
 
     def _draw(self, shape: Shape, origin: Vector, rng: np.random.Generator, sample: Texture | None = None) -> Texture:
-        """Return a draw on the lattice of that origin, of copies of a sample's elements if there is a sample.
+        """Return a draw on the lattice at ``origin``; with a sample, a draw of copies of the sample's elements.
 
-        One number from ``rng`` decides everything.
+        The only number that is drawn from ``rng`` is the seed of the draw.
         """
         check_shape(shape)
         seed = int(rng.integers(2**63))
@@ -236,7 +236,7 @@ class Model(ABC):
         )
 
     def _sources(self, shape: Shape, frame: Frame, sample: Texture, seed: int) -> Sources:
-        """Return which element of the sample each element of a picture copies."""
+        """Return the element of the sample that each element of a picture copies."""
         margin = self.departures.margin + self.departures.reach
         picture = Picture(self.colored_pattern, *frame.grid(shape, margin), margin)
 
@@ -254,7 +254,7 @@ class SquareModel(Model):
 
     @property
     def vectors(self) -> Vectors:
-        """Along a row, and to the next one."""
+        """The vectors along a row, and to the next one."""
         return (self.period, 0.0), (0.0, self.period)
 
 
@@ -265,26 +265,26 @@ def check(holds: bool, message: str) -> None:
 
 
 def check_sizes(model: Any, **least: float) -> None:
-    """Refuse lengths (fields of ``model``, by name, each with its least value) that are too small, huge or NaN."""
+    """Raise :class:`BadInput` if a length of ``model`` is below its value in ``least``, huge or NaN; both in px."""
     for name, low in least.items():
         size = getattr(model, name)
         check(low <= size < 1e4, f"{name} is {size} px; give at least {low:g}, less than 10000")
 
 
 def check_degrees(model: Any, *names: str) -> None:
-    """Refuse angles that are infinite or NaN."""
+    """Raise :class:`BadInput` if an angle of ``model`` is infinite or NaN."""
     for name in names:
         check(math.isfinite(getattr(model, name)), f"{name} is {getattr(model, name)}; give degrees")
 
 
 def check_choice(model: Any, name: str, known: Any) -> None:
-    """Refuse a word that is not one of the known words."""
+    """Raise :class:`BadInput` unless the field ``name`` of ``model`` is one of the ``known`` words."""
     word = getattr(model, name)
     check(word in known, f"{name} is {word!r}; give one of: {', '.join(map(str, known))}")
 
 
 def check_shape(shape: Shape) -> None:
-    """Refuse a picture without pixels, or with more than can be drawn."""
+    """Raise :class:`BadInput` if a picture has no pixels, or more than :data:`LARGEST_AREA`."""
     height, width = shape
     size = f"shape {width}x{height} px"
     check(min(shape) >= 1, f"{size} has no pixels; give at least 1 a side")

@@ -1,4 +1,4 @@
-"""Random numbers, grain and waves as functions of a seed and a place, so that every window of a draw is the same draw.
+"""Random numbers, grain and waves as functions of a seed and a position, so that overlapping windows of a draw agree.
 
 The hash is the output function of SplitMix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators,
 OOPSLA 2014), applied once for each part of the index.
@@ -23,7 +23,7 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 WAVES = 12
 """Number of plane waves that make a smooth random field."""
 _GRAIN = 0.7
-"""Standard deviation in px of the Gaussian under the grain: less looks like a bad sensor, more looks like blur."""
+"""Standard deviation in px of the Gaussian that smooths the grain."""
 
 
 def role_seed(seed: int, role: str) -> int:
@@ -61,14 +61,14 @@ def factors(seed: int, name: str, index: NDArray[np.int64], color: float, intens
     Parameters
     ----------
     seed
-        The draw's.
+        Seed of the draw.
     name
         The kind of element.
     index
         ``(n, k)``, one row for each element.
     color, intensity
-        Strengths. A factor is uniform, with mean 1 and a standard deviation of half the strength: an independent one
-        for each channel (color), times one for all channels (intensity).
+        Strengths. The factor is a product of one number for each channel (color) and one for all channels (intensity).
+        Each is uniform, with mean 1 and a standard deviation of half the strength.
     """
     parts = [column[:, np.newaxis] for column in index.T]
     own = uniform(role_seed(seed, f"{name}.color"), *parts, np.arange(3))
@@ -84,7 +84,8 @@ def factor_variance(color: float, intensity: float) -> float:
 def grain(seed: int, shape: Shape) -> NDArray[np.float32]:
     """Return stationary noise of mean 0 and variance 1, correlated over about one px.
 
-    White noise (each pixel the sum of four uniform numbers) under a Gaussian of 0.7 px: very nearly Gaussian.
+    White noise, smoothed by a Gaussian of 0.7 px. Each pixel of the white noise is the sum of four uniform numbers, so
+    the result is very nearly Gaussian.
     """
     reach = math.ceil(4 * _GRAIN)
     y = np.arange(-reach, shape[0] + reach)[:, np.newaxis]
@@ -106,7 +107,7 @@ def waves(seed: int, shape: Shape, period: float, count: int = WAVES) -> Field:
     Parameters
     ----------
     seed
-        The role's.
+        Seed of the role, see :func:`role_seed`.
     shape
         (height, width) in px.
     period

@@ -1,7 +1,7 @@
-"""Recomposition: a picture each element of which copies an element of a sample.
+"""Recomposition: a picture whose elements are copies of the elements of a sample.
 
 The pattern of a model repeats on a lattice. An element of a picture can therefore copy the departures of any element of
-a sample that lies at an equal place, one that differs by a lattice vector. No method that copies can do more.
+a sample at an equal place, which is a place that differs by a lattice vector. This is the best possible copying method.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ KindLattice = tuple[tuple[Vector, Vector], Lattice]
 
 
 class Origin(Protocol):
-    """Which random numbers the elements and the pixels of a picture take."""
+    """The source of the random numbers of the elements and the pixels of a picture."""
 
     @property
     def seed(self) -> int:
-        """The draw whose numbers they take."""
+        """Seed of the draw whose random numbers they take."""
         ...
 
     def elements(self, layer: int, index: Indices) -> Indices:
@@ -68,9 +68,9 @@ class Copies:
     Parameters
     ----------
     low, sizes
-        The least index, and the number of values of each part of the index: the table holds all indices between.
+        The least value, and the number of values, of each part of the index. The table holds all these indices.
     index
-        ``(n, k)``: the index of the copied element, by the rank of the own index in the table.
+        ``(n, k)``: the index of the copied element, in the order of the table.
     steps
         ``(n, 2)``: whole px (x, y) from the element to the copied one.
     """
@@ -93,7 +93,7 @@ class Sources:
     Parameters
     ----------
     seed, shape
-        The sample's draw, and its shape (height, width).
+        Seed and shape (height, width) of the sample.
     layers
         The copied elements, for each layer.
     cells
@@ -121,9 +121,9 @@ class Sources:
     def pixels(self, pattern: Pattern) -> NDArray[np.int64]:
         """Return the (x, y) of the sample's pixel that each pixel copies, ``(H, W, 2)``.
 
-        A pixel belongs to the element that covers most of it, or to the nearest one of the first layer. Where that
-        element's step leads out of the sample, the pixel takes the step of its lattice cell. Where that leads out too,
-        because the sample holds no whole cell, the sample is repeated.
+        A pixel belongs to the element that covers most of it, or to the nearest one of the first layer. It takes the
+        step of this element. If that step leads out of the sample, the pixel takes the step of its lattice cell. If
+        this step leads out as well, because the sample holds no whole cell, the sample is repeated.
         """
         coverage = np.stack([layer.coverage for layer in pattern.layers])
         owner, here = coverage.argmax(0), _pixel_grid(coverage.shape[1:])
@@ -160,10 +160,10 @@ class Picture:
     def find_sources(self, sample: Texture, lattice_of: Callable[[str], KindLattice], seed: int) -> Sources:
         """Draw the element of the sample that each element of the picture copies.
 
-        Only elements that are visible in the sample are copied. Of those at equal places the whole ones are preferred:
-        those for which no pixel of the picture's element leads out of the sample. One of them is drawn uniformly. Where
-        the sample holds no whole one, all count. Where it holds none at an equal place, because the sample is smaller
-        than a cell, any element of the same kind does.
+        Only elements that are visible in the sample are copied. Places at which the whole element of the picture fits
+        into the sample are preferred. If there are none, all elements at equal places are used. If there are none of
+        these, because the sample is smaller than a cell, all elements of the same kind are used. One of the elements is
+        drawn uniformly.
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ class Picture:
         lattice_of
             Returns the lattice of a kind of element, by the name of its layer.
         seed
-            Decides the choice.
+            Seed of the random choice.
         """
         assert sample.lattice is not None and sample.draw_seed is not None
         pattern, shape = self.draw(self.x, self.y), (sample.image.shape[0], sample.image.shape[1])
@@ -222,11 +222,11 @@ class _Places:
     rows
         Their rows in the census, ``(n,)``.
     pixel
-        The flat number of the pixel that represents each: the most covered one, the most central of those.
+        The flat index of the pixel that represents each element: of the most covered pixels, the most central.
     center
-        Its (x, y) in the picture.
+        The (x, y) of this pixel in the picture, ``(n, 2)``.
     first, last
-        The corners (x, y) of the box around the pixels that each covers, inclusive.
+        The corners (x, y) of the box around the pixels that each element covers, inclusive, ``(n, 2)``.
     """
 
     rows: NDArray[np.intp]
@@ -248,32 +248,28 @@ class _Places:
         central = layer.coverage - 1e-3 * distance / distance.max(initial=1.0)
         positions = np.asarray(ndimage.maximum_position(central, label, np.arange(len(rows))), np.int64)
         # An element that covers no pixel is as large as its cell.
-        boxes = ndimage.find_objects(np.where((layer.coverage > 0) | _hidden(layer, label), label + 1, 0))
+        hidden = (np.bincount(label.ravel(), layer.coverage.ravel()) == 0)[label]
+        boxes = ndimage.find_objects(np.where((layer.coverage > 0) | hidden, label + 1, 0))
         first = np.array([[box[1].start, box[0].start] for box in boxes])
         last = np.array([[box[1].stop - 1, box[0].stop - 1] for box in boxes])
         pixel = np.ravel_multi_index(tuple(positions.T), shape)
         return cls(rows, np.asarray(pixel), positions[:, ::-1] - margin, first - margin, last - margin)
 
 
-def _hidden(layer: Layer, label: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return whether each pixel belongs to an element that covers no pixel."""
-    return np.asarray((np.bincount(label.ravel(), layer.coverage.ravel()) == 0)[label])
-
-
 @dataclass(frozen=True)
 class _Choice:
-    """Draws the place in a sample that each element copies.
+    """A random choice of the place in a sample that each element copies.
 
     Parameters
     ----------
     name, index, places
-        The kind of element, and the index and the place of each.
+        The kind of element, and the indices and the places of its elements.
     lattice
         Its lattice.
     shape
         Shape (height, width) of the sample.
     seed
-        Decides the choice.
+        Seed of the random choice.
     """
 
     name: str
@@ -291,7 +287,7 @@ class _Choice:
         changes
             How the index changes by each of the two lattice vectors, ``(n, 2, k)``.
         visible
-            The elements that the sample shows; None if all of them count.
+            Indices of the elements that are visible in the sample; None: all elements are.
         """
         numbers = self._numbers()
         moves = np.rint(numbers @ self.lattice.matrix).astype(np.int64)
@@ -316,7 +312,7 @@ class _Choice:
     def _numbers(self) -> NDArray[np.int64]:
         """Return cell coordinates of lattice vectors that lead to places in the sample, ``(n, m, 2)``.
 
-        They hold all that lead from the center of each element into the sample, and some others.
+        They include all that lead from the center of an element into the sample, and some others.
         """
         cell = self.lattice.to_cell(self.places.center.astype(np.float64))
         base = np.floor(cell).astype(np.int64)
@@ -329,7 +325,7 @@ class _Choice:
 
 
 def _copies(census: Census, rows: NDArray[np.intp], index: Indices, steps: NDArray[np.int64]) -> Copies:
-    """Return the table of all indices of a census; those that are not in the picture copy themselves."""
+    """Return the table of all indices of a census. Elements that are not in the picture copy themselves."""
     low, high = census.index.min(0), census.index.max(0)
     own, still = census.index.copy(), np.zeros((len(census.index), 2), np.int64)
     own[rows], still[rows] = index, steps

@@ -1,4 +1,4 @@
-"""Verbs that write or score images: synth, score, render."""
+"""The commands synth, score and render, which write or score images."""
 
 from __future__ import annotations
 
@@ -82,8 +82,8 @@ def render_command(
 ) -> None:
     """Draw the textures of a model or a suite as PNG files.
 
-    DIR also gets truth.csv, truth.json and a contact sheet. Pictures of an earlier render stay; a picture of the
-    same name is drawn again.
+    The command also writes truth.csv, truth.json and a contact sheet to DIR. It keeps pictures of an earlier render,
+    and draws a picture of the same name again.
     """
     from nrbench.api import changed
     from nrbench.suites.plan import draw_samples

@@ -1,4 +1,4 @@
-"""The verb that detects, compares and draws lattices: lattice."""
+"""The command lattice, which detects, compares and draws lattices."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def lattice_command(
     if len(chosen) > 1:
         raise BadInput(f"{' and '.join(chosen)}: choose one of them")
     if diagnostics is not None and chosen not in ([], ["-d"]):
-        raise BadInput(f"--diagnostics: draws the work of one detector; leave {chosen[0]} out")
+        raise BadInput(f"--diagnostics: draws how one detector works; leave {chosen[0]} out")
     for path in filter(None, (output, diagnostics)):
         check_output(path)
     picture = read_image(image)
     if every:
-        return _compare(picture, output, as_json)
+        return _compare_detectors(picture, output, as_json)
     if pick or lattice is not None:
         _use_given(picture, lattice, output, as_json)
     else:
@@ -69,8 +69,11 @@ def lattice_command(
 
 
 @dataclass(frozen=True)
-class _Answer:
-    """What a detector or the user answers: a lattice, or why there is none."""
+class _Result:
+    """The result of a detector or of the user: a lattice, or why there is none.
+
+    ``seconds`` is set in a comparison. ``failed`` marks a detector that raised an error.
+    """
 
     detector: str
     lattice: Lattice | None
@@ -81,7 +84,7 @@ class _Answer:
 
     @property
     def vectors(self) -> dict[str, Any]:
-        """The two vectors, JSON-ready."""
+        """The two vectors for JSON."""
         assert self.lattice is not None
         return {"t1": list(self.lattice.t1), "t2": list(self.lattice.t2)}
 
@@ -92,7 +95,7 @@ class _Answer:
         return f"t1 = ({x1:.3f}, {y1:.3f}) px{separator}t2 = ({x2:.3f}, {y2:.3f}) px"
 
     def print(self, as_json: bool) -> None:
-        """Print the answer on standard output."""
+        """Print the result on standard output."""
         if as_json:
             found = {**self.vectors, "detector": self.detector, "confidence": self.confidence} if self.lattice else None
             print(json.dumps(found or {"lattice": None, "reason": self.reason}))
@@ -103,7 +106,7 @@ class _Answer:
             print(f"{self.text()}, {self.detector}{confidence}")
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the entry of a comparison, JSON-ready."""
+        """Return the entry of a comparison for JSON."""
         seconds = {} if self.seconds is None else {"seconds": self.seconds}
         if self.lattice is not None:
             return {"detector": self.detector, **self.vectors, "confidence": self.confidence, **seconds}
@@ -120,7 +123,7 @@ class _Answer:
         return f"{self.detector:<12} {t1:<20} {t2:<20} {self.confidence:>10.3f} {seconds:>8}"
 
     def caption(self, letters: int) -> str:
-        """Return the caption of a comparison's picture, of at most ``letters`` a line."""
+        """Return the caption of a comparison's picture, with at most ``letters`` characters a line."""
         if self.lattice is None:
             lines = textwrap.wrap(self.reason, letters, max_lines=4, placeholder=" ...")
             return "\n".join([f"{self.detector}: no lattice", *lines])
@@ -141,7 +144,7 @@ def _use_given(image: Image, numbers: str | None, output: Path | None, as_json: 
     else:
         lattice = Lattice.parse(numbers)
     _draw_lattice(image, lattice, output)
-    _Answer("picked" if numbers is None else "given", lattice).print(as_json)
+    _Result("picked" if numbers is None else "given", lattice).print(as_json)
 
 
 def _detect(image: Image, spec: str, output: Path | None, diagnostics: Path | None, as_json: bool) -> None:
@@ -158,34 +161,35 @@ def _detect(image: Image, spec: str, output: Path | None, diagnostics: Path | No
         _draw_diagnostics(none.best.diagnostics if none.best else {}, title, diagnostics)
         if output is not None:
             click.echo(f"{output}: not written, there is no lattice to draw", err=True)
-        _Answer(name, None, reason=none.reason).print(as_json)
+        _Result(name, None, reason=none.reason).print(as_json)
         return
-    answer = _Answer(name, detection.lattice, detection.confidence)
-    title = f"{spec}: {answer.text()}, confidence {detection.confidence:.3f}"
+    result = _Result(name, detection.lattice, detection.confidence)
+    title = f"{spec}: {result.text()}, confidence {detection.confidence:.3f}"
     _draw_diagnostics(detection.diagnostics, title, diagnostics)
     _draw_lattice(image, detection.lattice, output)
-    answer.print(as_json)
+    result.print(as_json)
 
 
-def _compare(image: Image, output: Path | None, as_json: bool) -> int:
+def _compare_detectors(image: Image, output: Path | None, as_json: bool) -> int:
     """Print and draw the lattices of all detectors; return 1 if one of them failed, else 0."""
     from nrbench import plugins
     from nrbench.jit import load_kernels
 
     load_kernels()
     names = [plugin.name for plugin in plugins.inventory("detectors") if plugin.cls is not None]
-    answers = [_answer_of(image, name) for name in names]
+    results = [_run_detector(image, name) for name in names]
     if output is not None:
-        _draw_comparison(image, answers, output)
+        _draw_comparison(image, results, output)
     if as_json:
-        print(json.dumps([answer.as_dict() for answer in answers], indent=1))
+        print(json.dumps([result.as_dict() for result in results], indent=1))
     else:
         print(f"{'detector':<12} {'t1 (px)':<20} {'t2 (px)':<20} {'confidence':>10} {'seconds':>8}")
-        print("\n".join(answer.row() for answer in answers))
-    return int(any(answer.failed for answer in answers))
+        print("\n".join(result.row() for result in results))
+    return int(any(result.failed for result in results))
 
 
-def _answer_of(image: Image, name: str) -> _Answer:
+def _run_detector(image: Image, name: str) -> _Result:
+    """Return the result of a detector; an error of the detector is a failed result."""
     from nrbench import plugins
     from nrbench.errors import BadInput
     from nrbench.plugins.forms import timed_detection
@@ -195,18 +199,18 @@ def _answer_of(image: Image, name: str) -> _Answer:
     except BadInput:
         raise
     except Exception as error:
-        return _Answer(name, None, reason=f"failed: {type(error).__name__}: {error}", failed=True)
-    return _Answer(name, detection.lattice, detection.confidence, detection.reason, detection.seconds)
+        return _Result(name, None, reason=f"failed: {type(error).__name__}: {error}", failed=True)
+    return _Result(name, detection.lattice, detection.confidence, detection.reason, detection.seconds)
 
 
-def _draw_comparison(image: Image, answers: Sequence[_Answer], output: Path) -> None:
-    """Write a sheet with one captioned picture a detector."""
+def _draw_comparison(image: Image, results: Sequence[_Result], output: Path) -> None:
+    """Write a sheet with one captioned picture for each detector."""
     from nrbench.imaging.drawing import contact_sheet, draw_lattice
     from nrbench.imaging.files import write_image
 
-    pictures = [image if answer.lattice is None else draw_lattice(image, answer.lattice) for answer in answers]
+    pictures = [image if result.lattice is None else draw_lattice(image, result.lattice) for result in results]
     letters = max(32, image.shape[1] // 6)
-    write_image(output, contact_sheet(pictures, [answer.caption(letters) for answer in answers], columns=3))
+    write_image(output, contact_sheet(pictures, [result.caption(letters) for result in results], columns=3))
 
 
 def _draw_lattice(image: Image, lattice: Lattice, output: Path | None) -> None:

@@ -1,4 +1,4 @@
-"""Figures of the verb ``lattice``: how a detector found its lattice, and a window to pick a lattice in."""
+"""Figures of the command ``lattice``: how a detector found its lattice, and a window in which to pick a lattice."""
 
 from __future__ import annotations
 
@@ -79,7 +79,8 @@ def _draw_surface(axes: Axes, surface: Surface) -> None:
     peaks = np.reshape(surface.peaks, (-1, 2))
     axes.plot(*peaks.T, "o", mfc="none", mec="tab:cyan", ms=5, mew=0.9, label=f"{len(peaks)} candidates")
     for vector in () if surface.vectors is None else surface.vectors:
-        tip = vector if _within(vector, box) else -vector
+        inside = box[0] <= vector[0] <= box[1] and box[3] <= vector[1] <= box[2]
+        tip = vector if inside else -vector
         axes.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": COLOR, "lw": 1.8})
         axes.plot(*tip, ".", color=COLOR, ms=3)
     axes.set(xlim=box[:2], ylim=box[2:])
@@ -87,13 +88,9 @@ def _draw_surface(axes: Axes, surface: Surface) -> None:
 
 
 def _limits(values: NDArray[np.floating[Any]]) -> tuple[float, float]:
-    """Return the values shown black and white; extreme ones, like the peak at zero, would hide the rest."""
+    """Return the values that are drawn black and white. Extremes, like the peak at zero, are cut off."""
     low, high = np.quantile(values[np.isfinite(values)], (0.005, 0.995)) if np.isfinite(values).any() else (0, 1)
     return float(low), float(high)
-
-
-def _within(point: NDArray[np.float64], box: tuple[float, float, float, float]) -> bool:
-    return bool(box[0] <= point[0] <= box[1] and box[3] <= point[1] <= box[2])
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:

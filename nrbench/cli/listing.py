@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-_WAYS = {"one": "nearest to 1"}
+_BETTER = {"one": "nearest to 1", "none": "neither higher nor lower"}
 KINDS = ("datasets", "detectors", "synthesizers", "metrics", "reports", "suites")
 
 
@@ -45,13 +45,9 @@ def _plugin_entry(plugin: Any) -> dict[str, Any]:
     shown = {"name": plugin.name, "distribution": plugin.distribution, "version": plugin.version}
     if plugin.cls is None:
         return {**shown, "about": "BROKEN", "error": plugin.error}
-    about = _first_line(plugin.cls)
+    about = (inspect.getdoc(plugin.cls) or "").partition("\n")[0]
     reference = bool(getattr(plugin.cls, "reference", False))
     return {**shown, "about": about + (" (reference: never ranked)" if reference else ""), "reference": reference}
-
-
-def _first_line(cls: type[Any]) -> str:
-    return (inspect.getdoc(cls) or "").partition("\n")[0]
 
 
 @click.command("show")
@@ -60,8 +56,8 @@ def _first_line(cls: type[Any]) -> str:
 def show_command(name: str, as_json: bool) -> None:
     """Show a plugin or a suite.
 
-    For a plugin: its page, its parameters with defaults, its columns, and the BibTeX entry of its paper. NAME may also
-    be a single score, METRIC.COLUMN.
+    For a plugin, print its page, its parameters with defaults, its columns, and the BibTeX entry of its paper. NAME may
+    also be a single score, METRIC.COLUMN.
     """
     from nrbench.errors import BadInput
     from nrbench.plugins.parameters import nearest
@@ -159,7 +155,5 @@ def _text(page: dict[str, Any]) -> str:
 def _column_text(metric: str, key: str, column: dict[str, Any]) -> str:
     low, high = column["range"]
     span = f"{'-inf' if low is None else f'{low:g}'} to {'inf' if high is None else f'{high:g}'}"
-    better = (
-        "no better way" if column["better"] == "none" else "better: " + _WAYS.get(column["better"], column["better"])
-    )
-    return f"  {metric}.{key}: {column['meaning']} [unit: {column['unit'] or 'none'}; range: {span}; {better}]"
+    better = _BETTER.get(column["better"], column["better"])
+    return f"  {metric}.{key}: {column['meaning']} [unit: {column['unit'] or 'none'}; range: {span}; better: {better}]"

@@ -1,4 +1,4 @@
-"""The command ``nrbench``: a group of verbs, each imported when it is needed."""
+"""The command ``nrbench``: a group of verbs. The module of a verb is imported when the verb is used."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ VERBS: Mapping[str, str] = {
 
 
 class Verbs(click.Group):
-    """A group that imports the module of a verb only when the verb is needed."""
+    """A group that imports the module of a verb only when the verb is used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the verbs in the order of a user's work."""
+        """Return the verbs in the order of :data:`VERBS`."""
         return list(VERBS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -38,7 +38,7 @@ class Verbs(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the verb, or name the nearest one."""
+        """Return the command of the verb; for an unknown verb, raise an error that names the nearest one."""
         if args and not args[0].startswith("-") and args[0] not in VERBS:
             from nrbench.plugins.parameters import nearest
 
@@ -90,7 +90,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def move_global_options(arguments: list[str]) -> list[str]:
-    """Return the arguments with ``--debug`` and ``--plugin FILE``, which may stand anywhere, before the verb."""
+    """Return the arguments with every ``--debug`` and ``--plugin FILE`` moved before the verb."""
     front: list[str] = []
     rest: list[str] = []
     words = iter(arguments)

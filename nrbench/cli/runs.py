@@ -1,4 +1,4 @@
-"""Verbs that run suites and read runs: run, plan, report, status, label."""
+"""The commands run, plan, report, status and label, which run suites and read runs."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def _plan_options(command: F) -> F:
                 "--lattice",
                 multiple=True,
                 metavar="given|own|DETECTOR|x1,y1,x2,y2",
-                help="The lattice that methods use: the true one, one that they find themselves, one that a detector "
-                "finds, or yours; repeatable.",
+                help="The lattice that methods use: the true one, the one that each method finds, the one that a "
+                "detector finds, or yours; repeatable.",
             ),
             click.option("--sample", metavar="WxH", help="Size of the samples."),
             click.option("--size", metavar="WxH", help="Size of the outputs."),
@@ -79,7 +79,7 @@ def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     default=4096.0,
     show_default=True,
     metavar="MiB",
-    help="Limit of the memory of one synthesis or metric, above the idle worker.",
+    help="Limit of the memory of one synthesis or metric, in addition to that of an idle worker.",
 )
 @click.option("--reuse", type=_PATH, metavar="RUN", help="Copy the results of equal cells from another run.")
 @click.option("--no-report", is_flag=True, help="Write the tables only.")
@@ -124,7 +124,7 @@ def _live_progress() -> Iterator[Callable[[int, int, str], None]]:
 @click.command("plan")
 @_plan_options
 def plan_command(**arguments: Any) -> None:
-    """List the cells that `run` would reuse and those that it would start; start nothing."""
+    """List the cells that `run` would reuse and those that it would start. Nothing is started."""
     from nrbench.cli.summary import plan_lines, plan_summary
 
     plan, root = _make_plan(arguments)
@@ -141,10 +141,10 @@ def plan_command(**arguments: Any) -> None:
     multiple=True,
     type=_PATH,
     metavar="FILE...",
-    help="Files with people's answers, one file a person; the reports then compare the verdicts with them.",
+    help="Files with people's answers, one for each person. The reports then compare the verdicts with them.",
 )
 def report_command(run: Path, more: tuple[Path, ...], formats: str | None, labels: tuple[Path, ...]) -> int:
-    """Write the reports of RUN again from its files; no cell is run."""
+    """Write the reports of RUN again from its files. No cell is run."""
     from nrbench.cli.summary import write_reports
     from nrbench.labelling.labels import read_people
     from nrbench.runs.records import Run
@@ -165,7 +165,7 @@ def report_command(run: Path, more: tuple[Path, ...], formats: str | None, label
 @click.argument("run", type=_PATH)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def status_command(run: Path, as_json: bool) -> None:
-    """Print how many cells of RUN have ended, with which status, and which failed."""
+    """Print the number of cells of RUN with each status, and the cells that failed."""
     from nrbench.cli.summary import failures, status_counts
     from nrbench.runs.records import Run
 
@@ -189,7 +189,7 @@ def status_command(run: Path, as_json: bool) -> None:
     metavar="SHARE",
     help="Share of the outputs that are shown twice.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of order and names.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the items' order and ids.")
 @click.option(
     "--questions",
     default="lattice,elements,more",

@@ -1,4 +1,4 @@
-"""What the verbs of :mod:`nrbench.cli.runs` write and print of a plan and of a run."""
+"""Print plans and runs, and write reports, for the commands of :mod:`nrbench.cli.runs`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _failures_of(record: CellRecord) -> list[str]:
 def write_reports(
     run: Run, formats: str | None = None, tables_only: bool = False, labels: tuple[Path, ...] = ()
 ) -> tuple[list[Path], bool]:
-    """Write some reports of a run, or all that load; return the paths, and whether any report failed."""
+    """Write the reports of a run in the given formats, or in all; return the paths, and whether any report failed."""
     loading = [plugin.name for plugin in plugins.inventory("reports") if plugin.cls is not None]
     written: list[Path] = []
     broken = False
@@ -63,7 +63,7 @@ def _build_report(name: str, labels: tuple[Path, ...]) -> Any:
 
 
 def print_summary(run: Run, written: list[Path], as_json: bool) -> bool:
-    """Print the reports made for a terminal, or JSON, and what failed; return whether anything failed."""
+    """Print the reports for a terminal, or JSON, and all failures; return whether anything failed."""
     if as_json:
         print(json.dumps(_summary(run, written), indent=1))
     else:
@@ -77,7 +77,7 @@ def print_summary(run: Run, written: list[Path], as_json: bool) -> bool:
 
 
 def _print_terminal_reports(run: Run) -> None:
-    """Print each report with the class variable ``terminal``: it has a parameter ``width`` and a method ``render``."""
+    """Print each report whose class variable ``terminal`` is true; its method ``render`` returns the text."""
     width = max(40, shutil.get_terminal_size((120, 40)).columns)
     for plugin in plugins.inventory("reports"):
         if getattr(plugin.cls, "terminal", False):
@@ -85,7 +85,7 @@ def _print_terminal_reports(run: Run) -> None:
 
 
 def _summary(run: Run, written: list[Path]) -> dict[str, Any]:
-    """Return a run, JSON-ready: suite, counts, failures, the files written, and one entry a cell."""
+    """Return a run for JSON: suite, counts, failures, the files written, and one entry for each cell."""
     table = run.table()
     return {
         "run": str(run.root),
@@ -98,7 +98,7 @@ def _summary(run: Run, written: list[Path]) -> dict[str, Any]:
 
 
 def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
-    """Return the cells of a plan, JSON-ready, with what a run would reuse and what it would start."""
+    """Return the cells of a plan for JSON, and how many a run would reuse and start."""
     directory, metrics = RunDirectory(root), metrics_of(plan.suite)
     cells = [
         {
@@ -120,7 +120,7 @@ def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
 
 
 def plan_lines(summary: dict[str, Any]) -> list[str]:
-    """Return the summary of a plan as text, one line a texture."""
+    """Return the summary of a plan as text, one line for each texture."""
     counts = f"{summary['cached']} cells cached, {summary['new']} new"
     head = f"suite {summary['suite']} ({summary['hash']}) -> {summary['out']}: {counts}"
     by_texture = itertools.groupby(summary["cells"], key=lambda cell: (cell["texture"], _sizes_text(cell)))

@@ -22,15 +22,15 @@ TESTED = 256
 PRECISE = 2048
 """px; side of the middle of the image that is analyzed at full detail: it holds enough of any period."""
 STARTS = 8
-"""Number of proposals, the best, from which finer lattices are searched."""
+"""Number of the best proposals from which finer lattices are searched."""
 VOTES = 3
-"""Number of lattices, the best, that each view of a large image contributes."""
+"""Number of the best lattices that each view of a large image contributes."""
 COMPARED = 6
-"""Number of pairs, the best, that are fitted in a phase-randomized copy."""
+"""Number of the best pairs that are fitted in a phase-randomized copy."""
 WEIGHTS = {"constant": -5.44, "sigmas": 3.75, "relief": 1.21, "tiles": -1.0}
 """Weights of a logistic regression on logarithms, fitted by ``benchmarks/consensus_calibration.py``."""
 MAX_SIGMAS = 60.0
-"""Standard deviations; few lattices of the fit had more, so more do not raise the confidence."""
+"""Standard deviations above which the confidence does not rise: few lattices of the fit had more."""
 
 _check = checker("consensus")
 
@@ -47,8 +47,8 @@ class Consensus:
        (:mod:`nrbench.detectors.agreement.likeness`).
     2. Pairs of its most prominent peaks propose lattices. Each lattice is fitted to sub-pixel precision at all its
        multiples at once (:class:`nrbench.detectors.agreement.evidence.Evidence`). Its merit is the share of the
-       variance that is explained if each tile is predicted from all others. Supercells lose because they have few
-       tiles, wrong vectors because their tiles differ.
+       variance that is explained if each tile is predicted from all others. Supercells have a low merit because they
+       have few tiles; wrong vectors have a low merit because their tiles differ.
     3. The best lattices are replaced by finer ones as long as the vectors that these add agree as well. A lattice that
        lies on a ridge is discarded (:mod:`nrbench.detectors.agreement.search`).
     4. Of the remaining lattices the one of the highest merit is returned.
@@ -68,13 +68,14 @@ class Consensus:
         If correlations scatter from vector to vector, a finer lattice is also accepted if it misses by no more than
         this number of standard deviations and stands out from all others: long threads make some supercells match.
     relief
-        The correlation at a lattice's multiples exceeds what any finer lattice adds by at least this share.
+        Least share by which the correlation at a lattice's multiples exceeds the correlation at the vectors that any
+        finer lattice adds.
     size_exponent
-        The merit is multiplied by the number of tiles to this power: of two similar lattices the smaller is preferred.
+        The merit is multiplied by the number of tiles to this power: the smaller of two similar lattices is preferred.
     peaks
-        Number of peaks, the most prominent, that are paired.
+        Number of the most prominent peaks that are paired.
     proposals
-        Number of pairs, the best, that are fitted.
+        Number of the best pairs that are fitted.
     reject
         ``"none"``: return any stable lattice. ``"bartlett"``: report no lattice if the mean correlation is less than
         ``sigmas`` times its spread by Bartlett's formula (:meth:`Evidence.sigmas`). ``"surrogate"``: report no lattice
@@ -119,7 +120,7 @@ class Consensus:
         _check(0 < self.false_alarms < 1, f"false_alarms is {self.false_alarms}; give a probability, e.g. 0.01")
 
     def detect(self, image: Image) -> Detection:
-        """Return the lattice of ``image``; its origin is (0, 0), for the detector finds no phase.
+        """Return the lattice of ``image``. Its origin is (0, 0) because the detector does not find the phase.
 
         The confidence is the probability that the lattice is exact; see :func:`confidence`. Diagnostics: ``likeness``
         (the correlation, right half, with the candidates and the pair), ``explained`` (the share of the variance),
@@ -130,8 +131,8 @@ class Consensus:
         Raises
         ------
         NoLatticeFound
-            If the image is constant, if no lattice is stable, or, unless ``reject`` is ``"none"``, if the best lattice
-            may be chance.
+            If the image is constant or no lattice is stable. Unless ``reject`` is ``"none"``, also if the best lattice
+            may have occurred by chance.
         """
         if np.ptp(image, (0, 1)).max() == 0:
             raise NoLatticeFound("the image is constant: it has no texture")
@@ -194,14 +195,14 @@ class Consensus:
     def _is_striped(self, colors: Evidence, basis: Points, repeated: float) -> bool:
         """Return whether the lattice lies on a ridge of the colors' correlation, if the colors repeat as well.
 
-        Edges are no linear function of the pixels: the edges of fine stripes beat with the pixel grid, which makes a
-        lattice that the colors do not have.
+        Edges are not a linear function of the pixels. The edges of fine stripes interfere with the pixel grid, which
+        produces a lattice that the colors do not have.
         """
         own = colors.repeated(basis)
         return own > repeated / 2 and own - highest_between(colors, basis) < self.relief * own
 
     def _compare_with_surrogates(self, image: Image, detection: Detection) -> Detection:
-        """Return the detection with the contrasts of phase-randomized copies; raise if it is no better."""
+        """Return the detection with the contrasts of phase-randomized copies; raise if its own is not higher."""
         vectors = detection.lattice.matrix
         factor = max_factor(vectors)
         part = make_view(image, factor, TESTED).image
@@ -228,7 +229,7 @@ class Consensus:
         return detection
 
     def _contrast(self, evidence: Evidence, basis: Points) -> float:
-        """Return the correlation of a lattice less that of any finer one, times tiles ** size_exponent."""
+        """Return the correlation of a lattice minus the highest that a finer one adds, times tiles ** size_exponent."""
         contrast = evidence.repeated(basis) - highest_between(evidence, basis)
         return float(max(contrast, 0.0) * evidence.tiles(basis) ** self.size_exponent)
 
@@ -240,7 +241,7 @@ class Consensus:
 
 
 def confidence(sigmas: float, relief: float, tiles: float) -> float:
-    """Return the probability that a lattice is exact: no supercell, no subcell, not wrong, and not chance.
+    """Return the probability that a lattice is exact: not a supercell, a subcell, wrong, or found by chance.
 
     Parameters
     ----------
@@ -254,7 +255,7 @@ def confidence(sigmas: float, relief: float, tiles: float) -> float:
     Notes
     -----
     A logistic regression on the logarithms of the three. It is fitted to draws of 25 models and of noise, with
-    departures from none to beyond recognition, and predicts how often such a lattice was exact there.
+    departures from none to very strong ones, and predicts how often such a lattice was exact.
     """
     logit = WEIGHTS["constant"] + WEIGHTS["sigmas"] * math.log(min(max(sigmas, 1e-3), MAX_SIGMAS))
     logit += WEIGHTS["relief"] * math.log(max(relief, 1e-2)) + WEIGHTS["tiles"] * math.log(max(tiles, 1.0))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nrbench.detectors.autocorrelation.surrogates import measure_surrogates
 from nrbench.errors import checker
-from nrbench.imaging.convert import Image
+from nrbench.imaging.convert import Image, crop_middle
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
 from nrbench.spectra.harmonic_groups import FINALISTS, Basis, collect_peaks, find_fundamentals, off_line_evidence
@@ -24,9 +24,9 @@ TESTED = 256
 """px a side of the middle that the test against chance analyzes, or :data:`PERIODS` periods where these are longer."""
 PERIODS = 10.0
 SHORTLIST = 6
-"""Pairs of fundamentals that the test fits."""
+"""Number of pairs of fundamentals that the test fits."""
 STRONGEST = 24
-"""Waves that the test searches: the evidence of weaker ones, which are weighted by their energy, is small."""
+"""Number of waves that the test searches. Weaker waves have small weights."""
 
 
 class Candidate(NamedTuple):
@@ -54,13 +54,13 @@ class Candidate(NamedTuple):
 class Frdft:
     """Fractional frequencies: the coarsest lattice of frequencies that explains the waves of the texture.
 
-    The paper finds the waves (section 3.1; here :func:`~nrbench.spectra.wave_search.find_waves`) and reads the size of
-    a tile off the lowest of them (equation 7). That is right where the lowest wave is present and along an axis. Here
-    all waves vote. A wave at an integer combination of two fundamentals is evidence for them, the stronger the less
-    probable its place is by chance, weighted by the wave's energy. A finer lattice of frequencies (a larger tile) wins
-    only where it explains waves that a coarser one does not, and low waves may be missing. The fundamentals are then
-    fitted to the image, all explained waves jointly; the lattice is the one dual to them. Its origin is where both
-    fundamental waves have their crest, (0, 0) if one of them is not among the waves.
+    The paper finds the waves (section 3.1; here :func:`~nrbench.spectra.wave_search.find_waves`) and computes the size
+    of a tile from the lowest of them (equation 7). That is correct if the lowest wave is present and lies on an axis.
+    Here all waves are used. A wave at an integer combination of two fundamentals is evidence for them. The evidence is
+    stronger if such a frequency is less probable by chance, and is weighted by the wave's energy. A finer lattice of
+    frequencies (a larger tile) is chosen only if it explains waves that a coarser one does not. Low waves may be
+    missing. The fundamentals are then fitted to the image, all explained waves jointly. The lattice is their dual. Its
+    origin is where both fundamental waves have their crest; it is (0, 0) if one of them is not among the waves.
 
     The confidence is the share of the image's variance, all channels together, that the lattice's waves explain.
 
@@ -71,17 +71,17 @@ class Frdft:
     threshold
         Least amplitude of a wave, units of 1/255; 0: automatic, what noise reaches with probability ``false_alarms``.
     waves
-        The number of waves that count, the strongest.
+        Number of the strongest waves that are used.
     tolerance
-        How far, bins (cycles in the image's side), a wave may lie off its place beside its own standard error.
+        Standard deviation of a wave from its lattice point, in bins (cycles in the image's side), in addition to the
+        wave's own standard error.
     reject
-        ``"none"``: return a lattice wherever the waves have two directions. ``"surrogate"``: refuse a lattice whose
-        evidence does not exceed that of phase-randomized copies of the image. This evidence is a plain log-likelihood
-        that counts every wave alike: energy decides which lattice is the texture's, places decide whether there is one.
-        It is the evidence of all explained waves without the two best, which any two fundamentals explain, and without
-        all waves on the line that has most, so that a grating, even with one stray wave, is no lattice. A lattice of
-        two waves without harmonics is refused, too. Image and copies are analyzed alike, by a shorter search: 24 waves,
-        in one pass, of the image's middle (256 px a side or ten periods).
+        ``"none"``: return a lattice if the waves have two directions. ``"surrogate"``: report no lattice if its surplus
+        evidence (:func:`surplus`) does not exceed that of phase-randomized copies of the image. This evidence does not
+        depend on the waves' energies. They decide which lattice is returned; the waves' frequencies decide whether
+        there is a lattice. A grating has no surplus evidence, even with one stray wave, nor do two waves without
+        harmonics. Image and copies are analyzed by the same shorter search: 24 waves, in one pass, of the image's
+        middle (256 px a side or ten periods).
     surrogates
         Number of phase-randomized copies.
     false_alarms
@@ -124,16 +124,17 @@ class Frdft:
         Raises
         ------
         NoLatticeFound
-            If the image is constant, its waves are fewer than two or all along one direction, or, unless ``reject`` is
-            ``"none"``, the best lattice is no better than chance.
+            If the image is constant, or has fewer than two waves, or if all waves lie along one direction. Unless
+            ``reject`` is ``"none"``, also if the best lattice is no better than chance.
         """
         if np.ptp(image, (0, 1)).max() == 0:
             raise NoLatticeFound("the image is constant: it has no texture")
-        middle, start = _middle(image, WINDOW)
+        middle = crop_middle(image, WINDOW)
         candidate = self._search(middle, self.waves, THOROUGH, FINALISTS)
         if isinstance(candidate, str):
             raise NoLatticeFound(candidate)
-        detection = _fit_lattice(candidate, start)
+        top, left = ((whole - part) // 2 for whole, part in zip(image.shape[:2], middle.shape[:2], strict=True))
+        detection = _fit_lattice(candidate, (left, top))
         return detection if self.reject == "none" else self._test(image, detection)
 
     def _search(self, image: NDArray[np.float32], waves: int, effort: Effort, finalists: int) -> Candidate | str:
@@ -150,9 +151,9 @@ class Frdft:
         return Candidate(detection, order, basis, surplus(basis, peaks.weights))
 
     def _test(self, image: Image, detection: Detection) -> Detection:
-        """Return a detection with the evidence of the copies; raise if it is a grating or no better than chance."""
+        """Return a detection with the evidence of the copies; raise if its own is not higher."""
         longest = float(abs(detection.lattice.matrix).max())
-        part, _ = _middle(image, max(TESTED, min(round(PERIODS * longest), WINDOW)))
+        part = crop_middle(image, max(TESTED, min(round(PERIODS * longest), WINDOW)))
         copies, limit = measure_surrogates(part, part, self._quick_surplus, self.surrogates, self.false_alarms)
         evidence = self._quick_surplus(part)
         more = {"tested_surplus": evidence, "surrogate_surplus": copies, "limit": limit}
@@ -169,21 +170,18 @@ class Frdft:
         return 0.0 if isinstance(candidate, str) else candidate.surplus
 
 
-def _middle(image: Image, side: int) -> tuple[Image, Vector]:
-    """Return the middle of an image, at most ``side`` px a side, and the (x, y) of its first pixel."""
-    top, left = (max(n - side, 0) // 2 for n in image.shape[:2])
-    return image[top : top + side, left : left + side], (left, top)
-
-
 def surplus(basis: Basis, weights: NDArray[np.float64]) -> float:
-    """Return the evidence beyond what any two fundamentals explain, and beyond what is on one line.
+    """Return the unweighted evidence beyond what any two fundamentals and any line of waves explain; at least 0.
+
+    It is the smaller of two sums: over all explained waves but the two of most evidence, and over the explained waves
+    that are not on the line of most evidence, without the best of them.
 
     Parameters
     ----------
     basis
-        Fundamentals of n waves. Waves that they do not explain do not count, wherever they are.
+        Fundamentals of n waves. Waves that they do not explain are not counted.
     weights
-        ``(n,)``: by which the evidence was multiplied; it is divided by them again.
+        ``(n,)``: the weights of the waves' evidence, by which it is divided.
     """
     evidence = (basis.evidence / weights)[basis.explained]
     beyond = evidence.sum() - np.sort(evidence)[-2:].sum()
@@ -191,7 +189,7 @@ def surplus(basis: Basis, weights: NDArray[np.float64]) -> float:
 
 
 def _fit_lattice(candidate: Candidate, start: Vector) -> Detection:
-    """Return the lattice dual to the fundamentals, fitted to the image."""
+    """Return the dual of the fundamentals, fitted to the image; ``start`` is the (x, y) of the analyzed part."""
     detection, basis = candidate.detection, candidate.basis
     spectrum = detection.waves.spectrum
     orders = basis.orders[basis.explained]

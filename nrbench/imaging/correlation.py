@@ -19,15 +19,6 @@ FLAT = 1e-5
 """gamma is 0 at overlaps with less than this share of the image's sum of squares, where rounding errors dominate."""
 
 
-def autocorrelation(image: Image) -> Correlation:
-    """Return the normalized autocorrelation at all lags, ``(2H-1, 2W-1)``.
-
-    The left half of :func:`half_autocorrelation` is added by gamma(-x) = gamma(x).
-    """
-    right = half_autocorrelation(image)
-    return np.concatenate([right[::-1, :0:-1], right], 1)
-
-
 def half_autocorrelation(image: Image) -> Correlation:
     """Return the right half of the normalized autocorrelation, ``(2H-1, W)``; gamma(-x) = gamma(x).
 

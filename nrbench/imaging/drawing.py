@@ -17,7 +17,7 @@ from nrbench.lattice.geometry import Lattice, Points
 COLOR = (1.0, 0.1, 0.6)
 """sRGB color of lattices; rare in brick, cloth and tile."""
 _LINE = 13
-"""px; height of a line of a caption."""
+"""Height of a line of a caption, px."""
 _MARGIN = 8
 """px; space between images."""
 _LETTERS = 30

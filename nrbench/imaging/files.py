@@ -24,14 +24,14 @@ _TURNED = (5, 6, 7, 8)
 
 
 def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
-    """Read an image file: PNG, JPEG, TIFF or any other format of Pillow; of several frames the first.
+    """Read an image file: PNG, JPEG, TIFF or any other format of Pillow; the first frame if there are several.
 
     Parameters
     ----------
     path
         8-bit gray, color or palette, or 16-bit gray. An EXIF rotation is applied; a broken EXIF block is ignored.
     smallest
-        Least number of px a side; an input must have some structure, an output may be one pixel wide.
+        Least number of px a side.
 
     Returns
     -------

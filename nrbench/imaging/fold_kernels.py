@@ -1,9 +1,8 @@
 """Compiled loops of folding: mean tiles, values between their samples, and cubic splines for cutting tiles.
 
 The cubic splines agree with those of :mod:`scipy.ndimage` to 1e-6. scipy computes one channel at a time and takes three
-times as long for the coefficients and seven times as long for the values (256 x 256 x 3). Synthesizers interpolate the
-pixels of their outputs by quintic splines, at 36 products per value instead of 16; tiles that are only compared do not
-need that precision.
+times as long for the coefficients and seven times as long for the values (256 x 256 x 3). The quintic splines of the
+synthesizers are more precise, but need 36 products per value instead of 16.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ PAD = 2
 def accumulate_pixels(
     pixels: NDArray[np.float32], uv: NDArray[np.float64], rows: int, columns: int
 ) -> NDArray[np.float64]:
-    """Return, for each sample of a tile, the sums of the pixels' bilinear weights and of their weighted values.
+    """Return the sum of the pixels' bilinear weights and the sums of their weighted values, for each sample of a tile.
 
     Parameters
     ----------

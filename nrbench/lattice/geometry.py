@@ -44,7 +44,7 @@ class Lattice:
 
     def __post_init__(self) -> None:
         for name in ("t1", "t2", "origin"):
-            object.__setattr__(self, name, _vector(getattr(self, name), name))
+            object.__setattr__(self, name, _check_vector(getattr(self, name), name))
         longest = max(math.hypot(*self.t1), math.hypot(*self.t2))
         if abs(self._determinant) <= 1e-6 * longest**2:
             raise BadInput(f"lattice: t1 {self.t1} and t2 {self.t2} are parallel or zero; give two independent vectors")
@@ -91,7 +91,7 @@ class Lattice:
         Lattice(t1=(0.0, 12.0), t2=(30.0, 1.0), origin=(0.0, 0.0))
         """
         a, b = shortest_pair(self.matrix)
-        a, b = _acute(_right(a), _right(b))
+        a, b = _make_acute(_point_right(a), _point_right(b))
         return Lattice.from_basis((a, b), self.origin)
 
     def canonical(self) -> Lattice:
@@ -102,7 +102,7 @@ class Lattice:
         between them would be obtuse.
         """
         a, b = _break_ties(*shortest_pair(self.matrix))
-        a, b = _acute(_down(a), _down(b))
+        a, b = _make_acute(_point_down(a), _point_down(b))
         return Lattice.from_basis((a, b), self.origin)
 
     def dual(self) -> Lattice:
@@ -215,7 +215,7 @@ class Lattice:
 
     @classmethod
     def from_dict(cls, mapping: dict[str, Any]) -> Lattice:
-        """Rebuild a lattice from :meth:`as_dict`."""
+        """Return the lattice of a mapping from :meth:`as_dict`."""
         return cls(mapping["t1"], mapping["t2"], mapping.get("origin", (0.0, 0.0)))
 
     @classmethod
@@ -232,7 +232,7 @@ class Lattice:
 
 
 def shortest_pair(basis: Points) -> tuple[Points, Points]:
-    """Return a shortest vector of a lattice and a shortest one beside it, by Lagrange and Gauss.
+    """Return a shortest vector of a lattice and a shortest vector independent of it, by Lagrange and Gauss.
 
     ``basis`` is ``(2, 2)``, rows (x, y).
     """
@@ -247,9 +247,7 @@ def shortest_pair(basis: Points) -> tuple[Points, Points]:
 
 
 def reduce_pairs(a: Points, b: Points) -> tuple[Points, Points]:
-    """Return the Lagrange-Gauss reduced bases of many lattices at once: shortest vectors, and shortest ones beside.
-
-    :func:`shortest_pair` does the same for one lattice, in a third of the time.
+    """Return the Lagrange-Gauss reduced bases of many lattices at once; :func:`shortest_pair` is faster for one.
 
     Parameters
     ----------
@@ -267,8 +265,8 @@ def reduce_pairs(a: Points, b: Points) -> tuple[Points, Points]:
     return np.where(swap, b, a), np.where(swap, a, b)
 
 
-def _acute(a: Points, b: Points) -> tuple[Points, Points]:
-    """Return a, and the one of +-b at no obtuse angle to a (b if both angles are right)."""
+def _make_acute(a: Points, b: Points) -> tuple[Points, Points]:
+    """Return a, and b or -b: the one at no obtuse angle to a (b if both angles are right)."""
     return a, b if a @ b >= 0 or abs(a @ b) < 1e-9 * (a @ a) else -b
 
 
@@ -276,19 +274,19 @@ def _break_ties(a: Points, b: Points) -> tuple[Points, Points]:
     """Return the shortest vector and the next one; of equally short vectors, those with the smallest angles."""
     third = b - a if a @ b >= 0 else b + a
     short, long = (square * (1 + 1e-9) for square in sorted((a @ a, b @ b)))
-    near = sorted((v for v in (a, b, third) if v @ v <= long), key=_turn)
+    near = sorted((v for v in (a, b, third) if v @ v <= long), key=_line_angle)
     first = next(v for v in near if v @ v <= short)
     second = next(v for v in near if v is not first)
     return first, second
 
 
-def _turn(vector: Points) -> float:
-    """Return the angle of a line's direction from right (x) towards down (y), in [0, pi)."""
+def _line_angle(vector: Points) -> float:
+    """Return the angle of the line along a vector, from right (x) towards down (y), in [0, pi)."""
     angle = math.atan2(vector[1], vector[0]) % math.pi
     return angle if angle < math.pi - 1e-9 else 0.0
 
 
-def _vector(value: Any, name: str) -> Vector:
+def _check_vector(value: Any, name: str) -> Vector:
     try:
         x, y = (float(part) for part in value)
     except (TypeError, ValueError):
@@ -298,13 +296,13 @@ def _vector(value: Any, name: str) -> Vector:
     return x, y
 
 
-def _down(vector: Points) -> Points:
-    """Return the one of +-vector whose angle from right towards down is in [0, pi), up to rounding."""
-    return vector if abs(math.atan2(vector[1], vector[0]) - _turn(vector)) < 1 else -vector
+def _point_down(vector: Points) -> Points:
+    """Return ``vector`` or its negative: the one whose angle from right towards down is in [0, pi), up to rounding."""
+    return vector if abs(math.atan2(vector[1], vector[0]) - _line_angle(vector)) < 1 else -vector
 
 
-def _right(vector: Points) -> Points:
-    """Return the one of +-vector on the right half-plane (x > 0, or x = 0 and y > 0)."""
+def _point_right(vector: Points) -> Points:
+    """Return ``vector`` or its negative: the one on the right half-plane (x > 0, or x = 0 and y > 0)."""
     return vector if (vector[0], vector[1]) > (0, 0) else -vector
 
 
@@ -345,9 +343,9 @@ def integers_within(basis: ArrayLike, low: ArrayLike, high: ArrayLike) -> Intege
     Returns
     -------
     Integers
-        ``int64 (n, 2)``, each once. They may include points outside within 1e-6 of a step of the border: test the
-        points. Time and memory grow with the number of rows that cross the box and of points in it, not with the square
-        of its longer side.
+        ``int64 (n, 2)``, each once. They may include points that lie outside by up to 1e-6 of a step: test the points.
+        Time and memory grow with the numbers of points in the box and of rows that cross it, not with the square of its
+        longer side.
     """
     (a, b), (lower, upper) = np.asarray(basis, np.float64), np.array([low, high], np.float64)
     corners = np.array([(x, y) for x in (lower[0], upper[0]) for y in (lower[1], upper[1])])
@@ -361,7 +359,7 @@ def integers_within(basis: ArrayLike, low: ArrayLike, high: ArrayLike) -> Intege
 def _clip_rows(
     a: NDArray[np.float64], starts: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the first and last i at which each line ``start + i a`` is in the box; last < first if it never is."""
+    """Return the first and last real i at which each line ``start + i a`` is in the box; last < first if none."""
     first, last = np.full(len(starts), -np.inf), np.full(len(starts), np.inf)
     length = float(np.hypot(*a))
     for axis in (0, 1):

@@ -109,7 +109,7 @@ class CellRecord:
 
     @property
     def status(self) -> str:
-        """``ok | refused | error | timeout | memory | crash | invalid``, or ``missing`` while it has not ended."""
+        """``ok | refused | error | timeout | memory | crash | invalid``, or ``missing`` until the cell has ended."""
         return str(self.result.get("status", "missing"))
 
     @property
@@ -134,12 +134,12 @@ class CellRecord:
 
     @property
     def peak_mib(self) -> float | None:
-        """Peak memory above the idle worker, MiB."""
+        """Peak memory in addition to that of an idle worker, MiB."""
         return self.result.get("peak_mib")
 
     @property
     def lattice_given(self) -> dict[str, Any] | None:
-        """The lattice that the method was given."""
+        """The lattice that the method received; None if it received none."""
         return self.cell.lattice_given.as_dict() if self.cell.lattice_given else None
 
     @property
@@ -182,14 +182,14 @@ class Run:
 
     @cached_property
     def _metrics(self) -> list[plugins.Plugin]:
-        """The metrics that score this run: those that its suite names, else all; without those that do not load."""
+        """The metrics of this run that can be loaded: those that its suite names, or all."""
         named = self.info.get("suite", {}).get("content", {}).get("metrics")
         working = [plugin for plugin in plugins.inventory("metrics") if plugin.cls is not None]
         return [plugin for plugin in working if not named or plugin.name in named]
 
     @cached_property
     def cells(self) -> list[CellRecord]:
-        """Every cell of the run, in the suite's order, cells that have not ended included."""
+        """Every cell of the run, in the suite's order, including cells that have not ended."""
         directory = RunDirectory(self.root)
         metrics = [plugin.name for plugin in self._metrics]
         return [_record(directory.cell(entry["key"]), entry, metrics) for entry in self.info["cells"]]

@@ -1,4 +1,4 @@
-"""A run on disk: its directory, the folders of its cells, their scores, and the record of what made the run."""
+"""A run on disk: its directory, the folders of its cells, their scores, and the record of its versions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from nrbench.suites.plan import Plan
 
 RUN_FILE = "run.json"
 FAILED = ("error", "timeout", "memory", "crash", "invalid")
-"""Statuses of a cell that should have worked; ``ok`` and ``refused`` are the others."""
+"""The statuses of a failed cell; the other statuses are ``ok`` and ``refused``."""
 
 
 class Result(TypedDict, total=False):
@@ -44,16 +44,16 @@ class Result(TypedDict, total=False):
     note
         A remark of the method on its run.
     seconds, cpu_seconds, detection_seconds
-        Wall and processor seconds of the synthesis, and wall seconds that the method spent on detecting the lattice.
-        Of a detection, ``seconds`` are its wall seconds.
+        Wall and processor seconds of the synthesis, and wall seconds in which the method detected the lattice. For a
+        detection, ``seconds`` are its wall seconds.
     peak_mib
-        Peak memory above the idle worker.
+        Peak memory in addition to that of an idle worker, MiB.
     side_by_side
         1 if other cells ran at the same time, else 0.
     lattice_used
         The lattice that the method used.
     lattice, confidence, reason
-        The answer of a detection, see :class:`~nrbench.plugins.forms.FoundLattice`.
+        The outcome of a detection, see :class:`~nrbench.plugins.forms.FoundLattice`.
     """
 
     status: str
@@ -188,7 +188,7 @@ class CellFolder:
 
 @cache
 def metric_key(metric: str) -> str:
-    """Return a metric's name with a hash of its version and parameters, the key of its scores.
+    """Return the key of a metric's scores: its name with a hash of its version and parameters.
 
     Scores have keys of their own, so that scoring again never repeats a synthesis.
     """
@@ -244,7 +244,7 @@ class RunDirectory:
         return content
 
     def write_info(self, plan: Plan, argv: Sequence[str]) -> None:
-        """Write ``run.json``: the suite, what the run is made with, and its cells; an equal file is left alone."""
+        """Write ``run.json``: the suite, the versions, and the cells. An equal file is left unchanged."""
         suite = plan.suite
         shown = {"name": suite.name, "version": suite.version, "hash": suite.hash, "description": suite.description}
         known = read_json(self.root / RUN_FILE) or {}
@@ -259,7 +259,7 @@ class RunDirectory:
             write_json(self.root / RUN_FILE, content)
 
     def claim(self) -> None:
-        """Make the directory; accept one that holds a run already.
+        """Make the directory, unless it holds a run already.
 
         Raises
         ------
@@ -300,7 +300,7 @@ class RunDirectory:
 
 
 def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:
-    """Return the versions of all that is installed, the plugins, the machine, and the state of the source tree."""
+    """Return the versions of all installed packages, the plugins, the machine, and the state of the source tree."""
     installed = {str(item.metadata["Name"]).lower(): item.version for item in distributions() if item.metadata["Name"]}
     return {
         "argv": list(argv),
@@ -332,15 +332,15 @@ def _processor() -> str:
 
 
 def _git(package: Path) -> dict[str, Any] | None:
-    """Return commit and cleanness of the checkout that the package runs from; None where it is installed."""
+    """Return the commit of the package's checkout, and whether it is unchanged; None without a checkout."""
     if not (package.parent / ".git").exists():
         return None
 
-    def answer(*words: str) -> str:
+    def run_git(*words: str) -> str:
         command = ["git", "-C", str(package), *words]
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
 
     try:
-        return {"commit": answer("rev-parse", "HEAD"), "clean": not answer("status", "--porcelain")}
+        return {"commit": run_git("rev-parse", "HEAD"), "clean": not run_git("status", "--porcelain")}
     except (OSError, subprocess.SubprocessError):
         return None

@@ -22,8 +22,8 @@ FARTHEST = 0.95
 """Cycles/px along either axis up to which harmonics are examined. A pixel is the mean over its area, so that waves of
 1 cycle/px have no effect."""
 FARTHEST_STRIPES = 3.0
-"""The same for groups of one fundamental, which have few harmonics. Stripes that are drawn without such means have
-harmonics far beyond 1 cycle/px."""
+"""The same for groups of one fundamental, which have few harmonics. Stripes that are drawn without averaging over
+pixels have harmonics far beyond 1 cycle/px."""
 
 STRAY_SHARE = 0.1
 """Prior share of waves that belong to no lattice."""
@@ -35,8 +35,8 @@ FINALISTS = 20
 """Number of pairs of fundamentals that are fitted to the waves: those of the highest evidence before the fit."""
 
 TOLERANCE = 0.05
-"""Bins: standard deviation of a wave from its lattice in addition to its own error, as departures from regularity shift
-waves."""
+"""Bins: standard deviation of a wave from its lattice in addition to its own error, because departures from regularity
+shift waves."""
 SHIFT = math.sqrt(6) / (2 * math.pi)
 """Bins: standard error of each component of a wave's frequency, times the root of the ratio of its power to that of the
 noise. The Cramer-Rao bound is sqrt(24) / (2 pi) noise / (amplitude sqrt(n)), the ratio amplitude^2 n / (4 noise^2)."""
@@ -94,6 +94,7 @@ def lattice_orders(fundamentals: Array, groups: tuple[int, ...], size: Array) ->
 
 
 def _orders_of_group(fundamentals: Array) -> Array:
+    """Return the orders of the harmonics of one group below :data:`FARTHEST`, ``(n, 1 or 2)``; one of each pair."""
     farthest = FARTHEST if len(fundamentals) == 2 else FARTHEST_STRIPES
     reach = np.ceil(np.abs(np.linalg.pinv(fundamentals)).sum(0) * farthest).astype(int)
     axes = [np.arange(-r, r + 1) for r in reach]
@@ -110,7 +111,10 @@ def are_inside(frequencies: Array, size: Array) -> NDArray[np.bool_]:
 
 
 def select_spaced(frequencies: Array, priority: Array, size: Array) -> NDArray[np.intp]:
-    """Return the indices of the frequencies ``(n, 2)`` without one of higher priority ``(n,)`` near, highest first."""
+    """Return the indices of the frequencies ``(n, 2)`` that keep a distance from all of higher priority ``(n,)``.
+
+    The distance is :data:`LEAST_DISTANCE`, aliases and mirror images included. The highest priority comes first.
+    """
     order = np.argsort(-priority, kind="stable")
     f, n = _on_torus(frequencies[order], size), len(order)
     both = np.concatenate([f, _on_torus(-frequencies[order], size)])
@@ -122,7 +126,7 @@ def select_spaced(frequencies: Array, priority: Array, size: Array) -> NDArray[n
 
 
 def are_near(frequencies: Array, others: Array, size: Array) -> NDArray[np.bool_]:
-    """Return whether each frequency, ``(n,)``, is nearly an alias of one of the others or of its mirror image."""
+    """Return whether each frequency, ``(n,)``, is near one of the others or its mirror image, aliases included."""
     if not len(others):
         return np.zeros(len(frequencies), np.bool_)
     both = np.concatenate([_on_torus(others, size), _on_torus(-others, size)])
@@ -130,7 +134,7 @@ def are_near(frequencies: Array, others: Array, size: Array) -> NDArray[np.bool_
 
 
 def _on_torus(frequencies: Array, size: Array) -> Array:
-    """Return frequencies in bins, from 0 to below ``size``: those that differ by 1 cycle/px coincide."""
+    """Return frequencies in bins, from 0 to below ``size``. Frequencies that differ by 1 cycle/px coincide."""
     bins = np.mod(frequencies * size, size)
     return np.where(bins >= size, 0.0, bins)
 
@@ -177,7 +181,7 @@ class Basis(NamedTuple):
 def collect_peaks(
     detection: WaveDetection, members: NDArray[np.intp] | None = None, tolerance: float = TOLERANCE
 ) -> Peaks:
-    """Return the peaks of some detected waves (all if ``members`` is None), in the order given; strongest first."""
+    """Return the peaks of the waves with the indices ``members``, the strongest first; None: all waves, in order."""
     waves, energy = detection.waves, detection.powers.sum(1)
     chosen = np.arange(len(energy)) if members is None else members
     spreads = np.hypot(SHIFT / np.sqrt(np.maximum(detection.ratios.max(1)[chosen], 1)), tolerance)
@@ -220,7 +224,7 @@ def find_fundamental(peaks: Peaks) -> Basis:
 
 
 def propose_basis(peaks: Peaks) -> Basis:
-    """Return two fundamentals if their evidence is sufficient, on one line and off it; else one fundamental."""
+    """Return two fundamentals if their evidence suffices, in total and off its strongest line; else one."""
     pair = find_fundamentals(peaks)
     if (
         pair is None
@@ -232,16 +236,16 @@ def propose_basis(peaks: Peaks) -> Basis:
 
 
 def surplus_evidence(basis: Basis, weights: Array) -> float:
-    """Return the unweighted evidence without the best peaks, as many as there are fundamentals.
+    """Return the unweighted evidence of all peaks but the best g, where g is the number of fundamentals.
 
-    Fundamentals can always be chosen to explain that many peaks.
+    Some fundamentals explain any g peaks.
     """
     evidence = np.sort(np.where(basis.explained, basis.evidence / weights, 0))
     return float(evidence[: -len(basis.vectors)].sum())
 
 
 def off_line_evidence(basis: Basis, weights: Array) -> float:
-    """Return the unweighted evidence of the peaks that are not on the line of most evidence, without the best one."""
+    """Return the unweighted evidence of the peaks beside the line of most evidence, without the best one."""
     evidence = (basis.evidence / weights)[basis.explained]
     x, y = basis.orders[basis.explained].T
     line = int(np.argmax((np.outer(x, y) == np.outer(y, x)) @ evidence))
@@ -260,13 +264,13 @@ def _propose_pairs(peaks: Peaks) -> Array:
     steps = steps[np.sort(first)]
     i, j = np.triu_indices(len(steps), 1)
     pairs = np.stack(reduce_pairs(steps[i], steps[j]), 1)
-    pairs = pairs[_are_sound(pairs)]
+    pairs = pairs[_are_usable(pairs)]
     _, first = np.unique(np.rint(np.abs(pairs.reshape(-1, 4)) * 8), axis=0, return_index=True)
     return np.asarray(pairs[np.sort(first)])
 
 
-def _are_sound(pairs: Array) -> NDArray[np.bool_]:
-    """Return whether each reduced pair is independent and not too short (:data:`SHORTEST`)."""
+def _are_usable(pairs: Array) -> NDArray[np.bool_]:
+    """Return whether each reduced pair is linearly independent and no shorter than :data:`SHORTEST`."""
     a, b = pairs[:, 0], pairs[:, 1]
     area, short = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.hypot(*a.T)
     return np.asarray((short >= SHORTEST) & (area > 0.2 * short * np.hypot(*b.T)))
@@ -276,11 +280,11 @@ def _reduce(basis: Array) -> Array:
     return np.concatenate(reduce_pairs(basis[:1], basis[1:]))
 
 
-def _is_sound(basis: Array) -> bool:
-    """Return whether one vector is not 0, or two are independent and have no too short combination."""
+def _is_usable(basis: Array) -> bool:
+    """Return whether one vector is not 0, or the reduced basis of two passes :func:`_are_usable`."""
     if len(basis) == 1:
         return bool(np.hypot(*basis[0]) > 0)
-    return bool(_are_sound(_reduce(basis)[np.newaxis])[0])
+    return bool(_are_usable(_reduce(basis)[np.newaxis])[0])
 
 
 def _nearest_orders(bases: Array, places: Array) -> tuple[Array, Array]:
@@ -310,7 +314,7 @@ def _fit_basis(basis: Array, peaks: Peaks) -> Array:
             break
         weights = 1 / peaks.spreads[explained, np.newaxis]
         fitted = np.linalg.lstsq(orders * weights, peaks.places[explained] * weights, rcond=None)[0]
-        if not _is_sound(fitted):
+        if not _is_usable(fitted):
             break
         basis = fitted
     return basis
@@ -337,7 +341,7 @@ def _improve_by_index(score: float, basis: Array, peaks: Peaks) -> Array:
     """Replace a basis by a sublattice or superlattice of small index as long as this increases the evidence."""
     while True:
         relatives = [_fit_basis(_reduce(change @ basis), peaks) for change in _CHANGES]
-        relatives = [r for r in relatives if _is_sound(r)]
+        relatives = [r for r in relatives if _is_usable(r)]
         scores = [float(_evidence(r[np.newaxis], peaks, 1.0).sum()) for r in relatives]
         if not scores or max(scores) <= score + 1e-6:
             return _reduce(basis)
@@ -390,7 +394,7 @@ def find_finer_fundamentals(
     detection
         Waves of the picture less the lattice's waves.
     order
-        Indices of the waves that count.
+        Indices of the waves that are used.
     fundamentals
         ``(2, 2)`` cycles/px.
 
@@ -458,7 +462,7 @@ def is_supercell(spectrum: Spectrum, frequencies: Array, fundamentals: Array) ->
 
 
 def _offsets_from_lattice(frequencies: Array, fundamentals: Array, size: Array) -> Array:
-    """Return the shortest frequencies that differ from the given ones, or their mirror images, by lattice points."""
+    """Return the shortest frequencies that differ from the given ones, or from their mirrors, by a lattice point."""
     corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)]) @ fundamentals
     numbers = frequencies @ np.linalg.inv(fundamentals)
     rests = ((numbers - np.floor(numbers)) @ fundamentals)[:, np.newaxis] - corners

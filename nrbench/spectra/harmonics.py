@@ -113,10 +113,9 @@ def analyze(
         The largest number of waves (per channel, if channels are analyzed separately).
     signal
         ``"real"``: waves are searched as cosine and sine. ``"analytic"``: the paper's search for one complex wave after
-        the other in the analytic signal, with one joint fit at the end. The analytic signal keeps a half plane of
-        frequencies. Waves near its border (f_x within a few bins of 0) are misplaced by some hundredths of a bin, or
-        are found as several waves; the joint fit at the end corrects this and drops superfluous waves. With tied
-        harmonics such waves propose the fundamentals only; all amplitudes are then fitted to the picture.
+        the other in the analytic signal, with one joint fit at the end. Waves with f_x within a few bins of 0 are
+        misplaced by some hundredths of a bin, or are found as several waves; the joint fit corrects this and drops
+        superfluous waves. With tied harmonics the waves of the search only propose the fundamentals.
     given
         ``(2, 2)`` cycles/px: fundamentals of the first group of tied harmonics, with an error of at most about 2 %.
 

@@ -33,9 +33,9 @@ LEADERS = 24
 """Number of waves that are searched to find a group's fundamentals."""
 MOST_GROUPS = 16
 VOTERS = 60
-"""Number of the strongest waves to which the fundamentals are fitted. More waves hardly change them."""
+"""Number of the strongest waves to which the fundamentals are fitted. More waves hardly change the result."""
 FINEST = 0.25
-"""Cycles/px: higher frequencies are not used to fit the fundamentals, as aliases of other waves lie on them."""
+"""Cycles/px: higher frequencies are not used to fit the fundamentals, because aliases of other waves lie there."""
 COINCIDENCE = 0.3
 """Bins: waves coincide up to an integer combination of fundamentals if they are nearer than this."""
 PROPOSAL_RATIO = 16.0

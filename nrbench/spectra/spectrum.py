@@ -31,9 +31,8 @@ class Spectrum:
     samples of that grid, in O(1). Precision and memory follow the planes' dtype.
 
     The analysis reads a few frequencies of the same picture many times. finufft 2.5 transforms the picture again in
-    each call. For 24 frequencies of 128 x 128 x 3 px it takes 9 ms, this class 0.2 ms; for 900 frequencies both take 10
-    ms. The resulting lattices differ from the 11th digit on, because the numerical errors differ (6e-10 of the largest
-    coefficient for finufft, 2e-9 here).
+    each call, so that 24 frequencies of 128 x 128 x 3 px take 9 ms instead of 0.2 ms. The errors of both
+    are at most 2e-9 of the largest coefficient.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ class Waves:
     spectrum
         The picture's spectrum.
     frequencies
-        ``(n, 2)`` cycles/px; 0 is put before the first.
+        ``(n, 2)`` cycles/px, without frequency 0, which is always added.
     """
 
     spectrum: Spectrum

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ GRID = np.stack(np.meshgrid(OFFSETS, OFFSETS), -1).reshape(-1, 2)
 LATER_STEPS = 6
 """Number of steps of the joint fit after faint waves are dropped; the other waves hardly change."""
 CANDIDATES = 20
-"""Number of candidates that are examined, per wave of the largest number of waves: those that exceed the limit most."""
+"""Number of candidates that are examined, over the largest number of waves: those that exceed the limit most."""
 
 FLOOR_BLOCK = 8
 """Side, in bins, of the blocks whose medians are computed. The error of the floor is 18 % from the 64 powers of one
@@ -139,9 +140,8 @@ def find_waves(
     return WaveDetection(_keep_significant(waves, limit, effort.steps), floor, limit)
 
 
-def find_waves_quickly(spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int) -> WaveDetection:
-    """Return the waves of a short search, see :func:`find_waves`."""
-    return find_waves(spectrum, threshold, false_alarms, most, QUICK)
+find_waves_quickly: Search = partial(find_waves, effort=QUICK)
+"""A search in one pass with few steps, see :func:`find_waves`."""
 
 
 def power_limit(spectrum: Spectrum, floor: Array, threshold: float | None, false_alarms: float) -> Array:
@@ -208,7 +208,7 @@ def _rings(height: int, half: int) -> list[NDArray[np.intp]]:
 
 
 def _add_waves(waves: Waves, residual: Array, limit: Array, most: int) -> Waves:
-    """Return the waves with those added that start at candidates of the residual power ``(C, H, W // 2 + 1)``."""
+    """Return the waves and further ones that start at candidates of the residual power ``(C, H, W // 2 + 1)``."""
     spectrum = waves.spectrum
     bins = _candidates(residual, limit, spectrum.shape, CANDIDATES * most)
     limits = _nearest_bins(limit, bins / spectrum.size, spectrum.shape)
@@ -248,7 +248,7 @@ def _candidates(residual: Array, limit: Array, shape: tuple[int, int], most: int
 
 
 def _strongest(bins: Array, power: Array) -> NDArray[np.intp]:
-    """Return the indices of the candidates that start a wave: strong ones without a stronger one within two bins."""
+    """Return the indices of the strong candidates that have no stronger candidate within two bins."""
     order = np.argsort(-power, kind="stable")
     order = order[power[order] >= max(ROUND_SHARE * float(power.max(initial=0)), 1e-300)]
     kept: list[int] = []
@@ -291,7 +291,7 @@ def _keep_significant(waves: Waves, limit: Array, steps: int = THOROUGH.steps) -
 
 
 def _nearest_bins(grid: Array, frequencies: Array, shape: tuple[int, int]) -> Array:
-    """Return a grid ``(C, H, W // 2 + 1)`` at the bins nearest to frequencies ``(n, 2)``, as ``(n, C)``."""
+    """Return the values of a grid ``(C, H, W // 2 + 1)`` at the bins nearest to frequencies ``(n, 2)``: ``(n, C)``."""
     f = np.where(frequencies[:, :1] < 0, -frequencies, frequencies)
     cols = np.minimum(np.rint(f[:, 0] * shape[1]).astype(np.intp), grid.shape[2] - 1)
     return np.asarray(grid[:, np.rint(f[:, 1] * shape[0]).astype(np.intp) % shape[0], cols].T)
@@ -342,9 +342,7 @@ def find_waves_analytic(spectrum: Spectrum, threshold: float | None, false_alarm
 
 
 def find_complex_waves(spectrum: Spectrum, limit: Array, most: int) -> Array:
-    """Return the frequencies of the analytic signal's waves before the joint fit, ``(n, 2)`` cycles/px.
-
-    They are in the order in which they are found.
+    """Return the frequencies of the analytic signal's waves, in the order of the search, ``(n, 2)`` cycles/px.
 
     Parameters
     ----------

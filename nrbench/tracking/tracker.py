@@ -33,7 +33,7 @@ _REFINED_WIDTHS = (1.5, 1.2, 1.0, 1.0)
 _ORDERS = 7
 """Highest order of a harmonic along each reciprocal vector."""
 _HIGHEST = 0.4
-"""Cycles/px above which harmonics are left out: rounding and interpolation spoil them."""
+"""Cycles/px above which harmonics are left out, because rounding and interpolation distort them."""
 _STRONGEST = 32
 """Harmonics of the mean tile that are compared."""
 _COLOR_SHARE = 0.98
@@ -45,9 +45,9 @@ _FIRST_STEPS, _NEXT_STEPS = 4, 2
 _LONGEST_STEP = 0.12
 """Longest Newton step, in units of s."""
 _REACH = 3.0
-"""Standard deviations of a window by which the image is padded."""
-_NODES_A_TILE = 2.0
-
+"""Width of the padding of the image, in standard deviations of a window."""
+_NODES_PER_TILE = 2.0
+"""Nodes per tile along each axis."""
 _NEIGHBORS = 2
 """Neighbors, in nodes along each axis, from which kriging predicts a node."""
 _DEPARTURE_COST = 0.006
@@ -135,7 +135,7 @@ class Nodes:
         covariance = width**2 * cell
         spread, box = np.sqrt(np.diag(covariance))[::-1], np.sqrt(12 * np.diag(cell))[::-1]
         padded = [scipy.fft.next_fast_len(math.ceil(n + _REACH * one)) for n, one in zip(shape, spread, strict=True)]
-        step = np.minimum(box / _NODES_A_TILE, np.array(shape) / 3)
+        step = np.minimum(box / _NODES_PER_TILE, np.array(shape) / 3)
         rows, columns = (scipy.fft.next_fast_len(math.ceil(n / one)) for n, one in zip(padded, step, strict=True))
         return cls(shape, covariance, (rows, columns), (padded[0], padded[1]), width)
 
@@ -283,7 +283,7 @@ class Track:
     lattice
         The undisturbed lattice.
     nodes
-        A grid of places on the undisturbed lattice's plane.
+        A grid of positions on the plane of the undisturbed lattice.
     field
         ``(rows, columns, 2)``: displacement (x, y) px of the content that belongs at each node, unwrapped.
     correlation
@@ -334,9 +334,10 @@ def track_lattice(
 
     At each node of a grid with spacing half a tile the image is correlated with the mean tile, under a Gaussian window
     as broad as 1.5 tiles, at all displacements within a cell. In the lattice's harmonics this is a small Fourier sum.
-    The displacements are unwrapped by continuity, refined to fractions of a pixel, and taken out of the image. Narrower
-    windows measure what is left, which is added; this is done four times. Each time the mean tile is computed again
-    from the straightened image, and harmonics that scatter receive less weight. Time is linear in the pixels.
+    The displacements are unwrapped by continuity, refined to fractions of a pixel, and removed from the image. Narrower
+    windows measure the remaining displacements, which are added; this is done four times. Each time the mean tile is
+    computed again from the straightened image. A harmonic that varies from node to node receives less weight. Time is
+    linear in the number of pixels.
 
     Parameters
     ----------
@@ -351,8 +352,8 @@ def track_lattice(
     refined_widths
         Width in tiles of the windows of each refinement, none wider than the one before.
     covariance
-        Covariance of the displacements, where it is known. Nodes are then predicted from their neighbors by kriging
-        while the displacements are unwrapped, which follows displacements that change much from tile to tile.
+        Covariance of the displacements, if it is known. Then kriging predicts each node from its neighbors while the
+        displacements are unwrapped, so that displacements which change much from tile to tile are followed.
     departure_cost
         Cost, in correlation, of a departure from that prediction by one standard deviation.
 
@@ -371,13 +372,14 @@ def track_lattice(
     field = _find_displacements(planes, nodes, tile, covariance, departure_cost)
     for width in refined_widths:
         nodes = nodes.narrowed(width)
-        still = _straighten(planes, nodes, field)
-        coefficients = nodes.coefficients(still, tile.harmonics.frequencies)
-        tile = _relearn(tile, coefficients)
+        straight = _straighten(planes, nodes, field)
+        coefficients = nodes.coefficients(straight, tile.harmonics.frequencies)
+        tile = _update_mean_tile(tile, coefficients)
         rest = _refine(tile.product(coefficients), tile.harmonics, np.zeros_like(field), _NEXT_STEPS)
         field = rest + nodes.interpolate(field, nodes.places + rest)
     heights = 2 * _shift(tile.unweighted().product(coefficients), tile.harmonics, rest).real.sum(0)
-    return Track(image, lattice, nodes, field, heights / np.sqrt(max(tile.power, _FLAT) * _energy(nodes, still)), tile)
+    correlation = heights / np.sqrt(max(tile.power, _FLAT) * _window_variance(nodes, straight))
+    return Track(image, lattice, nodes, field, correlation, tile)
 
 
 def _find_displacements(
@@ -385,23 +387,21 @@ def _find_displacements(
 ) -> Field:
     """Return the unwrapped displacements at the nodes."""
     product = tile.product(nodes.coefficients(planes, tile.harmonics.frequencies))
-    strength = np.sqrt(max(tile.power, _FLAT) * _energy(nodes, planes))[..., np.newaxis, np.newaxis]
-    surfaces = np.asarray(_surfaces(product, tile.harmonics) / strength, np.float32)
+    strength = np.sqrt(max(tile.power, _FLAT) * _window_variance(nodes, planes))[..., np.newaxis, np.newaxis]
+    surfaces = np.asarray(_correlation_surfaces(product, tile.harmonics) / strength, np.float32)
     lattice = tile.harmonics.lattice
     wrapped = (
         unwrap(surfaces, lattice)
         if covariance is None
         else _unwrap_by_kriging(surfaces, lattice, nodes, covariance, departure_cost)
     )
-    return _invert(nodes, _refine(product, tile.harmonics, wrapped, _FIRST_STEPS))
+    return _invert_field(nodes, _refine(product, tile.harmonics, wrapped, _FIRST_STEPS))
 
 
 def _unwrap_by_kriging(
     surfaces: Surfaces, lattice: Lattice, nodes: Nodes, covariance: FieldCovariance, departure_cost: float
 ) -> Field:
-    """Return the displacement of each node as :func:`unwrap` does, where the covariance of displacements is known."""
-    side = np.arange(LABELS) / LABELS
-    steps = lattice.wrap(np.stack(np.meshgrid(side, side, indexing="ij"), -1) @ lattice.matrix)
+    """Return the displacement of each node; as :func:`unwrap`, but with a known covariance of the displacements."""
     trust = np.maximum(surfaces.max((2, 3)), 1e-3).astype(np.float64) ** 2
     step = [n / count for n, count in zip(nodes.padded, nodes.counts, strict=True)]
     lags = np.arange(-2 * _NEIGHBORS, 2 * _NEIGHBORS + 1)
@@ -410,7 +410,7 @@ def _unwrap_by_kriging(
     return grow_by_kriging(
         np.ascontiguousarray(surfaces, np.float32),
         trust,
-        np.ascontiguousarray(steps),
+        np.ascontiguousarray(_label_displacements(lattice)),
         np.ascontiguousarray(lattice.matrix),
         np.ascontiguousarray(table),
         float(noise),
@@ -423,7 +423,7 @@ def unwrap(surfaces: Surfaces, lattice: Lattice) -> Field:
     """Return a continuous displacement of each node, (x, y) px, from correlations that are known modulo the lattice.
 
     The field grows from the node with the highest peak; of the nodes next to the field, the one with the highest peak
-    is added first. Each node takes the displacement that maximizes its own correlation less the cost of departing from
+    is added first. Each node takes the displacement that maximizes its own correlation minus the cost of departing from
     the mean of its neighbors in the field (:data:`STIFFNESS`). Then every node is revised twice, with all its neighbors
     known. Libraries unwrap a phase modulo 2 pi, not a displacement modulo a two-dimensional lattice.
 
@@ -434,22 +434,27 @@ def unwrap(surfaces: Surfaces, lattice: Lattice) -> Field:
     lattice
         Reduced.
     """
-    side = np.arange(LABELS) / LABELS
-    steps = lattice.wrap(np.stack(np.meshgrid(side, side, indexing="ij"), -1) @ lattice.matrix)
+    steps = _label_displacements(lattice)
     costs = STIFFNESS * (steps**2).sum(-1) / lattice.s**2
     trust = np.maximum(surfaces.max((2, 3)), 1e-3).astype(np.float64) ** 2
     return grow(np.ascontiguousarray(surfaces, np.float32), trust, steps, costs, lattice.matrix, _SWEEPS)
 
 
-def _relearn(tile: MeanTile, coefficients: Coefficients) -> MeanTile:
-    """Return the mean tile of a straightened image; the weight of a harmonic is the inverse of its scatter."""
+def _label_displacements(lattice: Lattice) -> Points:
+    """Return the shortest representative of each displacement (i t1 + j t2) / LABELS, ``(LABELS, LABELS, 2)`` px."""
+    side = np.arange(LABELS) / LABELS
+    return lattice.wrap(np.stack(np.meshgrid(side, side, indexing="ij"), -1) @ lattice.matrix)
+
+
+def _update_mean_tile(tile: MeanTile, coefficients: Coefficients) -> MeanTile:
+    """Return the mean tile of a straightened image. The weight of a harmonic is its inverse variance over the nodes."""
     values = coefficients.mean((2, 3))
     scatter = (np.abs(coefficients - values[..., np.newaxis, np.newaxis]) ** 2).mean((1, 2, 3))
     floor = 0.05 * (np.abs(values) ** 2).mean() + 1e-12
     return MeanTile(tile.harmonics, tile.colors, values, np.asarray(1 / (scatter + floor), np.float32))
 
 
-def _surfaces(product: NDArray[np.complex64], harmonics: Harmonics) -> Surfaces:
+def _correlation_surfaces(product: NDArray[np.complex64], harmonics: Harmonics) -> Surfaces:
     """Return the correlation, not normalized, at all displacements (i t1 + j t2) / LABELS of a cell."""
     table = np.zeros((*product.shape[1:], LABELS, LABELS), np.complex64)
     m, n = harmonics.numbers.T % LABELS
@@ -458,6 +463,7 @@ def _surfaces(product: NDArray[np.complex64], harmonics: Harmonics) -> Surfaces:
 
 
 def _shift(product: NDArray[np.complex64], harmonics: Harmonics, displacement: Field) -> NDArray[np.complex64]:
+    """Return the product ``(K, rows, columns)`` for content that is moved back by the displacement of its node."""
     phase = np.tensordot(2 * math.pi * harmonics.frequencies, displacement, (1, 2))
     return np.asarray(product * np.exp(1j * phase.astype(np.float32)))
 
@@ -487,8 +493,8 @@ def _newton_step(slope: Field, bend: Field, longest: float) -> Field:
     return np.asarray(step * np.minimum(1, longest / np.maximum(length, 1e-12))[..., np.newaxis])
 
 
-def _invert(nodes: Nodes, displaced: Field) -> Field:
-    """Return displacements at the undisturbed places, from displacements at the places where content is seen."""
+def _invert_field(nodes: Nodes, displaced: Field) -> Field:
+    """Return the displacements at undisturbed positions, from the displacements at positions in the image."""
     field = displaced
     for _ in range(8):
         field = (field + nodes.interpolate(displaced, nodes.places + field)) / 2
@@ -496,7 +502,7 @@ def _invert(nodes: Nodes, displaced: Field) -> Field:
 
 
 def _straighten(planes: Values, nodes: Nodes, field: Field) -> Values:
-    """Return the planes with a displacement taken out; content from outside the image is 0."""
+    """Return the planes without the displacements; content from outside the image is 0."""
     height, width = planes.shape[:2]
     down, along = (_spline_weights(at, n) for at, n in ((nodes.y, height), (nodes.x, width)))
     moved = np.einsum("yr,rcd,xc->dyx", down, field, along, optimize=True)
@@ -512,7 +518,7 @@ def _spline_weights(at: Field, count: int) -> Field:
     return np.asarray(spline(np.clip(np.arange(count), at[0], at[-1])))
 
 
-def _energy(nodes: Nodes, planes: Values) -> Field:
+def _window_variance(nodes: Nodes, planes: Values) -> Field:
     """Return the variance under each window, summed over channels."""
     power = (planes**2).sum(-1, keepdims=True)
     moments = nodes.coefficients(np.concatenate([planes, power], -1), np.zeros((1, 2)))[0].real

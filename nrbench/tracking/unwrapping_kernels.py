@@ -8,6 +8,18 @@ from numpy.typing import NDArray
 from nrbench.jit import kernel
 
 
+@kernel("int64(float64[:, ::1], int64[::1], int64)")
+def pop_most_trusted(trust: NDArray[np.float64], front: NDArray[np.int64], waiting: int) -> int:
+    """Return the flat index of the most trusted of the first ``waiting`` nodes in ``front``, and remove it there."""
+    columns, best = trust.shape[1], 0
+    for k in range(1, waiting):
+        if trust[front[k] // columns, front[k] % columns] > trust[front[best] // columns, front[best] % columns]:
+            best = k
+    node = int(front[best])
+    front[best] = front[waiting - 1]
+    return node
+
+
 @kernel(
     "float64[:, :, ::1](float32[:, :, :, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[:, ::1],"
     " int64)"
@@ -22,9 +34,9 @@ def grow(
 ) -> NDArray[np.float64]:
     """Return a continuous displacement (x, y) px of each node, ``(rows, columns, 2)``.
 
-    The field grows from the most trusted node; of the nodes next to the field, the most trusted one is added first.
-    Then every node is revised ``sweeps`` times. Time is linear in nodes times labels, plus a fast scan for the next
-    node that is quadratic in the nodes.
+    The field grows from the most trusted node. Of the nodes next to the field, the most trusted one is added first.
+    Then every node is revised ``sweeps`` times. The time is linear in nodes times displacements. The scan for the next
+    node is fast, but quadratic in the nodes.
 
     Parameters
     ----------
@@ -49,16 +61,8 @@ def grow(
     determinant = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
     for turn in range(count * (1 + sweeps)):
         if turn < count:
-            best = 0
-            for k in range(1, waiting):
-                if (
-                    trust[front[k] // columns, front[k] % columns]
-                    > trust[front[best] // columns, front[best] % columns]
-                ):
-                    best = k
-            order[turn] = front[best]
+            order[turn] = pop_most_trusted(trust, front, waiting)
             waiting -= 1
-            front[best] = front[waiting]
         y, x = order[turn % count] // columns, order[turn % count] % columns
         state[y, x] = 1
         total, near_x, near_y = 0.0, 0.0, 0.0
@@ -108,14 +112,8 @@ def grow_by_kriging(
 
     Parameters
     ----------
-    surfaces
-        ``(rows, columns, n, n)``: correlation at displacement (i t1 + j t2) / n.
-    trust
-        ``(rows, columns)``, positive: nodes of larger trust are added first.
-    steps
-        ``(n, n, 2)``: each displacement as its shortest representative.
-    matrix
-        Rows t1 and t2.
+    surfaces, trust, steps, matrix, sweeps
+        As for :func:`grow`. Nodes of larger trust are only added first.
     covariance
         ``(4 r + 1, 4 r + 1)``, px^2: covariance of displacements along one axis, by the lag between nodes in rows and
         columns, from -2 r to 2 r. Neighbors up to r nodes away along each axis predict a node.
@@ -123,8 +121,6 @@ def grow_by_kriging(
         Variance of the error of a node, px^2.
     cost
         Cost, in correlation, of a squared departure, over the variance of the prediction.
-    sweeps
-        How often every node is revised.
     """
     rows, columns, n = surfaces.shape[0], surfaces.shape[1], surfaces.shape[2]
     count, reach = rows * columns, (covariance.shape[0] - 1) // 4
@@ -136,16 +132,8 @@ def grow_by_kriging(
     determinant = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
     for turn in range(count * (1 + sweeps)):
         if turn < count:
-            best = 0
-            for k in range(1, waiting):
-                if (
-                    trust[front[k] // columns, front[k] % columns]
-                    > trust[front[best] // columns, front[best] % columns]
-                ):
-                    best = k
-            order[turn] = front[best]
+            order[turn] = pop_most_trusted(trust, front, waiting)
             waiting -= 1
-            front[best] = front[waiting]
         y, x = order[turn % count] // columns, order[turn % count] % columns
         state[y, x] = 1
         known = 0
@@ -173,7 +161,7 @@ def grow_by_kriging(
                 variance -= weights[k, 0] * right[k, 0]
         i = int(np.rint(n * (near_x * matrix[1, 1] - near_y * matrix[1, 0]) / determinant))
         j = int(np.rint(n * (near_y * matrix[0, 0] - near_x * matrix[0, 1]) / determinant))
-        # The label nearest to the prediction is up to half a label away from it.
+        # The displacement (i, j) nearest to the prediction is up to half a step away from it.
         off_x = (i * matrix[0, 0] + j * matrix[1, 0]) / n - near_x
         off_y = (i * matrix[0, 1] + j * matrix[1, 1]) / n - near_y
         price = cost / variance if known > 0 else 0.0

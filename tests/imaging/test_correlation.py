@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skimage.registration._masked_phase_cross_correlation import cross_correlate_masked
 
-from nrbench.imaging.correlation import autocorrelation, half_autocorrelation
+from nrbench.imaging.correlation import half_autocorrelation
 
 
 def picture(height: int, width: int, channels: int, seed: int = 0) -> np.ndarray:
@@ -14,6 +14,12 @@ def picture(height: int, width: int, channels: int, seed: int = 0) -> np.ndarray
     waves = np.sin(x / rng.uniform(2, 5) + rng.uniform(0, 6)) * np.cos(y / rng.uniform(2, 5)) + 0.01 * x
     image = 0.5 + 0.1 * waves[..., np.newaxis] * rng.uniform(0.2, 1, channels)
     return np.clip(image + 0.05 * rng.standard_normal((height, width, channels)), 0, 1).astype(np.float32)
+
+
+def autocorrelation(image: np.ndarray) -> np.ndarray:
+    """Return the normalized autocorrelation at all lags, ``(2H-1, 2W-1)``: both halves."""
+    right = half_autocorrelation(image)
+    return np.concatenate([right[::-1, :0:-1], right], 1)
 
 
 def direct(image: np.ndarray, dx: int, dy: int) -> float:

@@ -15,7 +15,7 @@ from nrbench.imaging.correlation import Correlation
 from nrbench.lattice.geometry import Lattice, Points, integers_within
 
 REACH = 0.75
-"""Lags up to this share of the image's sides are compared; beyond, too little overlaps."""
+"""Lags up to this share of the image's sides are compared. At larger lags the overlap is too small."""
 PAD = 4
 """Columns mirrored to the left of lag 0, for the spline."""
 NEARBY = 0.25
@@ -25,7 +25,7 @@ GROWTH = 1.7
 STEPS = 14
 """Steps of a fit: enough to cross a hundred cells and to converge."""
 MAX_SHIFT = 0.2
-"""A fit is rejected if it moves a vector by more than this share of the shorter vector: it has followed other peaks."""
+"""A fit that moves a vector by more than this share of the shorter vector is rejected: it has followed other peaks."""
 
 
 class Agreement(NamedTuple):
@@ -123,9 +123,9 @@ class Evidence:
         """Return the mean correlation at a basis's multiples, in units of a spread like that of Bartlett's formula.
 
         The correlation of a random field at a far lag has the variance grain / overlap. The mean over lags further
-        apart than a grain, weighted by overlap, has the variance grain / (sum of overlaps). The result is an index on
-        this scale, not a significance: the surface is a mean of several fields' correlations, and a lattice's own peaks
-        add to the grain. ``benchmarks/consensus_calibration.py`` measures which values noise reaches.
+        apart than a grain, weighted by overlap, has the variance grain / (sum of overlaps). The result is not a
+        significance, because a lattice's own peaks add to the grain. ``benchmarks/consensus_calibration.py`` measures
+        which values noise reaches.
         """
         lags = self.multiples(basis) @ basis
         total = float(self.overlaps(lags).sum())

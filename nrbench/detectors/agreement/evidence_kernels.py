@@ -66,7 +66,7 @@ def between(
     end: NDArray[np.float64],
     pad: int,
 ) -> NDArray[np.float64]:
-    """Return mean and variance of an autocorrelation at the points of a lattice that a coarser lattice does not have.
+    """Return mean and variance of an autocorrelation at those points of a lattice that a coarser lattice lacks.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def between(
     coarser
         ``(2, 2)``: the inverse of the coarser lattice's basis. If all entries are zero, only lag 0 is left out.
     end
-        Largest lag (x, y), px. Each lag is weighted by the area in which image and shifted image overlap.
+        Largest lag (x, y), px. Each lag is weighted by the area in which the image overlaps its shifted copy.
     pad
         Number of mirrored columns.
 

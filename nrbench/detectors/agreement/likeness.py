@@ -15,7 +15,7 @@ from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Points
 
 LIGHTING = 3
-"""Cosines of up to so many half waves across the image are lighting, not texture."""
+"""Cosines of up to this number of half waves across the image are lighting, not texture."""
 FINE = 0.7
 """Standard deviation, px, of the Gaussian that smooths the image before its slopes are computed."""
 NEIGHBORHOOD = 1 / 6
@@ -25,7 +25,7 @@ SIDE = 640
 MIN_SIDE = 24
 """px; no view is shrunk below this side."""
 MIN_PERIOD = 12.0
-"""px; an image is shrunk only so far that the shorter generating vector keeps this length."""
+"""px; least length of the shorter generating vector in an image that is shrunk."""
 
 
 class Likeness(NamedTuple):
@@ -34,9 +34,9 @@ class Likeness(NamedTuple):
     Parameters
     ----------
     pooled
-        The mean of those of colors, slopes and edges.
+        The mean of the autocorrelations of colors, slopes and edges.
     colors
-        That of the colors alone; only the colors are linear in the pixels.
+        The autocorrelation of the colors alone. Only the colors are linear in the pixels.
     """
 
     pooled: Correlation
@@ -46,8 +46,13 @@ class Likeness(NamedTuple):
 def compute_likeness(image: Image) -> Likeness:
     """Compute the likeness of an image to its shifted self at each lag.
 
-    Colors distinguish tiles that differ in hue only, slopes show the joints of a wall whose bricks all differ in color,
-    and edges show joints of either sign.
+    Colors distinguish tiles that differ in hue only. Slopes show the joints of a wall whose bricks all differ in color.
+    Edges show joints that are brighter as well as joints that are darker than their surroundings.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
     """
     slopes = _slopes(image)
     edges = _without_lighting(np.sqrt(np.hypot(slopes[..., :1], slopes[..., 1:])))
@@ -67,7 +72,7 @@ def _without_lighting(values: Values) -> Values:
 def _slopes(image: Image) -> Values:
     """Return the slopes of the luminance along x and y over their local root mean square, ``(H, W, 2)``.
 
-    Contrast that fades across the image counts the same everywhere; flat regions stay flat.
+    So contrast that fades across the image has the same weight everywhere. Flat regions stay flat.
     """
     smooth = ndimage.gaussian_filter(image.mean(2), FINE)
     pair = np.stack([ndimage.sobel(smooth, 1), ndimage.sobel(smooth, 0)], -1)

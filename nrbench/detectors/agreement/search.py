@@ -20,23 +20,24 @@ from nrbench.detectors.autocorrelation.peaks import (
 from nrbench.lattice.geometry import Points, hermite_matrices
 
 FURTHEST = 0.55
-"""Candidates lie within this share of the image's sides; further ones have no multiple that would confirm them."""
+"""Candidates lie within this share of the image's sides. Longer vectors have no multiple within the image."""
 RATED = 0.6
 """Multiples within this share of the sides are rated."""
 SHORTEST = 2.6
-"""px; shorter vectors lie within one period of any sampled pattern."""
+"""px; least length of a vector. Shorter vectors lie within one period of any sampled pattern."""
 INDICES = (2, 3, 5, 7, 11, 13)
 """Finer lattices of these indices are tried; other indices are reached in several steps."""
 DEPTH = 8
-"""Largest number of steps from coarser to finer lattices: an index of 2^8 is beyond any candidate."""
+"""Largest number of steps from coarser to finer lattices. No candidate has an index of 2^8."""
 MOST = 60
-"""Largest number of lattices visited from one start: along a long ridge there would be no end."""
+"""Largest number of lattices that are visited from one start. It ends the search along a long ridge."""
 BRANCHES = 4
-"""Largest number of finer lattices that are followed from one lattice, the likeliest first."""
+"""Largest number of finer lattices that are followed from one lattice: those of the highest correlation."""
 APART = 0.4
-"""A finer lattice stands out if it rises by this share from what the other finer lattices add to the coarse mean."""
+"""A finer lattice stands out if its mean correlation lies above this share of the way from the usual mean of finer
+lattices to the mean of the coarser one."""
 FEW = 10.0
-"""With this number of vectors the scatter is known half as well, and twice as many standard deviations are allowed."""
+"""Number of vectors for which twice as many standard deviations are allowed, because their scatter is uncertain."""
 NEARLY = 0.03
 """A finer lattice that misses the limit by no more than this is fitted and rated again."""
 
@@ -52,7 +53,7 @@ def propose_lattices(evidence: Evidence, peaks: int, count: int) -> list[Points]
     evidence
         The image's autocorrelation.
     peaks
-        Number of peaks, the most prominent, that are paired.
+        Number of the most prominent peaks that are paired.
     count
         Number of pairs that are fitted.
     """
@@ -141,19 +142,19 @@ class SublatticeSearch:
         The image's autocorrelation.
     max_loss
         A finer lattice replaces a coarser one if the correlation at the vectors that it adds is lower by no more than
-        this share. Differences from tile to tile cost nothing, for they also occur between the coarser tiles.
+        this share. Differences from tile to tile are not a loss, because they also occur between the coarser tiles.
     tile_allowance
         The loss may be larger by this number divided by the number of tiles: few tiles agree by chance.
     scatter
         A finer lattice also replaces a coarser one if the correlation at the vectors that it adds is lower by no more
         than this number of standard deviations of the correlations at single vectors, and if it stands out from what
-        finer lattices of other indices add (:data:`APART`). Where a few long threads or rows happen to match, a
-        supercell selects the best of widely scattered vectors; tiles that truly alternate separate its vectors from all
-        others.
+        finer lattices of other indices add (:data:`APART`). If a few long threads or rows match by chance, a supercell
+        consists of the best of widely scattered vectors. If tiles truly alternate, the correlations at its vectors are
+        separate from all others.
     relief
         A lattice is stable if the correlation at its multiples exceeds the correlation at the vectors that any finer
         lattice adds by this share. Otherwise its multiples lie on a ridge, as in stripes, and any other vector along
-        the ridge would do as well.
+        the ridge agrees as well.
     """
 
     evidence: Evidence
@@ -189,7 +190,7 @@ class SublatticeSearch:
         return StableLattice(fitted, self.evidence.repeated(fitted), highest_between(self.evidence, fitted))
 
     def _rate_finer(self, basis: Points, own: Agreement) -> list[Finer]:
-        """Return all finer lattices; those that agree nearly well enough are fitted."""
+        """Return all finer lattices. Those that reach the limit, or miss it by little, are fitted."""
         limit = self._limit(basis, own) - NEARLY
         rated = []
         for candidate in finer_bases(basis):
@@ -206,7 +207,7 @@ class SublatticeSearch:
         return own.mean * (1 - self.max_loss - self.tile_allowance / self.evidence.tiles(basis))
 
     def _replacements(self, rated: list[Finer], basis: Points, own: Agreement) -> list[Finer]:
-        """Return the finer lattices that may replace the coarser one, the likeliest first."""
+        """Return the finer lattices that may replace the coarser one, by descending correlation."""
         limit = self._limit(basis, own)
         usual = self._usual_mean(rated)
         replacements = []

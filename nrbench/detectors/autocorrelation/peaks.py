@@ -17,11 +17,11 @@ Lags = NDArray[np.int64]
 """``int64 (n, 2)``: displacements (dx, dy) in whole px."""
 
 UNIT = 1 << 24
-"""Compiled loops get correlations as integer multiples of 1 / UNIT: sums of integers do not depend on their order."""
+"""Compiled loops sum correlations as integer multiples of 1 / UNIT, because such sums do not depend on the order."""
 NEAR = 1.5
-"""A peak belongs to a multiple if it lies within this distance, px along x and y, of the expected position."""
+"""px; a peak belongs to a multiple if it lies within this distance of its expected position, along x and along y."""
 MAX_SHIFT = 0.25
-"""A fit is rejected if it moves a vector by more than this share of its length: it has followed other peaks."""
+"""A fit that moves a vector by more than this share of its length is rejected: it has followed other peaks."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ EULER_GAMMA = 0.5772156649015329
 SIDE = 512
 """px; smallest side to which an image is cropped."""
 PERIODS = 10.0
-"""So many periods a side decide whether there is a lattice; more would only take time."""
+"""Number of periods along a side that are tested. More periods take more time and change few decisions."""
 
 
 def crop_for_test(image: Image, lattice: Lattice) -> Image:
@@ -63,7 +63,7 @@ def measure_surrogates(
     count: int,
     false_alarms: float,
 ) -> tuple[NDArray[np.float64], float]:
-    """Return a detector's statistic for phase-randomized copies, and the limit above which a value is no chance.
+    """Return a detector's statistic for phase-randomized copies, and the largest value that chance explains.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def measure_surrogates(
     part
         The part of it that is copied, ``(H, W, C)``, any range.
     statistic
-        Rates an image.
+        Returns the statistic of an image.
     count
         Number of copies.
     false_alarms
@@ -84,10 +84,11 @@ def measure_surrogates(
 
 
 def upper_limit(values: NDArray[np.float64], false_alarms: float) -> float:
-    """Return the limit that a further value exceeds with probability ``false_alarms``; each value is a maximum of many.
+    """Return the limit that a further value exceeds with probability ``false_alarms``.
 
-    The limit is a quantile of the Gumbel distribution with the mean and the standard deviation of ``values``. The best
-    of many candidates follows it more closely than a normal distribution, and its tail needs no hundreds of values.
+    The limit is a quantile of the Gumbel distribution with the mean and the standard deviation of ``values``. Each
+    value is the best of many candidates, which follows this distribution more closely than a normal distribution. An
+    empirical quantile would need hundreds of values.
     """
     standard = (-math.log(-math.log(1 - false_alarms)) - EULER_GAMMA) * math.sqrt(6) / math.pi
     return float(values.mean() + standard * values.std(ddof=1))
