@@ -21,8 +21,11 @@ from .patch_laying.zone_tree import ZoneTree
 
 Search = Literal["exhaustive", "kdtree"]
 
-PATCH_SHARE = 0.375
-"""Side of an automatic patch as a share of the sample's shorter side."""
+PATCH_SHARE = 0.5
+"""Side of an automatic patch as a share of the sample's shorter side.
+
+Mean quality on the suite core with other seeds: 0.41 with a half, 0.34 with three eighths.
+"""
 LEAST_PATCH = 3
 """px: least side of an automatic patch."""
 
@@ -38,6 +41,10 @@ class PatchBased:
     none, one of those of least distance is drawn. Then the patch is feathered into the zone: its weight increases
     linearly from its border. The first patch is drawn from all patches of the sample.
 
+    The defaults of ``patch``, ``zone`` and ``epsilon`` worked best on texture models. The paper's zone and epsilon are
+    the preset ``paper``. As epsilon is relative to the brightness of pixels and not to their contrast, the paper's
+    accepts almost every patch of a texture of low contrast.
+
     The paper starts at the lower left; here the upper left comes first, which makes no difference to a texture. The
     paper searches in three steps, each of which can be left out: principal components, a k-d tree for each of the
     three configurations of sides, and a quadtree pyramid, which compares coarse images first. ``search="kdtree"`` has
@@ -47,7 +54,7 @@ class PatchBased:
     Parameters
     ----------
     patch
-        Side of a patch in px. 0: automatic.
+        Side of a patch in px. 0: automatic, half the sample's shorter side. (The paper: a quarter to a half.)
     zone
         Width of the boundary zone in px, from 1 to half a patch. (The paper: 4.)
     epsilon
@@ -63,8 +70,8 @@ class PatchBased:
     """
 
     patch: int = 0
-    zone: int = 4
-    epsilon: float = 0.2
+    zone: int = 8
+    epsilon: float = 0.02
     search: Search = "exhaustive"
     neighbors: int = 40
     search_error: float = 1.0

@@ -16,8 +16,12 @@ from .gap_filling.matching import FrameMatcher
 from .patch_laying.choice import draw_within
 from .patch_laying.raster_canvas import RasterCanvas, RasterGrid, check_patch, require_patch
 
-BLOCK_SHARE = 0.375
-"""Side of an automatic block as a share of the sample's shorter side."""
+BLOCK_SHARE = 0.5
+"""Side of an automatic block as a share of the sample's shorter side.
+
+Mean quality on the suite core with other seeds: 0.43 with a half, 0.35 with three eighths; a third and a quarter are
+worse still.
+"""
 LEAST_BLOCK = 3
 """px: least side of an automatic block."""
 PARTS = 6
@@ -36,12 +40,15 @@ class Quilting:
     overlap, the two paths end at the same pixel, which is chosen so that their sum is least.
 
     The first block is drawn from all blocks of the sample. The paper leaves the size of the block to the user: it must
-    be large enough to capture the structures of the texture.
+    be large enough to capture the structures of the texture. An automatic block is half the sample's shorter side,
+    the best of the quarter, the third, three eighths and the half on texture models with periods of a tenth to a
+    quarter of the sample. Errors are norms, as printed, not sums of squares: with these, the same tolerance would
+    accept fewer blocks.
 
     Parameters
     ----------
     block
-        Side of a block in px. 0: automatic.
+        Side of a block in px. 0: automatic, half the sample's shorter side.
     overlap
         Width of the overlap in px, from 1 to half a block. 0: a sixth of the block, rounded (the paper).
     tolerance
