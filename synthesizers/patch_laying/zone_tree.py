@@ -84,7 +84,7 @@ class ZoneTree:
         matrix = weights[:, ::-1][:, :DIMENSIONS].T @ centered
         matrix /= np.maximum(np.linalg.norm(matrix, axis=1, keepdims=True), 1.0)
         peaks = np.take_along_axis(matrix, np.abs(matrix).argmax(1)[:, np.newaxis], 1)
-        return np.rint(matrix * np.where(peaks < 0, -SCALE, SCALE)).reshape(-1, *shape)
+        return np.asarray(np.rint(matrix * np.where(peaks < 0, -SCALE, SCALE)).reshape(-1, *shape))
 
     @cached_property
     def _products(self) -> NDArray[np.int64]:

@@ -33,14 +33,16 @@ def cut_sides(old: NDArray[np.uint8], new: NDArray[np.uint8], overlap: int, left
     if left and top:
         return l_shaped_seam(squared_differences(np.ascontiguousarray(old), np.ascontiguousarray(new)), overlap)[0]
     if left:
-        strip = np.s_[:, :overlap]
-        error = squared_differences(np.ascontiguousarray(old[strip]), np.ascontiguousarray(new[strip]))
-        mask[strip] = np.arange(overlap) >= dynamic_seam(error)[:, np.newaxis]
+        mask[:, :overlap] = np.arange(overlap) >= dynamic_seam(_strip_error(old, new, overlap))[:, np.newaxis]
     if top:
-        strip = np.s_[:overlap]
-        error = squared_differences(np.ascontiguousarray(old[strip]), np.ascontiguousarray(new[strip]))
-        mask[strip] = np.arange(overlap)[:, np.newaxis] >= dynamic_seam(error.T)
+        error = _strip_error(old.swapaxes(0, 1), new.swapaxes(0, 1), overlap)
+        mask[:overlap] = np.arange(overlap)[:, np.newaxis] >= dynamic_seam(error)
     return mask
+
+
+def _strip_error(old: NDArray[np.uint8], new: NDArray[np.uint8], overlap: int) -> NDArray[np.float64]:
+    """Return the squared differences in the first ``overlap`` columns."""
+    return squared_differences(np.ascontiguousarray(old[:, :overlap]), np.ascontiguousarray(new[:, :overlap]))
 
 
 def l_shaped_seam(error: NDArray[np.float64], overlap: int) -> tuple[Mask, float]:
