@@ -46,6 +46,11 @@ BENCHMARKS = (
     ),
     Benchmark("overhead.py", "What a cell costs beyond its method and metrics"),
     Benchmark("correlation.py", "The autocorrelation beside scikit-image's masked correlation"),
+    Benchmark(
+        "quilting_peer.py --textures brick-middle weave-middle hexagon-middle",
+        "Quilting beside another program",
+        "quilting_peer.py --opencv PYTHON",
+    ),
     Benchmark("representative_tile.py", "The exact tile search beside brute force"),
     Benchmark("fftm_mask.py 41", "What masks hold, how far they last, how exact waves are", "fftm_mask.py 41 42 43"),
     Benchmark("fftm_patch.py 256", "What refinements and the mask's weight change", "fftm_patch.py 2048"),

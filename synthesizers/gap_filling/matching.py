@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,15 +88,29 @@ class FrameMatcher:
 
     def rate_everywhere(self, template: NDArray[np.float32], hole: Box) -> Array:
         """Rate every place, in the Fourier domain: an array of :attr:`search_shape`. Parameters as in :meth:`rate`."""
-        frame = np.where(_frame_mask(hole, self.size)[..., np.newaxis], template, 0).astype(np.float64)
-        spectrum = fft.rfft2(frame, self._fast_shape, axes=(0, 1)).conj()
-        products = fft.irfft2((self._spectrum * spectrum).sum(-1), self._fast_shape)
+        frame = np.where(frame_mask(hole, self.size)[..., np.newaxis], template, 0)
+        return self._ratings(self.correlate_everywhere(frame), *self._statistics(hole), template, hole)
+
+    def correlate_everywhere(self, template: NDArray[Any]) -> Array:
+        """Return the sum of products of a template and the image under it at every place, in the Fourier domain.
+
+        Parameters
+        ----------
+        template
+            ``(h, w, C)``, at most ``size`` px a side: whole numbers, so small that sums stay below 2^47.
+
+        Returns
+        -------
+        Array
+            Of :attr:`search_shape`, exact.
+        """
+        product = np.einsum("chw,chw->hw", self._spectrum, self._transform(template.astype(np.float64)).conj())
         rows, columns = self.search_shape
-        return self._ratings(np.rint(products[:rows, :columns]), *self._statistics(hole), template, hole)
+        return np.rint(fft.irfft(fft.ifft(product, axis=0)[:rows], self._fast_shape[1], axis=1)[:, :columns])
 
     def _ratings(self, products: Array, sums: Array, spread: Array, template: NDArray[np.float32], hole: Box) -> Array:
         """Compute ratings from sums of products ``(...)``: equation 10 expanded, or equation 4."""
-        values = template[_frame_mask(hole, self.size)].astype(np.float64)
+        values = template[frame_mask(hole, self.size)].astype(np.float64)
         own_sums, own_spread = self._summary(values.sum(0), (values**2).sum(0), len(values))
         if self.match == "color":
             return np.asarray(2 * products - spread - own_spread)
@@ -116,7 +130,12 @@ class FrameMatcher:
 
     @cached_property
     def _spectrum(self) -> NDArray[np.complex128]:
-        return np.asarray(fft.rfft2(self.values.astype(np.float64), self._fast_shape, axes=(0, 1)))
+        return self._transform(self.values.astype(np.float64))
+
+    def _transform(self, pixels: Array) -> NDArray[np.complex128]:
+        """Return the spectra ``(C, rows, columns)`` of ``(h, w, C)``, padded with zeros after the rows' transforms."""
+        lines = fft.rfft(np.ascontiguousarray(np.moveaxis(pixels, -1, 0)), self._fast_shape[1], axis=2)
+        return np.asarray(fft.fft(lines, self._fast_shape[0], axis=1))
 
     @cached_property
     def _integrals(self) -> tuple[Array, Array]:
@@ -128,7 +147,7 @@ class FrameMatcher:
         if hole not in self._frame_statistics:
             square = (0, self.size, 0, self.size)
             sums, squares = (self._box_sums(table, square) - self._box_sums(table, hole) for table in self._integrals)
-            self._frame_statistics[hole] = self._summary(sums, squares, int(_frame_mask(hole, self.size).sum()))
+            self._frame_statistics[hole] = self._summary(sums, squares, int(frame_mask(hole, self.size).sum()))
         return self._frame_statistics[hole]
 
     def _box_sums(self, table: Array, box: Box) -> Array:
@@ -151,7 +170,8 @@ class FrameMatcher:
         ).reshape(-1, 3)
 
 
-def _frame_mask(hole: Box, size: int) -> NDArray[np.bool_]:
+def frame_mask(hole: Box, size: int) -> NDArray[np.bool_]:
+    """Return the pixels of a square of ``size`` px that are not in a hole, ``bool (size, size)``."""
     frame = np.ones((size, size), bool)
     frame[hole[0] : hole[1], hole[2] : hole[3]] = False
     return frame

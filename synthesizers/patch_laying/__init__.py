@@ -1,0 +1,1 @@
+"""Square patches laid over one another in raster order, for the methods quilting and patch-based."""

@@ -1,0 +1,162 @@
+"""An output that is covered line by line with square patches which overlap their left and upper neighbors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image, to_bytes
+from nrbench.plugins.forms import Refused, Shape
+
+from ..gap_filling.blocks import Box
+from ..sampling.equal_places import search_shape
+from ..sampling.patches import Source
+from ..seams.overlap_seam import cut_sides
+from .feathering import blend, feather_weights
+
+
+class Spot(NamedTuple):
+    """The place of a patch in the output.
+
+    Parameters
+    ----------
+    y, x
+        Row and column of its first pixel.
+    left, top
+        Whether it overlaps earlier patches on these sides.
+    """
+
+    y: int
+    x: int
+    left: bool
+    top: bool
+
+
+@dataclass(frozen=True)
+class RasterGrid:
+    """The spots of square patches that cover an output. The last ones may reach beyond it.
+
+    Parameters
+    ----------
+    shape
+        Height and width of the output, px.
+    size
+        Side of a patch, px.
+    overlap
+        Width of the overlap of adjacent patches, px; less than ``size``.
+    """
+
+    shape: Shape
+    size: int
+    overlap: int
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Rows and columns of patches."""
+        step = self.size - self.overlap
+        height, width = (max(-(-(side - self.overlap) // step), 1) for side in self.shape)
+        return height, width
+
+    def spots(self) -> Iterator[Spot]:
+        """Yield the spots line by line."""
+        rows, columns = self.counts
+        step = self.size - self.overlap
+        return (Spot(i * step, j * step, j > 0, i > 0) for i in range(rows) for j in range(columns))
+
+    def hole(self, left: bool, top: bool) -> Box:
+        """Return the part of a patch that overlaps no earlier one, as (y0, y1, x0, x1) px from its first pixel."""
+        return self.overlap if top else 0, self.size, self.overlap if left else 0, self.size
+
+
+def check_patch(what: str, size: int, margin: str, overlap: int) -> None:
+    """Raise :class:`BadInput` unless a patch's side is 0 or at least 3 px, and its overlap 0 or at most half of it.
+
+    Parameters
+    ----------
+    what, margin
+        The names of the two parameters.
+    size, overlap
+        Their values, px. 0: automatic.
+    """
+    if size < 0 or size in (1, 2):
+        raise BadInput(f"{what} {size}; choose 0 (automatic), or 3 px or more")
+    if overlap < 0 or (size and overlap > size // 2):
+        raise BadInput(f"{margin} {overlap} with {what} {size}; choose a width from 1 px to half of the {what}")
+
+
+def require_patch(what: str, size: int, sample_shape: tuple[int, ...]) -> None:
+    """Raise :class:`Refused` if the sample does not hold a patch of ``size`` px; ``what`` is the parameter's name."""
+    height, width = sample_shape[:2]
+    if min(search_shape(size, (height, width))) < 1:
+        raise Refused(
+            f"the sample is {width}x{height} px, a {what} {size}x{size} px; "
+            f"choose {what} <= {min(height, width)}, or leave it out"
+        )
+
+
+class RasterCanvas:
+    """An output under construction. Its pixels are 8-bit whole numbers, so that comparisons are exact.
+
+    Parameters
+    ----------
+    sample
+        ``(H, W, C)``.
+    grid
+        The spots of the patches, which are to be covered in their order.
+
+    Attributes
+    ----------
+    sample
+        ``uint8 (H, W, C)``.
+    image
+        ``uint8``: the output, in whole patches.
+    source
+        The source map of ``image``.
+    """
+
+    def __init__(self, sample: Image, grid: RasterGrid) -> None:
+        self.sample, self.grid = to_bytes(sample), grid
+        step = grid.size - grid.overlap
+        rows, columns = (count * step + grid.overlap for count in grid.counts)
+        self.image = np.zeros((rows, columns, sample.shape[2]), np.uint8)
+        self.source: Source = np.ones((rows, columns, 3), np.float32)
+        y, x = np.indices((grid.size, grid.size))
+        self._steps = np.stack([x, y], -1).astype(np.float32)
+
+    def window(self, spot: Spot) -> tuple[slice, slice]:
+        """Return the rows and columns of a spot."""
+        return slice(spot.y, spot.y + self.grid.size), slice(spot.x, spot.x + self.grid.size)
+
+    def cut_patch(self, place: tuple[int, int]) -> NDArray[np.uint8]:
+        """Return the patch at a place (x, y) of the sample, ``(size, size, C)``."""
+        x, y = place
+        return self.sample[y : y + self.grid.size, x : x + self.grid.size]
+
+    def join_along_seam(self, spot: Spot, place: tuple[int, int]) -> None:
+        """Lay the patch at a place (x, y) of the sample into a spot, cut along the seams of least error."""
+        window, patch = self.window(spot), self.cut_patch(place)
+        mask = cut_sides(self.image[window], patch, self.grid.overlap, spot.left, spot.top)[..., np.newaxis]
+        np.copyto(self.image[window], patch, where=mask)
+        np.copyto(self.source[window][..., :2], self._steps + np.array(place, np.float32), where=mask)
+
+    def join_by_feathering(self, spot: Spot, place: tuple[int, int]) -> None:
+        """Lay the patch at a place (x, y) of the sample into a spot, and blend it with the patches it overlaps."""
+        window, patch, zone = self.window(spot), self.cut_patch(place), self.grid.overlap
+        weights = feather_weights(self.grid.size, zone, spot.left, spot.top)
+        self.image[window] = blend(self.image[window], patch, weights, zone)
+        source, share = self.source[window], (weights / (zone + 1)).astype(np.float32)
+        kept = source[..., 2] * (1 - share)
+        larger = share >= kept
+        np.copyto(source[..., :2], self._steps + np.array(place, np.float32), where=larger[..., np.newaxis])
+        source[..., 2] = np.where(larger, share, kept)
+
+    def result(self) -> tuple[Image, Source]:
+        """Return the output and its source map."""
+        height, width = self.grid.shape
+        image = self.image[:height, :width] / np.float32(255)
+        return np.asarray(image, np.float32), np.ascontiguousarray(self.source[:height, :width])
