@@ -52,8 +52,12 @@ METHODS = (
     *("tile-set:cells=2", "tile-set:margin=0", "tile-set:stitch=dynamic"),
     *("representative-tile", "tiling", "tiling:tile=mean", "supertile", "shuffle", "scatter"),
     *("fftm-pixel", "fftm-patch", "ann-pixel"),
+    *("regularized-patch", "regularized-patch:texel=quadrilateral"),
 )
-PLAIN = ("rsgf", "tile-set", "representative-tile", "tiling", "fftm-pixel", "fftm-patch", "ann-pixel")
+PLAIN = (
+    *("rsgf", "tile-set", "representative-tile", "tiling", "fftm-pixel", "fftm-patch", "ann-pixel"),
+    "regularized-patch",
+)
 EVERYTHING = {"light": 0.3, "damage": 0.2, "missing": 0.1, "jitter": 0.3, "bend": 0.3}
 SIDES = (256, 512, 1024, 2048, 4096)
 
