@@ -44,6 +44,11 @@ BENCHMARKS = (
         "How cost and memory grow with the output",
         "speed.py outputs --largest 4096",
     ),
+    Benchmark(
+        "geometry.py --seeds 0 --bends 0.5 --models brick",
+        "What straightening and bending again keeps of displacements, and what it gains",
+        "geometry.py",
+    ),
     Benchmark("overhead.py", "What a cell costs beyond its method and metrics"),
     Benchmark("correlation.py", "The autocorrelation beside scikit-image's masked correlation"),
     Benchmark(

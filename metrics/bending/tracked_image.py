@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold_kernels import spline_coefficients, spline_windows
+from nrbench.imaging.largest_box import largest_box
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
@@ -238,25 +239,12 @@ def straighten(tracked: TrackedImage, covariance: Covariance) -> StraightenedIma
     sources = np.einsum("yr,rcd,xc->yxd", down, field, along, optimize=True)
     sources += np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
     inside = ((sources >= 0) & (sources <= (width - 1, height - 1))).all(-1)
-    y0, y1, x0, x1 = _largest_box(inside)
+    y0, y1, x0, x1 = largest_box(inside)
     sources = np.ascontiguousarray(sources[y0:y1, x0:x1])
     coefficients = spline_coefficients(np.array(image, np.float32, order="C"))
     values = spline_windows(coefficients, np.clip(sources, 0, (width - 1, height - 1)).reshape(-1, 2), np.zeros((1, 2)))
     values = np.clip(values.reshape(y1 - y0, x1 - x0, image.shape[2]), 0, 1)
     return StraightenedImage(values, (x0, y0), sources, tracked)
-
-
-def _largest_box(inside: Flags) -> tuple[int, int, int, int]:
-    """Return first and last row and column of a box inside, by removing the worst border until none is left."""
-    y0, y1, x0, x1 = 0, inside.shape[0], 0, inside.shape[1]
-    while y1 - y0 > 1 and x1 - x0 > 1:
-        box = inside[y0:y1, x0:x1]
-        worst = [float((~one).mean()) for one in (box[0], box[-1], box[:, 0], box[:, -1])]
-        side = int(np.argmax(worst))
-        if worst[side] == 0:
-            break
-        y0, y1, x0, x1 = y0 + (side == 0), y1 - (side == 1), x0 + (side == 2), x1 - (side == 3)
-    return y0, y1, x0, x1
 
 
 def _spline_weights(at: NDArray[np.float64], count: int) -> NDArray[np.float64]:

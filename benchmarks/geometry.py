@@ -1,0 +1,175 @@
+"""What straightening and bending again keeps of the geometry of bent textures, and what it gains.
+
+``python benchmarks/geometry.py [fields] [quality] [regular] [--seeds 0 1 2] [--models ...] [--bends 0.25 0.5]``
+
+Samples have 192 x 192 px, outputs 256 x 256 px; the lattice is given. Subjects:
+
+``fields``
+    Amplitude and correlation length of the displacements in outputs of regularized-patch, over those in equally large
+    parts of the sample, by the metric ``deformation``, for each way to make the field; and the share of folded cells.
+``quality``
+    ``quality.score`` of rsgf and tile-set as they are and with the mechanism, on the same samples and with the same
+    random numbers; and, for comparison, on the same texture without bend.
+``regular``
+    Which undisturbed and which bent draws count as departing from their lattices, over all models: the rule was set on
+    seeds 0 to 3, other seeds test it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from nrbench import plugins
+from nrbench.imaging.convert import quantize
+from nrbench.plugins.forms import Observation, Shape, Synthesis, Task, Texture
+from nrbench.plugins.parameters import parse_spec
+from nrbench.streams import stream
+from nrbench.synthesizers.geometry.straightening import StraightSample, synthesize_straight
+
+SAMPLE, OUTPUT = (192, 192), (256, 256)
+ROTATIONS = {"brick": 0.0, "weave": 12.0, "hexagon": 33.0}
+FIELDS = ("", ":update=gibbs", ":update=argmax", ":deform=keep", ":deform=none")
+NOT_LATTICES = ("images", "noise")
+
+
+def draw(model: str, seed: int, shape: Shape = SAMPLE, **parameters: float) -> tuple[Texture, object]:
+    """Return a texture with pixels of 8 bits, and its model."""
+    built = plugins.build("datasets", model, {"rotation": ROTATIONS.get(model, 0.0), **parameters})
+    texture: Texture = built.render(shape, np.random.default_rng(seed))
+    return replace(texture, image=quantize(texture.image)), built
+
+
+def observe(texture: Texture, model: object, made: Synthesis) -> Observation:
+    """Return what a metric sees of a synthesis."""
+
+    def again(shape: Shape, k: int) -> Texture:
+        drawn: Texture = model.again(texture, shape, stream("again", "geometry", k))  # type: ignore[attr-defined]
+        return replace(drawn, image=quantize(drawn.image))
+
+    image = quantize(made.image)
+    return Observation(texture.image, image, texture, lattice_used=made.lattice, source=made.source, again=again)
+
+
+def task_of(texture: Texture, seed: int) -> Task:
+    """Return the task; methods that are compared get the same random numbers."""
+    return Task(texture.image, OUTPUT, texture.lattice, np.random.default_rng(seed))
+
+
+def show_fields(options: argparse.Namespace) -> None:
+    """Print amplitude and length ratios."""
+    metric = plugins.build("metrics", "deformation")
+    for model in options.models:
+        for bend in options.bends:
+            for variant in FIELDS:
+                method = plugins.build("synthesizers", *parse_spec(f"regularized-patch{variant}"))
+                rows = []
+                for seed in options.seeds:
+                    texture, built = draw(model, seed, bend=bend)
+                    values = metric.score(observe(texture, built, method.synthesize(task_of(texture, seed)))).values
+                    rows.append([values[name] for name in ("amplitude_ratio", "length_ratio", "folded")])
+                amplitude, length, folded = (
+                    [float(value) for value in column if value is not None] for column in zip(*rows, strict=True)
+                )
+                print(f"  {model:8} bend {bend:<5} {variant or ':update=sample':16}", end="")
+                print(f"  amplitude {spread(amplitude)}  length {spread(length)}  folded {max(folded):.3f}", flush=True)
+
+
+def spread(values: list[float]) -> str:
+    """Return mean, least and greatest."""
+    if not values:
+        return "-                   "
+    return f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
+
+
+def show_quality(options: argparse.Namespace) -> None:
+    """Print paired qualities."""
+    metric = plugins.build("metrics", "quality")
+    for name in ("rsgf", "tile-set"):
+        method, every = plugins.build("synthesizers", name), []
+        for model in options.models:
+            for bend in options.bends:
+                pairs, unbent = [], []
+                for seed in options.seeds:
+                    texture, built = draw(model, seed, bend=bend)
+                    lattice = texture.lattice
+                    assert lattice is not None
+                    plain = method.synthesize(task_of(texture, seed))
+                    bent = synthesize_straight(task_of(texture, seed), lattice, method.synthesize)
+                    scores = [metric.score(observe(texture, built, made)).values["score"] for made in (plain, bent)]
+                    if None not in scores:
+                        pairs.append([float(score) for score in scores])
+                    still, model_of_still = draw(model, seed)
+                    made = method.synthesize(task_of(still, seed))
+                    unbent.append(metric.score(observe(still, model_of_still, made)).values["score"] or 0.0)
+                every += pairs
+                print(
+                    f"  {name:9} {model:8} bend {bend:<5}{gain(pairs)}   unbent texture {np.mean(unbent):.2f}",
+                    flush=True,
+                )
+        print(f"  {name:9} all                {gain(every)}", flush=True)
+
+
+def gain(pairs: list[list[float]]) -> str:
+    """Return the mean scores of pairs, and their difference with its least and greatest value."""
+    if not pairs:
+        return "  no verdict"
+    plain, bent = np.array(pairs).T
+    more = bent - plain
+    return (
+        f"  as it is {plain.mean():.2f}, straightened {bent.mean():.2f}, gain {more.mean():+.2f} "
+        f"({more.min():+.2f} to {more.max():+.2f}, n = {len(pairs)})"
+    )
+
+
+def show_rule(options: argparse.Namespace) -> None:
+    """Print how many undisturbed and bent draws count as departing, over all models."""
+    cases: Mapping[str, dict[str, float]] = {
+        "undisturbed": {},
+        "undisturbed, color 0.6": {"color": 0.6},
+        "bend 0.25": {"bend": 0.25},
+        "bend 0.5": {"bend": 0.5},
+    }
+    models = [name for name in plugins.names("datasets") if name not in NOT_LATTICES]
+    for case, parameters in cases.items():
+        found, measured, odd = 0, 0, []
+        for model in models:
+            for seed in options.seeds:
+                texture, _ = draw(model, seed, **parameters)
+                if texture.lattice is None:
+                    continue
+                straight = StraightSample.of(texture.image, texture.lattice)
+                measured += not straight.deformed.obstacle
+                found += straight.departs
+                if not straight.deformed.obstacle and straight.departs == case.startswith("undisturbed"):
+                    odd.append(model)
+        print(
+            f"  {case:24} {found} of {measured} that hold 9 tiles depart; otherwise than expected: {sorted(set(odd))}"
+        )
+
+
+SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {
+    "fields": show_fields,
+    "quality": show_quality,
+    "regular": show_rule,
+}
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"of {', '.join(SUBJECTS)}; none: all")
+    parser.add_argument("--seeds", nargs="*", type=int, default=[0, 1, 2])
+    parser.add_argument("--models", nargs="*", default=list(ROTATIONS))
+    parser.add_argument("--bends", nargs="*", type=float, default=[0.25, 0.5])
+    options = parser.parse_args()
+    for subject in options.subjects or SUBJECTS:
+        print(f"\n{subject}")
+        SUBJECTS[subject](options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Geometry: straighten a deformed sample, and deform the output again."""

@@ -1,0 +1,86 @@
+"""The compiled loop that moves the vertices of a lattice, one after the other, given their neighbors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.jit import kernel
+
+
+@kernel(
+    "float64[:, :, ::1](float64[:, :, ::1], float64[:, :, ::1], float64, float64[:, ::1], float64[:, :, ::1], int64)"
+)
+def move_vertices(
+    start: NDArray[np.float64],
+    maps: NDArray[np.float64],
+    step: float,
+    moves: NDArray[np.float64],
+    chances: NDArray[np.float64],
+    sweeps: int,
+) -> NDArray[np.float64]:
+    """Return the displacements of the vertices after some rounds (report, appendix A, equations 2 and 3).
+
+    In each round every vertex, in the order of rows, takes one of its possible moves. The likelihood of a move is the
+    product of the densities of the offsets to the neighbors that exist. O(rows columns sweeps moves).
+
+    Parameters
+    ----------
+    start
+        ``(rows, columns, 2)``: first displacements (x, y) px.
+    maps
+        ``(8, g, g)``: logarithm of the density of each neighbor's displacement less the vertex's own, by y and x;
+        0 is in the middle. Beyond the map the outermost value holds.
+    step
+        Step of the maps, px.
+    moves
+        ``(m, 2)``: the possible moves (x, y) px.
+    chances
+        ``(sweeps, rows, columns)``: uniform numbers in [0, 1), by which moves are drawn by their likelihood; empty:
+        the most likely move is taken (equation 3).
+    sweeps
+        Number of rounds.
+    """
+    field = start.copy()
+    rows, columns = field.shape[0], field.shape[1]
+    side, count = maps.shape[1], len(moves)
+    middle = (side - 1) / 2
+    likelihood = np.empty(count)
+    for sweep in range(sweeps):
+        for y in range(rows):
+            for x in range(columns):
+                likelihood[:] = 0
+                number = 0
+                for down in range(-1, 2):
+                    for right in range(-1, 2):
+                        if down == 0 and right == 0:
+                            continue
+                        b, a = y + down, x + right
+                        if 0 <= b < rows and 0 <= a < columns:
+                            off_x, off_y = field[b, a, 0] - field[y, x, 0], field[b, a, 1] - field[y, x, 1]
+                            for m in range(count):
+                                at_x = min(max((off_x - moves[m, 0]) / step + middle, 0.0), side - 1.0)
+                                at_y = min(max((off_y - moves[m, 1]) / step + middle, 0.0), side - 1.0)
+                                i, j = min(int(at_y), side - 2), min(int(at_x), side - 2)
+                                v, u = at_y - i, at_x - j
+                                above = (1 - u) * maps[number, i, j] + u * maps[number, i, j + 1]
+                                below = (1 - u) * maps[number, i + 1, j] + u * maps[number, i + 1, j + 1]
+                                likelihood[m] += (1 - v) * above + v * below
+                        number += 1
+                best = int(np.argmax(likelihood))
+                if chances.size > 0:
+                    highest = likelihood[best]
+                    total = 0.0
+                    for m in range(count):
+                        likelihood[m] = np.exp(likelihood[m] - highest)
+                        total += likelihood[m]
+                    left = chances[sweep, y, x] * total
+                    best = count - 1
+                    for m in range(count):
+                        left -= likelihood[m]
+                        if left < 0:
+                            best = m
+                            break
+                field[y, x, 0] += moves[best, 0]
+                field[y, x, 1] += moves[best, 1]
+    return field

@@ -1,0 +1,207 @@
+"""Regularized patch-based synthesis: texels of a straightened sample, pasted on its lattice and deformed again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.detectors.consensus import Consensus
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import Refused, SourceMap, Synthesis, Task, require_lattice
+
+from .geometry.straightening import Bend, StraightSample, trace_points
+from .geometry.vertex_field import Deform, Update
+from .sampling.equal_places import pixel_grid
+from .sampling.patches import Patches, round_places
+from .sampling.two_periods import require_two_periods
+from .texel_pasting.quiet_borders import TexelKind, parallelogram, quiet_texels
+from .texel_pasting.texel_mosaic import TexelMosaic
+from .texel_pasting.texel_shape import TexelShape
+from .texel_pasting.texel_stock import TexelStock
+
+ZONE: Final = (3.0, 8.0)
+"""px: the least and the greatest default breadth of the zone; between them it is a sixth of s."""
+_BAND = 1 << 18
+"""Number of output pixels that are computed at a time."""
+_LEAST_WEIGHT = 1e-6
+
+
+@dataclass(frozen=True)
+class RegularizedPatch:
+    """Regularized patch-based synthesis (Lin et al. 2004, section 2.4 and appendix A): texels pasted on the lattice.
+
+    The lattice is tracked through the sample, where the report lets a user move its vertices. Multilevel free-form
+    deformation, from the regular vertices to the tracked ones, straightens the sample. Its texels, each a cell of the
+    lattice with a zone around it, are the only candidates. They are pasted at the points of the lattice, in the order
+    in which the lattice grows from its middle: the earlier the corners of a texel are found, the earlier it is pasted.
+    Each is drawn at random from the texels that differ from their neighbors in the shared zones by at most d_max; if
+    there is none, the one that differs least is taken, as in patch-based synthesis (Liang et al. 2001). Zones are
+    feathered. Last, a synthesized deformation moves the vertices of the output, and the same warp takes the texture
+    along. Every pixel is read from the sample once, through all of these maps, by splines of order 5.
+
+    Places are real-valued, so that nothing drifts, and the output keeps the sample's phase. A sample whose geometry
+    does not depart (:mod:`~.geometry.straightening` has the rule) is not warped. If no lattice is given, ``consensus``
+    finds one.
+
+    The report leaves to the user what is automatic here: the vectors and the corners of texels. It leaves open the
+    order of vertices found at the same time (rows), the breadth of the zone, and d_max, for which Liang et al. take
+    ``tolerance=0.2``. As printed, equation 1 makes the lattice collapse; :mod:`~.geometry.vertex_field` says how it is
+    read. With that reading, equation 3 shrinks the deformation to about 0.15 of the sample's amplitude. The settings of
+    the report are ``texel=given,tolerance=0.2,update=argmax``.
+
+    Parameters
+    ----------
+    texel
+        Shape of the texels. ``"hexagon"`` and ``"quadrilateral"``: where the texels of the sample differ least along
+        their borders; hexagons include bricks in running bond. ``"given"``: the parallelogram of the lattice's own two
+        vectors, with a corner at its origin.
+    zone
+        Breadth in px of the zone that two texels share; at most the breadth of a texel. None: a sixth of s, from 3 to
+        8 px.
+    tolerance
+        d_max over the root mean square of the texels' values along their borders, 0 or more. 0: always the texel that
+        differs least.
+    deform
+        Deformation of the output. ``"synthesize"``: drawn anew. ``"keep"``: the sample's own, mirrored beyond the
+        sample. ``"none"``: the output is regular.
+    update
+        How the deformation is synthesized. ``"sample"``: drawn at once from a normal distribution whose covariance is
+        that of the sample's displacements. ``"gibbs"``: each vertex is drawn in turn given its eight neighbors
+        (equation 2). ``"argmax"``: each vertex takes its most likely place (equation 3).
+    """
+
+    texel: TexelKind | Literal["given"] = "hexagon"
+    zone: float | None = None
+    tolerance: float = 0.05
+    deform: Deform = "synthesize"
+    update: Update = "sample"
+
+    reference: ClassVar[bool] = False
+    uses_lattice: ClassVar[bool] = True
+    version: ClassVar[str] = "1"
+    patch_shape: ClassVar[str] = "user identified lattice, quadrilateral patch"
+    patch_placement: ClassVar[str] = "lattice points"
+    patch_stitching: ClassVar[str] = "image-feathering"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {"texel": "given", "tolerance": 0.2, "update": "argmax"}
+    }
+    paper: ClassVar[str] = """@techreport{lin2004comparison,
+  author = {Lin, Wen-Chieh and Hays, James H. and Wu, Chenyu and Kwatra, Vivek and Liu, Yanxi},
+  title = {A Comparison Study of Four Texture Synthesis Algorithms on Regular and Near-regular Textures},
+  institution = {Robotics Institute, Carnegie Mellon University},
+  number = {CMU-RI-TR-04-01},
+  year = {2004}
+}"""
+
+    def __post_init__(self) -> None:
+        if self.zone is not None and not 0 <= self.zone < np.inf:
+            raise BadInput(f"zone {self.zone}; choose 0 px or more, or leave it out")
+        if not 0 <= self.tolerance < np.inf:
+            raise BadInput(f"tolerance {self.tolerance}; choose 0 or more")
+        if self.update != "sample" and self.deform != "synthesize":
+            raise BadInput(
+                f"update {self.update!r} has no effect with deform {self.deform!r}; "
+                "choose deform 'synthesize', or leave update out"
+            )
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the synthesis; see :class:`RegularizedPatch`.
+
+        Raises
+        ------
+        Refused
+            If no lattice is found, or if the sample does not show two periods or two whole texels.
+        """
+        lattice, seconds = require_lattice(task, Consensus(), "there are no texels; give a lattice")
+        require_two_periods(lattice, task.sample.shape)
+        straight = StraightSample.of(task.sample, lattice)
+        deform: Deform = self.deform if straight.departs else "none"
+        bend = Bend.of(straight, task.shape, deform, self.update, task.rng)
+        reader = TexelReader(straight)
+        shape = self._texel_shape(straight, lattice)
+        last = np.array(task.sample.shape[1::-1]) - 0.5
+        stock = TexelStock.of(shape, (-last, 2 * last), reader.holds, reader.read)
+        if len(stock.middles) < 2:
+            height, width = task.sample.shape[:2]
+            across, down = np.ptp(shape.pixels, axis=0)
+            raise Refused(
+                f"a texel with its zone takes {across:.0f}x{down:.0f} px, the sample is {width}x{height} px: it does "
+                "not hold two of them; choose a larger sample or a narrower zone"
+            )
+        d_max = self.tolerance * math.sqrt(stock.power)
+        mosaic = TexelMosaic.grow(stock, bend.extent, d_max, task.rng, task.progress)
+        image, source = paint(bend, mosaic, reader)
+        task.progress(1.0)
+        extras = {"straightened": straight.image} if straight.departs else {}
+        return Synthesis(image, lattice, source, extras, detection_seconds=seconds)
+
+    def _texel_shape(self, straight: StraightSample, lattice: Lattice) -> TexelShape:
+        if self.texel == "given":
+            middles, corners = parallelogram(lattice)
+        elif straight.departs:
+            middles, corners = quiet_texels(straight.image, straight.lattice, self.texel)
+            middles = middles.shifted(straight.corner)
+        else:
+            middles, corners = quiet_texels(straight.sample, lattice, self.texel)
+        least, most = ZONE
+        zone = min(max(lattice.s / 6, least), most) if self.zone is None else self.zone
+        return TexelShape.of(middles, corners, zone)
+
+
+class TexelReader:
+    """Reads a sample at points of the straight plane.
+
+    Parameters
+    ----------
+    straight
+        The sample. If its geometry does not depart, the plane is the sample's own.
+    """
+
+    def __init__(self, straight: StraightSample) -> None:
+        self.straight, self.patches = straight, Patches(straight.sample)
+
+    def locate(self, points: Points) -> Points:
+        """Return the places in the sample of points ``(..., 2)`` of the plane."""
+        return self.straight.locate(points) if self.straight.departs else round_places(points)
+
+    def holds(self, points: Points) -> NDArray[np.bool_]:
+        """Return which points ``(..., 2)`` the sample shows."""
+        at, size = self.locate(points), np.array(self.straight.sample.shape[1::-1])
+        return np.asarray(((at >= -0.5) & (at <= size - 0.5)).all(-1))
+
+    def read(self, points: Points) -> Image:
+        """Return the values at points ``(..., 2)``, as ``(..., C)``."""
+        return self.patches.read_points(self.locate(points))
+
+    def trace(self, points: Points, weight: NDArray[np.float64]) -> tuple[Image, SourceMap]:
+        """Return the values at points ``(n, 2)`` that are shown with a weight, and where they come from."""
+        at = self.locate(points)
+        if self.straight.departs:
+            return self.patches.read_points(at), trace_points(at, self.straight.sample.shape, weight)
+        image, source = self.patches.read_with_source(at[np.newaxis])
+        source[..., 2] = np.maximum(source[..., 2] * weight, _LEAST_WEIGHT)
+        return image[0], source[0]
+
+
+def paint(bend: Bend, mosaic: TexelMosaic, reader: TexelReader) -> tuple[Image, SourceMap]:
+    """Return the output, ``(H, W, C)``, and its source map: the weighted sum of the texels at each pixel."""
+    (height, width), channels = bend.shape, reader.straight.sample.shape[2]
+    image, source = np.zeros((height, width, channels), np.float32), np.zeros((height, width, 3), np.float32)
+    rows = max(1, _BAND // width)
+    for top in range(0, height, rows):
+        pixels = pixel_grid(width, min(rows, height - top), top=top).astype(np.float64)
+        values = image[top : top + rows].reshape(-1, channels)
+        traced = source[top : top + rows].reshape(-1, 3)
+        for seen, places, weight in mosaic.contributions(bend.locate(pixels).reshape(-1, 2)):
+            shown, origin = reader.trace(places, weight)
+            values[seen] += weight[:, np.newaxis].astype(np.float32) * shown
+            larger = origin[:, 2] > traced[seen, 2]
+            traced[seen[larger]] = origin[larger]
+    return np.clip(image, 0, 1), source

@@ -1,0 +1,1 @@
+"""Texels: parallelograms of a sample on its lattice, chosen for an output and pasted with feathered borders."""

@@ -1,0 +1,210 @@
+"""The room that straightens samples and deforms outputs."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import nrbench
+from nrbench import plugins
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import quantize
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Task, Texture
+from nrbench.running.phases import check_source
+from nrbench.synthesizers.geometry.deformed_lattice import PARTS, DeformedLattice, find_deformed_lattice, knot_lattice
+from nrbench.synthesizers.geometry.straightening import StraightSample, explained_share, synthesize_straight
+from nrbench.synthesizers.geometry.vertex_field import Update, WaveSpectrum, neighbor_field, output_field
+from nrbench.synthesizers.sampling.equal_places import pixel_grid
+from nrbench.synthesizers.tiling import Tiling
+from nrbench.tracking.tracker import MeanTile, track_lattice
+
+
+def bent(model: str = "brick", bend: float = 0.5, seed: int = 0, side: int = 192, **departures: float) -> Texture:
+    """Return a texture with rounded pixels."""
+    texture = nrbench.texture(model, shape=(side, side), seed=seed, bend=bend, **departures)
+    return replace(texture, image=quantize(texture.image))
+
+
+def straightened(texture: Texture) -> StraightSample:
+    """Return the straight sample of a texture of known lattice."""
+    assert texture.lattice is not None
+    return StraightSample.of(texture.image, texture.lattice)
+
+
+def synthetic(amplitude: float = 3.0, wave: float = 90.0, side: float = 220.0) -> DeformedLattice:
+    """Return the lattice of a sample whose displacements are waves of one length and known amplitude."""
+    lattice = Lattice((18.0, 0.0), (0.0, 18.0))
+    knots = knot_lattice(lattice)
+    numbers = knots.cell_numbers((0.0, 0.0), (side, side))
+    places, rng = knots.from_cell(numbers), np.random.default_rng(7)
+    moved = np.zeros_like(places)
+    for axis in (0, 1):
+        for angle, phase in 2 * math.pi * rng.random((64, 2)):
+            direction = np.array([math.cos(angle), math.sin(angle)])
+            moved[:, axis] += np.cos(2 * math.pi / wave * places @ direction + phase)
+    moved *= amplitude / math.sqrt(32)
+    return DeformedLattice(lattice, knots, numbers, moved - moved.mean(0), amplitude)
+
+
+@pytest.mark.parametrize("bend, worst", [(0.25, 0.25), (0.5, 0.6)])
+def test_the_displacement_of_a_model_is_recovered(bend: float, worst: float) -> None:
+    """On bricks displaced by 1.6 and 3.2 px (rms), the map errs by less than 0.25 and 0.6 px."""
+    texture = bent(bend=bend)
+    straight = straightened(texture)
+    grid = pixel_grid(192, 192).astype(np.float64)[12:-12, 12:-12]
+    places = straight.locate(grid)
+    assert texture.displacement is not None
+    truth = np.stack(
+        [
+            ndimage.map_coordinates(
+                texture.displacement[..., axis].astype(np.float64), [places[..., 1], places[..., 0]]
+            )
+            for axis in (0, 1)
+        ],
+        -1,
+    )
+    error = places - grid - truth
+    error -= error.mean((0, 1))
+    assert np.sqrt((error**2).sum(-1).mean()) < worst
+
+
+def test_the_straight_sample_is_as_periodic_as_the_ideal() -> None:
+    """Straightening bricks without other departures leaves less than a tenth of the variance unexplained."""
+    texture = bent(color=0.0, intensity=0.0, noise=0.0)
+    straight = straightened(texture)
+    assert explained_share(texture.image, straight.deformed.lattice) < 0.3
+    assert explained_share(straight.image, straight.lattice) > 0.9
+
+
+@pytest.mark.parametrize("model", ["brick", "weave", "hexagon"])
+def test_only_samples_whose_geometry_departs_are_warped(model: str) -> None:
+    """Strong colors and noise do not count as displacements; a bend of 0.3 does."""
+    assert not straightened(bent(model, bend=0.0, color=0.6, noise=0.1, seed=5)).departs
+    assert straightened(bent(model, bend=0.3, seed=5)).departs
+
+
+def test_stripes_that_slide_along_themselves_are_not_warped() -> None:
+    """Where nothing ties the lattice down along a line, the tracker errs, but straightening explains no more."""
+    straight = straightened(bent("corduroy", bend=0.0, color=0.6, seed=3))
+    assert straight.deformed.amplitude > 0.04 * straight.deformed.lattice.s
+    assert not straight.departs
+
+
+def test_a_flat_or_small_sample_is_not_warped() -> None:
+    """A flat sample, and one with too few tiles, have an obstacle and are left alone."""
+    flat = StraightSample.of(np.full((64, 64, 3), 0.5, np.float32), Lattice((8, 0), (0, 8)))
+    assert "flat" in flat.deformed.obstacle and not flat.departs
+    small = StraightSample.of(bent(side=64).image, Lattice((27.3, 0), (13.65, 12.2)))
+    assert "whole tiles" in small.deformed.obstacle and not small.departs
+
+
+def test_vertices_are_every_second_knot_and_lie_about_s_apart() -> None:
+    """The knots of an elongated lattice divide its long vector, so that vertices lie about s apart along both."""
+    lattice = Lattice((20.0, 0.0), (3.0, 61.0))
+    knots = knot_lattice(lattice)
+    np.testing.assert_allclose(PARTS * np.hypot(*knots.matrix.T), [20.0, np.hypot(3, 61) / 3])
+    assert np.abs(knots.to_cell(lattice.points((100, 100))) % 1).min() < 1e-9
+
+
+def test_a_drawn_field_has_the_amplitude_and_the_wave_length_of_the_sample() -> None:
+    """Over draws, the amplitude is the sample's within 10 %, and most power lies within an octave of its waves."""
+    deformed = synthetic()
+    spectrum = WaveSpectrum.of(deformed)
+    near = (spectrum.lengths > 90 / 1.5) & (spectrum.lengths < 90 * 1.5)
+    assert spectrum.powers[near].sum() > 0.75 * spectrum.powers.sum()
+    places = deformed.places
+    sizes = [spectrum.draw(places, np.random.default_rng(seed)).std(0) for seed in range(12)]
+    own = float(np.sqrt((deformed.displacements**2).mean()))
+    assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(own, rel=0.1)
+
+
+def test_a_sample_without_displacements_gives_none() -> None:
+    """A regular sample has a spectrum without power and an output field of zeros."""
+    still = replace(synthetic(), displacements=np.zeros_like(synthetic().displacements))
+    _, moved, _ = output_field(still, (100, 100), "synthesize", "sample", np.random.default_rng(0))
+    assert not moved.any()
+
+
+@pytest.mark.parametrize("update, low, high", [("gibbs", 0.3, 0.6), ("argmax", 0.05, 0.35)])
+def test_eight_neighbors_shrink_the_field(update: Update, low: float, high: float) -> None:
+    """With eight neighbors a drawn field keeps about half of the amplitude, the most likely one about a sixth."""
+    deformed = synthetic()
+    field = neighbor_field(deformed, (20, 20), update, np.random.default_rng(0))
+    field = field - field.mean((0, 1))
+    ratio = np.sqrt((field**2).mean()) / np.sqrt((deformed.displacements**2).mean())
+    assert low < ratio < high
+
+
+def test_keeping_returns_the_field_of_the_sample() -> None:
+    """Inside the sample the kept field is the sample's own, beyond it the mirror image, without a jump."""
+    deformed = synthetic()
+    places, moved, _ = output_field(deformed, (300, 300), "keep", "sample", np.random.default_rng(0))
+    known = {tuple(number): one for number, one in zip(deformed.numbers.tolist(), deformed.displacements, strict=True)}
+    numbers = np.rint(deformed.knots.to_cell(places)).astype(int).tolist()
+    pairs = [(one, known[tuple(number)]) for number, one in zip(numbers, moved, strict=True) if tuple(number) in known]
+    assert len(pairs) > 400
+    np.testing.assert_allclose(*(np.array(side) for side in zip(*pairs, strict=True)), atol=1e-6)
+    assert np.abs(moved).max() <= np.abs(deformed.displacements).max() * 1.1
+
+
+def test_a_method_is_called_on_the_straight_sample_and_its_output_bent() -> None:
+    """Tiling of a bent sample is regular, straightened and bent it is bent; the source map passes the check."""
+    texture = bent()
+    assert texture.lattice is not None
+    task = Task(texture.image, (200, 220), texture.lattice, np.random.default_rng(1))
+    made = synthesize_straight(task, texture.lattice, Tiling().synthesize)
+    assert made.image.shape == (200, 220, 3) and made.source is not None
+    check_source(made.source, quantize(made.image), texture.image)
+    found = find_deformed_lattice(quantize(made.image), texture.lattice)
+    own = find_deformed_lattice(texture.image, texture.lattice)
+    assert found.amplitude == pytest.approx(own.amplitude, rel=0.3)
+    x, y = made.source[..., :2].astype(int).reshape(-1, 2).T
+    shown = texture.image[y, x].reshape(made.image.shape)
+    assert np.abs(shown - made.image).mean() < 0.06
+
+
+def test_a_method_gets_the_task_itself_where_nothing_departs() -> None:
+    """On a regular sample the mechanism changes no byte."""
+    texture = bent(bend=0.0)
+    assert texture.lattice is not None
+    tasks = [Task(texture.image, (90, 100), texture.lattice, np.random.default_rng(1)) for _ in range(2)]
+    plain, wrapped = Tiling().synthesize(tasks[0]), synthesize_straight(tasks[1], texture.lattice, Tiling().synthesize)
+    np.testing.assert_array_equal(plain.image, wrapped.image)
+
+
+@pytest.mark.parametrize("name", ["rsgf", "tile-set"])
+def test_methods_ask_for_it_by_a_parameter(name: str) -> None:
+    """``geometry=straighten`` gives the bytes of the mechanism on a bent sample, the method's own on a regular one."""
+    plain, asking = (plugins.build("synthesizers", name, {"geometry": way}) for way in ("as-is", "straighten"))
+    for bend in (0.0, 0.4):
+        texture = bent(bend=bend, side=160)
+        assert texture.lattice is not None
+        tasks = [Task(texture.image, (110, 120), texture.lattice, np.random.default_rng(1)) for _ in range(2)]
+        made, expected = asking.synthesize(tasks[0]), synthesize_straight(tasks[1], texture.lattice, plain.synthesize)
+        np.testing.assert_array_equal(made.image, expected.image)
+        assert ("straightened" in made.extras) == (bend > 0)
+
+
+def test_without_a_lattice_a_method_does_what_it_does_without_one() -> None:
+    """RSGF goes into its stochastic mode; where it never uses a lattice, the parameter is an error."""
+    blank = np.random.default_rng(0).random((96, 96, 3), np.float32)
+    task = Task(blank, (100, 100), None, np.random.default_rng(1))
+    assert "stochastic" in plugins.build("synthesizers", "rsgf", {"geometry": "straighten"}).synthesize(task).note
+    with pytest.raises(BadInput, match="geometry"):
+        plugins.build("synthesizers", "rsgf", {"geometry": "straighten", "search": "stochastic"})
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_the_output_keeps_the_phase_of_the_sample(seed: int) -> None:
+    """Methods that continue their sample's phase continue that of the bent sample, to 2 px of 18 on average."""
+    texture = bent(bend=0.3, seed=seed)
+    assert texture.lattice is not None and texture.ideal is not None
+    lattice = texture.lattice.reduced()
+    task = Task(texture.image, (230, 240), lattice, np.random.default_rng(2))
+    made = synthesize_straight(task, lattice, Tiling().synthesize)
+    tile = MeanTile.of(texture.ideal, lattice)
+    means = [track_lattice(quantize(one), lattice, tile).field.mean((0, 1)) for one in (texture.image, made.image)]
+    assert np.hypot(*lattice.wrap(means[1] - means[0])) < 2
