@@ -41,9 +41,9 @@ class PatchBased:
     none, one of those of least distance is drawn. Then the patch is feathered into the zone: its weight increases
     linearly from its border. The first patch is drawn from all patches of the sample.
 
-    The defaults of ``patch`` and ``zone`` had the best mean quality on texture models. The default of ``epsilon`` is the
-    largest value tried at which four draws of each perfectly regular figure of ``report2004`` keep their lattice. The
-    paper's zone and epsilon are the preset ``paper``. Epsilon is relative to the brightness of pixels, not to their
+    The defaults of ``patch`` and ``zone`` had the best mean quality on texture models. The default of ``epsilon`` is
+    the largest value tried at which four draws of each perfectly regular figure of ``report2004`` keep their lattice.
+    The paper's zone and epsilon are the preset ``paper``. Epsilon is relative to the brightness of pixels, not to their
     contrast, so that 0.2 accepts almost every patch of a texture of low contrast; 0.02 still accepts patches that are
     misplaced by a pixel or two. A zone of 4 px misses the lattice of many textures; one of 16 px blurs a large part of
     the output.
