@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from nrbench.imaging.convert import mean_channels
 from nrbench.imaging.fold import Values
 
 from .tiles import TileSet, part_starts
@@ -76,7 +77,8 @@ def _part_means(tiles: TileSet, weights: NDArray[np.float32]) -> Rows:
     """Return the weighted mean departures of 4 x 4 parts of each tile."""
     few = _thin(tiles.departures)
     rows, columns = (part_starts(side, _PARTS) for side in weights.shape)
-    sums = np.add.reduceat(np.add.reduceat(few * weights[..., np.newaxis], rows, 1), columns, 2)
+    weighted = few * np.repeat(weights[..., np.newaxis], few.shape[-1], -1)
+    sums = np.add.reduceat(np.add.reduceat(weighted, rows, 1), columns, 2)
     masses = np.add.reduceat(np.add.reduceat(weights, rows, 0), columns, 1)
     return np.asarray((sums / masses[..., np.newaxis]).reshape(len(few), -1), np.float32)
 
@@ -87,12 +89,24 @@ def _detail(tiles: TileSet, weights: NDArray[np.float32], mean: Values) -> Rows:
     features = []
     for deviation in _BANDS:
         finer = coarser
-        coarser = ndimage.gaussian_filter(finer, (0, deviation, deviation, 0), mode="nearest", truncate=3.0)
-        energy = np.tensordot(((finer - coarser) ** 2).mean(-1), shares, 2)
+        coarser = _blur(finer, deviation)
+        energy = np.tensordot(mean_channels((finer - coarser) ** 2), shares, 2)
         features.append(np.log(energy + _ROUNDING))
     pattern = mean - mean.mean((0, 1))
     contrast = np.tensordot(_thin(tiles.tiles), pattern, 3) / max(float((pattern**2).sum()), 1e-9)
     return np.asarray(np.stack([*features, contrast], 1), np.float32)
+
+
+def _blur(tiles: Values, deviation: float) -> Values:
+    """Return tiles under a Gaussian; beyond the border of a tile its border is repeated.
+
+    The sides are short, so that two matrix products take a fifth of the time of :mod:`scipy.ndimage`.
+    """
+    down, along = (
+        ndimage.gaussian_filter1d(np.eye(side), deviation, 0, mode="nearest", truncate=3.0) for side in tiles.shape[1:3]
+    )
+    rows = (down @ tiles.reshape(*tiles.shape[:2], -1).astype(np.float64)).astype(np.float32)
+    return np.asarray((along @ rows.reshape(tiles.shape).astype(np.float64)).astype(np.float32))
 
 
 def _thin(tiles: Values) -> Values:

@@ -176,7 +176,8 @@ def _squares(one: Values, other: Values, share: NDArray[np.float32]) -> Distance
 
 def _weighted_rows(windows: Values, share: NDArray[np.float32]) -> Values:
     """Return windows as rows, so that squared differences of rows are weighted, and means over channels."""
-    return (windows * np.sqrt(share / windows.shape[-1])[..., np.newaxis]).reshape(len(windows), -1)
+    root = np.repeat(np.sqrt(share / windows.shape[-1]).ravel(), windows.shape[-1])
+    return windows.reshape(len(windows), -1) * root
 
 
 def copied_share(tiles: ComparedTiles) -> float | None:
