@@ -299,13 +299,13 @@ def interlace(
 
 
 def _look_up(draft: NDArray[np.bool_], i: Index, j: Index) -> NDArray[np.bool_]:
-    return draft.ravel().take(j % draft.shape[0] * draft.shape[1] + i % draft.shape[1])
+    return np.asarray(draft.ravel().take(j % draft.shape[0] * draft.shape[1] + i % draft.shape[1]))
 
 
 def _height(here: NDArray[np.bool_], beyond: NDArray[np.bool_], along: Field) -> Field:
     """Return the shade of a thread between two crossings, at each of which it lies above or below."""
-    start, end = np.where(here, 1.0, -1.0), np.where(beyond, 1.0, -1.0)
-    return np.asarray(0.78 + 0.22 * ((start + end) / 2 + (start - end) / 2 * np.cos(np.pi * along)))
+    wave = np.where(here == beyond, 1.0, np.cos(np.pi * along))
+    return np.asarray(0.78 + 0.22 * np.where(here, wave, -wave))
 
 
 # Layers of elements on a ground

@@ -53,8 +53,8 @@ class Pairs:
         """
         pairs, parts = np.bincount(self.lags), len(self.distances) // max(len(self.lags), 1)
         part, pair = np.divmod(np.flatnonzero(self.distances <= limit), max(len(self.lags), 1))
-        near = np.bincount(part * len(pairs) + self.lags[pair], minlength=parts * len(pairs)).reshape(parts, -1)
-        returning = np.maximum(2 * near - pairs, 0)[:, pairs >= _LEAST_PAIRS]
+        near = np.bincount(part * len(pairs) + self.lags[pair], minlength=parts * len(pairs))
+        returning = np.maximum(2 * near.reshape(parts, len(pairs)) - pairs, 0)[:, pairs >= _LEAST_PAIRS]
         return np.array([len(self.distances), near.sum(), returning.sum()], np.float64)
 
 
@@ -177,7 +177,7 @@ def _squares(one: Values, other: Values, share: NDArray[np.float32]) -> Distance
 def _weighted_rows(windows: Values, share: NDArray[np.float32]) -> Values:
     """Return windows as rows, so that squared differences of rows are weighted, and means over channels."""
     root = np.repeat(np.sqrt(share / windows.shape[-1]).ravel(), windows.shape[-1])
-    return windows.reshape(len(windows), -1) * root
+    return np.asarray(windows.reshape(len(windows), -1) * root)
 
 
 def copied_share(tiles: ComparedTiles) -> float | None:
