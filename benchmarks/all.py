@@ -38,7 +38,9 @@ class Benchmark:
 
 
 BENCHMARKS = (
-    Benchmark("speed.py methods lattices models scores", "What methods, texture models and scores cost", "speed.py"),
+    Benchmark(
+        "speed.py methods lattices models cells scores", "What methods, texture models and scores cost", "speed.py"
+    ),
     Benchmark(
         "speed.py outputs --largest 1024 --methods rsgf tile-set representative-tile fftm-patch",
         "How cost and memory grow with the output",

@@ -19,6 +19,9 @@ it, the median of seven (three where a call is long), so that other work on the 
     Each texture of ``core`` and ``report2004``, from 128 x 128 to 256 x 256 px, with tile-set, the most expensive last.
 ``models``
     Each texture model at 512 x 512 px, without and with all departures.
+``cells``
+    All scores of one output of 256 x 256 px and of 512 x 512 px, which share their windows, tiles and fresh draws, and
+    of a bent one.
 ``scores``
     Each metric on an output of 256 x 256 px, with the texture's model, and with sample and lattice alone.
 """
@@ -28,6 +31,7 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import resource
+import statistics
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -40,6 +44,7 @@ from nrbench.imaging.convert import quantize
 from nrbench.jit import load_kernels
 from nrbench.plugins.forms import Observation, Refused, Shape, Task, Texture
 from nrbench.plugins.parameters import parse_spec
+from nrbench.running.phases import score_observation
 from nrbench.streams import stream
 from nrbench.suites.plan import draw_samples
 from nrbench.suites.suite import load_suite
@@ -148,21 +153,46 @@ def time_models(options: argparse.Namespace) -> None:
                 print_cost(f"{name}, {kind}", lambda m=model: m.render((512, 512), np.random.default_rng(0)), 3)  # type: ignore[misc]
 
 
+def observed(name: str, side: int, **parameters: float) -> Observation:
+    """Return a fresh draw of a model as the output for a sample of 128 x 128 px."""
+    model, texture = plugins.build("datasets", name, parameters), sampled(name, 128, **parameters)
+
+    def again(shape: Shape, k: int) -> Texture:
+        drawn: Texture = model.again(texture, shape, stream("again", "speed", k))
+        return replace(drawn, image=quantize(drawn.image))
+
+    return Observation(texture.image, again((side, side), 0).image, texture, again=again)
+
+
+def time_cells(options: argparse.Namespace) -> None:
+    """Print the cost of all scores of one cell, and of each part that takes 1 u or more; the bounds are 60 and 160 u.
+
+    A part that several metrics share counts for the one that asks for it first.
+    """
+    for side, bend in ((256, 0.0), (512, 0.0), (256, 0.5)):
+        for name in ("brick", "weave", "hexagon"):
+            observation = observed(name, side, color=0.2, noise=0.03, bend=bend)
+            parts: dict[str, list[float]] = {metric: [] for metric in plugins.names("metrics")}
+            for count in range(4):
+                u, fresh = cpu_unit(), replace(observation)
+                for metric, units in parts.items():
+                    start = time.process_time()
+                    score_observation(fresh, metric)
+                    if count:
+                        units.append((time.process_time() - start) / u)
+            costs = {metric: statistics.median(units) for metric, units in parts.items()}
+            print(f"  {name}, {side} x {side} px, bend {bend:g}: {sum(costs.values()):.1f} u", end=" = ")
+            print(" + ".join(f"{metric} {cost:.1f}" for metric, cost in costs.items() if cost >= 1), flush=True)
+
+
 def time_scores(options: argparse.Namespace) -> None:
     """Print the cost of each metric, with the texture's model and without."""
     for name in ("brick", "weave", "hexagon"):
-        model = plugins.build("datasets", name, {"color": 0.2, "noise": 0.03})
-        texture = sampled(name, 128, color=0.2, noise=0.03)
-
-        def again(shape: Shape, k: int, model: object = model, texture: Texture = texture) -> Texture:
-            drawn = model.again(texture, shape, stream("again", "speed", k))  # type: ignore[attr-defined]
-            return replace(drawn, image=quantize(drawn.image))
-
-        output = again((256, 256), 0).image
-        bare = Texture(texture.image, texture.lattice)
+        observation = observed(name, 256, color=0.2, noise=0.03)
+        bare = Texture(observation.sample, observation.truth.lattice if observation.truth else None)
         seen = {
-            "with the model": Observation(texture.image, output, texture, again=again),
-            "lattice alone": Observation(texture.image, output, bare),
+            "with the model": observation,
+            "lattice alone": Observation(observation.sample, observation.output, bare),
         }
         for metric in plugins.names("metrics"):
             for kind, observation in seen.items():
@@ -177,6 +207,7 @@ SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "outputs": time_outputs,
     "suites": time_suites,
     "models": time_models,
+    "cells": time_cells,
     "scores": time_scores,
 }
 

@@ -230,12 +230,11 @@ def _local_energies(image: Image, width: int) -> NDArray[np.float32]:
     plane = gray(image)
     smooth = [plane if s == 0 else ndimage.gaussian_filter(plane, s, mode="reflect") for s in _SCALES]
     bands = [(fine - coarse) ** 2 for fine, coarse in itertools.pairwise(smooth)]
-    half = width // 2
-    means = [ndimage.uniform_filter(band, width, mode="reflect") for band in bands]
-    step = max(width // 4, 1)
-    return np.stack([mean[half : len(mean) - half : step, half : mean.shape[1] - half : step] for mean in means]) + (
-        np.float32(_ROUNDING_VARIANCE)
-    )
+    rows, columns = (slice(width // 2, side - width // 2, max(width // 4, 1)) for side in plane.shape)
+    means = [
+        ndimage.uniform_filter1d(ndimage.uniform_filter1d(band, width, 0)[rows], width, 1)[:, columns] for band in bands
+    ]
+    return np.stack(means) + np.float32(_ROUNDING_VARIANCE)
 
 
 def _sharpness(output: NDArray[np.float32], references: list[NDArray[np.float32]]) -> tuple[float, float]:

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy import ndimage
 
-from nrbench.imaging.fold import Values, tile_grid
+from nrbench.imaging.fold import Values, interpolate, tile_grid
 from nrbench.plugins.forms import Column, Observation, Score, Value
 from nrbench.tracking.tracker import Track
 
@@ -87,6 +86,4 @@ def aligned_tiles(track: Track) -> Values:
     rows, columns = tile_grid(track.lattice)
     v, u = np.meshgrid((np.arange(rows) + 0.5) / rows - 0.5, (np.arange(columns) + 0.5) / columns - 0.5, indexing="ij")
     uv = track.numbers[:, np.newaxis, np.newaxis] + np.stack([u, v], -1)
-    at = np.moveaxis(track.locate(uv), -1, 0)[::-1]
-    planes = np.moveaxis(track.image, -1, 0)
-    return np.stack([ndimage.map_coordinates(plane, at, np.float32, 1, "nearest") for plane in planes], -1)
+    return interpolate(track.image, track.locate(uv))

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.imaging.convert import mean_channels
 from nrbench.imaging.fold import Values
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
@@ -261,7 +262,7 @@ def _pooled_energy(sets: Iterable[TileSet], weights: NDArray[np.float32]) -> tup
         if len(tiles) > 1:
             left = tiles.departures
             means = np.tensordot(left, shares, ([1, 2], [0, 1]))
-            total += (len(tiles) - 1) * float(np.tensordot((left**2).mean(-1), shares, 2).mean(dtype=np.float64))
+            total += (len(tiles) - 1) * float(np.tensordot(mean_channels(left**2), shares, 2).mean(dtype=np.float64))
             color += (len(tiles) - 1) * float((means**2).mean(dtype=np.float64))
             freedom += len(tiles) - 1
     return total / max(freedom, 1), color / max(freedom, 1)
@@ -305,7 +306,7 @@ def _log_worst_spots(windows: Iterable[Values], tiles: ComparedTiles) -> NDArray
     weights = quarters(tiles.weights[np.newaxis, ..., np.newaxis])[:, 0, ..., 0]
     worst = []
     for part, mean, weight in zip(windows, means, weights, strict=True):
-        squares = ((part - mean) ** 2).mean(-1) * weight
+        squares = mean_channels((part - mean) ** 2) * weight
         rows, columns = (part_starts(side, _SPOTS) for side in squares.shape[1:])
         sums = np.add.reduceat(np.add.reduceat(squares, rows, 1), columns, 2)
         heights, widths = np.diff([*rows, squares.shape[1]]), np.diff([*columns, squares.shape[2]])

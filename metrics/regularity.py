@@ -37,7 +37,7 @@ def draw_defects(verdict: Verdict, output: Image) -> Image:
     tints = np.full((len(tiles.centers) + 1, 3), np.nan, np.float32)
     for name, flag in flags.items():
         tints[:-1][flag] = COLORS[name]
-    tint = tints[verdict.map_to_output(find_nearest_tiles(tiles, verdict.output.image.shape[:2]), shape)]
+    tint = tints.take(verdict.map_to_output(find_nearest_tiles(tiles, verdict.output.image.shape[:2]), shape), 0)
     return np.clip(np.where(np.isnan(tint), faint, (1 - _DIM) * faint + _DIM * tint), 0, 1)
 
 

@@ -43,31 +43,37 @@ class SourceUse:
         source = observation.source
         if source is None:
             return Score.missing(self.columns, "not applicable: the method gives no source map")
-        if not np.isfinite(source).all(-1).any():
+        if not _known(source).any():
             return Score.missing(self.columns, "not applicable: the source map names no pixel")
         counts = _count_uses(source, observation.sample.shape[:2])
         entropy = _entropy(counts) if min(int(counts.sum()), counts.size) > 1 else None
         values = {"mean_copy_length": _mean_copy_length(source), "used": float((counts > 0).mean()), "entropy": entropy}
         reasons = {"entropy": "not applicable: the use of a single pixel has no entropy"} if entropy is None else {}
-        return Score(values, reasons, records={"mapped": float(np.isfinite(source).all(-1).mean())})
+        return Score(values, reasons, records={"mapped": float(_known(source).mean())})
+
+
+def _known(source: SourceMap) -> NDArray[np.bool_]:
+    """Return which pixels have a source, ``(H, W)``."""
+    x, y, weight = np.moveaxis(np.isfinite(source), -1, 0)
+    return np.asarray(x & y & weight)
 
 
 def _mean_copy_length(source: SourceMap) -> float:
     """Return the mean length of unbroken runs, those along rows and those along columns together."""
-    known = np.isfinite(source).all(-1)
+    known = _known(source)
     starts = 0
     for axis in (0, 1):
-        step = np.diff(source[..., :2], axis=axis) - (np.arange(2) != axis)
         length = known.shape[axis]
-        both = np.take(known, np.arange(length - 1), axis) & np.take(known, np.arange(1, length), axis)
-        goes_on = both & (np.abs(np.where(np.isfinite(step), step, np.inf)).max(-1) <= _SLACK)
+        goes_on = np.take(known, np.arange(length - 1), axis) & np.take(known, np.arange(1, length), axis)
+        for coordinate, place in enumerate(np.moveaxis(source[..., :2], -1, 0)):
+            goes_on &= np.abs(np.diff(place, axis=axis) - (coordinate != axis)) <= _SLACK
         starts += int(known.sum() - goes_on.sum())
     return 2 * float(known.sum()) / starts
 
 
 def _count_uses(source: SourceMap, shape: tuple[int, ...]) -> NDArray[np.int64]:
     """Return the number of output pixels that each sample pixel was copied to, ``(H, W)``."""
-    known = source[np.isfinite(source).all(-1)]
+    known = source[_known(source)]
     x, y = np.rint(known[:, :2]).astype(np.intp).T
     x, y = np.clip(x, 0, shape[1] - 1), np.clip(y, 0, shape[0] - 1)
     return np.asarray(np.bincount(y * shape[1] + x, minlength=shape[0] * shape[1]).reshape(shape))

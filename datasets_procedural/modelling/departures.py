@@ -179,10 +179,14 @@ class Departures:
         shape = image.shape[:2]
         if self.light:
             gradient = waves(role_seed(seed, "light"), shape, 16 * self.s, count=1)
-            image *= np.asarray(1 + 0.25 * self.light * gradient, np.float32)[..., np.newaxis]
+            shade = np.asarray(1 + 0.25 * self.light * gradient, np.float32)
+            for plane in np.moveaxis(image, -1, 0):
+                plane *= shade
         if read and self.noise:
             noise = read(lambda size: grain(role_seed(origin.seed, "noise"), size))
-            image += np.float32(self.noise) * noise[..., np.newaxis]
+            grains = np.float32(self.noise) * noise
+            for plane in np.moveaxis(image, -1, 0):
+                plane += grains
         return image, elements
 
     def _depart(

@@ -299,16 +299,27 @@ def interlace(
 
 
 def _look_up(draft: NDArray[np.bool_], i: Index, j: Index) -> NDArray[np.bool_]:
-    return np.asarray(draft[j % draft.shape[0], i % draft.shape[1]])
+    return np.asarray(draft.ravel().take(j % draft.shape[0] * draft.shape[1] + i % draft.shape[1]))
 
 
 def _pass_shade(here: NDArray[np.bool_], beyond: NDArray[np.bool_], along: Field) -> Field:
     """Return the shade of a thread between two crossings, at each of which it lies above or below."""
-    start, end = np.where(here, 1.0, -1.0), np.where(beyond, 1.0, -1.0)
-    return np.asarray(0.78 + 0.22 * ((start + end) / 2 + (start - end) / 2 * np.cos(np.pi * along)))
+    wave = np.where(here == beyond, 1.0, np.cos(np.pi * along))
+    return np.asarray(0.78 + 0.22 * np.where(here, wave, -wave))
 
 
 # Layers of elements on a ground
+
+
+def _multiply_color(weight: Field | NDArray[np.float32], color: NDArray[np.floating[Any]]) -> Image:
+    """Return weights ``(H, W)`` times a color ``(3,)`` or ``(H, W, 3)``, plane by plane.
+
+    numpy takes 30 times as long for a loop over three channels at every pixel.
+    """
+    image = np.empty((*weight.shape, color.shape[-1]), np.float32)
+    for channel in range(color.shape[-1]):
+        np.multiply(weight, color[..., channel], out=image[..., channel], casting="same_kind")
+    return image
 
 
 @dataclass(frozen=True)
@@ -337,8 +348,7 @@ class Layer:
 
     def paint(self) -> Image:
         """Return what the layer adds to the ideal image."""
-        weight = np.asarray(self.coverage * self.shade, np.float32)[..., np.newaxis]
-        return weight * np.asarray(self.color, np.float32)
+        return _multiply_color(np.asarray(self.coverage * self.shade, np.float32), np.asarray(self.color, np.float32))
 
     def census(self) -> Census:
         """Return the list of elements, and the element to which each point belongs."""
@@ -396,7 +406,7 @@ class Pattern:
 
     def ground_image(self) -> Image:
         """Return the ground, weighted by the share of each pixel that no element covers."""
-        return np.asarray((1 - self.coverage())[..., np.newaxis] * np.asarray(self.ground), np.float32)
+        return _multiply_color(1 - self.coverage(), np.asarray(self.ground))
 
     def ideal(self) -> Image:
         """Return the image of the pattern."""

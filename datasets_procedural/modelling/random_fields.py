@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
+from nrbench.imaging.convert import sum_channels
 from nrbench.plugins.forms import Shape
 
 from .drawing import Field
@@ -91,7 +92,7 @@ def grain(seed: int, shape: Shape) -> NDArray[np.float32]:
     y = np.arange(-reach, shape[0] + reach)[:, np.newaxis]
     x = np.arange(-reach, shape[1] + reach)
     words = hash_bits(seed, y, x).view(np.uint16).reshape(y.size, x.size, 4)
-    white = words.sum(-1, dtype=np.int64).astype(np.float32) / 65535 - 2
+    white = sum_channels(words.astype(np.float32)) / 65535 - 2
     kernel = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * _GRAIN**2))
     kernel /= np.sqrt((kernel**2).sum())
     smooth = correlate1d(correlate1d(white, kernel, 0), kernel, 1)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.imaging.box_sums import box_sums
+from nrbench.imaging.convert import subtract_color
 from nrbench.imaging.fold import Values
 from nrbench.imaging.parabola import find_vertex
 
@@ -56,8 +57,8 @@ class Colors:
 
     def project(self, image: Values) -> Values:
         """Return the coordinates of an image's colors along the axes, ``(H, W, C)``."""
-        pixels = np.ascontiguousarray(image).reshape(-1, image.shape[-1])
-        return np.asarray(((pixels - self.mean) @ self.axes).reshape(image.shape), np.float32)
+        pixels = subtract_color(np.ascontiguousarray(image), self.mean).reshape(-1, image.shape[-1])
+        return np.asarray((pixels @ self.axes).reshape(image.shape), np.float32)
 
     def planes(self, image: Values) -> Planes:
         """Return the coordinates of an image's colors along the axes, as planes."""

@@ -12,6 +12,7 @@ from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice
 
 from ..ncc.periodic import tile_box
+from .pair_kernels import add_distances, index_lags, pair_blocks
 from .tiles import ComparedTiles, TileSet, quarters
 
 Distances = NDArray[np.float32]
@@ -36,13 +37,13 @@ class Pairs:
     Parameters
     ----------
     distances
-        ``(p,)``: weighted mean squared difference of each pair.
+        ``(k p,)``: weighted mean squared difference of each pair, for the windows in k parts of the cell in turn.
     lags
-        ``(p,)``: index of each pair's lag, in cells; windows in different quarters of the cell have different indices.
+        ``(p,)``: index of each pair's lag, in cells. Windows in different parts of the cell have different lags.
     """
 
     distances: Distances
-    lags: NDArray[np.intp]
+    lags: NDArray[np.int64]
 
     def count(self, limit: float) -> NDArray[np.float64]:
         """Return the number of pairs, of pairs nearer than ``limit``, and of pairs at lags at which windows return.
@@ -50,10 +51,11 @@ class Pairs:
         At a lag where k of n pairs are near, max(2 k - n, 0) return: none if half of the pairs are near, all if all
         are. Lags with fewer than :data:`_LEAST_PAIRS` pairs are ignored.
         """
-        pairs = np.bincount(self.lags)
-        near = np.bincount(self.lags[self.distances <= limit], minlength=len(pairs))
-        returning = np.maximum(2 * near - pairs, 0)[pairs >= _LEAST_PAIRS]
-        return np.array([pairs.sum(), near.sum(), returning.sum()], np.float64)
+        pairs, parts = np.bincount(self.lags), len(self.distances) // max(len(self.lags), 1)
+        part, pair = np.divmod(np.flatnonzero(self.distances <= limit), max(len(self.lags), 1))
+        near = np.bincount(part * len(pairs) + self.lags[pair], minlength=parts * len(pairs))
+        returning = np.maximum(2 * near.reshape(parts, len(pairs)) - pairs, 0)[:, pairs >= _LEAST_PAIRS]
+        return np.array([len(self.distances), near.sum(), returning.sum()], np.float64)
 
 
 @dataclass(frozen=True)
@@ -141,54 +143,41 @@ def find_twins(
     for i, size in enumerate(SIZES):
         usual = np.concatenate([other[i].distances for other in others])
         if len(own[i].distances) and len(usual):
-            limit = float(np.quantile(usual, _OF_COPIER / sources[i]))
+            limit = float(np.quantile(usual, _OF_COPIER / sources[i], overwrite_input=True))
             near, chance = Share.of([own[i]], limit * relative), Share.of([other[i] for other in others], limit)
             twins.append(Twins(size, near, chance, sources[i]))
     return twins
 
 
 def find_pairs(tiles: TileSet, weights: NDArray[np.float32]) -> tuple[Pairs, Pairs, Pairs]:
-    """Return the pairs of windows half a tile, one tile and two tiles wide."""
+    """Return the pairs of windows half a tile, one tile and two tiles wide; of the widest, those without common tiles.
+
+    Tiles must have different numbers.
+    """
     tiles = tiles.take_central(_MOST_TILES)
     shares = quarters((weights / weights.sum())[np.newaxis, ..., np.newaxis])
-    distances = np.stack(
-        [_squares(part, part, share[0, ..., 0]) for part, share in zip(quarters(tiles.tiles), shares, strict=True)]
-    )
-    whole, masses = distances.sum(0), shares.sum((1, 2, 3, 4))
-    upper = np.triu_indices(len(tiles), 1)
-    lags = _lag_index(tiles.numbers, *upper)
-    count = int(lags.max(initial=0)) + 1
-    halves = np.concatenate([one[upper] / mass for one, mass in zip(distances, masses, strict=True)])
-    quartered = np.concatenate([lags + count * k for k in range(len(masses))])
-    return Pairs(halves, quartered), Pairs(whole[upper], lags), _wide_pairs(whole, tiles)
-
-
-def _wide_pairs(whole: Distances, tiles: TileSet) -> Pairs:
-    """Return the pairs of windows of four tiles that have no tile in common."""
-    neighbors = tiles.neighbors()
-    i, j = np.triu_indices(len(neighbors), 1)
-    shared = (neighbors[i][:, :, np.newaxis] == neighbors[j][:, np.newaxis]).any((1, 2))
-    i, j = i[~shared], j[~shared]
-    mean = np.mean([whole[neighbors[i, k], neighbors[j, k]] for k in range(4)], 0, np.float32)
-    return Pairs(np.asarray(mean, np.float32), _lag_index(tiles.numbers, neighbors[i, 0], neighbors[j, 0]))
-
-
-def _lag_index(numbers: NDArray[np.int64], i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return an index of the lag between tiles i and j, the same from j to i."""
-    u, v = (numbers[j] - numbers[i]).T
-    back = (u < 0) | ((u == 0) & (v < 0))
-    u, v = np.where(back, -u, u), np.where(back, -v, v)
-    reach = int(np.abs(v).max(initial=0))
-    return np.asarray(u * (2 * reach + 1) + v + reach, np.intp)
+    pairs = len(tiles) * (len(tiles) - 1) // 2
+    halves, whole = np.empty((len(shares), pairs), np.float32), np.zeros(pairs, np.float32)
+    for part, share, half in zip(quarters(tiles.tiles), shares, halves, strict=True):
+        rows = _weighted_rows(part - part.mean(0), share[0, ..., 0])
+        add_distances(rows @ rows.T, (rows**2).sum(1), share.sum(), half, whole)
+    lags, blocks = index_lags(tiles.numbers), tiles.neighbors()
+    wide = pair_blocks(whole, blocks, tiles.numbers[blocks[:, 0]], len(tiles))
+    return Pairs(halves.ravel(), lags), Pairs(whole, lags), Pairs(*wide)
 
 
 def _squares(one: Values, other: Values, share: NDArray[np.float32]) -> Distances:
     """Return the weighted squared differences, mean over channels, between two sets of windows, ``(n, m)``."""
-    root = np.sqrt(share / one.shape[-1])[..., np.newaxis]
     middle = other.mean(0)
-    a, b = (((windows - middle) * root).reshape(len(windows), -1) for windows in (one, other))
+    a, b = (_weighted_rows(windows - middle, share) for windows in (one, other))
     powers = (a**2).sum(1)[:, np.newaxis] + (b**2).sum(1)
     return np.asarray(np.maximum(powers - 2 * (a @ b.T), 0), np.float32)
+
+
+def _weighted_rows(windows: Values, share: NDArray[np.float32]) -> Values:
+    """Return windows as rows, so that squared differences of rows are weighted, and means over channels."""
+    root = np.repeat(np.sqrt(share / windows.shape[-1]).ravel(), windows.shape[-1])
+    return np.asarray(windows.reshape(len(windows), -1) * root)
 
 
 def copied_share(tiles: ComparedTiles) -> float | None:

@@ -110,7 +110,7 @@ def _periodic_part(planes: Values, lattice: Lattice | None) -> Values:
     cells, number = _cells(planes.shape[:2], lattice)
     counts = np.maximum(np.bincount(cells, minlength=number), 1)
     means = [np.bincount(cells, plane.ravel(), number) / counts for plane in np.moveaxis(planes, -1, 0)]
-    return np.asarray(np.stack(means, -1)[cells].reshape(planes.shape), np.float32)
+    return np.stack([mean.astype(np.float32).take(cells).reshape(planes.shape[:2]) for mean in means], -1)
 
 
 @lru_cache(maxsize=1)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import Image, mean_channels, quantize
 from nrbench.imaging.fold import Tile, Values, fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Again, Shape, Texture
@@ -170,7 +170,7 @@ def _fold_departures(straight: StraightenedImage, ideal: Values, lattice: Lattic
     """Return the mean tile of the squared departures of a straightened image from the ideal image."""
     (x, y), (height, width) = straight.corner, straight.image.shape[:2]
     departures = (straight.image - ideal[y : y + height, x : x + width]) ** 2
-    return fold(departures.mean(-1, keepdims=True), lattice.shifted((-float(x), -float(y))))
+    return fold(mean_channels(departures)[..., np.newaxis], lattice.shifted((-float(x), -float(y))))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.detectors.dominance import Dominance
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import Image, mean_channels, quantize
 from nrbench.imaging.fold import Tile, Values, fold, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Again, NoLatticeFound, Observation, Shape, Texture
@@ -288,7 +288,7 @@ def reference_from_model(truth: Texture, lattice: Lattice, again: Again) -> Refe
     side = np.ceil(np.maximum(np.clip(LARGE * box, *_SIDES), _LEAST_TILES_A_SIDE * box)).astype(int)
     shape = (int(side[1]), int(side[0]))
     draws = [_draw(again, shape, FIRST_DRAW + k) for k in range(DRAWS)]
-    departures = np.mean([(draw.image - _ideal(draw)) ** 2 for draw in draws], 0).mean(-1, keepdims=True)
+    departures = mean_channels(np.mean([(draw.image - _ideal(draw)) ** 2 for draw in draws], 0))[..., np.newaxis]
     variance = fold(departures, lattice)
 
     def ideal(wanted: Shape) -> Values:
@@ -402,7 +402,7 @@ def _fold_periodic(sample: Values, lattice: Lattice, mask: NDArray[np.bool_]) ->
     """Return the sample's mean tile, and the variance across tiles, corrected for the share 1/n that a mean takes."""
     tile = fold(sample, lattice, mask)
     cells = max(float(mask.sum()) / lattice.area, 1.5)
-    departures = ((sample - tile.unfold(sample.shape[:2])) ** 2).mean(-1, keepdims=True)
+    departures = mean_channels((sample - tile.unfold(sample.shape[:2])) ** 2)[..., np.newaxis]
     return Periodic(lattice, tile, fold(departures * np.float32(cells / (cells - 1)), lattice, mask))
 
 

@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import Values
+from nrbench.imaging.fold import Values, interpolate
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Shape
 
@@ -231,7 +231,7 @@ class Cutter:
         if size not in self._smooth:
             smooth = ndimage.uniform_filter(self._image, (size, size, 0), mode="reflect") if size > 1 else self._image
             self._smooth[size] = np.asarray(smooth, np.float32)
-        return _bilinear(self._smooth[size], np.clip(xy, 0, np.array(self.shape[::-1]) - 1))
+        return interpolate(self._smooth[size], xy)
 
 
 @lru_cache(maxsize=32)
@@ -428,13 +428,3 @@ def _group(elements: list[Element]) -> list[list[Element]]:
         else:
             groups.append([element])
     return groups
-
-
-def _bilinear(image: Image, xy: Points) -> Values:
-    """Return the image at real-valued places ``(..., 2)`` inside it."""
-    height, width, channels = image.shape
-    low = np.minimum(np.floor(xy).astype(np.intp), (width - 2, height - 2))
-    x, y = np.moveaxis((xy - low).astype(np.float32)[..., np.newaxis], -2, 0)
-    flat, at = image.reshape(-1, channels), low[..., 1] * width + low[..., 0]
-    top = flat[at] * (1 - x) + flat[at + 1] * x
-    return np.asarray(top * (1 - y) + (flat[at + width] * (1 - x) + flat[at + width + 1] * x) * y)

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.fold_kernels import accumulate_pixels, interpolate_tile, spline_coefficients, spline_windows
+from nrbench.imaging.fold_kernels import (
+    accumulate_pixels,
+    interpolate_image,
+    interpolate_tile,
+    spline_coefficients,
+    spline_windows,
+)
 from nrbench.lattice.geometry import Lattice, Points
 
 Values = NDArray[np.float32]
@@ -96,6 +102,21 @@ def sample_tile(values: Values, uv: NDArray[np.float64]) -> Values:
         np.require(values, np.float32, ("C", "W")), np.require(uv.reshape(-1, 2), requirements=("C", "W"))
     )
     return sampled.reshape(*uv.shape[:-1], values.shape[-1])
+
+
+def interpolate(image: Values, xy: NDArray[np.float64]) -> Values:
+    """Return the bilinear values of an image at places (x, y) px, ``(..., C)``; beyond the image those of its border.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``, at least 2 px a side.
+    xy
+        ``(..., 2)``.
+    """
+    inside = np.clip(xy.reshape(-1, 2), 0, np.array(image.shape[1::-1]) - 1)
+    values = interpolate_image(np.require(image, np.float32, ("C", "W")), np.ascontiguousarray(inside, np.float64))
+    return values.reshape(*xy.shape[:-1], image.shape[2])
 
 
 def cut_tiles(

@@ -137,6 +137,21 @@ def spline_coefficients(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return found
 
 
+@kernel("float32[:, ::1](float32[:, :, ::1], float64[:, ::1])")
+def interpolate_image(image: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the bilinear values of an image ``(H, W, C)`` at places ``(n, 2)`` px inside it, as ``(n, C)``."""
+    height, width, channels = image.shape
+    found = np.empty((len(xy), channels), np.float32)
+    for n in range(len(xy)):
+        left, top = min(int(xy[n, 0]), width - 2), min(int(xy[n, 1]), height - 2)
+        x, y = np.float32(xy[n, 0] - left), np.float32(xy[n, 1] - top)
+        for c in range(channels):
+            above = image[top, left, c] * (np.float32(1) - x) + image[top, left + 1, c] * x
+            below = image[top + 1, left, c] * (np.float32(1) - x) + image[top + 1, left + 1, c] * x
+            found[n, c] = above * (np.float32(1) - y) + below * y
+    return found
+
+
 @kernel("float32[:, :, ::1](float32[:, :, ::1], float64[:, ::1], float64[:, ::1])")
 def spline_windows(
     coefficients: NDArray[np.float32], middles: NDArray[np.float64], around: NDArray[np.float64]

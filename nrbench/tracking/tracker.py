@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.interpolate import make_interp_spline
 
-from nrbench.imaging.convert import Image
+from nrbench.imaging.convert import Image, subtract_color, sum_channels
 from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.unwrapping_kernels import grow, grow_by_kriging
@@ -520,10 +520,10 @@ def _spline_weights(at: Field, count: int) -> Field:
 
 def _window_variance(nodes: Nodes, planes: Values) -> Field:
     """Return the variance under each window, summed over channels."""
-    power = (planes**2).sum(-1, keepdims=True)
+    power = sum_channels(planes**2)[..., np.newaxis]
     moments = nodes.coefficients(np.concatenate([planes, power], -1), np.zeros((1, 2)))[0].real
     return np.asarray(np.maximum(moments[-1] - (moments[:-1] ** 2).sum(0), 1e-6), np.float64)
 
 
 def _centered(image: Values) -> Values:
-    return np.asarray(image - image.mean((0, 1), dtype=np.float64).astype(np.float32), np.float32)
+    return subtract_color(image, image.mean((0, 1), dtype=np.float64).astype(np.float32))

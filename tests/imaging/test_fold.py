@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from nrbench.imaging.fold import cell_coordinates, cut_tiles, fold
+from nrbench.imaging.fold import cell_coordinates, cut_tiles, fold, interpolate
 from nrbench.imaging.fold_kernels import PAD, spline_coefficients, spline_windows
 from nrbench.lattice.geometry import Lattice
 
@@ -128,3 +128,15 @@ def test_values_between_pixels_are_scipys_up_to_the_border() -> None:
     np.testing.assert_allclose(found, np.stack(planes, -1), atol=1e-5)
     assert spline_windows(coefficients, middles, around) == pytest.approx(found[:-4].reshape(7, 50, 3))
     np.testing.assert_allclose(found[-4:], image[[0, 0, 29, 29], [0, 22, 0, 22]], atol=1e-5)
+
+
+def test_bilinear_values_are_those_of_scipy() -> None:
+    """Inside the image, on its last pixel and beyond its border."""
+    image = np.random.default_rng(2).random((11, 14, 3)).astype(np.float32)
+    xy = np.random.default_rng(3).uniform(-3, 16, (20, 9, 2))
+    xy[0, :2] = (13, 10), (0, 0)
+    expected = [
+        ndimage.map_coordinates(plane, [xy[..., 1], xy[..., 0]], order=1, mode="nearest")
+        for plane in np.moveaxis(image, -1, 0)
+    ]
+    np.testing.assert_allclose(interpolate(image, xy), np.stack(expected, -1), atol=1e-6)

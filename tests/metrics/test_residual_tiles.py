@@ -96,6 +96,39 @@ def test_pair_distances_are_mean_squared_differences() -> None:
     assert wide[0] == pytest.approx(expected, rel=1e-3)
 
 
+def test_pairs_are_counted_by_their_lags() -> None:
+    """Near and returning pairs, counted pair by pair, are those of every size; wide pairs share no tile."""
+    found = repeated(3).take(np.flatnonzero(np.random.default_rng(0).random(144) < 0.9))
+    halves, whole, wide = find_pairs(found, FLAT)
+    blocks = found.neighbors()
+    for pairs, parts, members in (
+        (halves, 4, np.arange(len(found))[:, np.newaxis]),
+        (whole, 1, np.arange(len(found))[:, np.newaxis]),
+        (wide, 1, blocks),
+    ):
+        every: dict[tuple[int, ...], list[bool]] = {}
+        near, at = pairs.distances.reshape(parts, -1) <= 1e-3, 0
+        for i in range(len(members)):
+            for j in range(i + 1, len(members)):
+                if set(members[i]) & set(members[j]):
+                    continue
+                lag = found.numbers[members[j, 0]] - found.numbers[members[i, 0]]
+                lag = max(tuple(map(int, lag)), tuple(map(int, -lag)))
+                for part in range(parts):
+                    every.setdefault((part, *lag), []).append(bool(near[part, at]))
+                at += 1
+        assert at == near.shape[1]
+        returning = [max(2 * sum(flags) - len(flags), 0) for flags in every.values() if len(flags) >= 6]
+        assert pairs.count(1e-3).tolist() == [near.size, near.sum(), sum(returning)]
+        assert sum(returning) > 0
+
+
+def test_without_neighbors_there_are_no_wide_pairs() -> None:
+    """Of a single row of tiles, and of a single tile, no pairs are counted where there are none."""
+    assert find_pairs(tiles(1, 8), FLAT)[2].count(1.0).tolist() == [0, 0, 0]
+    assert [pairs.count(1.0).tolist() for pairs in find_pairs(tiles(1, 1), FLAT)] == [[0, 0, 0]] * 3
+
+
 @pytest.mark.parametrize("period", [3, 4, 6])
 def test_a_supercell_repeats_at_every_size(period: int) -> None:
     """With a period of p x p tiles, N / p^2 - 1 of a tile's N - 1 pairs are twins, all at few lags."""
