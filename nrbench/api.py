@@ -68,7 +68,7 @@ def detect_lattice(image: Any, detector: str = "consensus", **parameters: Any) -
     detector
         Name of a detector plugin.
     parameters
-        The detector's parameters.
+        The detector's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def synthesize(
     progress
         Called with the fraction that is done, in [0, 1].
     parameters
-        The method's parameters.
+        The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
     Returns
     -------

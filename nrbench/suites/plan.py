@@ -111,7 +111,8 @@ class Source:
             known = ", ".join(["given", "own", "x1,y1,x2,y2 (px)", *plugins.names("detectors")])
             raise BadInput(f"--lattice {text!r} is not known; use one of: {known}")
         parameters = plugins.parameters_of(plugins.build("detectors", name, given))
-        return cls(text, (name, plugins.find("detectors", name).version, parameters))
+        plugin = plugins.find("detectors", name)
+        return cls(label(name, parameters, _defaults(plugin.cls)), (name, plugin.version, parameters))
 
     @classmethod
     def of(cls, lattice: Lattice) -> Source:
