@@ -24,8 +24,8 @@ from nrbench.streams import pixels_hash, stream
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
 
-Latticelike = Lattice | tuple[Vector, Vector] | str | None
-"""A lattice, its two vectors, or ``"x1,y1,x2,y2"``; None if no lattice is given."""
+Latticelike = Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None
+"""A lattice; its two vectors, and its origin; ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``. None: no lattice is given."""
 
 
 def texture(model: str, shape: Shape = (128, 128), seed: int = 0, **parameters: Any) -> Texture:

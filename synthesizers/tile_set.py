@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,9 +56,11 @@ class TileSet:
     over the usual overlap: the least threshold at which every tile accepts the share ``quantile`` of the others of its
     set.
 
-    If no lattice is given, the method detects one by ``consensus``. The settings of the paper are ``tile=upright,
-    cells=1, stitch=dynamic, slope=1, difference=sum, parts=1, registration=1, anchor=given`` and a ``threshold`` set by
-    hand for the texture.
+    If no lattice is given, the method detects one by ``consensus``. ``preset=paper`` is the method of the paper, whose
+    authors placed most lattices by hand: it anchors tiles at the origin of the lattice, which should be given with six
+    numbers (without a lattice, ``anchor=quiet`` is their rule). The paper gives no threshold; the preset computes it
+    for each sample, as the defaults do. It registers tiles by "small movements", here up to 1 px, and blends along the
+    boundary, here over 3 px.
 
     Parameters
     ----------
@@ -130,6 +132,25 @@ class TileSet:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     version: ClassVar[str] = "2"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {
+            "tile": "upright",
+            "cells": 1,
+            "margin": 0.0,
+            "quantile": 0.75,
+            "difference": "sum",
+            "registration": 1.0,
+            "parts": 1,
+            "stitch": "dynamic",
+            "slope": 1,
+            "feather": FEATHER,
+            "anchor": "given",
+            "symmetry": False,
+        }
+    }
+    patch_shape: ClassVar[str] = "tile shape/size from translational symmetry analysis"
+    patch_placement: ClassVar[str] = "lattice points"
+    patch_stitching: ClassVar[str] = "dynamic programming & blending, or graph cut"
     paper: ClassVar[str] = """@article{liu2005promise,
   author = {Liu, Yanxi and Tsin, Yanghai and Lin, Wen-Chieh},
   title = {The Promise and Perils of Near-Regular Texture},

@@ -70,6 +70,38 @@ class Harmonics:
         return wave_sum(self.frequencies, self.cosine, self.sine, self.mean, shape, offset)
 
 
+def lowest_period(frequencies: Array, shape: tuple[int, int]) -> tuple[float | None, float | None]:
+    """Return the size (width, height) px of a tile by the lowest frequency (Nicoll et al. 2005, equation 7, n = 1).
+
+    The size is one over the components of the lowest frequency. The paper leaves open what happens where a component
+    is 0. Here each side takes the lowest frequency that varies along it, by at least half a cycle over the picture.
+
+    Parameters
+    ----------
+    frequencies
+        ``(n, 2)`` cycles/px.
+    shape
+        (height, width) px of the picture.
+
+    Returns
+    -------
+    tuple
+        A side is None if no frequency varies along it.
+
+    Examples
+    --------
+    >>> lowest_period(np.array([[0.0, 0.1], [0.04, 0.05]]), (128, 128))
+    (25.0, 20.0)
+    """
+    order = np.argsort(np.hypot(*frequencies.T), kind="stable")
+    sides: list[float | None] = []
+    for axis in (0, 1):
+        components = np.abs(frequencies[order, axis])
+        varying = components[components * shape[1 - axis] >= 0.5]
+        sides.append(1 / float(varying[0]) if len(varying) else None)
+    return sides[0], sides[1]
+
+
 def analyze(
     planes: Planes,
     threshold: float | None = None,
