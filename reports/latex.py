@@ -12,7 +12,16 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
-from .statistics.comparison import LEADING_LEGEND, Comparison, Entry, MethodSummary, SummaryRow, compare_methods
+from .statistics.comparison import (
+    LEADING_LEGEND,
+    Comparison,
+    Entry,
+    MethodSummary,
+    PatchTerms,
+    SummaryRow,
+    compare_methods,
+    list_patch_terms,
+)
 from .statistics.format import format_interval, format_number, strip_control
 from .statistics.verdicts import BASELINE_LEGEND, QUALITY, RANKING, SHARES_LEGEND
 
@@ -43,7 +52,10 @@ _OTHER: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class LatexTables:
-    r"""``summary.tex`` (methods by scores) and ``comparison.tex`` (textures by methods), for ``\input`` in a paper.
+    r"""Tables for ``\input`` in a paper.
+
+    ``summary.tex`` (methods by scores), ``comparison.tex`` (textures by methods) and, for methods that copy patches,
+    ``patches.tex`` (their shape, placement and stitching).
 
     They need ``\usepackage{booktabs}`` and ``\usepackage[T1]{fontenc}``, nothing else. Names are escaped. A dagger
     marks a reference, which is never ranked. A double dagger marks a baseline that is valid on that kind of texture. A
@@ -67,11 +79,12 @@ class LatexTables:
             raise BadInput(f"report latex: columns is {self.columns}; give at least 1")
 
     def write(self, run: Run, directory: Path) -> list[Path]:
-        """Write both files and return their paths; none if the run has no regularity score."""
-        comparison = compare_methods(run)
-        if not comparison.scored or not comparison.rows:
-            return []
-        contents = {"summary": _summary(run, comparison), "comparison": _comparison(run, comparison, self.columns)}
+        """Write the files and return their paths; without a regularity score only ``patches.tex``, if at all."""
+        comparison, terms = compare_methods(run), list_patch_terms(run)
+        contents = {"patches": _patches(run, terms)} if terms else {}
+        if comparison.scored and comparison.rows:
+            contents["summary"] = _summary(run, comparison)
+            contents["comparison"] = _comparison(run, comparison, self.columns)
         return [_write(directory / f"{name}.tex", lines) for name, lines in contents.items()]
 
 
@@ -193,6 +206,15 @@ def _entry(entry: Entry | None) -> str:
         return ""
     sign = r"\nrbValidBaseline{}" if entry.baseline_valid else ""
     return rf"\nrb{_MARKS[entry.verdict][0]}{{}} {escape_latex(entry.detail)}".rstrip() + sign
+
+
+def _patches(run: Run, terms: Sequence[PatchTerms]) -> Iterator[str]:
+    caption = f"{_suite(run)}: how methods that copy patches choose their shape and size, place them and stitch them."
+    rows = [_line(["method", "patch shape/size", "patch placement", "patch stitching"]), r"\midrule"]
+    rows += [
+        _line([escape_latex(part) for part in (one.method, one.shape, one.placement, one.stitching)]) for one in terms
+    ]
+    yield from _float("patches", caption, "l" + r"p{0.26\linewidth}" * 3, rows)
 
 
 def _suite(run: Run) -> str:

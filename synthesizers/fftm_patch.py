@@ -217,7 +217,7 @@ def automatic_size(mask: TextureMask, shape: Shape, rule: PatchRule = "period") 
     """Return the (height, width) px of automatic patches for a mask and a sample of ``shape``."""
     half = (max(shape[0] // 2, 1), max(shape[1] // 2, 1))
     if rule == "lowest":
-        across, down = lowest_period(mask.harmonics.frequencies, shape)
+        across, down = lowest_period(mask.harmonics.frequencies, mask.harmonics.amplitudes, shape)
         lengths = (down or across or math.inf, across or down or math.inf)
         height, width = (round(min(max(side, 3), most)) for side, most in zip(lengths, half, strict=True))
         return height, width

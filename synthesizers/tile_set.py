@@ -131,7 +131,7 @@ class TileSet:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "tile": "upright",

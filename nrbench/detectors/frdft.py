@@ -162,7 +162,7 @@ class Frdft:
             planes, self.threshold or None, "free", "each", self.false_alarms, most=self.waves, signal="analytic"
         )
         shape = image.shape[:2]
-        width, height = lowest_period(waves.frequencies, (shape[0], shape[1]))
+        width, height = lowest_period(waves.frequencies, waves.amplitudes, (shape[0], shape[1]))
         if width is None or height is None:
             raise NoLatticeFound(f"no wave of the image varies along {'x' if width is None else 'y'}")
         lattice = Lattice((width, 0.0), (0.0, height)).reduced()

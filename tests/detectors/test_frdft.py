@@ -42,10 +42,10 @@ def test_lattices_are_found_exactly(family: str, rotation: float) -> None:
 def test_the_papers_own_choice_is_the_tile_of_the_lowest_wave() -> None:
     """On a running bond it is the upright rectangle of two bricks; on a turned wall it is no period at all."""
     paper = Frdft(**Frdft.presets["paper"])
-    bond = texture("brick", 0, color=0.3, width=27.3, height=12.2)
+    bond = texture("brick", 0, color=0.14, width=27.3, height=12.2)
     found = paper.detect(quantize(bond.image))
-    assert found.lattice.is_equivalent(Lattice((27.3, 0), (0, 24.4)), 0.15) and 0.5 < found.confidence < 1
-    turned = texture("brick", 0, color=0.3, width=27.3, height=12.2, rotation=17.0)
+    assert found.lattice.is_equivalent(Lattice((27.3, 0), (0, 24.4)), 0.3) and 0.5 < found.confidence < 1
+    turned = texture("brick", 0, color=0.14, width=27.3, height=12.2, rotation=17.0)
     assert turned.lattice is not None
     wrong = paper.detect(quantize(turned.image)).lattice
     assert np.hypot(*turned.lattice.wrap(wrong.matrix).T).max() > 2

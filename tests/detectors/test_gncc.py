@@ -124,11 +124,11 @@ def test_the_papers_own_choice_is_exact_on_whole_periods() -> None:
 
 
 def test_the_papers_own_choice_loses_fractional_periods() -> None:
-    """On a weave of 12.3 x 13.9 px it finds (12, +-14) px, or three cells that lie near whole pixels; ours is exact."""
-    for seed, expected in enumerate(([(12, 14), (12, -14)],) * 3 + ([(0, 28), (37, 14)], [(12, 14), (12, -14)])):
+    """On five weaves of 12.3 x 13.9 px it finds (12, +-14) px; the default finds the lattice."""
+    for seed in range(5):
         sample = texture("weave", seed, color=0.14)
         found = PAPER.detect(quantize(sample.image)).lattice
-        assert found.is_equivalent(Lattice.from_basis(expected)), seed
+        assert found.is_equivalent(Lattice((12, 14), (12, -14))), seed
         assert sample.lattice is not None
         assert FAST.detect(quantize(sample.image)).lattice.is_equivalent(sample.lattice, 0.1)
 
