@@ -112,7 +112,8 @@ class TileSet:
         (the paper's low-frequency regions). ``"given"``: at the lattice's origin. The first two choose among the places
         that leave each set enough tiles.
     symmetry
-        Also use the tiles of the sample mirrored or turned, if that does not change its mean tile (section 4.4).
+        Also use the tiles of the sample mirrored or turned, if that does not change its mean tile (section 4.4). Copies
+        turned by multiples of 60 degrees are interpolated by splines of order 5.
     """
 
     tile: TileKind | Literal["auto"] = "auto"
@@ -223,10 +224,10 @@ class TileLaying:
         if np.abs(lattice.matrix - np.rint(lattice.matrix)).max() < 1e-6:
             parts = 1
         images = shift_images([copy.image for copy in self.copies], parts)
-        self.stock = TileStock(self.tile, images, tuple(copy.lattice for copy in self.copies))
+        self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
+        self.stock = TileStock(self.tile, images, tuple(self.copies), self.radius)
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
         self.canvas = TileCanvas(task.shape, self.stock, self.copies, method.slope, method.feather, method.stitch)
-        self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
 
     def lay_tiles(self) -> None:
         """Lay every tile that touches the output, row by row (step 2)."""
