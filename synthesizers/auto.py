@@ -72,10 +72,8 @@ class Auto:
         found = find_lattice(task, Consensus())
         share = estimate_share(task.sample, found.lattice) if found.lattice else 0.0
         near_regular = found.lattice is not None and share >= self.threshold
-        if near_regular:
-            name, method = self.regular, self._regular_method()
-        else:
-            name, method = self.other, self._other_method()
+        name: str = self.regular if near_regular else self.other
+        method = self._regular_method() if near_regular else self._other_method()
         made = method.synthesize(replace(task, lattice=found.lattice if near_regular else None))
         seen = f"regularity {share:.2f}" if found.lattice else f"no lattice ({found.reason})"
         note = f"picked {name}: {seen}" + (f"; {made.note}" if made.note else "")
@@ -100,4 +98,4 @@ def estimate_share(sample: Image, lattice: Lattice) -> float:
         return 0.0
     residual = float(((sample - fold(sample, lattice).unfold(shape)) ** 2).mean((0, 1)).sum())
     cells = max(sample.shape[0] * sample.shape[1] / lattice.area, 2.0)
-    return min(max(1 - residual / total * cells / (cells - 1), 0.0), 1.0)
+    return float(min(max(1 - residual / total * cells / (cells - 1), 0.0), 1.0))

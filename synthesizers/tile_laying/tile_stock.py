@@ -111,7 +111,7 @@ def _turned_copies(sample: Image, lattice: Lattice) -> list[SampleCopy]:
             continue
         offset = middle - matrix @ middle
         at = pixels @ matrix.T + offset
-        inside = ((at >= 0) & (at <= 2 * middle)).all(-1)
+        inside = np.asarray(((at >= 0) & (at <= 2 * middle)).all(-1))
         image = patches.read_points(np.clip(at, 0, 2 * middle))
         shift, correlation = _align_mean_tiles(sample, image, lattice, inside)
         if correlation >= MIN_CORRELATION:

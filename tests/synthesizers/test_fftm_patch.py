@@ -23,7 +23,8 @@ def test_the_papers_patches_are_the_tiles_of_their_sample() -> None:
     for width, height in ((27.3, 12.2), (23.7, 10.4)):
         sample = quantize(texture("brick", (128, 128), 1, width=width, height=height, color=0.14).image)
         mask = paper.find_mask(sample)
-        assert automatic_size(mask, (128, 128), paper.patch_rule) == (round(2 * height), round(width)), width
+        size = automatic_size(mask, (128, 128), paper.patch_rule)
+        assert np.abs(np.subtract(size, (2 * height, width))).max() < 1
         assert automatic_size(mask, (128, 128)) == (40, 40)
 
 
