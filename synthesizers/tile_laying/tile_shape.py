@@ -22,8 +22,8 @@ TILE_SHARE: Final[dict[AnchorKind, float]] = {"quiet": 0.8, "elements": 0.5}
 """Share of the largest possible number of tiles that an anchor must leave in each set. It is lower for elements: a tile
 anchored a few px beside an element cuts it, and half of the tiles are better than all of them cut."""
 ELEMENT: Final = 6.0
-"""The elements of a texture are at least about this part of s wide. On walls, hexagons and cloths, 6 and 8 put the
-anchor equally near to the middle of an element; with grain of 0.1 and color of 0.1 or less, 6 is nearer."""
+"""The elements of a texture are at least about this part of s wide. On walls and hexagons, 6 and 8 put the anchor
+equally near to the middle of an element; with grain of 0.1 and color of 0.1 or less, 6 is nearer."""
 FINE: Final = 4
 """Parts of a pixel between anchors of elements: half a pixel decides on which side of a joint a seam runs."""
 MAX_ANCHORS: Final = 100
