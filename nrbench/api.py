@@ -24,8 +24,8 @@ from nrbench.streams import pixels_hash, stream
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
 
-Latticelike = Lattice | tuple[Vector, Vector] | str | None
-"""A lattice, its two vectors, or ``"x1,y1,x2,y2"``; None if no lattice is given."""
+Latticelike = Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None
+"""A lattice; its two vectors, and its origin; ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``. None: no lattice is given."""
 
 
 def texture(model: str, shape: Shape = (128, 128), seed: int = 0, **parameters: Any) -> Texture:
@@ -68,7 +68,7 @@ def detect_lattice(image: Any, detector: str = "consensus", **parameters: Any) -
     detector
         Name of a detector plugin.
     parameters
-        The detector's parameters.
+        The detector's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def synthesize(
     progress
         Called with the fraction that is done, in [0, 1].
     parameters
-        The method's parameters.
+        The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
     Returns
     -------

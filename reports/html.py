@@ -31,6 +31,7 @@ from .statistics.comparison import (
     LEADING_SIGN,
     compare_methods,
     describe_scores,
+    list_patch_terms,
     other_score_rows,
     perils_points,
 )
@@ -98,6 +99,7 @@ class HtmlReport:
             "versions": _split_versions(run.info.get("versions", {})),
             "run": run,
             "comparison": comparison,
+            "patch_terms": list_patch_terms(run),
             "first_reference": next(references, -1),
             "other_scores": other_score_rows(run, comparison.summaries),
             "axes": forest_axes(comparison.summary_rows),

@@ -18,8 +18,10 @@ from .statistics.comparison import (
     Entry,
     Method,
     MethodSummary,
+    PatchTerms,
     SummaryRow,
     compare_methods,
+    list_patch_terms,
 )
 from .statistics.estimates import Estimate
 from .statistics.format import format_interval, format_number, format_signed, strip_control
@@ -53,7 +55,10 @@ _OTHER: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class LatexTables:
-    r"""``summary.tex`` (methods by scores) and ``comparison.tex`` (textures by methods), for ``\input`` in a paper.
+    r"""Tables for ``\input`` in a paper.
+
+    ``summary.tex`` (methods by scores), ``comparison.tex`` (textures by methods) and, for methods that copy patches,
+    ``patches.tex`` (their shape, placement and stitching).
 
     If the run has analogues of the figures of the report of 2004, ``published.tex`` has its tables 2 and 3 with the
     published mark before the measured one, and the success rates over the same figures.
@@ -80,13 +85,14 @@ class LatexTables:
             raise BadInput(f"report latex: columns is {self.columns}; give at least 1")
 
     def write(self, run: Run, directory: Path) -> list[Path]:
-        """Write the files and return their paths; none if the run has no regularity score."""
-        comparison = compare_methods(run)
-        if not comparison.scored or not comparison.rows:
-            return []
-        contents = {"summary": _summary(run, comparison), "comparison": _comparison(run, comparison, self.columns)}
-        if published := compare_with_published(run, comparison):
-            contents["published"] = _published(run, published)
+        """Write the files and return their paths; without a regularity score only ``patches.tex``, if at all."""
+        comparison, terms = compare_methods(run), list_patch_terms(run)
+        contents = {"patches": _patches(run, terms)} if terms else {}
+        if comparison.scored and comparison.rows:
+            contents["summary"] = _summary(run, comparison)
+            contents["comparison"] = _comparison(run, comparison, self.columns)
+            if published := compare_with_published(run, comparison):
+                contents["published"] = _published(run, published)
         return [_write(directory / f"{name}.tex", lines) for name, lines in contents.items()]
 
 
@@ -256,6 +262,15 @@ def _rate(one: Estimate) -> str:
         return "--"
     ends = _mathematical(format_interval(one, as_percent=True))
     return rf"{100 * one.value:.0f} {ends} \textit{{/{one.n}}}"
+
+
+def _patches(run: Run, terms: Sequence[PatchTerms]) -> Iterator[str]:
+    caption = f"{_suite(run)}: how methods that copy patches choose their shape and size, place them and stitch them."
+    rows = [_line(["method", "patch shape/size", "patch placement", "patch stitching"]), r"\midrule"]
+    rows += [
+        _line([escape_latex(part) for part in (one.method, one.shape, one.placement, one.stitching)]) for one in terms
+    ]
+    yield from _float("patches", caption, "l" + r"p{0.26\linewidth}" * 3, rows)
 
 
 def _suite(run: Run) -> str:

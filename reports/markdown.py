@@ -14,7 +14,7 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
 from .statistics import format as text_format
-from .statistics.comparison import LEADING_LEGEND, LEADING_SIGN, compare_methods
+from .statistics.comparison import LEADING_LEGEND, LEADING_SIGN, compare_methods, list_patch_terms
 from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, SHARES_LEGEND
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"
@@ -26,7 +26,8 @@ _ACTIVE = re.compile(r"([\\`*_\[\]<>|~&@#]|:(?=//)|(?<=www)\.|^[-+=])")
 class MarkdownTables:
     """``comparison.md``: methods from the highest mean quality to the lowest, and textures by methods, as pipe tables.
 
-    Names and messages are escaped: nothing in them becomes markup or a link.
+    A last table says how methods that copy patches choose, place and join them. Names and messages are escaped: nothing
+    in them becomes markup or a link.
     """
 
     version: ClassVar[str] = "1"
@@ -45,6 +46,7 @@ class MarkdownTables:
             .get_template("comparison.md")
             .render(
                 comparison=compare_methods(run),
+                patch_terms=list_patch_terms(run),
                 leading_sign=LEADING_SIGN,
                 leading_legend=LEADING_LEGEND,
                 meanings=MEANINGS,

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from nrbench.detectors.frdft import Frdft
 from nrbench.errors import checker
 from nrbench.plugins.forms import Synthesis, Task
 
 from .pixel_growing.pixel_growth import (
+    SEARCH_OF_THE_PAPER,
     Growth,
     Neighborhood,
     SearchParameters,
@@ -29,6 +31,9 @@ class AnnPixel(SearchParameters):
     far as a window shows it. It therefore needs windows as large as the structures, and position errors add up. Above
     the output and at its sides, neighborhoods contain random pixels of the sample.
 
+    ``preset=paper`` has the side of the middle one of the five examples of figure 7, 16 principal components, and the
+    coherence of ``fftm-pixel`` in place of the paper's search library.
+
     Parameters
     ----------
     neighborhood
@@ -41,6 +46,7 @@ class AnnPixel(SearchParameters):
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {"neighborhood": 8, **SEARCH_OF_THE_PAPER}}
     paper: ClassVar[str] = Frdft.paper
 
     def __post_init__(self) -> None:

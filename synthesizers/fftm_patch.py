@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -12,12 +13,14 @@ from nrbench.detectors.frdft import Frdft
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
+from nrbench.spectra.harmonics import lowest_period
 
-from .masks.texture_mask import MaskParameters, TextureMask
+from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
 from .patchwork.patchwork import PatchPlacer, Patchwork, SeamHeat, scan_windows
 from .patchwork.translations import Features
 
 SeamValues = Literal["color", "mask"]
+PatchRule = Literal["period", "lowest"]
 
 LEAST_PATCH = 24
 """px: least side of an automatic patch if the sample is large enough. Small tiles are joined until they reach it."""
@@ -43,10 +46,16 @@ class FftmPatch(MaskParameters):
 
     The paper prints the compared sum as d_MM + c d_TT, with the weight on the texture, which contradicts its section
     4.1. Here c multiplies the mask, so that d_MM is multiplied by c squared; at c = 0 the mask has no effect. Two
-    additions keep elements whole that the paper's method cuts: seams prefer places where the texture varies strongly,
-    and a patch may extend beyond its window. ``reach=0, normalized=false`` is the paper's method. Kwatra et al. force
-    at least one pixel of each new patch into the output; here a patch that does not reduce the cost is dropped. With a
-    larger reach and more refinements, patches grow together: fewer tiles are broken, but more are repeated.
+    additions keep more elements whole: seams prefer places where the texture varies strongly, and a patch may extend
+    beyond its window. Kwatra et al. force at least one pixel of each new patch into the output; here a patch that does
+    not reduce the cost is dropped. With a larger reach and more refinements, patches grow together: fewer tiles are
+    broken, but more are repeated.
+
+    ``preset=paper`` has free waves of the analytic signal in each channel, patches whose size is that of a tile by
+    equation 7, computed for each sample, and plain seams. The paper synthesizes by sub-patch matching and mentions
+    entire-patch matching only as slower. It does not say how far a patch reaches beyond its window, what share of it
+    overlaps, at what temperature it is drawn, or how often seams are improved. The preset takes the patch to be its
+    window, and for the others the defaults; its threshold is one of the four in table 1.
 
     If a lattice is given, the search for the waves starts from it, unless the waves are free; otherwise the method also
     finds the lattice.
@@ -59,11 +68,15 @@ class FftmPatch(MaskParameters):
     patch
         Side of a patch in px. 0: automatic. An automatic patch is as many of the mask's smallest upright tiles as are
         needed for 24 px along each side; 40 px if there is no such tile; at most half the sample.
+    patch_rule
+        The size of automatic patches. ``"period"``: as above. ``"lowest"``: the tile of the lowest wave, 1 / f_x by
+        1 / f_y px (equation 7 of the paper with n = 1), 3 px to half the sample; along a side on which no wave varies,
+        as long as the other side.
     overlap
         Share of a patch, along each side, that overlaps earlier patches; 0 to 0.9.
     reach
         Distance beyond its window within which a patch may replace known pixels, as a share of its shorter side; 0 to
-        2. (Kwatra et al. place the whole sample.)
+        2.
     randomness
         k, 0 or more. Patches are drawn with a probability proportional to exp(-cost / (k sigma^2)); the cost is the
         mean squared difference, sigma^2 is the variance of the sample (Kwatra et al., section 4; they use 0.001 to 1).
@@ -81,6 +94,7 @@ class FftmPatch(MaskParameters):
 
     weight: float = 2.0
     patch: int = 0
+    patch_rule: PatchRule = "period"
     overlap: float = 0.15
     reach: float = 1.0
     randomness: float = 0.1
@@ -92,6 +106,23 @@ class FftmPatch(MaskParameters):
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {
+            "weight": 1.0,
+            "patch": 0,
+            "patch_rule": "lowest",
+            "overlap": 0.15,
+            "reach": 0.0,
+            "randomness": 0.1,
+            "refinements": 1,
+            "seam": "mask",
+            "normalized": False,
+            **MASK_OF_THE_PAPER,
+        }
+    }
+    patch_shape: ClassVar[str] = "rectangular patch from the period"
+    patch_placement: ClassVar[str] = "best match of color and mask"
+    patch_stitching: ClassVar[str] = "graph cut"
     paper: ClassVar[str] = Frdft.paper
 
     def __post_init__(self) -> None:
@@ -166,7 +197,7 @@ class FftmPatch(MaskParameters):
                 f"the sample is {width}x{height} px, a patch {self.patch}x{self.patch} px; "
                 f"choose patch <= {min(height, width)}, or leave it out"
             )
-        size = (self.patch, self.patch) if self.patch else automatic_size(mask, (height, width))
+        size = (self.patch, self.patch) if self.patch else automatic_size(mask, (height, width), self.patch_rule)
         margin = 2 if self.tileable else 0
         if min(task.shape) <= margin:
             raise Refused("a tileable output needs at least 3 px a side; choose a larger size, or leave tileable out")
@@ -182,9 +213,14 @@ def to_gray_levels(image: Image, weight: float = 1.0) -> Features:
     return np.ascontiguousarray(np.rint(image.astype(np.float64) * (255 * weight)), np.int32)
 
 
-def automatic_size(mask: TextureMask, shape: Shape) -> Shape:
+def automatic_size(mask: TextureMask, shape: Shape, rule: PatchRule = "period") -> Shape:
     """Return the (height, width) px of automatic patches for a mask and a sample of ``shape``."""
     half = (max(shape[0] // 2, 1), max(shape[1] // 2, 1))
+    if rule == "lowest":
+        across, down = lowest_period(mask.harmonics.frequencies, mask.harmonics.amplitudes, shape)
+        lengths = (down or across or math.inf, across or down or math.inf)
+        height, width = (round(min(max(side, 3), most)) for side, most in zip(lengths, half, strict=True))
+        return height, width
     tile = mask.find_period(HALF_PIXEL, float(max(half)))
     if tile is None:
         return min(PATCH_WITHOUT_TILE, half[0]), min(PATCH_WITHOUT_TILE, half[1])

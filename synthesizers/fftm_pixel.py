@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,10 @@ from nrbench.detectors.frdft import Frdft
 from nrbench.errors import checker
 from nrbench.plugins.forms import Shape, Synthesis, Task
 
-from .masks.texture_mask import MaskParameters, TextureMask
+from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
 from .pixel_growing.neighbor_search import Integers
 from .pixel_growing.pixel_growth import (
+    SEARCH_OF_THE_PAPER,
     Growth,
     Layers,
     Neighborhood,
@@ -44,15 +46,19 @@ class FftmPixel(MaskParameters, SearchParameters):
     (:class:`~nrbench.synthesizers.masks.texture_mask.MaskParameters`). Its frequencies are found by
     :func:`nrbench.spectra.harmonics.analyze`. The output is then synthesized pixel by pixel in scan-line order. Each
     pixel is copied from the pixel of the sample that has the most similar neighborhood. The distance of two
-    neighborhoods is the sum of squared differences d_TT + c d_MM (equations 8 and 9). d_TT compares the texture at the
-    pixels that are synthesized already (N_upper). d_MM compares the mask at the current pixel and at the later ones
-    (N_lower). The weight c always belongs to the mask; section 4.2 prints d_MM + c d_TT, which contradicts what section
-    4.1 says about small and large c.
+    neighborhoods is the sum of squared differences d_TT + c d_MM (equations 8 and 9). The paper calls d_TT and d_MM L2
+    norms. Here both are the squares of these: their sum is one Euclidean distance, which a k-d tree can search; the sum
+    of two norms is not, and may have another nearest source. d_TT compares the texture at the pixels that are
+    synthesized already (N_upper). d_MM compares the mask at the current pixel and at the later ones (N_lower). The
+    weight c always belongs to the mask; section 4.2 prints d_MM + c d_TT, which contradicts what section 4.1 says about
+    small and large c.
 
     The paper's best results rely on a search library that happens to favor neighboring pixels of the sample (its figure
     5). Here the parameter ``coherence`` has this effect: among sources of similar distance, the method prefers the one
     that continues the source of a neighbor. Above the output and at its sides, the mask replaces the texture. Ties
-    between sources are broken by a random order, which is drawn once.
+    between sources are broken by a random order, which is drawn once. ``preset=paper`` has the paper's mask: free waves
+    of the analytic signal in each channel, above an amplitude of 2/255 (table 1 tries 0.5, 1, 2 and 5; the paper does
+    not say which it uses), and its neighborhood of 3 x 3 px, weight 1 and 16 principal components (section 5).
 
     Distances are integers: principal components and the mask's colors are rounded to fractions of a gray level, so that
     the nearest neighborhood is the same on every machine. The time is linear in the number of output pixels. The time
@@ -87,6 +93,9 @@ class FftmPixel(MaskParameters, SearchParameters):
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {"neighborhood": 3, "weight": 1.0, "match": "full", **MASK_OF_THE_PAPER, **SEARCH_OF_THE_PAPER}
+    }
     paper: ClassVar[str] = Frdft.paper
 
     def __post_init__(self) -> None:

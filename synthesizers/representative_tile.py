@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +28,6 @@ Mask = NDArray[np.bool_]
 """``bool (H, W)``."""
 Size = tuple[int, int]
 """(h, w): rows and columns of a tile."""
-
-_DEPTH = 0.8
-"""Share of the deepest minima that the minima of a period must reach. The detector's own default is lower. A tile of
-several cells keeps the lattice, and a tile of a part of a cell breaks it, so a strict limit is safer. Of 27 procedural
-samples with departures (seeds 1 to 3, 128 x 128 px) 2 tiles are wrong, 8 at 0.7; larger shares find needlessly large
-tiles."""
 
 _SEARCH_SHARE = 0.4
 """Progress when the tile is chosen."""
@@ -63,6 +58,11 @@ class RepresentativeTile:
     The output is periodic: it keeps regularity and loses randomness, as the paper says. ``tiles`` keeps some of it by
     Wang tiles, the paper's future work (:func:`~nrbench.synthesizers.rectangular_tiles.wang_tiles.make_wang_tiles`).
 
+    ``preset=paper`` repeats the pixels of the tile, with the period x_n / n scaled down to whole pixels (section 3; in
+    section 5 the paper does without, where periods are hundreds of pixels long). Its weights and its share p are those
+    of figure 5. The share of figure 7, 0.0001, leaves a single place in a sample of 128 x 128 px, and then resemblance
+    and weights have no effect.
+
     Extras: ``tile``, or ``tile-01`` ... of a set with their ``edges`` (north, east, south, west colors); ``frame``,
     ``(3, 2)``: the tile's first pixel (x, y) in the sample, and the steps (x, y) in the sample of one pixel along its
     rows and columns, of lengths r (equation 4); ``best``, ``(m, 5)``: x, y in the scaled sample, h, SSDN and S of the m
@@ -85,6 +85,9 @@ class RepresentativeTile:
         How ``ssdn`` measures the period where no lattice is given. ``"fitted"``: fitted to all minima, sub-pixel, and
         refused if it may be due to chance. ``"last"``: x_n / n, the last minimum over its number (equation 3), never
         refused.
+    depth
+        Share in (0, 1] of the greatest depth that the minima of a period must reach, as in ``ssdn``; where no lattice
+        is given.
     tolerance
         Largest distance of a side of the tile from a lattice vector, in shares of s, in [0, 0.5).
     tiles
@@ -98,12 +101,29 @@ class RepresentativeTile:
     rescale: bool = True
     scale_down: bool = True
     period: Literal["fitted", "last"] = "fitted"
+    depth: float = Ssdn.depth
     tolerance: float = 0.1
     tiles: int = 1
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     version: ClassVar[str] = "1"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {
+            "alpha": 30.0,
+            "beta": 1.0,
+            "p": 0.01,
+            "m": 1,
+            "rescale": False,
+            "scale_down": True,
+            "period": "last",
+            "depth": 0.8,
+            "tiles": 1,
+        }
+    }
+    patch_shape: ClassVar[str] = "rectangular tile from the period"
+    patch_placement: ClassVar[str] = "side by side"
+    patch_stitching: ClassVar[str] = "none"
     paper: ClassVar[str] = Ssdn.paper
 
     def __post_init__(self) -> None:
@@ -111,6 +131,7 @@ class RepresentativeTile:
         _check(weights, f"alpha {self.alpha}, beta {self.beta}; choose weights from 0 to {MOST:g}, not both 0")
         _check(self.p is None or 0 < self.p <= 1, f"p {self.p}; choose a share above 0, at most 1, or leave it out")
         _check(1 <= self.m <= 99, f"m {self.m}; choose from 1 (the best tile) to 99")
+        _check(0 < self.depth <= 1, f"depth {self.depth}; choose a share above 0, at most 1")
         _check(0 <= self.tolerance < 0.5, f"tolerance {self.tolerance}; choose a share of s from 0 to below 0.5")
         _check(
             self.tiles == 1 or edge_colors(self.tiles) is not None, f"tiles {self.tiles}; choose 1, 4, or 6 and more"
@@ -152,8 +173,8 @@ class RepresentativeTile:
 
     def _detector(self) -> Ssdn:
         if self.period == "last":
-            return Ssdn(depth=_DEPTH, subpixel=False, primitive=False, reject="none")
-        return Ssdn(depth=_DEPTH, primitive=False)
+            return Ssdn(depth=self.depth, subpixel=False, primitive=False, reject="none")
+        return Ssdn(depth=self.depth, primitive=False)
 
     def _best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
         """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S (section 4). Of equal places the first comes first."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Final, Literal
@@ -28,7 +29,7 @@ from .sampling.patches import Patches, round_places
 from .seams.minimum_cut import Mask
 
 Search = Literal["lattice", "everywhere", "stochastic"]
-Finder = Literal["consensus", "gncc"]
+Finder = Literal["consensus", "gncc", "gncc:preset=paper"]
 TOLERANCE: Final = 0.07
 """Default tolerance over s, along x and along y: both together are less than a tenth of s."""
 MAX_DEFORM: Final = 3.0
@@ -52,11 +53,12 @@ class Rsgf:
     that is blended, and a smaller sample suffices. Places are computed from the real-valued vectors of the lattice, so
     that nothing drifts.
 
-    The settings of the paper are
-    ``rsgf:seam=blend,subpixel=false,tolerance=3,candidate_fraction=0,prefer_unused=false,finder=gncc``: places rounded
-    to whole pixels, linear blending, and for a gap the best patch within 3 px. The defaults include what the paper
-    leaves to future work (section 6) where it proved better: places between pixels, and seams by graph cut, which
-    follow the outlines of elements, so that fewer bricks have two colors.
+    ``preset=paper`` is the method of the paper: its detector, which finds vectors of whole pixels, linear blending, and
+    for a gap the best patch within 3 px. Of the two matches and the two searches that the paper offers, the preset
+    takes color differences, which cost less, and the search near the lattice, which keeps the structure. A place that
+    a given lattice puts between pixels is rounded. The defaults include what the paper leaves to future work (section
+    6) where it proved better: a sub-pixel lattice, places between pixels, and seams by graph cut, which follow the
+    outlines of elements, so that fewer bricks have two colors.
 
     The defaults also avoid a fault that the paper does not discuss. The best match is too often a patch near the mean
     of all patches, or one that the output shows already, so that the output varies less than the sample. By default a
@@ -98,11 +100,12 @@ class Rsgf:
     prefer_unused
         Draw patches from the places that the latest patches overlap least. False: all are equally likely (the paper).
     finder
-        Detector that finds the lattice if none is given: ``"consensus"``, or the paper's ``"gncc"``, which reports half
-        or twice the period of some walls and carpets.
+        Detector that finds the lattice if none is given: ``"consensus"``; ``"gncc"``, an improved form of the paper's,
+        which reports half or twice the period of some walls and carpets; or the paper's own, ``"gncc:preset=paper"``,
+        which is right only where the periods are nearly whole pixels.
     geometry
         ``"straighten"``: if the geometry of the sample departs from the lattice, the sample is straightened first and
-        the output deformed again, as the sample is (:func:`~.geometry.straightening.synthesize_straight`). ``"as-is"``:
+        the output deformed again, as the sample is (:func:`~.geometry.straightening.straighten_first`). ``"as-is"``:
         not, as in the paper.
     """
 
@@ -123,6 +126,24 @@ class Rsgf:
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "4"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {
+            "block": 40,
+            "border": 10,
+            "match": "color",
+            "search": "lattice",
+            "tolerance": 3.0,
+            "subpixel": False,
+            "seam": "blend",
+            "deform": 0.0,
+            "candidate_fraction": 0.0,
+            "prefer_unused": False,
+            "finder": "gncc:preset=paper",
+        }
+    }
+    patch_shape: ClassVar[str] = "user-defined, square patch"
+    patch_placement: ClassVar[str] = "lattice points at random, gaps by best match"
+    patch_stitching: ClassVar[str] = "graph cut or blending"
     paper: ClassVar[str] = Gncc.paper
 
     def __post_init__(self) -> None:
@@ -164,7 +185,9 @@ class Rsgf:
         return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=self._note(found))
 
     def _detector(self) -> Detector:
-        return Consensus() if self.finder == "consensus" else Gncc()
+        if self.finder == "consensus":
+            return Consensus()
+        return Gncc() if self.finder == "gncc" else Gncc(**Gncc.presets["paper"])
 
     def _note(self, found: FoundLattice) -> str:
         if found.lattice or self.search == "stochastic":

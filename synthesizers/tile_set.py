@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,9 +57,11 @@ class TileSet:
     over the usual overlap: the least threshold at which every tile accepts the share ``quantile`` of the others of its
     set.
 
-    If no lattice is given, the method detects one by ``consensus``. The settings of the paper are ``tile=upright,
-    cells=1, stitch=dynamic, slope=1, difference=sum, parts=1, registration=1, anchor=given`` and a ``threshold`` set by
-    hand for the texture.
+    If no lattice is given, the method detects one by ``consensus``. ``preset=paper`` is the method of the paper, whose
+    authors placed most lattices by hand: it anchors tiles at the origin of the lattice, which should be given with six
+    numbers (without a lattice, ``anchor=quiet`` is their rule). The paper gives no threshold; the preset computes it
+    for each sample, as the defaults do. It registers tiles by "small movements", here up to 1 px, and blends along the
+    boundary, here over 3 px.
 
     Parameters
     ----------
@@ -111,10 +113,11 @@ class TileSet:
         (the paper's low-frequency regions). ``"given"``: at the lattice's origin. The first two choose among the places
         that leave each set enough tiles.
     symmetry
-        Also use the tiles of the sample mirrored or turned, if that does not change its mean tile (section 4.4).
+        Also use the tiles of the sample mirrored or turned, if that does not change its mean tile (section 4.4). Copies
+        turned by multiples of 60 degrees are interpolated by splines of order 5.
     geometry
         ``"straighten"``: if the geometry of the sample departs from the lattice, the sample is straightened first and
-        the output deformed again, as the sample is (:func:`~.geometry.straightening.synthesize_straight`). ``"as-is"``:
+        the output deformed again, as the sample is (:func:`~.geometry.straightening.straighten_first`). ``"as-is"``:
         not, as in the paper.
     """
 
@@ -135,7 +138,26 @@ class TileSet:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {
+            "tile": "upright",
+            "cells": 1,
+            "margin": 0.0,
+            "quantile": 0.75,
+            "difference": "sum",
+            "registration": 1.0,
+            "parts": 1,
+            "stitch": "dynamic",
+            "slope": 1,
+            "feather": FEATHER,
+            "anchor": "given",
+            "symmetry": False,
+        }
+    }
+    patch_shape: ClassVar[str] = "tile shape/size from translational symmetry analysis"
+    patch_placement: ClassVar[str] = "lattice points"
+    patch_stitching: ClassVar[str] = "dynamic programming & blending, or graph cut"
     paper: ClassVar[str] = """@article{liu2005promise,
   author = {Liu, Yanxi and Tsin, Yanghai and Lin, Wen-Chieh},
   title = {The Promise and Perils of Near-Regular Texture},
@@ -210,10 +232,10 @@ class TileLaying:
         if np.abs(lattice.matrix - np.rint(lattice.matrix)).max() < 1e-6:
             parts = 1
         images = shift_images([copy.image for copy in self.copies], parts)
-        self.stock = TileStock(self.tile, images, tuple(copy.lattice for copy in self.copies))
+        self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
+        self.stock = TileStock(self.tile, images, tuple(self.copies), self.radius)
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
         self.canvas = TileCanvas(task.shape, self.stock, self.copies, method.slope, method.feather, method.stitch)
-        self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
 
     def lay_tiles(self) -> None:
         """Lay every tile that touches the output, row by row (step 2)."""

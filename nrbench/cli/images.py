@@ -24,7 +24,7 @@ def check_output(path: Path) -> None:
 @click.argument("image", type=_PATH)
 @click.option("-m", "method", required=True, metavar="METHOD[:param=value,...]", help="The method.")
 @click.option("--size", required=True, metavar="WxH", help="Size of the output.")
-@click.option("--lattice", metavar="x1,y1,x2,y2", help="The lattice of IMAGE.  [default: the method finds it]")
+@click.option("--lattice", metavar="x1,y1,x2,y2[,x,y]", help="The lattice of IMAGE.  [default: the method finds it]")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Equal seeds give equal outputs.")
 @click.option("-o", "--output", required=True, type=_PATH, metavar="OUT.png", help="The output.")
 def synth_command(image: Path, method: str, size: str, lattice: str | None, seed: int, output: Path) -> None:
@@ -52,7 +52,7 @@ def synth_command(image: Path, method: str, size: str, lattice: str | None, seed
 @click.argument("output", type=_PATH)
 @click.option(
     "--lattice",
-    metavar="x1,y1,x2,y2",
+    metavar="x1,y1,x2,y2[,x,y]",
     help="The lattice of SAMPLE.  [default: scores that need one use the detector dominance]",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.option("-d", "--detector", metavar="DETECTOR[:param=value,...]", help="The detector.  [default: consensus]")
 @click.option("--all", "every", is_flag=True, help="Compare all detectors.")
 @click.option("--pick", is_flag=True, help="Pick a lattice in a window by clicking its origin and the ends of t1, t2.")
-@click.option("--lattice", metavar="x1,y1,x2,y2", help="Use this lattice; -o draws it.")
+@click.option("--lattice", metavar="x1,y1,x2,y2[,x,y]", help="Use this lattice; -o draws it.")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), metavar="OVERLAY.png", help="Draw the lattice over the image."
 )
@@ -84,15 +84,20 @@ class _Result:
 
     @property
     def vectors(self) -> dict[str, Any]:
-        """The two vectors for JSON."""
+        """The two vectors for JSON, and the origin where it is known."""
         assert self.lattice is not None
-        return {"t1": list(self.lattice.t1), "t2": list(self.lattice.t2)}
+        known = ("t1", "t2", "origin") if self._has_origin else ("t1", "t2")
+        return {name: value for name, value in self.lattice.as_dict().items() if name in known}
+
+    @property
+    def _has_origin(self) -> bool:
+        """Whether the origin is known; (0, 0) stands for an unknown one."""
+        return self.lattice is not None and self.lattice.origin != (0.0, 0.0)
 
     def text(self, separator: str = ", ") -> str:
-        """Return the two vectors as text."""
+        """Return the two vectors, and the origin where it is known, as text."""
         assert self.lattice is not None
-        (x1, y1), (x2, y2) = self.lattice.t1, self.lattice.t2
-        return f"t1 = ({x1:.3f}, {y1:.3f}) px{separator}t2 = ({x2:.3f}, {y2:.3f}) px"
+        return separator.join(f"{name} = ({x:.3f}, {y:.3f}) px" for name, (x, y) in self.vectors.items())
 
     def print(self, as_json: bool) -> None:
         """Print the result on standard output."""
@@ -139,7 +144,7 @@ def _use_given(image: Image, numbers: str | None, output: Path | None, as_json: 
         from nrbench.cli.lattice_figures import pick
 
         lattice = pick(image)
-        text = ",".join(repr(round(float(x), 4)) for x in lattice.matrix.flat)
+        text = ",".join(repr(round(float(x), 4)) for x in lattice.numbers)
         click.echo(f"for other verbs: --lattice {text}", err=True)
     else:
         lattice = Lattice.parse(numbers)

@@ -214,5 +214,5 @@ def pick(image: Image) -> Lattice:
 def _no_window(why: str) -> BadInput:
     return BadInput(
         f"--pick: no window can be opened ({why}); it needs a display and a toolkit such as Tk or Qt. Without them, "
-        "read the points in any viewer and pass --lattice x1,y1,x2,y2"
+        "read the points in any viewer and pass --lattice x1,y1,x2,y2[,x,y]"
     )

@@ -56,8 +56,8 @@ def _plugin_entry(plugin: Any) -> dict[str, Any]:
 def show_command(name: str, as_json: bool) -> None:
     """Show a plugin or a suite.
 
-    For a plugin, print its page, its parameters with defaults, its columns, and the BibTeX entry of its paper. NAME may
-    also be a single score, METRIC.COLUMN.
+    For a plugin, print its page, its parameters with defaults, its presets, its columns, and the BibTeX entry of its
+    paper. NAME may also be a single score, METRIC.COLUMN.
     """
     from nrbench.errors import BadInput
     from nrbench.plugins.parameters import nearest
@@ -107,6 +107,7 @@ def _column_page(page: dict[str, Any], column: str) -> list[dict[str, Any]]:
 
 
 def _page(kind: str, plugin: Any) -> dict[str, Any]:
+    from nrbench import plugins
     from nrbench.plugins.parameters import fields_by_call
 
     cls = plugin.cls
@@ -117,8 +118,11 @@ def _page(kind: str, plugin: Any) -> dict[str, Any]:
         "version": plugin.version,
         "page": inspect.getdoc(cls) or "",
         "parameters": {field.name: _default(field) for field in fields_by_call(cls)},
+        "presets": {name: dict(values) for name, values in getattr(cls, "presets", {}).items()},
         "bibtex": inspect.cleandoc(getattr(cls, "paper", "")),
     }
+    if kind == "synthesizers":
+        page["patches"] = {term: getattr(cls, term) for term in plugins.PATCH_TERMS if hasattr(cls, term)}
     if kind == "metrics":
         page["columns"] = {key: _declared(column) for key, column in cls.columns.items()}
     return page
@@ -147,6 +151,10 @@ def _text(page: dict[str, Any]) -> str:
     lines = [f"{page['name']} ({page['kind']}, {page['distribution']}, version {page['version']})", page["page"]]
     if page["parameters"]:
         lines += ["", "defaults:", *(f"  {key} = {value}" for key, value in page["parameters"].items())]
+    for preset, values in page.get("presets", {}).items():
+        lines += ["", f"preset={preset}:", *(f"  {key} = {value}" for key, value in values.items())]
+    if page.get("patches"):
+        lines += ["", "patches:", *(f"  {key} = {value}" for key, value in page["patches"].items())]
     if page.get("columns"):
         lines += ["", "columns:", *(_column_text(page["name"], key, c) for key, c in page["columns"].items())]
     return "\n".join([*lines, *(["", page["bibtex"]] if page["bibtex"] else [])])

@@ -29,7 +29,7 @@ def _plan_options(command: F) -> F:
             click.option(
                 "--lattice",
                 multiple=True,
-                metavar="given|own|DETECTOR|x1,y1,x2,y2",
+                metavar="given|own|DETECTOR|x1,y1,x2,y2[,x,y]",
                 help="The lattice that methods use: the true one, the one that each method finds, the one that a "
                 "detector finds, or yours; repeatable.",
             ),

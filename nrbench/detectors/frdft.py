@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from skimage.color import rgb2ypbpr
 
 from nrbench.detectors.autocorrelation.surrogates import measure_surrogates
 from nrbench.errors import checker
@@ -14,6 +16,7 @@ from nrbench.imaging.convert import Image, crop_middle
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
 from nrbench.spectra.harmonic_groups import FINALISTS, Basis, collect_peaks, find_fundamentals, off_line_evidence
+from nrbench.spectra.harmonics import analyze, lowest_period
 from nrbench.spectra.spectrum import Spectrum
 from nrbench.spectra.wave_fit import FrequencyFit, fit_frequencies
 from nrbench.spectra.wave_search import QUICK, THOROUGH, Effort, WaveDetection, find_waves
@@ -62,6 +65,11 @@ class Frdft:
     missing. The fundamentals are then fitted to the image, all explained waves jointly. The lattice is their dual. Its
     origin is where both fundamental waves have their crest; it is (0, 0) if one of them is not among the waves.
 
+    ``preset=paper`` is the analysis of the paper: the waves of the analytic signal above an amplitude of 2/255, in each
+    channel of YCbCr by itself, and an upright tile by equation 7
+    (:func:`~nrbench.spectra.harmonics.lowest_period`). The paper tries thresholds of 0.5, 1, 2 and 5 (table 1) and does
+    not say which it uses.
+
     The confidence is the share of the image's variance, all channels together, that the lattice's waves explain.
 
     Only the middle of images of more than 1024 px a side is analyzed; periods of more than about 600 px are not found.
@@ -82,6 +90,8 @@ class Frdft:
         there is a lattice. A grating has no surplus evidence, even with one stray wave, nor do two waves without
         harmonics. Image and copies are analyzed by the same shorter search: 24 waves, in one pass, of the image's
         middle (256 px a side or ten periods).
+    tile
+        ``"all"``: the lattice on which all waves agree. ``"lowest"``: the upright rectangle of the lowest wave.
     surrogates
         Number of phase-randomized copies.
     false_alarms
@@ -94,8 +104,12 @@ class Frdft:
     reject: Literal["none", "surrogate"] = "surrogate"
     surrogates: int = 12
     false_alarms: float = 0.01
+    tile: Literal["all", "lowest"] = "all"
 
     version: ClassVar[str] = "1"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {"threshold": 2.0, "waves": 400, "reject": "none", "tile": "lowest"}
+    }
     paper: ClassVar[str] = """@inproceedings{nicoll2005fftm,
   author    = {Nicoll, Alexander and Meseth, Jan and M{\\"u}ller, Gero and Klein, Reinhard},
   title     = {Fractional Fourier Texture Masks: Guiding Near-Regular Texture Synthesis},
@@ -109,6 +123,7 @@ class Frdft:
         _check(self.threshold >= 0, f"threshold is {self.threshold}; give 0 (automatic) or an amplitude in 1/255")
         _check(self.waves >= 2, f"waves is {self.waves}; give at least 2")
         _check(self.tolerance > 0, f"tolerance is {self.tolerance}; give bins above 0, e.g. 0.05")
+        _check(self.tile in ("all", "lowest"), f"tile is {self.tile!r}; give all or lowest")
         _check(self.reject in ("none", "surrogate"), f"reject is {self.reject!r}; give none or surrogate")
         _check(self.surrogates >= 2, f"surrogates is {self.surrogates}; give at least 2")
         _check(0 < self.false_alarms < 1, f"false_alarms is {self.false_alarms}; give a probability, e.g. 0.01")
@@ -116,7 +131,8 @@ class Frdft:
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``.
 
-        Diagnostics: ``spectrum`` (log magnitude; its peaks are the waves, its vectors the fundamentals, in bins),
+        With tile ``"lowest"`` the only diagnostic is ``frequencies``, and the origin is (0, 0). Else diagnostics are
+        ``spectrum`` (log magnitude; its peaks are the waves, its vectors the fundamentals, in bins),
         ``frequencies`` ``(n, 2)`` cycles/px of all waves, ``explained`` (which of them the lattice explains),
         ``surplus`` (the evidence); where tested, ``tested_surplus`` (that of the shorter search), ``surrogate_surplus``
         (the same of the copies) and ``limit``.
@@ -130,12 +146,28 @@ class Frdft:
         if np.ptp(image, (0, 1)).max() == 0:
             raise NoLatticeFound("the image is constant: it has no texture")
         middle = crop_middle(image, WINDOW)
+        if self.tile == "lowest":
+            detection = self._read_lowest(middle)
+            return detection if self.reject == "none" else self._test(image, detection)
         candidate = self._search(middle, self.waves, THOROUGH, FINALISTS)
         if isinstance(candidate, str):
             raise NoLatticeFound(candidate)
         top, left = ((whole - part) // 2 for whole, part in zip(image.shape[:2], middle.shape[:2], strict=True))
         detection = _fit_lattice(candidate, (left, top))
         return detection if self.reject == "none" else self._test(image, detection)
+
+    def _read_lowest(self, image: Image) -> Detection:
+        """Return the upright tile of an image by equation 7 of the paper."""
+        planes = rgb2ypbpr(image.astype(np.float64)) if image.shape[2] == 3 else image.astype(np.float64)
+        waves = analyze(
+            planes, self.threshold or None, "free", "each", self.false_alarms, most=self.waves, signal="analytic"
+        )
+        shape = image.shape[:2]
+        width, height = lowest_period(waves.frequencies, waves.amplitudes, (shape[0], shape[1]))
+        if width is None or height is None:
+            raise NoLatticeFound(f"no wave of the image varies along {'x' if width is None else 'y'}")
+        lattice = Lattice((width, 0.0), (0.0, height)).reduced()
+        return Detection(lattice, min(max(waves.share, 0.0), 1.0), {"frequencies": waves.frequencies})
 
     def _search(self, image: NDArray[np.float32], waves: int, effort: Effort, finalists: int) -> Candidate | str:
         """Return the fundamentals of an image, or why it has none."""

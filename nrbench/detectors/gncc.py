@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +59,11 @@ class Gncc:
     overlap of the image and its shifted copy, laid on the tile's bounding box, covers ``overlap`` of its area; a narrow
     strip is never valid, however long it is. A pair is discarded if one of its vectors has no valid multiple.
 
-    The choice of the paper is ``gncc:subpixel=false,tolerance=0,prominence=0,reject=none``. It takes vectors at whole
-    pixels. Unless the periods are whole numbers, their multiples miss the peaks, and supercells that happen to lie near
-    whole pixels win. The defaults avoid this.
+    ``preset=paper`` is the detector of the paper: it pairs all local maxima, at whole pixels. Unless the periods are
+    whole numbers, the multiples of such vectors miss the peaks, and supercells that happen to lie near whole pixels
+    win. The defaults avoid this. The paper does not say how an overlap is compared with the tile; here it is laid on
+    the tile's bounding box. Maxima so far out that they cannot be valid multiples of themselves are left out, because
+    only their differences from nearer maxima could be part of a pair, and these are maxima themselves.
 
     The confidence is the mean correlation at the multiples: the share of the image's variance that repeats.
 
@@ -79,7 +82,7 @@ class Gncc:
         A candidate peak stands above the highest pass to a higher peak by at least this share of the highest peak's
         correlation. Bumps of noise along a ridge do not.
     peaks
-        Number of candidates, the shortest, that are paired.
+        Number of candidates, the shortest, that are paired; None: all (the paper). Time grows with its square.
     reject
         ``"none"``: return a lattice if there are two candidates. ``"surrogate"``: report no lattice if the goodness
         does not exceed what the best pairs of phase-randomized copies of the image reach. If a ridge joins the peaks of
@@ -96,12 +99,23 @@ class Gncc:
     subpixel: bool = True
     tolerance: int = 1
     prominence: float = 0.1
-    peaks: int = 200
+    peaks: int | None = 200
     reject: Literal["none", "surrogate"] = "surrogate"
     surrogates: int = 30
     false_alarms: float = 0.01
 
     version: ClassVar[str] = "1"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {
+            "alpha": 1.12,
+            "overlap": 0.85,
+            "subpixel": False,
+            "tolerance": 0,
+            "prominence": 0.0,
+            "peaks": None,
+            "reject": "none",
+        }
+    }
     paper: ClassVar[str] = """@inproceedings{recas2011rsgf,
   author    = {Lopez Recas, Diego and Hilsmann, Anna and Eisert, Peter},
   title     = {Near-Regular Texture Synthesis by Random Sampling and Gap Filling},
@@ -116,7 +130,7 @@ class Gncc:
         _check(0 < self.overlap <= 1, f"overlap is {self.overlap}; give a share above 0, at most 1")
         _check(self.tolerance >= 0, f"tolerance is {self.tolerance}; give 0 or more px")
         _check(0 <= self.prominence < 1, f"prominence is {self.prominence}; give a share from 0 to below 1")
-        _check(self.peaks >= 2, f"peaks is {self.peaks}; give at least 2")
+        _check(self.peaks is None or self.peaks >= 2, f"peaks is {self.peaks}; give at least 2, or none for all")
         _check(self.reject in ("none", "surrogate"), f"reject is {self.reject!r}; give none or surrogate")
         _check(self.surrogates >= 2, f"surrogates is {self.surrogates}; give at least 2")
         _check(0 < self.false_alarms < 1, f"false_alarms is {self.false_alarms}; give a probability, e.g. 0.01")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import scipy.fft
@@ -56,15 +57,19 @@ class Ssdn:
     measured on 1 - g / e, where e is the value of g for unrelated parts of the same means and variances.
 
     The paper tiles by rectangles, whatever the lattice: for a running bond it finds a rectangle of two cells, a
-    supercell. Here this is refused, as is any other lattice that is not rectangular along the axes. The choice of the
-    paper is ``ssdn:subpixel=false,primitive=false,reject=none``.
+    supercell. Here this is refused, as is any other lattice that is not rectangular along the axes. ``preset=paper``
+    accepts it, and takes x_n / n. The paper does not say which minima count as minima of the period; the preset takes
+    the same depth as the default.
 
     The confidence is the mean of 1 - g / e at the minima, along the axis where it is smaller.
 
     Parameters
     ----------
     depth
-        Share in (0, 1] of the greatest depth that the minima of a period must reach.
+        Share in (0, 1] of the greatest depth that the minima of a period must reach. A tile of several cells keeps the
+        lattice and a tile of a part of a cell breaks it, so a strict share is safer: of 27 procedural samples with
+        departures (seeds 1 to 3, 128 x 128 px) 0.8 gives 2 wrong tiles, 0.7 gives 8. Larger shares give needlessly
+        large tiles.
     overlap
         Lags are searched at which the image and its copy overlap by at least this share, in (0, 1), of the axis.
     subpixel
@@ -82,7 +87,7 @@ class Ssdn:
         Probability that a phase-randomized copy is accepted as a lattice.
     """
 
-    depth: float = 0.7
+    depth: float = 0.8
     overlap: float = 0.1
     subpixel: bool = True
     primitive: bool = True
@@ -90,11 +95,15 @@ class Ssdn:
     surrogates: int = 30
     false_alarms: float = 0.01
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {"depth": 0.8, "overlap": 0.1, "subpixel": False, "primitive": False, "reject": "none"}
+    }
     paper: ClassVar[str] = """@misc{representativetile,
   title        = {Extraction of a Representative Tile from a Near-Periodic Texture},
   howpublished = {Universit{\\'e} de Sherbrooke, Qu{\\'e}bec, Canada},
-  note         = {Title after its abstract; 2005 or later. Authors and venue are not in the text that was implemented},
+  note         = {Title after its abstract. The text that was implemented has no date, authors or venue; it cites
+                  works to 2005},
 }"""
 
     def __post_init__(self) -> None:

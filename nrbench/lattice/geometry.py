@@ -202,6 +202,11 @@ class Lattice:
         """Return the lattice moved by ``offset`` (x, y) px: the lattice of an image cropped at ``-offset``."""
         return Lattice.from_basis(self.matrix, np.add(self.origin, offset))
 
+    @property
+    def numbers(self) -> list[float]:
+        """The numbers that :meth:`parse` takes: x1, y1, x2, y2, and x, y of the origin unless it is (0, 0)."""
+        return [*self.t1, *self.t2, *(self.origin if self.origin != (0.0, 0.0) else ())]
+
     def as_dict(self) -> dict[str, list[float]]:
         """Return ``{"t1": [x, y], "t2": [x, y], "origin": [x, y]}``, ready for JSON."""
         return {"t1": list(self.t1), "t2": list(self.t2), "origin": list(self.origin)}
@@ -220,12 +225,19 @@ class Lattice:
 
     @classmethod
     def parse(cls, text: str) -> Lattice:
-        """Return a lattice from ``"x1,y1,x2,y2"``, the format of the command line."""
+        """Return a lattice from ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``, the formats of the command line.
+
+        (x, y) is the origin; without it, the origin is (0, 0).
+        """
         try:
-            x1, y1, x2, y2 = (float(part) for part in text.split(","))
+            x1, y1, x2, y2, *origin = (float(part) for part in text.split(","))
+            x, y = origin or (0.0, 0.0)
         except ValueError:
-            raise BadInput(f"lattice {text!r}: give four numbers x1,y1,x2,y2 in px, e.g. 32,0,0,24") from None
-        lattice = cls((x1, y1), (x2, y2))
+            raise BadInput(
+                f"lattice {text!r}: give four numbers x1,y1,x2,y2 in px, e.g. 32,0,0,24, "
+                "or six, x1,y1,x2,y2,x,y, with the origin"
+            ) from None
+        lattice = cls((x1, y1), (x2, y2), (x, y))
         if lattice.s < LEAST_PERIOD:
             raise BadInput(f"lattice {text!r}: repeats every {lattice.s:g} px; pixels show no period under 2 px")
         return lattice

@@ -2,6 +2,7 @@
 
 from nrbench.plugins.registry import (
     FORMS,
+    PATCH_TERMS,
     Form,
     Plugin,
     add_file,
@@ -16,6 +17,7 @@ from nrbench.plugins.registry import (
 
 __all__ = [
     "FORMS",
+    "PATCH_TERMS",
     "Form",
     "Plugin",
     "add_file",

@@ -351,6 +351,13 @@ class Synthesizer(Protocol):
         Parameters that the label of the method shows even at their defaults.
     ``paper``, ``version``
         BibTeX, and the version that is part of a cell's key.
+    ``presets``
+        Named sets of parameters, as in ``presets: ClassVar[Mapping[str, Mapping[str, Any]]]``. ``preset=NAME`` among
+        the parameters chooses one. The preset ``"paper"`` is the method as its paper describes it. Plugins of every
+        kind may have presets.
+    ``patch_shape``, ``patch_placement``, ``patch_stitching``
+        For methods that copy patches: what a patch is, how its place is chosen, and how it is joined to the others, in
+        a few words each. Reports show them in a table. A method has all three or none.
     """
 
     def synthesize(self, task: Task) -> Synthesis:

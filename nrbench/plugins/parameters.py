@@ -13,6 +13,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from nrbench.errors import BadInput
 
+PRESET = "preset"
+"""The name under which a preset is chosen among the parameters of any plugin; no parameter may have it."""
+
 
 def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
     """Split ``"name:param=value,param=value"``. A comma belongs to the value unless ``word=`` follows it.
@@ -44,22 +47,67 @@ def label(name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any],
     return f"{name}:{','.join(changed)}" if changed else name
 
 
-def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
-    """Return ``cls(**parameters)`` after converting each value to its field's declared type.
+def fill_preset(cls: type[Any], parameters: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return the parameters with those of the chosen preset filled in; given ones take precedence.
+
+    Parameters
+    ----------
+    cls
+        The plugin; its class variable ``presets`` maps names to parameters.
+    parameters
+        Parameters by name. The entry ``preset``, if there is one, names the preset; the result does not have it.
+    where
+        The plugin, for messages.
 
     Raises
     ------
     BadInput
-        For an unknown parameter (the message names the nearest), a missing parameter, a value of the wrong type, or a
-        value that the class refuses.
+        If the plugin has no preset of this name; the message names those that it has.
+    """
+    given = dict(parameters)
+    if PRESET not in given:
+        return given
+    name, presets = given.pop(PRESET), getattr(cls, "presets", {})
+    if name not in presets:
+        known = f"choose one of: {', '.join(presets)}" if presets else "it has none; leave preset out"
+        raise BadInput(f"{where}: preset {name!r} is not known; {known}")
+    return {**presets[name], **given}
+
+
+def missing(cls: type[Any], parameters: Iterable[str]) -> list[str]:
+    """Return the names of the parameters that have no default and are not among the given ones."""
+    bare = (f for f in dataclasses.fields(cls) if f.default is f.default_factory is dataclasses.MISSING)
+    given = set(parameters)
+    return [field.name for field in bare if field.name not in given]
+
+
+def converted(cls: type[Any], parameters: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return the parameters converted to the declared types of the fields of ``cls``.
+
+    Raises
+    ------
+    BadInput
+        For an unknown parameter (the message names the nearest) or a value of the wrong type.
     """
     hints = get_type_hints(cls)
     fields = {field.name: TypeAdapter(hints[field.name]) for field in dataclasses.fields(cls)}
-    values = {key: _convert(fields, key, value, where) for key, value in parameters.items()}
-    for field in dataclasses.fields(cls):
-        bare = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-        if bare and field.name not in values:
-            raise BadInput(f"{where}: parameter {field.name!r} is missing; give {where.split()[-1]}:{field.name}=...")
+    return {key: _convert(fields, key, value, where) for key, value in parameters.items()}
+
+
+def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
+    """Return ``cls(**parameters)`` after converting each value to its field's declared type.
+
+    The entry ``preset`` chooses a preset of the plugin; the other parameters override those of the preset.
+
+    Raises
+    ------
+    BadInput
+        For an unknown preset or parameter (the message names the nearest), a missing parameter, a value of the wrong
+        type, or a value that the class refuses.
+    """
+    values = converted(cls, fill_preset(cls, parameters, where), where)
+    for name in missing(cls, values):
+        raise BadInput(f"{where}: parameter {name!r} is missing; give {where.split()[-1]}:{name}=...")
     try:
         return cls(**values)
     except BadInput as error:

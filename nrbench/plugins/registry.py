@@ -18,7 +18,7 @@ from typing import Any
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
-from nrbench.plugins.parameters import nearest, validated
+from nrbench.plugins.parameters import PRESET, converted, missing, nearest, validated
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,10 @@ FORMS: Mapping[str, Form] = {
     "metrics": Form("metric", {"score": 1}),
     "reports": Form("report", {"write": 2}),
 }
+
+
+PATCH_TERMS = ("patch_shape", "patch_placement", "patch_stitching")
+"""Optional class variables of a synthesizer: how it works, in the three terms of the table of patch-based methods."""
 
 
 @dataclass(frozen=True)
@@ -150,10 +154,13 @@ def find(kind: str, name: str) -> Plugin:
 def build(kind: str, name: str, parameters: Mapping[str, Any] | None = None) -> Any:
     """Return an instance of a plugin, its parameters converted to their declared types and checked.
 
+    The entry ``preset`` of ``parameters`` chooses a preset of the plugin, whose values the other entries override.
+
     Raises
     ------
     BadInput
-        For an unknown plugin or parameter (the message names the nearest), or a value of the wrong type or range.
+        For an unknown plugin, preset or parameter (the message names the nearest), or a value of the wrong type or
+        range.
     """
     cls = find(kind, name).cls
     assert cls is not None
@@ -205,7 +212,7 @@ def _load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
 
 def fault(kind: str, cls: Any) -> str:
     """Return one sentence about why a class is no valid plugin of a kind; empty if it is valid."""
-    checks = (_form_fault, _field_fault, _method_fault, _column_fault)
+    checks = (_form_fault, _field_fault, _method_fault, _column_fault, _preset_fault, _patch_fault)
     return next((found for check in checks if (found := check(kind, cls))), "")
 
 
@@ -229,6 +236,8 @@ def _field_fault(kind: str, cls: Any) -> str:
         if field.name in form.taken:
             taken = ", ".join(form.taken)
             return f"{label} {field.name!r} has the name of an argument of the call; rename it (taken: {taken})"
+        if field.name == PRESET:
+            return f"{label} {PRESET!r} has the name by which presets are chosen; rename it"
         if not _has_default(field) and kind in ("detectors", "metrics", "reports"):
             return f"{label} {field.name!r} has no default; give it one"
     return ""
@@ -258,6 +267,32 @@ def _column_fault(kind: str, cls: Any) -> str:
     if not (isinstance(columns, Mapping) and columns and all(isinstance(c, Column) for c in columns.values())):
         return f"metric {cls.__name__!r} declares no columns; set `columns: ClassVar = {{name: Column(...)}}`"
     return ""
+
+
+def _preset_fault(kind: str, cls: Any) -> str:
+    """Return what is wrong with the presets of a plugin: an unknown parameter, or a value that it refuses."""
+    presets = getattr(cls, "presets", {})
+    label = f"{FORMS[kind].noun} {cls.__name__!r}"
+    if not (isinstance(presets, Mapping) and all(isinstance(values, Mapping) for values in presets.values())):
+        return f"{label}: presets must be a mapping; set `presets: ClassVar = {{name: {{parameter: value}}}}`"
+    for name, parameters in presets.items():
+        where = f"{label}: preset {name!r}"
+        try:
+            (converted if missing(cls, parameters) else validated)(cls, parameters, where)
+        except BadInput as error:
+            return str(error)
+    return ""
+
+
+def _patch_fault(kind: str, cls: Any) -> str:
+    if kind != "synthesizers":
+        return ""
+    said = [name for name in PATCH_TERMS if hasattr(cls, name)]
+    wrong = next((name for name in said if not isinstance(getattr(cls, name), str)), "")
+    if wrong:
+        return f"method {cls.__name__!r}: {wrong} must be text; set `{wrong}: ClassVar[str] = ...`"
+    lacking = ", ".join(name for name in PATCH_TERMS if name not in said)
+    return f"method {cls.__name__!r} has {said[0]}, but not {lacking}; give all or none" if said and lacking else ""
 
 
 def _import_file(file: Path) -> Any:

@@ -17,6 +17,9 @@ from nrbench.spectra.wave_search import find_waves, find_waves_analytic, find_wa
 Harmonic = Literal["free", "tied"]
 Signal = Literal["real", "analytic"]
 Channels = Literal["joint", "each"]
+DOMINANT = 0.25
+"""Waves of at least this share of the largest amplitude belong to the regular structure of equation 7. On walls of mild
+departures, waves of bricks have 0.28 or more, those of chance 0.15 or less (running bond, color up to 0.2)."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,44 @@ class Harmonics:
             (x, y) px of the window's first pixel, any real numbers.
         """
         return wave_sum(self.frequencies, self.cosine, self.sine, self.mean, shape, offset)
+
+
+def lowest_period(frequencies: Array, amplitudes: Array, shape: tuple[int, int]) -> tuple[float | None, float | None]:
+    """Return the size (width, height) px of a tile by the lowest frequency (Nicoll et al. 2005, equation 7, n = 1).
+
+    The size is one over the components of the lowest frequency of the regular structure. The paper leaves open which
+    waves belong to this structure, and what happens where a component is 0. Here they are the waves of at least a
+    quarter of the largest amplitude, and each side takes the lowest of them that varies along it, by at least half a
+    cycle over the picture. Where colors depart strongly, waves of chance are among them, and the tile is too large.
+
+    Parameters
+    ----------
+    frequencies
+        ``(n, 2)`` cycles/px.
+    amplitudes
+        ``(n, C)``; the largest of all channels counts.
+    shape
+        (height, width) px of the picture.
+
+    Returns
+    -------
+    tuple
+        A side is None if no frequency varies along it.
+
+    Examples
+    --------
+    >>> lowest_period(np.array([[0.0, 0.1], [0.04, 0.05]]), np.ones((2, 1)), (128, 128))
+    (25.0, 20.0)
+    """
+    strength = amplitudes.max(1, initial=0)
+    frequencies = frequencies[strength >= DOMINANT * strength.max(initial=0)]
+    order = np.argsort(np.hypot(*frequencies.T), kind="stable")
+    sides: list[float | None] = []
+    for axis in (0, 1):
+        components = np.abs(frequencies[order, axis])
+        varying = components[components * shape[1 - axis] >= 0.5]
+        sides.append(1 / float(varying[0]) if len(varying) else None)
+    return sides[0], sides[1]
 
 
 def analyze(

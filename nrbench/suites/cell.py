@@ -14,7 +14,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, FoundLattice, Region, Shape, Texture
 from nrbench.streams import stream
 
-RESULTS_VERSION = 4
+RESULTS_VERSION = 5
 """Increased whenever a change of the code changes an output or a score. Results of other versions are never reused."""
 
 
@@ -99,8 +99,8 @@ class Cell:
     reference
         Whether the method calibrates the scores and is never ranked.
     lattice_source
-        ``given``, ``own``, a detector's name, the numbers ``x1,y1,x2,y2``, or ``none`` for a method that uses
-        no lattice.
+        ``given``, ``own``, a detector's name, the numbers ``x1,y1,x2,y2`` or ``x1,y1,x2,y2,x,y``, or ``none``
+        for a method that uses no lattice.
     detector
         Name, version and parameters of the detector, if ``lattice_source`` is one.
     lattice_given, lattice_truth

@@ -100,7 +100,7 @@ class Source:
         Raises
         ------
         BadInput
-            When the text is neither ``given`` nor ``own``, nor four numbers, nor a detector.
+            When the text is neither ``given`` nor ``own``, nor four or six numbers, nor a detector.
         """
         if text in ("given", "own"):
             return cls(text)
@@ -108,15 +108,16 @@ class Source:
             return cls.of(Lattice.parse(text))
         name, given = parse_spec(text)
         if name not in plugins.names("detectors"):
-            known = ", ".join(["given", "own", "x1,y1,x2,y2 (px)", *plugins.names("detectors")])
+            known = ", ".join(["given", "own", "x1,y1,x2,y2[,x,y] (px)", *plugins.names("detectors")])
             raise BadInput(f"--lattice {text!r} is not known; use one of: {known}")
         parameters = plugins.parameters_of(plugins.build("detectors", name, given))
-        return cls(text, (name, plugins.find("detectors", name).version, parameters))
+        plugin = plugins.find("detectors", name)
+        return cls(label(name, parameters, _defaults(plugin.cls)), (name, plugin.version, parameters))
 
     @classmethod
     def of(cls, lattice: Lattice) -> Source:
         """Return the source of a user's lattice; its name is its numbers in their shortest form."""
-        return cls(",".join(np.format_float_positional(x, trim="-") for x in lattice.matrix.flat), lattice=lattice)
+        return cls(",".join(np.format_float_positional(x, trim="-") for x in lattice.numbers), lattice=lattice)
 
 
 @dataclass(frozen=True)

@@ -174,7 +174,8 @@ class Suite(BaseModel):
     sample, size
         Shapes (height, width) of sample and output. Those of a texture's row take precedence.
     lattice
-        ``given``, ``own``, a detector's name (with parameters), or a lattice's numbers ``x1,y1,x2,y2``.
+        ``given``, ``own``, a detector's name (with parameters), or a lattice's numbers
+        ``x1,y1,x2,y2`` or, with its origin, ``x1,y1,x2,y2,x,y``.
     metrics
         The metrics that score the cells. Empty: all metrics.
     methods

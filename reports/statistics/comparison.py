@@ -14,6 +14,7 @@ from typing import Any
 
 import pandas as pd
 
+from nrbench import plugins
 from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
@@ -92,6 +93,33 @@ class Method:
     def label(self) -> str:
         """The name, with the lattice source in parentheses."""
         return method_label(self.name, self.lattice_source)
+
+
+@dataclass(frozen=True)
+class PatchTerms:
+    """How a method that copies patches works: a row of the table of patches (Lin et al. 2004, table 1).
+
+    Parameters
+    ----------
+    method
+        The name of the plugin.
+    shape, placement, stitching
+        What a patch is, how its place is chosen, and how it is joined to the others, as the plugin says.
+    """
+
+    method: str
+    shape: str
+    placement: str
+    stitching: str
+
+
+def list_patch_terms(run: Run) -> list[PatchTerms]:
+    """Return the terms of each plugin of a run that copies patches and is here to say so, in the order of the run."""
+    names = dict.fromkeys(record.cell.method for record in run.cells if not record.cell.reference)
+    installed = set(plugins.names("synthesizers"))
+    classes = {name: plugins.find("synthesizers", name).cls for name in names if name in installed}
+    said = {name: [getattr(cls, term, "") for term in plugins.PATCH_TERMS] for name, cls in classes.items()}
+    return [PatchTerms(name, *terms) for name, terms in said.items() if all(terms)]
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,14 @@ SLACK = 0.1
 """Share of s by which the mask may be stretched or sheared over the whole output, so that it tiles."""
 LONGEST = 4096
 """px: a wave with a longer period along an axis counts as constant along this axis."""
+MASK_OF_THE_PAPER: Final[Mapping[str, Any]] = {
+    "threshold": 2.0,
+    "harmonics": "free",
+    "signal": "analytic",
+    "channels": "each",
+}
+"""The mask of Nicoll et al. (2005) in terms of :class:`MaskParameters`. Their table 1 tries thresholds of 0.5, 1, 2 and
+5; they set it for each texture and do not say which values they used."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,9 @@ BAND = 8
 """Number of rows that are synthesized between two reports of progress."""
 SIMILAR = 4
 """Default number of similar pixels of search ``k-coherence``."""
+SEARCH_OF_THE_PAPER: Final[Mapping[str, Any]] = {"search": "ann", "coherence": 2.5, "eps": 0.0, "dimensions": 16}
+"""The search of Nicoll et al. (2005), section 4.1, in terms of :class:`SearchParameters`. Their library favors the
+neighbors of a source (figure 5) by an amount that they do not state; ``coherence`` stands for it."""
 LEAF = 8
 """Largest number of points of a leaf of the k-d tree."""
 

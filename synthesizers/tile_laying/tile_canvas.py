@@ -68,6 +68,7 @@ class TileCanvas:
         x, y = np.moveaxis(tile.cells, -1, 0)
         self.cells = np.ascontiguousarray(np.stack([x, y, (y * width + x) * channels], -1))
         self._source_rows = _source_rows(copies, images.parts)
+        self._has_resampled = any(copy.is_resampled for copy in copies)
 
     def overlap(self, left: int, top: int) -> Overlap:
         """Return what is filled under a tile around pixel (left, top) of the canvas."""
@@ -97,7 +98,13 @@ class TileCanvas:
         """Return the output and its source map."""
         (height, width), (x, y) = self.shape, self.margin
         window = np.s_[y : y + height, x : x + width]
-        return np.asarray(self.values[window] / np.float32(255), np.float32), self.origins[window].copy()
+        source = self.origins[window].copy()
+        if self._has_resampled:
+            last = np.array(self.images.shape[1::-1]) - 1
+            nearest = np.clip(np.rint(source[..., :2]), 0, last)
+            source[..., 2] *= (1 - np.abs(source[..., :2] - nearest)).prod(-1)
+            source[..., :2] = nearest
+        return np.asarray(self.values[window] / np.float32(255), np.float32), source
 
 
 def _source_rows(copies: list[SampleCopy], parts: int) -> NDArray[np.float64]:
@@ -106,8 +113,10 @@ def _source_rows(copies: list[SampleCopy], parts: int) -> NDArray[np.float64]:
     for copy in copies:
         for fy, fx in np.ndindex(parts, parts):
             fraction = np.array([fx, fy]) / parts
-            near = copy.matrix @ np.floor(fraction + 0.5) + copy.offset
-            rows.append([*near, np.maximum(fraction, 1 - fraction).prod(), *copy.matrix.ravel()])
+            near, weight = np.floor(fraction + 0.5), np.maximum(fraction, 1 - fraction).prod()
+            if copy.is_resampled:  # the nearest pixel differs from place to place: see TileCanvas.output
+                near, weight = fraction, 1.0
+            rows.append([*(copy.matrix @ near + copy.offset), weight, *copy.matrix.ravel()])
     return np.array(rows)
 
 

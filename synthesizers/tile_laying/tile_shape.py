@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage, signal
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import fold
@@ -21,6 +21,11 @@ Array = NDArray[np.float64]
 TILE_SHARE: Final[dict[AnchorKind, float]] = {"quiet": 0.8, "elements": 0.5}
 """Share of the largest possible number of tiles that an anchor must leave in each set. It is lower for elements: a tile
 anchored a few px beside an element cuts it, and half of the tiles are better than all of them cut."""
+ELEMENT: Final = 6.0
+"""The elements of a texture are at least about this part of s wide. On walls and hexagons, 6 and 8 put the anchor
+equally near to the middle of an element; with grain of 0.1 and color of 0.1 or less, 6 is nearer."""
+FINE: Final = 4
+"""Parts of a pixel between anchors of elements: half a pixel decides on which side of a joint a seam runs."""
 MAX_ANCHORS: Final = 100
 """Number of anchors compared, evenly spread from the lowest cost to the highest."""
 
@@ -219,22 +224,28 @@ def border_costs(sample: Image, lattice: Lattice, tile: TileShape) -> tuple[Arra
 
 
 def element_costs(sample: Image, lattice: Lattice) -> tuple[Array, Points]:
-    """Return minus the share of varying places around each anchor, ``(n,)``, and the anchors.
+    """Return minus the variance of the elements around each anchor, ``(n,)``, and the anchors.
 
-    A place of the cell varies if the variance over the tiles exceeds half of its mean: a few tiles suffice to locate
-    bricks, but not to locate the part of a brick that varies most. The share is weighted by a periodic Gaussian of
-    s / 2, wide enough to reach both ends of a long brick, so that the middle of a brick costs little and a joint much.
-    The tiles of T then show elements whole, and seams can follow the joints, where tiles differ least.
+    An element departs as a whole: a brick has a color of its own. The sample without its mean tile is smoothed by a
+    Gaussian of s / 6, which removes grain and the residues of edges, mixes the colors of neighbors at a joint, and
+    keeps that of a brick in its middle. The variance of the result over the tiles shows the elements down to slight
+    departures. It is then weighted by a periodic Gaussian of s / 2, wide enough to reach both ends of a long brick, so
+    that the middle of a brick costs least and a joint most. The tiles of T then show elements whole, and seams can
+    follow the joints, where tiles differ least.
     """
     lattice = lattice.reduced()
-    mean, square = (fold(image, lattice).values.astype(np.float64) for image in (sample, sample**2))
-    variance = (square - mean**2).sum(-1)
+    residual = sample - fold(sample, lattice).unfold((sample.shape[0], sample.shape[1]))
+    smooth = ndimage.gaussian_filter(residual, (lattice.s / ELEMENT, lattice.s / ELEMENT, 0), mode="nearest")
+    power = (smooth**2).sum(-1, keepdims=True)
+    variance = fold(power, lattice).values[..., 0].astype(np.float64)
     rows, columns = variance.shape
     numbers = np.meshgrid(fft.rfftfreq(columns, 1 / columns), fft.fftfreq(rows, 1 / rows))
     frequencies = np.stack(numbers, -1) @ np.linalg.inv(lattice.matrix).T
     gaussian = np.exp(-((math.pi * lattice.s) ** 2) / 2 * (frequencies**2).sum(-1))
-    spectrum = fft.rfft2((variance > variance.mean() / 2).astype(np.float64))
-    return -fft.irfft2(spectrum * gaussian, variance.shape).ravel(), _anchors(variance.shape, lattice)
+    costs = -fft.irfft2(fft.rfft2(variance) * gaussian, variance.shape)
+    for axis, length in enumerate(variance.shape):
+        costs = signal.resample(costs, FINE * length, axis=axis)
+    return costs.ravel(), _anchors(costs.shape, lattice)
 
 
 def _anchors(shape: tuple[int, ...], lattice: Lattice) -> Points:

@@ -5,6 +5,7 @@ Tiles are cut from copies of the sample: moved by fractions of a pixel, and mirr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
@@ -59,6 +60,11 @@ class SampleCopy(NamedTuple):
     offset: Points
     lattice: Lattice
 
+    @property
+    def is_resampled(self) -> bool:
+        """Whether its pixels lie between those of the sample."""
+        return bool((self.matrix != np.rint(self.matrix)).any())
+
 
 def untransformed(sample: Image, lattice: Lattice) -> list[SampleCopy]:
     """Return the sample as it is, the only copy if symmetries are not used."""
@@ -66,11 +72,12 @@ def untransformed(sample: Image, lattice: Lattice) -> list[SampleCopy]:
 
 
 def symmetric_copies(sample: Image, lattice: Lattice) -> list[SampleCopy]:
-    """Return the sample, and one copy for each symmetry that maps the pixel grid onto itself (section 4.4).
+    """Return the sample, and one copy for each of its symmetries (section 4.4).
 
     A symmetry maps the lattice onto itself, and the transformed mean tile, aligned, correlates by at least
-    :data:`MIN_CORRELATION` with the sample's. Quarter turns and diagonals need a square sample. Other rotations, such
-    as those of a hexagonal lattice by 60 degrees, need another pixel grid and are left out.
+    :data:`MIN_CORRELATION` with the sample's. Quarter turns and diagonals need a square sample. Turns by multiples of
+    60 degrees, and their mirror images, have another pixel grid: these copies are interpolated by splines of order 5,
+    and show the part of the sample that the turned frame contains.
     """
     copies = untransformed(sample, lattice)
     height, width = sample.shape[:2]
@@ -89,13 +96,48 @@ def symmetric_copies(sample: Image, lattice: Lattice) -> list[SampleCopy]:
         shift, correlation = _align_mean_tiles(sample, image, lattice)
         if correlation >= MIN_CORRELATION:
             copies.append(SampleCopy(image, matrix, offset, lattice.shifted((float(shift[0]), float(shift[1])))))
+    return copies + _turned_copies(sample, lattice)
+
+
+def _turned_copies(sample: Image, lattice: Lattice) -> list[SampleCopy]:
+    """Return a copy for each symmetry that turns the sample by 60, 120, 240 or 300 degrees, mirrored or not."""
+    height, width = sample.shape[:2]
+    middle = (np.array([width, height]) - 1) / 2
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
+    patches, copies = Patches(sample), []
+    for matrix in _turns():
+        transformed = Lattice(tuple(matrix.T @ lattice.t1), tuple(matrix.T @ lattice.t2))
+        if not lattice.is_equivalent(transformed, LATTICE_SLACK * lattice.s):
+            continue
+        offset = middle - matrix @ middle
+        at = pixels @ matrix.T + offset
+        inside = np.asarray(((at >= 0) & (at <= 2 * middle)).all(-1))
+        image = patches.read_points(np.clip(at, 0, 2 * middle))
+        shift, correlation = _align_mean_tiles(sample, image, lattice, inside)
+        if correlation >= MIN_CORRELATION:
+            copies.append(SampleCopy(image, matrix, offset, lattice.shifted((float(shift[0]), float(shift[1])))))
     return copies
 
 
-def _align_mean_tiles(sample: Image, other: Image, lattice: Lattice) -> tuple[Points, float]:
-    """Return the shift (x, y) px of the other's mean tile against the sample's, and their correlation."""
+def _turns() -> Iterator[Points]:
+    """Yield the turns by 60, 120, 240 and 300 degrees, each also after a reflection of x."""
+    for degrees in (60, 120, 240, 300):
+        cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        turn = np.array([[cosine, -sine], [sine, cosine]])
+        yield turn
+        yield turn @ np.diag([-1.0, 1.0])
+
+
+def _align_mean_tiles(
+    sample: Image, other: Image, lattice: Lattice, known: NDArray[np.bool_] | None = None
+) -> tuple[Points, float]:
+    """Return the shift (x, y) px of the other's mean tile against the sample's, and their correlation.
+
+    ``known`` ``(H, W)`` marks the pixels of the other image that count; None: all.
+    """
     lattice = lattice.reduced()
-    here, there = (_normalize(fold(image, lattice).values.astype(np.float64)) for image in (sample, other))
+    tiles = fold(sample, lattice), fold(other, lattice, known)
+    here, there = (_normalize(tile.values.astype(np.float64)) for tile in tiles)
     spectra = np.conj(fft.rfft2(here, axes=(0, 1))) * fft.rfft2(there, axes=(0, 1))
     surface = fft.irfft2(spectra.sum(-1), here.shape[:2])
     row, column = np.unravel_index(int(surface.argmax()), surface.shape)
@@ -202,13 +244,16 @@ class TileStock:
         The shape of the tiles.
     images
         The shifted copies of the sample that tiles are cut from.
-    lattices
-        The lattice of each copy of the sample, anchored at a tile's middle.
+    copies
+        The copies of the sample; the lattice of each is anchored at a tile's middle.
+    reach
+        px by which a tile may be moved from its middle.
     """
 
     tile: TileShape
     images: ShiftedImages
-    lattices: tuple[Lattice, ...]
+    copies: tuple[SampleCopy, ...]
+    reach: float = 0.0
 
     def middles(self, i: int, j: int) -> tuple[NDArray[np.int64], Points]:
         """Return copy and middle (x, y) of every complete tile of the set at step i in the row and row j.
@@ -216,9 +261,20 @@ class TileStock:
         With i and j even this is the set T. For the others see :meth:`TileShape.set_offsets`.
         """
         offset = np.array([i % 2, j % 2]) @ self.tile.steps
-        shifted = (lattice.shifted(tuple(offset)) for lattice in self.lattices)
-        points = [self.tile.complete_middles(lattice, self.images.shape) for lattice in shifted]
+        points = [self._complete_middles(copy, offset) for copy in self.copies]
         return np.repeat(np.arange(len(points)), [len(part) for part in points]), np.concatenate(points)
+
+    def _complete_middles(self, copy: SampleCopy, offset: Points) -> Points:
+        """Return the middles of a copy's tiles that lie in the image, and in the part that the sample shows."""
+        shifted = copy.lattice.shifted(offset)
+        points = self.tile.complete_middles(shifted, self.images.shape)
+        if not copy.is_resampled:
+            return points
+        corners = np.array([(a, b) for a in (-0.5, 0.5) for b in (-0.5, 0.5)]) @ self.tile.sides
+        at = (points[:, np.newaxis] + corners) @ copy.matrix.T + copy.offset
+        slack = 1.0 + self.reach
+        last = np.array([self.images.shape[1], self.images.shape[0]]) - 1
+        return np.asarray(points[((at >= slack) & (at <= last - slack)).all((1, 2))])
 
     def cut(self, copies: NDArray[np.int64], middles: Points) -> Tiles:
         """Return the tiles around the nearest places that the shifted images have, if they lie inside.
@@ -277,7 +333,7 @@ class TileStock:
         """
         offsets = self._usual_overlap()
         quantiles: list[float] = []
-        for number in self.tile.set_offsets(self.lattices[0]):
+        for number in self.tile.set_offsets(self.copies[0].lattice):
             copies, middles = self.middles(*number)
             tiles = self.cut(copies[copies == 0], middles[copies == 0])
             tiles = tiles.take(np.unique(np.linspace(0, len(tiles.row) - 1, MAX_COMPARED).astype(np.int64)))

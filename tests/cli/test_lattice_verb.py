@@ -12,9 +12,13 @@ import pytest
 import skimage.io
 
 from nrbench import plugins
-from nrbench.api import texture
+from nrbench.api import synthesize, texture
+from nrbench.cli.lattice_figures import lattice_of
 from nrbench.cli.main import main
+from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Observation
 
 
 def call(line: str) -> int:
@@ -52,6 +56,35 @@ def test_misuse(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> 
     assert message in shown.err and not shown.out and len(shown.err.splitlines()) == 1
 
 
+def test_the_clicked_anchor_is_carried_through(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`--pick` prints six numbers; with them `synth` cuts tiles around the clicked point and keeps bricks whole."""
+    wall = texture("brick", shape=(128, 128), seed=2, color=0.3)
+    assert wall.lattice is not None
+    write_image(Path("wall.png"), wall.image)
+    x, y = wall.lattice.points((64, 64))[0] + 0.25
+    (x1, y1), (x2, y2) = wall.lattice.t1, wall.lattice.t2
+    clicked = lattice_of([(x, y), (x + x1, y + y1), (x + x2, y + y2)])
+    monkeypatch.setattr("nrbench.cli.lattice_figures.pick", lambda image: clicked)
+    assert call("lattice wall.png --pick -o over.png --json") == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["origin"] == list(clicked.origin)
+    drawn = (read_image("over.png") != read_image("wall.png")).any(-1)
+    assert drawn[round(y), round(x)]
+    numbers = said.err.strip().rpartition(" ")[2]
+    assert numbers.count(",") == 5
+    broken = {}
+    for name, lattice in (("clicked", numbers), ("vectors", numbers.rpartition(",")[0].rpartition(",")[0])):
+        assert call(f"synth wall.png -m tile-set:anchor=given --size 160x160 --lattice {lattice} -o {name}.png") == 0
+        output = read_image(f"{name}.png")
+        observation = Observation(quantize(wall.image), output, truth=wall, lattice_given=Lattice.parse(lattice))
+        broken[name] = plugins.build("metrics", "integrity").score(observation).values["broken_share"]
+    expected = synthesize("tile-set", wall.image, (160, 160), numbers, anchor="given").image
+    np.testing.assert_array_equal(read_image("clicked.png"), quantize(expected))
+    assert broken["clicked"] < 0.05 and broken["vectors"] > 0.3
+
+
 def test_a_manual_lattice_is_drawn(capsys: pytest.CaptureFixture[str]) -> None:
     """`--lattice` answers with its vectors, without a confidence, and draws it."""
     assert call("lattice brick.png --lattice 20,0,0,30 -o over.png --json") == 0
@@ -62,12 +95,16 @@ def test_a_manual_lattice_is_drawn(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_all_detectors_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    """`--all --json` is a list with one entry a detector: a lattice with its confidence, or null with the reason."""
+    """`--all --json` is a list with one entry a detector: a lattice with its confidence, or null with the reason.
+
+    Only `frdft` finds an origin.
+    """
     assert call("lattice small.png --all --json") == 0
     answers = json.loads(capsys.readouterr().out)
     assert [answer["detector"] for answer in answers] == plugins.names("detectors")
     for answer in answers:
         keys = {"t1", "t2", "confidence"} if "t1" in answer else {"lattice", "reason"}
+        keys |= {"origin"} if answer["detector"] == "frdft" else set()
         assert set(answer) == {"detector", "seconds", *keys} and answer["seconds"] > 0
 
 

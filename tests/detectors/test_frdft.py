@@ -39,6 +39,20 @@ def test_lattices_are_found_exactly(family: str, rotation: float) -> None:
     assert FAST.detect(quantize(sample.image)).lattice.is_equivalent(sample.lattice, 0.25)
 
 
+def test_the_papers_own_choice_is_the_tile_of_the_lowest_wave() -> None:
+    """On a running bond it is the upright rectangle of two bricks; on a turned wall it is no period at all."""
+    paper = Frdft(**Frdft.presets["paper"])
+    bond = texture("brick", 0, color=0.14, width=27.3, height=12.2)
+    found = paper.detect(quantize(bond.image))
+    assert found.lattice.is_equivalent(Lattice((27.3, 0), (0, 24.4)), 0.3) and 0.5 < found.confidence < 1
+    turned = texture("brick", 0, color=0.14, width=27.3, height=12.2, rotation=17.0)
+    assert turned.lattice is not None
+    wrong = paper.detect(quantize(turned.image)).lattice
+    assert np.hypot(*turned.lattice.wrap(wrong.matrix).T).max() > 2
+    with pytest.raises(NoLatticeFound, match="no wave of the image varies along"):
+        paper.detect(np.tile(np.sin(np.arange(64) / 2).astype(np.float32)[:, None, None] * 0.4 + 0.5, (1, 64, 1)))
+
+
 @given(st.integers(0, 10_000), st.booleans())
 @settings(max_examples=12, deadline=None)
 def test_fundamentals_are_recovered_without_the_lowest_waves(seed: int, sparse: bool) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import itertools
 import math
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
 
 FAMILIES = {"brick": (Brick, 17.3), "weave": (Weave, 31.7), "hexagon": (Hexagon, 11.9)}
 FAST = Gncc(reject="none")
+PAPER = Gncc(**Gncc.presets["paper"])
 Y, X = np.indices((96, 96)).astype(np.float64)
 
 
@@ -117,8 +119,29 @@ def test_tiny_images_are_refused_with_a_reason(shape: tuple[int, int]) -> None:
 def test_the_papers_own_choice_is_exact_on_whole_periods() -> None:
     """At whole pixels, with all local maxima as candidates, lattices of whole periods are exact."""
     sample = Brick(width=26, height=13, color=0.2).render((128, 128), np.random.default_rng(0))
-    found = Gncc(subpixel=False, tolerance=0, prominence=0, reject="none").detect(quantize(sample.image)).lattice
+    found = PAPER.detect(quantize(sample.image)).lattice
     assert sample.lattice is not None and found.is_equivalent(sample.lattice)
+
+
+def test_the_papers_own_choice_loses_fractional_periods() -> None:
+    """On five weaves of 12.3 x 13.9 px it finds (12, +-14) px; the default finds the lattice."""
+    for seed in range(5):
+        sample = texture("weave", seed, color=0.14)
+        found = PAPER.detect(quantize(sample.image)).lattice
+        assert found.is_equivalent(Lattice((12, 14), (12, -14))), seed
+        assert sample.lattice is not None
+        assert FAST.detect(quantize(sample.image)).lattice.is_equivalent(sample.lattice, 0.1)
+
+
+def test_the_papers_own_choice_pairs_every_maximum() -> None:
+    """A long period under strong noise is found among thousands of maxima, and not among the 200 shortest."""
+    rng = np.random.default_rng(0)
+    tile = gaussian_filter(rng.random((96, 96, 3)), (2, 2, 0), mode="wrap")
+    tile = np.tile(0.5 + 0.1 * (tile - tile.mean()) / tile.std(), (3, 3, 1))[:256, :256]
+    image = quantize(np.clip(tile + rng.normal(0, 0.3, tile.shape), 0, 1).astype(np.float32))
+    square = Lattice((96, 0), (0, 96))
+    assert PAPER.detect(image).lattice.is_equivalent(square)
+    assert not replace(PAPER, peaks=200).detect(image).lattice.is_equivalent(square)
 
 
 def test_detection_repeats() -> None:

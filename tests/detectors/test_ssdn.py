@@ -14,7 +14,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Curve, Detector, NoLatticeFound
 
 PERIODIC = {"color": 0.0, "noise": 0.0}
-PAPER = Ssdn(subpixel=False, primitive=False, reject="none")
+PAPER = Ssdn(**Ssdn.presets["paper"])
 
 
 def stripes(angle: float) -> Image:

@@ -270,6 +270,16 @@ def test_the_command_lines_form_is_checked() -> None:
     """Too few numbers are refused, with an example."""
     with pytest.raises(BadInput, match="x1,y1,x2,y2"):
         Lattice.parse("1,2,3")
+    with pytest.raises(BadInput, match="or six"):
+        Lattice.parse("30,0,0,20,5")
+
+
+@pytest.mark.parametrize("text", ["32,0,0,24", "32.5,-1,2,24,7.25,3"])
+def test_the_command_lines_form_holds_the_origin(text: str) -> None:
+    """Four numbers are the vectors, six also the origin; ``numbers`` gives them back."""
+    lattice = Lattice.parse(text)
+    assert lattice.numbers == [float(part) for part in text.split(",")]
+    assert lattice.origin == ((7.25, 3.0) if text.count(",") == 5 else (0.0, 0.0))
 
 
 CORNER = st.floats(-25, 25)

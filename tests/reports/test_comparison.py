@@ -1,19 +1,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from nrbench.reports.html import HtmlReport
+from nrbench.reports.latex import LatexTables
+from nrbench.reports.markdown import MarkdownTables
 from nrbench.reports.statistics.comparison import (
     COSTS,
     Comparison,
     compare_methods,
+    list_patch_terms,
     other_score_rows,
     sort_headlines_first,
 )
 from nrbench.reports.statistics.verdicts import SCORE
 from nrbench.runs.records import Run
+from nrbench.synthesizers.tile_set import TileSet
 
 from .conftest import COLUMNS, PERILS
 
@@ -24,6 +30,22 @@ def test_every_cell_has_one_entry(every_ending: Run, every_comparison: Compariso
     """Each cell of the run is in exactly one entry."""
     keys = [record.key for row in every_comparison.rows for entry in row.entries if entry for record in entry.records]
     assert sorted(keys) == sorted(record.key for record in every_ending.cells)
+
+
+def test_the_patches_of_a_run_are_those_of_its_plugins(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Methods that copy patches are listed once each, in the plugins' words; all three formats have the table."""
+    methods = ("tile-set", "ann-pixel", "nowhere", "rsgf", "tile-set")
+    run = make_run([make_cell(texture, method) for texture in "ab" for method in methods[: 4 + (texture == "b")]])
+    terms = list_patch_terms(run)
+    assert [one.method for one in terms] == ["tile-set", "rsgf"]
+    assert terms[0].shape == "tile shape/size from translational symmetry analysis"
+    assert (terms[0].placement, terms[0].stitching) == (TileSet.patch_placement, TileSet.patch_stitching)
+    tables = LatexTables().write(run, tmp_path)
+    latex = next(path for path in tables if path.name == "patches.tex").read_text("utf-8")
+    for text in (MarkdownTables().render(run), HtmlReport().render(run, tmp_path), latex):
+        for one in terms:
+            assert one.shape.replace("-", "{-}" if text is latex else "-") in text and one.placement.split()[0] in text
+    assert "translational symmetry" not in MarkdownTables().render(make_run([make_cell("a", "ann-pixel")]))
 
 
 def test_references_come_last_and_are_not_ranked(ranked: Run) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from nrbench import plugins
 from nrbench.api import run
 from nrbench.imaging.files import read_image, write_image
 from nrbench.running.runner import Options
@@ -19,7 +20,7 @@ from nrbench.suites.cell import RESULTS_VERSION
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import Suite, validated_suite
 
-PINNED_VERSION = 4
+PINNED_VERSION = 5
 Pins = dict[str, tuple[str, float | None, float | None]]
 PINNED: Pins = {
     "brick/oracle": ("640969693d75", 1.0, 0.865),
@@ -47,9 +48,21 @@ PINNED: Pins = {
     "weave/rsgf": ("71d1b2fb2cfd", 1.0, 0.656),
     "weave/shuffle": ("752f026208e9", 1.0, 0.998),
     "weave/supertile": ("765c00215f1b", 1.0, 1.045),
-    "weave/tile-set": ("ab895dac3d88", 1.0, 0.95),
+    "weave/auto": ("71d1b2fb2cfd", 1.0, 0.656),
+    "weave/tile-set": ("49933927b6c1", 1.0, 0.979),
     "weave/tiling": ("b8b538838629", 1.0, 0.008),
 }
+
+PINNED_PAPERS = {
+    "rsgf": "36d10eb3ddde",
+    "tile-set": "496e6a51c35e",
+    "fftm-patch": "35be20fcdf9a",
+    "representative-tile": "e89f394d7605",
+    "fftm-pixel": "c848b68882da",
+    "ann-pixel": "23ddeb44efe7",
+    "auto": "49933927b6c1",
+}
+"""The output of each method with the parameters of its paper, on the weave."""
 
 TOOL = """
 import sys
@@ -90,6 +103,19 @@ def default_methods(folder: Path) -> list[str]:
     words = f"{sys.executable} {folder / 'tool.py'} {{sample}} {{output}} {{width}} {{height}} {{seed}}"
     required = {"command": f"command:run={words}", "precomputed": f"precomputed:directory={folder}"}
     return [required.get(name, name) for name in METHODS]
+
+
+def paper_methods() -> list[str]:
+    """Return every registered method that has the preset of a paper, with this preset."""
+    classes = {name: plugins.find("synthesizers", name).cls for name in METHODS}
+    return [f"{name}:preset=paper" for name, cls in classes.items() if "paper" in getattr(cls, "presets", {})]
+
+
+def measure_papers(place: Path) -> dict[str, str]:
+    """Return the hash of the output of each method as its paper describes it."""
+    done = run(suite_of(paper_methods(), "weave"), out=place / "papers", options=Options(jobs=0))
+    assert all(record.status == "ok" for record in done.cells), [record.message for record in done.cells]
+    return {record.cell.method: pixels_hash(read_image(record.folder / "output.png"))[:12] for record in done.cells}
 
 
 def measure(place: Path) -> Pins:
@@ -134,8 +160,16 @@ def test_every_method_is_pinned() -> None:
     assert set(METHODS) == pinned
 
 
+def test_the_methods_of_the_papers_are_those_of_this_version(tmp_path: Path) -> None:
+    """The output of every method with ``preset=paper`` is pinned to the byte."""
+    assert measure_papers(tmp_path) == PINNED_PAPERS
+
+
 if __name__ == "__main__":
     import tempfile
+
+    for method, pin in measure_papers(Path(tempfile.mkdtemp())).items():
+        print(f"    {method!r}: {pin!r},")
 
     for cell, result in measure(Path(tempfile.mkdtemp())).items():
         print(f"    {cell!r}: {result!r},")

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.errors import BadInput
-from nrbench.spectra.harmonics import Harmonics, analyze
+from nrbench.spectra.harmonics import Harmonics, analyze, lowest_period
 from nrbench.spectra.spectrum import Spectrum, dirichlet_sum, pair_kernels
 from nrbench.spectra.wave_fit import Waves
 from nrbench.spectra.wave_search import analytic_signal, find_complex_waves, find_waves, noise_floor
@@ -30,6 +30,19 @@ def picture(
     y, x = np.indices(shape)
     angles = 2 * np.pi * (f[:, 0, None, None] * x + f[:, 1, None, None] * y) + phase[:, None, None]
     return (amplitude[:, None, None] * np.cos(angles)).sum(0)[..., np.newaxis]
+
+
+def test_the_lowest_wave_gives_the_tile_of_equation_7() -> None:
+    """One over its components; where one is 0, the next wave that varies along this side; None if there is none."""
+    bond = np.array([[2 / 27.3, 0], [1 / 27.3, -1 / 24.4], [0, 2 / 24.4]])
+    assert lowest_period(bond, np.ones((3, 1)), (128, 128)) == pytest.approx((27.3, 24.4))
+    assert lowest_period(np.array([[0, 0.05], [0.1, 0.1], [0.001, 0.2]]), np.ones((3, 3)), (128, 100)) == pytest.approx(
+        (10, 20)
+    )
+    assert lowest_period(np.array([[0.0, 0.05]]), np.ones((1, 1)), (128, 128)) == (None, 20.0)
+    noisy = np.concatenate([bond, [[0.004, 0.003]]])
+    assert lowest_period(noisy, np.array([[1.0], [0.3], [0.5], [0.24]]), (128, 128)) == pytest.approx((27.3, 24.4))
+    assert lowest_period(np.zeros((0, 2)), np.zeros((0, 3)), (128, 128)) == (None, None)
 
 
 def errors(found: Harmonics, f: np.ndarray) -> np.ndarray:

@@ -48,6 +48,14 @@ def test_one_lattice_has_one_name() -> None:
     assert names == ["30,0,-10,20"] * 2
 
 
+def test_a_manual_origin_reaches_the_method() -> None:
+    """Six numbers are another source than four: the method gets the origin, and it is part of name and key."""
+    cells = [cell for cell, _ in make_plan(suite("30,0,0,20", "30,0,0,20,7,3.5")).cells if cell.texture == "brick"]
+    assert [cell.lattice_source for cell in cells] == ["30,0,0,20", "30,0,0,20,7,3.5"]
+    assert [cell.lattice_given.origin for cell in cells if cell.lattice_given] == [(0.0, 0.0), (7.0, 3.5)]
+    assert cells[0].key != cells[1].key
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -16,6 +16,18 @@ from nrbench.synthesizers.masks.texture_mask import CommonPeriod, MaskParameters
 WHOLE = Lattice((24, 0), (0, 20))
 
 
+def test_the_papers_patches_are_the_tiles_of_their_sample() -> None:
+    """With free waves the rule of equation 7 gives the tile of each sample; the other rule gives 40 px always."""
+    paper = FftmPatch(**FftmPatch.presets["paper"])
+    assert paper.patch_rule == "lowest" and paper.harmonics == "free"
+    for width, height in ((27.3, 12.2), (23.7, 10.4)):
+        sample = quantize(texture("brick", (128, 128), 1, width=width, height=height, color=0.14).image)
+        mask = paper.find_mask(sample)
+        size = automatic_size(mask, (128, 128), paper.patch_rule)
+        assert np.abs(np.subtract(size, (2 * height, width))).max() < 1
+        assert automatic_size(mask, (128, 128)) == (40, 40)
+
+
 class Tiled:
     """A known mask: a tile that is repeated on a lattice of whole pixels."""
 

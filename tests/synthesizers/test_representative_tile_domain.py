@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from nrbench.api import texture
 from nrbench.cli.images import synth_command
+from nrbench.detectors.ssdn import Ssdn
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image, write_image
@@ -16,7 +18,7 @@ from nrbench.synthesizers.representative_tile import RepresentativeTile
 
 from .test_representative_tile import OBLIQUE, UPRIGHT, noise, synthesize, waves
 
-PAPER = RepresentativeTile(rescale=False, p=1e-2, period="last")
+PAPER = RepresentativeTile(**RepresentativeTile.presets["paper"])
 
 
 def test_an_oblique_lattice_gets_a_rectangle_within_tolerance_or_is_refused() -> None:
@@ -37,6 +39,16 @@ def test_without_a_lattice_given_its_period_is_that_of_ssdn() -> None:
     assert last is not None and last != made.lattice
     peaks = [round(5 * 21.37), round(6 * 18.81)]
     assert np.abs(np.array([last.matrix.max(0)[0] * 5, last.matrix.max(0)[1] * 6]) - peaks).max() < 1
+
+
+def test_one_reading_of_the_period_rule() -> None:
+    """Method and detector share one depth; a lower one takes a single course of a wall for the period."""
+    assert RepresentativeTile().depth == Ssdn().depth == Ssdn(**Ssdn.presets["paper"]).depth == PAPER.depth
+    sample = quantize(texture("brick", (128, 128), 4, width=27.3, height=12.2, color=0.3).image)
+    tall, flat = (synthesize(sample, (64, 64), None, depth=depth, period="last").lattice for depth in (0.8, 0.05))
+    assert tall is not None and flat is not None
+    assert Ssdn(**Ssdn.presets["paper"]).detect(sample).lattice == tall
+    assert tall.is_equivalent(Lattice((27.3, 0), (0, 24.4)), 0.5) and flat.area < 0.7 * tall.area
 
 
 def test_noise_is_refused_and_the_paper_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,17 +9,30 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthesis_cases import FRACTIONAL, noise, places, synthesize
 
+from nrbench import plugins
+from nrbench.api import texture
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Task
+from nrbench.plugins.forms import Detection, NoLatticeFound, Observation, Refused, Task
 from nrbench.running.phases import checked_synthesis
 from nrbench.synthesizers.gap_filling.canvas import SeamMethod
 from nrbench.synthesizers.rsgf import Rsgf
 
 SEAMS = get_args(SeamMethod)
-PAPER = Rsgf(seam="blend", subpixel=False, candidate_fraction=0.0, prefer_unused=False)
+PAPER = replace(Rsgf(**Rsgf.presets["paper"]), finder="consensus")
 SMALL = replace(PAPER, block=8, border=2)
+
+
+def test_the_papers_detector_loses_the_weave() -> None:
+    """On a weave of 12.3 x 13.9 px, the paper's vectors of whole pixels lose the lattice; the default keeps it."""
+    sample = texture("weave", (128, 128), 0, color=0.14)
+    preserved = {}
+    for name, method in (("paper", Rsgf(**Rsgf.presets["paper"])), ("default", Rsgf())):
+        task = Task(quantize(sample.image), (224, 224), None, np.random.default_rng(0))
+        observation = Observation(task.sample, quantize(method.synthesize(task).image), truth=sample)
+        preserved[name] = plugins.build("metrics", "regularity").score(observation).values["preserved"]
+    assert preserved == {"paper": False, "default": True}
 
 
 @pytest.mark.parametrize("match", ["ncc", "color"])

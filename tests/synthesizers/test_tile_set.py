@@ -9,6 +9,7 @@ from synthesis_cases import FRACTIONAL, noise, synthesize
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Task
+from nrbench.running.phases import checked_synthesis
 from nrbench.synthesizers.tile_set import TileLaying, TileSet
 
 TILES = ["auto", "upright", "lattice", "rectangle", "cell"]
@@ -175,6 +176,36 @@ def test_a_symmetric_texture_lends_its_mirror_images() -> None:
     np.testing.assert_array_equal(to_bytes(made.image), to_bytes(picture[3:153, 5:155]))
     lone = Task(periodic((120, 120), lattice), (50, 50), lattice, np.random.default_rng(0))
     assert len(TileLaying(TileSet(symmetry=True), lone, lattice).copies) == 1
+
+
+@pytest.mark.parametrize(("mirrored", "angle", "copies"), [(True, 0.0, 12), (False, 0.0, 6), (False, 11.0, 6)])
+def test_a_texture_of_sixfold_symmetry_lends_its_turns(mirrored: bool, angle: float, copies: int) -> None:
+    """Sums of waves that turns by 60 degrees permute give copies turned by them, and are continued all the same."""
+    period = 25.3
+    turns = np.radians(angle + 60 * np.arange(6))
+    vectors = period * np.stack([np.cos(turns), np.sin(turns)], -1)
+    lattice = Lattice(tuple(vectors[0]), tuple(vectors[1]))
+    first, second = lattice.dual().matrix
+    y, x = np.indices((200, 200))
+    picture = np.zeros((200, 200))
+    for order in _orbit(1, 0) + ([] if mirrored else _orbit(3, 1)):
+        wave = order[0] * first + order[1] * second
+        picture += np.cos(2 * np.pi * ((x - 60) * wave[0] + (y - 55) * wave[1]))
+    picture = quantize((0.5 + 0.12 * picture[..., np.newaxis]).clip(0, 1).astype(np.float32))
+    task = Task(picture[:150, :160], (190, 195), lattice, np.random.default_rng(0))
+    plain, rich = (TileLaying(TileSet(symmetry=symmetry), task, lattice) for symmetry in (False, True))
+    assert len(rich.copies) == copies
+    assert len(rich.sets[0, 0][1]) > (3 if mirrored else 1.8) * len(plain.sets[0, 0][1])
+    made = checked_synthesis(TileSet(symmetry=True).synthesize(task), task.sample, task.shape)
+    assert made.source is not None and (made.source[..., 2] < 1).any() and (made.source[..., 2] > 0).all()
+    x, y = made.source[..., :2].astype(int).transpose(2, 0, 1)
+    assert np.abs(task.sample[y, x] - made.image).max() < 0.2
+    assert np.abs(made.image - picture[:190, :195]).mean() < 0.03
+
+
+def _orbit(a: int, b: int) -> list[tuple[int, int]]:
+    """Return half of the orders that turns by 60 degrees make of one, in the dual basis of vectors 60 degrees apart."""
+    return [(a, b), (a - b, a), (-b, a - b)]
 
 
 def test_the_anchor_keeps_borders_off_the_detail() -> None:

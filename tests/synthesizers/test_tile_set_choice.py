@@ -179,7 +179,7 @@ def test_registration_moves_nothing_by_less_than_half_a_part(period: float, move
     lattice = Lattice((period + 0.43, 2.6), (-2.3, period + 0.31))
     sample = quantize(0.8 * waves((128, 128), lattice) + 0.2 * noise(128, 128))
     one, other = (
-        TileSet(registration=radius).synthesize(Task(sample, (96, 96), lattice, np.random.default_rng(1))).image
+        TileSet(registration=radius).synthesize(Task(sample, (160, 160), lattice, np.random.default_rng(1))).image
         for radius in (None, 0.0)
     )
     assert (one != other).any() == moves

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from nrbench.api import texture
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
@@ -98,3 +99,15 @@ def test_a_sample_too_small_for_margins_is_laid_without() -> None:
     sample = quantize(np.random.default_rng(0).random((82, 82, 1), np.float32))
     task = Task(sample, (50, 50), lattice, np.random.default_rng(0))
     np.testing.assert_allclose(np.abs(TileLaying(TileSet(anchor="given"), task, lattice).tile.sides).sum(0), 40)
+
+
+@pytest.mark.parametrize("color", [0.05, 0.1, 0.14, 0.3])
+@pytest.mark.parametrize(("model", "most"), [("brick", 2.0), ("hexagon", 1.5)])
+def test_elements_of_slight_departures_are_found(model: str, most: float, color: float) -> None:
+    """On eight draws, of the vectors alone, the best anchor is the middle of a brick or hexagon, to that many px."""
+    for seed in range(300, 308):
+        drawn = texture(model, (128, 128), seed, color=color)
+        assert drawn.lattice is not None
+        costs, anchors = element_costs(quantize(drawn.image), Lattice(drawn.lattice.t1, drawn.lattice.t2))
+        off = drawn.lattice.wrap(anchors[costs.argmin()] - drawn.lattice.origin)
+        assert np.hypot(*off) < most, (seed, off)
