@@ -61,6 +61,9 @@ PINNED_PAPERS = {
     "fftm-pixel": "c848b68882da",
     "ann-pixel": "23ddeb44efe7",
     "auto": "49933927b6c1",
+    "patch-based": "3e9c6cf3a162",
+    "quilting": "582aafe6ea50",
+    "regularized-patch": "578c72c3b049",
 }
 """The output of each method with the parameters of its paper, on the weave."""
 
