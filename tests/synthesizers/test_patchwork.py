@@ -110,7 +110,7 @@ def test_the_cut_is_the_least_of_all_choices(shape: tuple[int, int], some: bool,
     slopes, origin = np.zeros((2, 9, 9), np.int32), rng.integers(0, 9, (*shape, 2))
     origin[:, ::2] = origin[0, 0]
     known = rng.random(shape) < 0.8 if some else np.ones(shape, bool)
-    choices = link_choices(features, slopes, False, origin, known, int(rng.integers(5)), int(rng.integers(5)))
+    choices = link_choices(features, slopes, False, 1, origin, known, int(rng.integers(5)), int(rng.integers(5)))
 
     def total(new: NDArray[np.bool_]) -> int:
         sides = ((new[:, :-1], new[:, 1:], choices[0, :, :, :-1]), (new[:-1], new[1:], choices[1, :, :-1]))
