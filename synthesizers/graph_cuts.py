@@ -90,7 +90,7 @@ class GraphCuts:
     passes: int = 4
     force: bool = False
     normalized: bool = True
-    power: int = 2
+    power: int = 1
     feather: float = 1.0
 
     reference: ClassVar[bool] = False

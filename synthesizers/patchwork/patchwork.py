@@ -123,7 +123,7 @@ class Patchwork:
             return image, source
         distance = np.arange(-math.ceil(2 * sigma), math.ceil(2 * sigma) + 1)
         weights = np.exp(-(distance**2) / (2 * sigma**2))
-        return feather_seams(self.sample, self.origin, image, np.outer(weights, weights))
+        return feather_seams(self.sample.copy(), self.origin, image, np.outer(weights, weights))
 
     def read(self, values: NDArray[Any], window: Window) -> NDArray[Any]:
         """Return the values of a window's source pixels, ``(h, w, ...)``, from those of the sample's pixels.
