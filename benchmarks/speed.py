@@ -52,8 +52,9 @@ METHODS = (
     *("tile-set:cells=2", "tile-set:margin=0", "tile-set:stitch=dynamic"),
     *("representative-tile", "tiling", "tiling:tile=mean", "supertile", "shuffle", "scatter"),
     *("fftm-pixel", "fftm-patch", "ann-pixel"),
+    *("graph-cuts", "graph-cuts:refine=none", "graph-cuts:placement=sub-patch", "graph-cuts:placement=random"),
 )
-PLAIN = ("rsgf", "tile-set", "representative-tile", "tiling", "fftm-pixel", "fftm-patch", "ann-pixel")
+PLAIN = ("rsgf", "tile-set", "representative-tile", "tiling", "fftm-pixel", "fftm-patch", "ann-pixel", "graph-cuts")
 EVERYTHING = {"light": 0.3, "damage": 0.2, "missing": 0.1, "jitter": 0.3, "bend": 0.3}
 SIDES = (256, 512, 1024, 2048, 4096)
 
