@@ -17,7 +17,7 @@ from nrbench.spectra.harmonics import lowest_period
 
 from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
 from .patchwork.patchwork import PatchPlacer, Patchwork, SeamHeat, scan_windows
-from .patchwork.translations import Features
+from .patchwork.translations import to_gray_levels
 
 SeamValues = Literal["color", "mask"]
 PatchRule = Literal["period", "lowest"]
@@ -206,11 +206,6 @@ class FftmPatch(MaskParameters):
 
 def _shape(image: Image) -> Shape:
     return image.shape[0], image.shape[1]
-
-
-def to_gray_levels(image: Image, weight: float = 1.0) -> Features:
-    """Return an image, times a weight, rounded to integer gray levels, ``int32 (H, W, C)``."""
-    return np.ascontiguousarray(np.rint(image.astype(np.float64) * (255 * weight)), np.int32)
 
 
 def automatic_size(mask: TextureMask, shape: Shape, rule: PatchRule = "period") -> Shape:

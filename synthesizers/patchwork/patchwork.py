@@ -5,18 +5,21 @@ Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video syn
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import Image
 
 from ..sampling.patches import Source
 from ..seams.minimum_cut import Links, Mask, minimum_cut
+from .feather_kernels import feather_seams
 from .patchwork_kernels import FIRST, SECOND, STAY, UNIT, link_choices
 from .translations import Features, Layer, Translations, draw_translation
 
@@ -55,6 +58,9 @@ class Patchwork:
         miss the minimum, but the total cost never increases.
     wrap
         Whether opposite edges of the output are adjacent.
+    power
+        Exponent of the sum of differences: 1 (the paper) or 2. None: 2 if ``normalized``, else 1. The normalized cost
+        of power 1 is a ratio; it is stored :data:`UNIT` times larger than other costs, so that rounding is negligible.
 
     Attributes
     ----------
@@ -68,10 +74,17 @@ class Patchwork:
     """
 
     def __init__(
-        self, sample: Image, features: Features, shape: tuple[int, int], normalized: bool = False, wrap: bool = False
+        self,
+        sample: Image,
+        features: Features,
+        shape: tuple[int, int],
+        normalized: bool = False,
+        wrap: bool = False,
+        power: int | None = None,
     ) -> None:
         self.sample, self.features, self.shape = sample, features, shape
         self.normalized, self.wrap = normalized, wrap
+        self.power = (2 if normalized else 1) if power is None else power
         self.origin = np.zeros((*shape, 2), np.int64)
         self.known = np.zeros(shape, np.bool_)
         self.seams = np.zeros((2, *shape), np.int64)
@@ -93,6 +106,25 @@ class Patchwork:
         source[..., :2] = self.origin
         return self.read(self.sample, (0, self.shape[0], 0, self.shape[1])), source
 
+    def feathered(self, sigma: float) -> tuple[Image, Source]:
+        """Return the output with its patches blended near their seams, and its source map.
+
+        Every pixel is the weighted mean of the values that the patches around it have there. The weight of a patch is a
+        Gaussian of the distance, summed over the pixels that show it (section 5, "feathering"). Pixels that see one
+        patch only are copies.
+
+        Parameters
+        ----------
+        sigma
+            Standard deviation of the Gaussian, px; it is cut off at twice that distance. 0: every pixel is a copy.
+        """
+        image, source = self.result()
+        if sigma == 0:
+            return image, source
+        distance = np.arange(-math.ceil(2 * sigma), math.ceil(2 * sigma) + 1)
+        weights = np.exp(-(distance**2) / (2 * sigma**2))
+        return feather_seams(self.sample.copy(), self.origin, image, np.outer(weights, weights))
+
     def read(self, values: NDArray[Any], window: Window) -> NDArray[Any]:
         """Return the values of a window's source pixels, ``(h, w, ...)``, from those of the sample's pixels.
 
@@ -107,7 +139,9 @@ class Patchwork:
         rows, columns = np.arange(y0, y1) % self.shape[0], np.arange(x0, x1) % self.shape[1]
         return rows[:, np.newaxis], columns[np.newaxis]
 
-    def lay_patch(self, window: Window, place: tuple[int, int], reach: int = 0) -> int:
+    def lay_patch(
+        self, window: Window, place: tuple[int, int], reach: int = 0, forced_pixel: tuple[int, int] | None = None
+    ) -> int:
         """Cut a patch into a window so that the seams cost least. All unknown pixels of the window are filled.
 
         Parameters
@@ -120,6 +154,9 @@ class Patchwork:
         reach
             Distance beyond the window in px within which the patch may also replace known pixels, as far as the sample
             extends.
+        forced_pixel
+            (y, x) inside the window: a pixel that must show the patch, even if the seams then cost more (section 3.2,
+            "surrounded regions"). None: there is none.
 
         Returns
         -------
@@ -131,8 +168,10 @@ class Patchwork:
         known, origin = np.ascontiguousarray(self.known[pixels]), np.ascontiguousarray(self.origin[pixels])
         forced = np.zeros_like(known)
         forced[_within(window, around)] = ~known[_within(window, around)]
+        if forced_pixel is not None:
+            forced[forced_pixel[0] - around[0], forced_pixel[1] - around[2]] = True
         x, y = place[0] + around[2] - window[2], place[1] + around[0] - window[0]
-        choices = link_choices(self.features, self._slopes, self.normalized, origin, known, x, y)
+        choices = link_choices(self.features, self._slopes, self.normalized, self.power, origin, known, x, y)
         new = cut_least_seams(choices, (ring | ~known) & ~forced, forced)
         rows, columns = np.nonzero(new)
         at = pixels[0][rows, 0], pixels[1][0, columns]
@@ -256,12 +295,35 @@ class SeamHeat:
 
     def find_worst(self) -> Window:
         """Return the window whose seams cost most. The cost of a block is halved for each earlier try."""
-        heat = self.costs * 0.5 ** np.minimum(self.tries, 50)
+        sums = self._sum_windows(self.costs * 0.5 ** np.minimum(self.tries, 50))
+        return self._window_at(int(sums.argmax()), sums.shape[1])
+
+    def draw_window(self, rng: np.random.Generator) -> Window:
+        """Return a random window."""
+        sums = self._sum_windows(self.costs)
+        return self._window_at(int(rng.integers(sums.size)), sums.shape[1])
+
+    def draw_extreme(self, rng: np.random.Generator, maxima: bool) -> Window:
+        """Return a random window of those whose seams cost no more than those of the windows one block from it.
+
+        With ``maxima``, also those whose seams cost no less than these.
+        """
+        sums = self._sum_windows(self.costs)
+        extreme = sums == ndimage.minimum_filter(sums, 3, mode="nearest")
+        if maxima:
+            extreme |= sums == ndimage.maximum_filter(sums, 3, mode="nearest")
+        return self._window_at(int(rng.choice(np.flatnonzero(extreme))), sums.shape[1])
+
+    def _sum_windows(self, heat: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sum over the blocks of each window, from a value for each block."""
         height, width = (min(-(-side // self.block), most) for side, most in zip(self.size, heat.shape, strict=True))
         if self.work.wrap:
             heat = np.pad(heat, ((0, height - 1), (0, width - 1)), "wrap")
-        sums = box_sums(heat, (height, width))
-        y, x = (self.block * k for k in divmod(int(sums.argmax()), sums.shape[1]))
+        return box_sums(heat, (height, width))
+
+    def _window_at(self, index: int, columns: int) -> Window:
+        """Return the window of an index into the sums over windows."""
+        y, x = (self.block * k for k in divmod(index, columns))
         if not self.work.wrap:
             y, x = min(y, self.work.shape[0] - self.size[0]), min(x, self.work.shape[1] - self.size[1])
         return y, y + self.size[0], x, x + self.size[1]
@@ -335,10 +397,14 @@ class PatchPlacer:
 
     @cached_property
     def _variance(self) -> float:
-        """The sample's variance, summed over channels, from integer sums so that it is the same on every machine."""
-        values = self.colors.reshape(-1, self.colors.shape[2]).astype(np.int64)
-        count, squares = len(values), int((values**2).sum())
-        return (count * squares - sum(int(total) ** 2 for total in values.sum(0))) / count**2
+        return summed_variance(self.colors)
+
+
+def summed_variance(colors: Features) -> float:
+    """Return the variance, summed over channels, from integer sums so that it is the same on every machine."""
+    values = colors.reshape(-1, colors.shape[2]).astype(np.int64)
+    count, squares = len(values), int((values**2).sum())
+    return (count * squares - sum(int(total) ** 2 for total in values.sum(0))) / count**2
 
 
 def scan_windows(shape: tuple[int, int], size: tuple[int, int], step: tuple[int, int], wrap: bool) -> Iterator[Window]:

@@ -14,12 +14,13 @@ STAY, SECOND, FIRST = 0, 1, 2
 link costs nothing."""
 
 
-@kernel("int64(int32[:, :, ::1], int32[:, :, ::1], int64, boolean, int64, int64, int64, int64)")
+@kernel("int64(int32[:, :, ::1], int32[:, :, ::1], int64, boolean, int64, int64, int64, int64, int64)")
 def step_cost(
     features: NDArray[np.int32],
     slopes: NDArray[np.int32],
     axis: int,
     normalized: bool,
+    power: int,
     y: int,
     x: int,
     v: int,
@@ -46,17 +47,21 @@ def step_cost(
         apart += np.sqrt(np.float64(squares))
         busy += slopes[axis, j, i] + slopes[axis, m, n]
     if normalized:
-        return int(np.rint(UNIT * UNIT * apart * apart / (busy + UNIT)))
-    return int(np.rint(UNIT * apart))
+        if power == 2:
+            return int(np.rint(UNIT * UNIT * apart * apart / (busy + UNIT)))
+        return int(np.rint(UNIT * UNIT * UNIT * apart / (busy + UNIT)))
+    return int(np.rint(UNIT * apart * apart if power == 2 else UNIT * apart))
 
 
 @kernel(
-    "int64[:, :, :, ::1](int32[:, :, ::1], int32[:, :, ::1], boolean, int64[:, :, ::1], boolean[:, ::1], int64, int64)"
+    "int64[:, :, :, ::1]"
+    "(int32[:, :, ::1], int32[:, :, ::1], boolean, int64, int64[:, :, ::1], boolean[:, ::1], int64, int64)"
 )
 def link_choices(
     features: NDArray[np.int32],
     slopes: NDArray[np.int32],
     normalized: bool,
+    power: int,
     source: NDArray[np.int64],
     known: NDArray[np.bool_],
     x: int,
@@ -66,7 +71,7 @@ def link_choices(
 
     Parameters
     ----------
-    features, slopes, normalized
+    features, slopes, normalized, power
         The sample's features, their gradients ``(2, H, W)``, and the type of cost: see
         :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`.
     source
@@ -94,9 +99,13 @@ def link_choices(
                 ay, ax = source[j, i, 1], source[j, i, 0]
                 by, bx = source[n, m, 1] - down, source[n, m, 0] - right
                 if first and second:
-                    costs[axis, STAY, j, i] = step_cost(features, slopes, axis, normalized, ay, ax, by, bx)
+                    costs[axis, STAY, j, i] = step_cost(features, slopes, axis, normalized, power, ay, ax, by, bx)
                 if first:
-                    costs[axis, SECOND, j, i] = step_cost(features, slopes, axis, normalized, ay, ax, y + j, x + i)
+                    costs[axis, SECOND, j, i] = step_cost(
+                        features, slopes, axis, normalized, power, ay, ax, y + j, x + i
+                    )
                 if second:
-                    costs[axis, FIRST, j, i] = step_cost(features, slopes, axis, normalized, y + j, x + i, by, bx)
+                    costs[axis, FIRST, j, i] = step_cost(
+                        features, slopes, axis, normalized, power, y + j, x + i, by, bx
+                    )
     return costs

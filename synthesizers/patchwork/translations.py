@@ -1,4 +1,4 @@
-"""Compare a window of an output with the sample at every translation, by Fourier transforms.
+"""Compare an output with the sample at every translation, by Fourier transforms.
 
 Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts), section 4.
 """
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from nrbench.imaging.box_sums import box_sums_from, integral_image
+from nrbench.imaging.box_sums import box_sums, box_sums_from, integral_image
+from nrbench.imaging.convert import Image
 
 from ..seams.minimum_cut import Mask
 
@@ -23,6 +24,11 @@ Features = NDArray[np.int32]
 Costs = NDArray[np.float64]
 """``float64 (rows, columns)``: the cost of each place (y, x) of the window's first pixel in the sample."""
 _Spectra = NDArray[np.complex128]
+
+
+def to_gray_levels(image: Image, weight: float = 1.0) -> Features:
+    """Return an image, times a weight, rounded to integer gray levels, ``int32 (H, W, C)``."""
+    return np.ascontiguousarray(np.rint(image.astype(np.float64) * (255 * weight)), np.int32)
 
 
 class Layer(NamedTuple):
@@ -88,9 +94,7 @@ class Translations:
         return np.asarray(total + np.rint(products[:, :columns]))
 
     def _transformed(self, pixels: NDArray[Any]) -> _Spectra:
-        """Return the spectra ``(C, rows, columns)`` of ``(h, w, C)``, padded with zeros."""
-        lines = fft.rfft(np.moveaxis(pixels, -1, 0).astype(np.float64), self._fast_shape[1], axis=2)
-        return np.asarray(fft.fft(lines, self._fast_shape[0], axis=1))
+        return _transform(pixels, self._fast_shape)
 
     @cached_property
     def _prepared(self) -> tuple[list[_Spectra], list[_Spectra], list[Costs]]:
@@ -102,8 +106,77 @@ class Translations:
 
     @cached_property
     def _fast_shape(self) -> tuple[int, int]:
-        height, width = self.layers[0].shape[:2]
-        return fft.next_fast_len(height, real=True), fft.next_fast_len(width, real=True)
+        return _fast_shape(*self.layers[0].shape[:2])
+
+
+@dataclass(frozen=True, eq=False)
+class EntirePatch:
+    """The translations of a whole patch over an output that is only partly known (entire-patch matching).
+
+    Parameters
+    ----------
+    patch
+        ``int32 (H, W, C)``: the whole sample. Sums of squares over it must be below 2^47.
+    counts
+        (rows, columns): the number of translations that are compared along each axis.
+    """
+
+    patch: Features
+    counts: tuple[int, int]
+
+    def compute_costs(self, window: Layer) -> tuple[Costs, Costs]:
+        """Compare the patch with the known pixels that it overlaps, at each translation.
+
+        Parameters
+        ----------
+        window
+            ``(H + rows - 1, W + columns - 1)``: the part of the output that the patch can reach. Pixels beyond the
+            output's edges are unknown.
+
+        Returns
+        -------
+        costs
+            ``(rows, columns)``, exact: the sums of squared differences, at each position of the patch's first pixel in
+            the window. The paper's C(t) is this sum over the area.
+        areas
+            ``(rows, columns)``: the number of known pixels that the patch overlaps.
+
+        Notes
+        -----
+        With M = 1 at known pixels, the sum over M (O - I)^2 is that of M O^2, a box sum, minus twice the correlation of
+        M O with I, plus the correlation of M with I^2. The time is O(C n log n) for windows of n pixels.
+        """
+        known = np.ones(window.values.shape[:2], np.bool_) if window.known is None else window.known
+        values = window.values * known[..., np.newaxis]
+        size = self.patch.shape[0], self.patch.shape[1]
+        spectra, squares = self._prepared
+        product = np.einsum("chw,chw->hw", spectra, _transform(-2 * values, self._fast_shape))
+        product += squares * _transform(known[..., np.newaxis], self._fast_shape)[0]
+        rows, columns = self.counts
+        products = fft.irfft(fft.ifft(product, axis=0)[:rows], self._fast_shape[1], axis=1)[:, :columns]
+        energy = box_sums((values.astype(np.int64) ** 2).sum(-1), size)
+        return np.asarray(energy + np.rint(products)), box_sums(known, size)
+
+    @cached_property
+    def _prepared(self) -> tuple[_Spectra, _Spectra]:
+        """The conjugate spectra of the patch's channels and of its squares, summed over channels."""
+        squares = (self.patch.astype(np.int64) ** 2).sum(-1, keepdims=True)
+        shape = self._fast_shape
+        return _transform(self.patch, shape).conj(), _transform(squares, shape)[0].conj()
+
+    @cached_property
+    def _fast_shape(self) -> tuple[int, int]:
+        return _fast_shape(*(side + n - 1 for side, n in zip(self.patch.shape, self.counts, strict=False)))
+
+
+def _transform(pixels: NDArray[Any], shape: tuple[int, int]) -> _Spectra:
+    """Return the spectra ``(C, rows, columns)`` of ``(h, w, C)``, padded with zeros to a shape."""
+    lines = fft.rfft(np.moveaxis(pixels, -1, 0).astype(np.float64), shape[1], axis=2)
+    return np.asarray(fft.fft(lines, shape[0], axis=1))
+
+
+def _fast_shape(height: int, width: int) -> tuple[int, int]:
+    return fft.next_fast_len(height, real=True), fft.next_fast_len(width, real=True)
 
 
 def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tuple[int, int]:
@@ -112,10 +185,11 @@ def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tu
     Parameters
     ----------
     costs
-        Costs from :meth:`Translations.compute_costs`.
+        Costs of the places, for example from :meth:`Translations.compute_costs`. Places of infinite cost are never
+        drawn; at least one cost is finite.
     scale
-        The paper's k sigma^2 (section 4) times the number of the window's pixels, in the unit of the costs. 0: one of
-        the places of least cost is drawn.
+        The paper's k sigma^2 (section 4) in the unit of the costs: times the number of the window's pixels if the costs
+        are sums. 0: one of the places of least cost is drawn.
     rng
         The generator; one number is drawn from it.
     """

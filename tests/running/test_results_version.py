@@ -37,6 +37,7 @@ PINNED: Pins = {
     "weave/command": ("c7dcc3413662", 0.554, None),
     "weave/fftm-patch": ("55591b94be29", 1.0, 0.647),
     "weave/fftm-pixel": ("38d55f1a6cc0", 1.0, 0.971),
+    "weave/graph-cuts": ("112033b60069", 1.0, 0.831),
     "weave/lattice-only": ("61b98c87908c", 0.994, None),
     "weave/patch-based": ("22ae6fd6bc7a", 1.0, 0.854),
     "weave/planted:kind=phase-step,size=0.25": ("f742306bbc6b", 0.417, None),

@@ -46,7 +46,7 @@ def anywhere(work: Patchwork, rng: np.random.Generator, window: Window) -> tuple
     return int(x), int(y)
 
 
-def step(features: Features, normalized: bool, one: Any, other: Any, axis: int) -> float:
+def step(features: Features, normalized: bool, power: int, one: Any, other: Any, axis: int) -> float:
     """Return what a change costs between two patches that show a link's first pixel at (x, y), by definition."""
     last = np.array(features.shape[1::-1]) - 1
     slopes = [np.gradient(features.astype(float), axis=k) for k in (1, 0)]
@@ -55,7 +55,8 @@ def step(features: Features, normalized: bool, one: Any, other: Any, axis: int) 
         ends = [np.clip(np.add(place, ahead * np.eye(2, dtype=int)[axis]), 0, last) for place in (one, other)]
         apart += float(np.linalg.norm(np.subtract(*(features[y, x].astype(float) for x, y in ends))))
         busy += sum(np.rint(UNIT * np.linalg.norm(slopes[axis][y, x])) / UNIT for x, y in ends)
-    return apart**2 / (busy + 1) if normalized else apart
+    scale = UNIT if normalized and power == 1 else 1
+    return scale * apart**power / (busy + 1 if normalized else 1)
 
 
 def seams_of(work: Patchwork) -> NDArray[np.float64]:
@@ -67,17 +68,18 @@ def seams_of(work: Patchwork) -> NDArray[np.float64]:
             continue
         there = work.origin[v % work.shape[0], u % work.shape[1]] - (1 - axis, axis)
         if (there != work.origin[y, x]).any():
-            costs[axis, y, x] = step(work.features, work.normalized, work.origin[y, x], there, axis)
+            costs[axis, y, x] = step(work.features, work.normalized, work.power, work.origin[y, x], there, axis)
     return costs
 
 
-@pytest.mark.parametrize("normalized", [False, True])
+@pytest.mark.parametrize(("normalized", "power"), [(False, None), (True, None), (False, 2), (True, 1)])
 @pytest.mark.parametrize("wrap", [False, True])
 @pytest.mark.parametrize("channels", [1, 6])
-def test_the_seams_kept_are_those_of_the_map(normalized: bool, wrap: bool, channels: int) -> None:
+def test_the_seams_kept_are_those_of_the_map(normalized: bool, power: int | None, wrap: bool, channels: int) -> None:
     """The recorded costs of seams equal, up to rounding, those computed from the source map alone."""
     rng = np.random.default_rng(1)
-    work = patchwork(rng, (17, 15), (21, 26), channels, normalized=normalized, wrap=wrap)
+    work = patchwork(rng, (17, 15), (21, 26), channels, normalized=normalized, wrap=wrap, power=power)
+    assert work.power == (power or (2 if normalized else 1))
     cover(work, rng, (7, 8), 20)
     np.testing.assert_allclose(work.seams / UNIT, seams_of(work), atol=0.5 / UNIT + 1e-9)
     assert work.cost == work.seams.sum() / UNIT > 0
@@ -110,7 +112,7 @@ def test_the_cut_is_the_least_of_all_choices(shape: tuple[int, int], some: bool,
     slopes, origin = np.zeros((2, 9, 9), np.int32), rng.integers(0, 9, (*shape, 2))
     origin[:, ::2] = origin[0, 0]
     known = rng.random(shape) < 0.8 if some else np.ones(shape, bool)
-    choices = link_choices(features, slopes, False, origin, known, int(rng.integers(5)), int(rng.integers(5)))
+    choices = link_choices(features, slopes, False, 1, origin, known, int(rng.integers(5)), int(rng.integers(5)))
 
     def total(new: NDArray[np.bool_]) -> int:
         sides = ((new[:, :-1], new[:, 1:], choices[0, :, :, :-1]), (new[:-1], new[1:], choices[1, :, :-1]))
@@ -124,6 +126,31 @@ def test_the_cut_is_the_least_of_all_choices(shape: tuple[int, int], some: bool,
     assert total(found) <= min(total(new) for new in allowed) + choices.shape[2] * choices.shape[3] * 2
     if (choices[:, 0] <= choices[:, 1] + choices[:, 2]).all():
         assert total(found) == min(total(new) for new in allowed)
+
+
+@pytest.mark.parametrize("forced", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_no_other_part_of_a_patch_makes_the_seams_cost_less(seed: int, forced: bool) -> None:
+    """Among many old seams, the part of a patch that is shown has the least total cost of all parts: by trying all."""
+    rng = np.random.default_rng(seed)
+    work = patchwork(rng, (9, 9), (4, 5))
+    work.origin = rng.choice(rng.integers(0, 9, (3, 2)), work.shape)
+    work.known[:] = True
+    work.seams[...] = np.rint(seams_of(work) * UNIT)
+    before, pixel = work.origin.copy(), (int(rng.integers(1, 3)), int(rng.integers(1, 4))) if forced else None
+    place = rng.integers(5, size=2)
+    y, x = np.indices((2, 3))
+    patch, costs = np.stack([x, y], -1) + place, []
+    for bits in itertools.product([False, True], repeat=6):
+        new = np.array(bits).reshape(2, 3)
+        if pixel is None or new[pixel[0] - 1, pixel[1] - 1]:
+            work.origin[1:3, 1:4] = np.where(new[..., np.newaxis], patch, before[1:3, 1:4])
+            costs.append(seams_of(work).sum())
+    work.origin = before
+    work.lay_patch((1, 3, 1, 4), (int(place[0]), int(place[1])), forced_pixel=pixel)
+    # Each of the 31 links is rounded to parts of a gray level.
+    assert work.cost == pytest.approx(min(costs), abs=31 / UNIT)
+    assert pixel is None or (work.origin[pixel] == np.subtract(pixel[::-1], (1, 1)) + place).all()
 
 
 @pytest.mark.parametrize("wrap", [False, True])
@@ -173,6 +200,42 @@ def test_a_bad_patch_is_covered_and_a_good_one_stays() -> None:
         assert work.lay_patch((11, 13, 14, 17), (18, 17), reach=20) == 48
         assert work.cost == 0
         assert work.lay_patch((5, 25, 8, 28), (0, 0)) == 0
+
+
+def test_windows_at_extremes_cost_no_more_and_no_less_than_those_around() -> None:
+    """Drawn windows are local minima of the cost of seams, or minima and maxima; both kinds are drawn."""
+    rng = np.random.default_rng(4)
+    work = patchwork(rng, (20, 20), (48, 54))
+    cover(work, rng, (7, 8), 20)
+    heat = SeamHeat(work, (12, 18))
+    block = heat.block
+
+    def cost(top: int, left: int) -> int:
+        return int(work.seams[:, top : top + 12, left : left + 18].sum())
+
+    kinds = set()
+    for k in range(60):
+        y0, y1, x0, x1 = heat.draw_extreme(rng, maxima=k % 2 == 1)
+        assert (y1 - y0, x1 - x0) == (12, 18)
+        near = [
+            cost(top, left)
+            for top in (y0 - block, y0, y0 + block)
+            for left in (x0 - block, x0, x0 + block)
+            if 0 <= top <= 48 - 12 and 0 <= left <= 54 - 18
+        ]
+        kind = "minimum" if cost(y0, x0) == min(near) else "maximum" if cost(y0, x0) == max(near) else "neither"
+        kinds.add((k % 2 == 1, kind))
+    assert kinds == {(False, "minimum"), (True, "minimum"), (True, "maximum")}
+
+
+def test_random_windows_are_everywhere() -> None:
+    """Every window at a whole number of blocks is drawn, however little its seams cost."""
+    rng = np.random.default_rng(6)
+    work = patchwork(rng, (20, 20), (24, 30))
+    heat = SeamHeat(work, (12, 12))
+    assert {heat.draw_window(rng)[::2] for _ in range(2000)} == {
+        (y, x) for y in range(0, 13, 2) for x in range(0, 19, 2)
+    }
 
 
 def test_a_patch_never_fills_more_than_its_window() -> None:

@@ -1,0 +1,222 @@
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from synthesis_cases import noise, synthesize
+
+from nrbench.api import texture
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image, quantize
+from nrbench.metrics.regularity import Regularity
+from nrbench.plugins.forms import Observation, Refused, Task, Texture
+from nrbench.running.phases import checked_synthesis
+from nrbench.synthesizers.graph_cuts import GraphCuts
+from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat
+from nrbench.synthesizers.patchwork.whole_patches import WholePatches
+
+VARIANTS = [
+    {},
+    {"placement": "sub-patch", "region": 0.3},
+    {"placement": "random", "feather": 2.0},
+    {"refine": "random", "normalized": False},
+    {"refine": "minima", "power": 2},
+    {"refine": "extremes", "force": False},
+    {"refine": "none", "feather": 0.0},
+]
+
+
+def smooth(height: int, width: int, seed: int = 0) -> Image:
+    """Return a tile of smooth noise of 8 bits, periodic."""
+    spectrum = np.fft.fft2(np.random.default_rng(seed).random((height, width, 3)), axes=(0, 1))
+    waves = np.abs(np.fft.fftfreq(height)[:, None]) + np.abs(np.fft.fftfreq(width)) < 0.25
+    tile = np.fft.ifft2(spectrum * waves[..., None], axes=(0, 1)).real
+    return quantize(((tile - tile.min()) / np.ptp(tile)).astype(np.float32))
+
+
+def made(sample: Image, shape: tuple[int, int], seed: int = 1, **options: Any) -> tuple[Patchwork, WholePatches]:
+    """Return an output that is filled but not refined."""
+    task = Task(sample, shape, None, np.random.default_rng(seed))
+    work, patches = GraphCuts(**options).prepare(task)
+    while (region := patches.find_unknown()) is not None:
+        patches.cover_region(region)
+    return work, patches
+
+
+@pytest.mark.parametrize("options", VARIANTS)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_every_variant_gives_an_output_with_a_true_source_map(options: dict[str, Any], channels: int) -> None:
+    """Shapes and channels are those asked for, and pixels of weight 1 equal their sources."""
+    sample = noise(30, 26, channels)
+    result = synthesize(GraphCuts(**options), sample, (50, 61))
+    assert result.image.shape == (50, 61, channels) and result.lattice is None
+    checked_synthesis(result, sample, (50, 61))
+    assert result.source is not None
+    blended = bool((result.source[..., 2] < 1).any())
+    assert blended is (options.get("feather") != 0)
+
+
+@pytest.mark.parametrize("shape", [(9, 70), (26, 30), (8, 8), (101, 33)])
+def test_outputs_of_any_shape_are_made(shape: tuple[int, int]) -> None:
+    """Outputs may be smaller than the sample, equal to it, or long and narrow."""
+    sample = noise(26, 30)
+    checked_synthesis(synthesize(GraphCuts(passes=1), sample, shape), sample, shape)
+
+
+@pytest.mark.parametrize("placement", ["entire", "sub-patch"])
+def test_a_periodic_sample_goes_on_exactly(placement: Any) -> None:
+    """The output of a periodic sample is the periodic picture, exactly, and refinement leaves no seam of any cost."""
+    tile = smooth(12, 17)
+    sample = np.tile(tile, (5, 4, 1))
+    work, patches = made(sample, (150, 140), placement=placement, randomness=0.0)
+    image, whole = work.result()[0], np.tile(tile, (14, 10, 1))
+    equal = [(whole[y : y + 150, x : x + 140] == image).all() for y, x in np.ndindex(12, 17)]
+    assert sum(equal) == 1
+    # Where two patches meet at the edge of one of them, its outermost pixels are repeated; that seam has a cost.
+    heat = SeamHeat(work, patches.size)
+    for _ in range(40):
+        region = heat.find_worst()
+        patches.cover_region(region)
+        heat.update(region, 68)
+    assert work.cost == 0
+    np.testing.assert_array_equal(work.result()[0], image)
+
+
+def test_the_same_stream_gives_the_same_bytes() -> None:
+    """Outputs depend on the sample, the shape and the random generator only."""
+    sample = noise(30, 30)
+    first, again, other = (synthesize(GraphCuts(), sample, (60, 60), seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.image, again.image)
+    assert first.source is not None and again.source is not None
+    np.testing.assert_array_equal(first.source, again.source)
+    assert (first.image != other.image).any()
+
+
+def note_windows(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Note the calls that choose a window of refinement."""
+    chosen: list[str] = []
+
+    def noting(name: str) -> Callable[..., Any]:
+        method = getattr(SeamHeat, name)
+
+        def call(*given: Any, **options: Any) -> Any:
+            chosen.append(f"{name}{options or ''}")
+            return method(*given, **options)
+
+        return call
+
+    for name in ("find_worst", "draw_window", "draw_extreme"):
+        monkeypatch.setattr(SeamHeat, name, noting(name))
+    return chosen
+
+
+@pytest.mark.parametrize(
+    ("refine", "call"),
+    [
+        ("worst", "find_worst"),
+        ("random", "draw_window"),
+        ("minima", "draw_extreme{'maxima': False}"),
+        ("extremes", "draw_extreme{'maxima': True}"),
+        ("none", None),
+    ],
+)
+def test_refinement_covers_the_regions_that_it_names(
+    refine: Any, call: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each variant of figure 46 chooses its regions its own way, as many in a pass as the output holds."""
+    chosen = note_windows(monkeypatch)
+    synthesize(GraphCuts(refine=refine, passes=1), noise(30, 30), (60, 60))
+    assert chosen == ([call] * 16 if call else [])
+
+
+def test_refinement_stops_when_it_does_not_pay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last pass is the first one of little gain, and there is none where no seam is left."""
+    chosen = note_windows(monkeypatch)
+    costs = iter([100.0, 90.0, 90.0, 89.5])
+    monkeypatch.setattr(Patchwork, "cost", property(lambda self: next(costs)))
+    synthesize(GraphCuts(passes=9), noise(30, 30), (60, 60))
+    assert len(chosen) == 2 * 16
+    monkeypatch.setattr(Patchwork, "cost", property(lambda self: 0.0))
+    synthesize(GraphCuts(passes=9), noise(30, 30), (60, 60))
+    assert len(chosen) == 2 * 16
+
+
+def test_refinement_makes_seams_cost_less() -> None:
+    """Covering the worst regions reduces the cost of all seams by a fifth on a wall."""
+    sample = texture("brick", shape=(96, 96), seed=0, color=0.3, noise=0.03).image
+    work, patches = made(sample, (192, 192), placement="random")
+    before, heat = work.cost, SeamHeat(work, patches.size)
+    patches.placement = "entire"
+    for _ in range(20):
+        region = heat.find_worst()
+        patches.cover_region(region)
+        heat.update(region, 96)
+    assert work.cost < 0.8 * before
+
+
+def test_a_forced_paste_always_shows_the_patch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With ``force`` every step of refinement changes at least one pixel; without, some change none."""
+    changed: list[int] = []
+    lay = WholePatches.cover_region
+
+    def noting(*given: Any) -> int:
+        changed.append(lay(*given))
+        return changed[-1]
+
+    monkeypatch.setattr(WholePatches, "cover_region", noting)
+    for force in (True, False):
+        changed.clear()
+        synthesize(GraphCuts(force=force, refine="minima", passes=2), noise(30, 30), (60, 60))
+        assert (min(changed) > 0) is force
+
+
+@pytest.mark.parametrize("name", ["brick", "weave", "hexagon"])
+def test_regular_samples_stay_regular(name: str) -> None:
+    """On textures without departures entire-patch matching preserves the lattice; random placement loses it."""
+    made = texture(name, shape=(96, 96), seed=2)
+    sample = quantize(made.image)
+    truth = Texture(sample, made.lattice)
+    for placement, preserved in (("entire", True), ("random", False)):
+        method = GraphCuts(placement=placement, refine="none")  # type: ignore[arg-type]
+        output = quantize(synthesize(method, sample, (160, 160)).image)
+        verdict = Regularity().score(Observation(sample, output, truth)).values
+        assert verdict["preserved"] is preserved
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"randomness": -0.1},
+        {"randomness": float("inf")},
+        {"region": 0.0},
+        {"region": 0.9},
+        {"passes": -1},
+        {"power": 3},
+        {"feather": -1.0},
+        {"feather": 9.0},
+    ],
+)
+def test_bad_parameters_are_named(options: dict[str, Any]) -> None:
+    """The message says which parameter is wrong, and what to choose."""
+    (name,) = options
+    with pytest.raises(BadInput, match=f"{name} .*; choose"):
+        GraphCuts(**options)
+
+
+def test_samples_too_small_for_a_region_are_refused() -> None:
+    """The refusal names the least region, and that one works."""
+    with pytest.raises(Refused, match=r"30x10 px.*region >= 0\.3,"):
+        synthesize(GraphCuts(region=0.2), noise(10, 30), (40, 40))
+    synthesize(GraphCuts(region=0.3, passes=0), noise(10, 30), (40, 40))
+
+
+def test_the_preset_of_the_paper_has_its_variants() -> None:
+    """The preset ``paper`` has the cost, the placement and the forced pixel of the paper, and a k in its range."""
+    method = GraphCuts(**GraphCuts.presets["paper"])
+    assert (method.placement, method.refine, method.force) == ("entire", "worst", True)
+    assert (method.normalized, method.power) == (True, 1) and 0.001 <= method.randomness <= 1
+
+
+def test_the_preset_does_not_follow_the_defaults() -> None:
+    """Each value of the preset that the paper describes is given, whatever the default is."""
+    assert {"placement", "randomness", "refine", "force", "normalized", "power"} <= set(GraphCuts.presets["paper"])
