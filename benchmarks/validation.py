@@ -12,6 +12,13 @@ to it, and ``nrbench report`` shows its pictures.
 ``detection``
     The same textures with planted defects. Prints for each defect the area under the ROC curve (AUC) and the shares
     called lost and undecided, by regular share.
+``perils``
+    Fresh draws, and the baselines, of all textures of all suites: every model, types 0 to III. Prints false alarms of
+    the three perils by type of texture, and the mean ``quality`` of each row by suite.
+``planted``
+    Two-tone elements, blur, noise in place of the texture inside elements, and loss of contrast in textures of a
+    regular share of 0.5 to 0.95. Prints for each defect and size the AUC of its own column and of ``quality``, and
+    Spearman's correlation of both with the size.
 ``without-model``
     The outputs of ``detection`` again, judged by sample and lattice alone. Prints the same tables.
 ``invariance``
@@ -99,6 +106,19 @@ RESPONSES: Mapping[str, tuple[float, tuple[str, ...]]] = {
     "verbatim": (0.5, ("randomness.repetition",)),
 }
 """For each defect the size at which it saturates, and the columns that are meant for it."""
+
+SUITES = ("core", "default", "integer", "frontier", "report2004", "spectrum")
+"""The suites of textures with fresh draws that ``perils`` takes."""
+PERILS = ("regularity", "integrity", "randomness")
+ALARMS = (0.95, 0.75)
+"""Scores of a fresh draw below these count as a false alarm and as a gross one."""
+PLANTED: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
+    "two-tone": ((0.05, 0.1, 0.2, 0.3), "quality.integrity", False),
+    "blur": ((0.25, 0.5, 0.75, 1.0), "randomness.distance", True),
+    "noise": ((0.25, 0.5, 0.75, 1.0), "randomness.distance", True),
+    "contrast": ((0.05, 0.1, 0.15, 0.2), "randomness.distance", True),
+}
+"""For each defect its sizes, the column that is meant for it, and whether the column grows with it."""
 
 LEVELS = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
 """Levels of the departures of a model in ``departures``."""
@@ -222,6 +242,98 @@ def study_detection(options: argparse.Namespace) -> None:
         table = run_verdicts("detection", options, side, methods)
         print(f"\nOutputs of {side} x {side} px.")
         print_detection(table, table[table["defect"] == "none"])
+
+
+def study_perils(options: argparse.Namespace) -> None:
+    """Print false alarms of the three perils on fresh draws of all models, and the quality of the baselines."""
+    names = options.textures or ["*"]
+    tables = []
+    for suite in SUITES:
+        plan = load_suite(suite)
+        rows = [
+            row
+            for row in plan.model_dump(mode="json")["texture"]
+            if any(Path(row["name"]).match(name) for name in names)
+        ]
+        if rows:
+            keys = plan.model_dump(mode="json", include={"sample", "size"})
+            table = run_study(f"perils-{suite}", options, rows, options.methods, metrics=[*PERILS, "quality"], **keys)
+            tables.append(table.assign(suite=suite))
+    table = pd.concat(tables, ignore_index=True)
+    print_peril_alarms(table[table["method"] == "oracle"])
+    print_suite_quality(table)
+
+
+def print_peril_alarms(fresh: pd.DataFrame) -> None:
+    """Print how many fresh draws have a false alarm of each peril, with two-sided 95 % intervals, by type."""
+    print("\nFalse alarms of fresh draws: lost (regularity), or a score below a limit; 95 % Clopper-Pearson interval.")
+    print_head("type", "peril", "draws", "judged", *(f"below {limit:g}" for limit in ALARMS))
+    for kind, own in [*fresh.groupby("kind"), ("all", fresh)]:
+        for peril in PERILS:
+            values = own[f"quality.{peril}" if peril != "regularity" else "regularity.preserved"].dropna()
+            scores = values.astype(float)
+            counts = [int((scores < limit).sum()) for limit in ALARMS]
+            print_row(kind, peril, len(own), len(scores), *(interval(count, len(scores)) for count in counts))
+
+
+def interval(events: int, trials: int) -> str:
+    """Return a count with the two-sided 95 % Clopper-Pearson interval of its rate."""
+    if not trials:
+        return "-"
+    found = binomtest(events, trials).proportion_ci(0.95, "exact")
+    return f"{events} = {events / trials:.3f} ({found.low:.3f} to {found.high:.3f})"
+
+
+def print_suite_quality(table: pd.DataFrame) -> None:
+    """Print the mean quality of each row by suite, over textures where it is no right answer, and the largest one."""
+    print("\nMean of `quality` over textures (n), and its extreme: least for the oracle, largest for a baseline.")
+    methods = [name for name in ("oracle", *BASELINES) if (table["method"] == name).any()]
+    right = {name: plugins.build("synthesizers", name).right_on for name in methods if name != "oracle"}
+    print_head("suite", *methods)
+    for suite, own in table.groupby("suite", sort=False):
+        cells = []
+        for method in methods:
+            mine = own[(own["method"] == method) & ~own["kind"].isin(right.get(method, ()))]
+            means = mine.groupby("texture")["quality.score"].apply(lambda one: one.astype(float).mean()).dropna()
+            extreme = means.min() if method == "oracle" else means.max()
+            cells.append(f"{means.mean():.3f} ({len(means)}) {extreme:.2f}" if len(means) else "-")
+        print_row(suite, *cells)
+
+
+def study_planted(options: argparse.Namespace) -> None:
+    """Print how well the defects inside tiles are seen by their own columns and by quality."""
+    rows = [texture_row(FIRST_SEED[options.half] + number) for number in range(options.count)]
+    rows = [row for row in rows if float(row["family"]) >= 0.5]
+    methods = ["oracle", *(planted(kind, size) for kind, (sizes, *_) in PLANTED.items() for size in sizes)]
+    side = f"{options.sides[0]}x{options.sides[0]}"
+    table = run_study("planted", options, rows, methods, size=side, metrics=[*PERILS, "quality"])
+    fresh = table[table["defect"] == "none"]
+    print(f"\n{len(rows)} textures of {side} px, {len(fresh)} fresh draws. AUC over all images (n with a value).")
+    print_head("defect", "size", "column", "AUC", "AUC of `quality`", "mean `quality`")
+    for kind, (sizes, column, grows) in PLANTED.items():
+        for size in sizes:
+            own = table[(table["defect"] == kind) & np.isclose(table["size"], size)]
+            cells = []
+            for name, sign in ((column, 1 if grows else -1), ("quality.score", -1)):
+                pair = [sign * one[name].astype(float) for one in (fresh, own)]
+                cells.append(f"{auc(*pair):.3f} ({pair[1].notna().sum()})")
+            print_row(kind, f"{size:g}", f"`{column}`", *cells, f"{own['quality.score'].astype(float).mean():.3f}")
+    print("\nSpearman's correlation with the size, fresh draws as size 0: mean over textures (least); over all images.")
+    print_head("defect", "column", "within a texture", "over all", "`quality` within a texture", "over all")
+    for kind, (_, column, _) in PLANTED.items():
+        own = table[(table["defect"] == kind) | (table["defect"] == "none")]
+        cells = []
+        for name in (column, "quality.score"):
+            values = [rank_correlation(one, name) for _, one in own.groupby("texture")]
+            cells += [f"{np.nanmean(values):+.3f} ({min(values, key=abs):+.3f})", f"{rank_correlation(own, name):+.3f}"]
+        print_row(kind, f"`{column}`", *cells)
+
+
+def rank_correlation(table: pd.DataFrame, column: str) -> float:
+    """Return Spearman's correlation of the size with a column; 0 if the column has one value only."""
+    values = table[column].astype(float)
+    known = values.notna()
+    return float(spearmanr(table["size"][known], values[known]).statistic) if values.nunique() > 1 else 0.0
 
 
 def run_verdicts(name: str, options: argparse.Namespace, side: int, methods: list[str]) -> pd.DataFrame:
@@ -492,6 +604,8 @@ def band(values: pd.Series[float], level: float) -> Callable[[pd.Series[float]],
 STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "alarms": study_alarms,
     "detection": study_detection,
+    "perils": study_perils,
+    "planted": study_planted,
     "without-model": study_without_model,
     "response": study_response,
     "silence": study_silence,
@@ -510,6 +624,7 @@ def main() -> None:
     parser.add_argument("--sides", type=int, nargs="+", default=[256], help="width and height of the outputs in px")
     parser.add_argument("--half", choices=FIRST_SEED, default="report", help="which textures and seeds")
     parser.add_argument("--textures", nargs="*", help="of references: patterns of texture names")
+    parser.add_argument("--methods", nargs="*", default=["oracle"], help="of perils: oracle and baselines")
     parser.add_argument("--jobs", type=int, default=2, help="cells at the same time")
     parser.add_argument("--out", default="runs/validation", help="where the runs lie")
     options = parser.parse_args()
