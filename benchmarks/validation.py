@@ -21,6 +21,13 @@ to it, and ``nrbench report`` shows its pictures.
     Spearman's correlation of both with the size.
 ``without-model``
     The outputs of ``detection`` again, judged by sample and lattice alone. Prints the same tables.
+``photographs``
+    Photographs with known lattices, judged without a model (``--pictures FOLDER`` with a ``truth.csv``). The sample is
+    a quarter of a picture, or one half of a small one; the outputs are the part that does not touch it, and random
+    tiles of the sample joined edge to edge (``shuffle``) at twice its sides. Prints the verdict and ``integrity``.
+``sample-integrity``
+    Fresh draws and outputs with broken elements of the textures of ``core`` and ``report2004`` at 256 px, in color and
+    in gray, judged by sample and lattice alone. Prints how often ``integrity`` speaks and what it says.
 ``invariance``
     Fresh draws of the textures of ``response``, described by another basis, another origin, and at another phase.
     Prints the largest change of each column of ``regularity`` over its standard deviation over fresh draws.
@@ -56,6 +63,7 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image
+from nrbench.metrics.integrity import Integrity
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Again, Shape
 from nrbench.streams import stream
@@ -260,7 +268,7 @@ def study_perils(options: argparse.Namespace) -> None:
             table = run_study(f"perils-{suite}", options, rows, options.methods, metrics=[*PERILS, "quality"], **keys)
             tables.append(table.assign(suite=suite))
     table = pd.concat(tables, ignore_index=True)
-    print_peril_alarms(table[table["method"] == "oracle"])
+    print_peril_alarms(table[table["method"] == "oracle"].drop_duplicates("key"))
     print_suite_quality(table)
 
 
@@ -415,6 +423,92 @@ def study_without_model(options: argparse.Namespace) -> None:
         fresh = table[table["defect"] == "none"]
         print_alarms(fresh, side)
         print_detection(table, fresh)
+
+
+SMALL_PICTURE = 400
+"""Pictures with a shorter side are cut in halves, px."""
+SMALLEST_SCORE = 0.95
+"""Least score of integrity of a fresh draw."""
+
+
+def study_photographs(options: argparse.Namespace) -> None:
+    """Print the verdict and the integrity of photographs' own regions, and of random tiles of them."""
+    names = ("photograph", "sample", "own region: preserved", "integrity", "power", "shuffle: preserved", "integrity")
+    print_head(*names, "power", "reason")
+    folder, truth = Path(options.pictures), pd.read_csv(Path(options.pictures) / "truth.csv")
+    for _, row in truth.dropna(subset=["t1x"]).iterrows():
+        picture = read_image(folder / row["file"])
+        lattice = nrbench.Lattice((row["t1x"], row["t1y"]), (row["t2x"], row["t2y"]))
+        height, width = picture.shape[:2]
+        small = min(height, width) < SMALL_PICTURE
+        tall = height // 2 if height >= width or not small else height
+        wide = width // 2 if width > height or not small else width
+        sample, region = quantize(picture[:tall, :wide]), quantize(picture[-tall:, -wide:])
+        shuffled = nrbench.synthesize("shuffle", sample, (2 * tall, 2 * wide), lattice=lattice, seed=0).image
+        cells, reason = [], ""
+        for output in (region, quantize(shuffled)):
+            scores = sample_scores(sample, output, lattice)
+            cells += [show_verdict(scores["preserved"]), show_value(scores["score"]), show_value(scores["power"])]
+            reason = scores["reason"] or reason
+        print_row(Path(row["file"]).stem, f"{wide} x {tall}", *cells, reason)
+
+
+def sample_scores(sample: Image, output: Image, lattice: nrbench.Lattice) -> Row:
+    """Return the verdict and the integrity of an output that is judged by its sample and the lattice."""
+    observation = nrbench.Observation(sample, output, nrbench.Texture(sample, lattice, (lattice,)))
+    integrity = Integrity().score(observation)
+    return {
+        "preserved": Regularity().score(observation).values["preserved"],
+        "score": integrity.values["score"],
+        "power": integrity.values["detection_power"],
+        "reason": integrity.reasons.get("score", ""),
+    }
+
+
+def show_verdict(preserved: bool | None) -> str:
+    """Return the verdict in words."""
+    return "undecided" if preserved is None else "preserved" if preserved else "lost"
+
+
+def show_value(value: float | None) -> str:
+    """Return a value with two decimals, or a dash."""
+    return "-" if value is None else f"{value:.2f}"
+
+
+def study_sample_integrity(options: argparse.Namespace) -> None:
+    """Print how integrity without a model judges fresh draws and outputs with broken elements."""
+    rows = []
+    for suite in ("core", "report2004"):
+        own = [row for row in load_suite(suite).model_dump(mode="json")["texture"] if not row["parameters"].get("bend")]
+        rows += [{key: value for key, value in row.items() if key not in ("sample", "size")} for row in own]
+    rows = rows[:: max(len(rows) // options.count, 1)]
+    methods = ["oracle", planted("two-tone", 0.3), "shuffle", "rsgf:block=20,border=5,seam=blend,subpixel=false"]
+    run_study("sample-integrity", options, rows, methods, sample="256x256", size="256x256", metrics=["cost"])
+    found = []
+    for record in nrbench.Run(run_folder("sample-integrity", options, "256x256")).cells:
+        if record.status == "ok" and record.cell.lattice_truth is not None:
+            sample, output = (read_image(record.folder / f"{name}.png") for name in ("sample", "output"))
+            for color, pair in (("color", (sample, output)), ("gray", tuple(map(grayed, (sample, output))))):
+                scores = sample_scores(*pair, record.cell.lattice_truth)
+                found.append({"texture": record.texture, "method": record.method, "color": color, **scores})
+    table = pd.DataFrame(found)
+    names = ("output", "n", "verdict", "integrity speaks", "median power", "median score", "least, largest")
+    print_head("", *names, f"below {SMALLEST_SCORE}", "AUC against fresh draws")
+    for color, own in table.groupby("color"):
+        fresh = own.loc[own["method"] == "oracle", "score"].astype(float)
+        for method, some in own.groupby("method", sort=False):
+            judged, score = some["preserved"].notna().sum(), some["score"].astype(float)
+            known = score.dropna()
+            values = [f"{known.median():.2f}", f"{known.min():.2f}, {known.max():.2f}"] if len(known) else ["-", "-"]
+            below = int((known < SMALLEST_SCORE).sum())
+            power = show_value(some["power"].astype(float).median())
+            cells = (len(some), judged, len(known), power, *values, below, f"{auc(-fresh, -known):.3f}")
+            print_row(color, method, *cells)
+
+
+def grayed(image: Image) -> Image:
+    """Return the mean of the channels, in all channels."""
+    return quantize(np.repeat(image.mean(-1, keepdims=True), image.shape[-1], -1))
 
 
 def study_invariance(options: argparse.Namespace) -> None:
@@ -607,6 +701,8 @@ STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "perils": study_perils,
     "planted": study_planted,
     "without-model": study_without_model,
+    "photographs": study_photographs,
+    "sample-integrity": study_sample_integrity,
     "response": study_response,
     "silence": study_silence,
     "invariance": study_invariance,
@@ -624,6 +720,7 @@ def main() -> None:
     parser.add_argument("--sides", type=int, nargs="+", default=[256], help="width and height of the outputs in px")
     parser.add_argument("--half", choices=FIRST_SEED, default="report", help="which textures and seeds")
     parser.add_argument("--textures", nargs="*", help="of references: patterns of texture names")
+    parser.add_argument("--pictures", help="of photographs: a folder with truth.csv")
     parser.add_argument("--methods", nargs="*", default=["oracle"], help="of perils: oracle and baselines")
     parser.add_argument("--jobs", type=int, default=2, help="cells at the same time")
     parser.add_argument("--out", default="runs/validation", help="where the runs lie")

@@ -49,8 +49,10 @@ _RATES = tuple(0.09 * 2.0**-k for k in range(15))
 """Shares of whole elements beyond the limits that are tried."""
 BROKEN_SURPRISAL = 8.0
 """Surprisal above which an element is surely broken: see ``benchmarks/validation.py alarms``."""
-LEAST_POWER = 0.1
-"""Detection power below which elements are not judged."""
+LEAST_POWER, LEAST_FOUND = 0.1, 12.0
+"""Detection power below which elements are not judged; without a model, the least number of elements, without a common
+pixel, that would be detected if all were joined. By the variance of a count of 12, an output without a whole element
+then scores above a half with a probability of less than 5 %."""
 
 _LEAST_WINDOWS, _LEAST_REFERENCES, _LEAST_OF_ELEMENT = 12, 6, 4
 """Least number of windows of one shape in the output, and of windows without a common pixel in each part of the
@@ -105,7 +107,8 @@ class Integrity:
     and for whole ones that it counts. The limit is the one with the largest ``p - q``, which is ``detection_power``. q
     is the share of fresh elements above the limit. It is larger for few elements, so that a fresh draw scores less than
     0.95 with a probability of about 0.002 only. Elements whose power is below 0.1 are not judged: their parts have no
-    tone of their own, or too few are known.
+    tone of their own, or too few are known. Without a model the power must also be so large that 12 elements would be
+    detected if all were broken.
 
     *Broken tiles.* ``broken_share`` and ``broken_tiles`` count only elements whose evidence exceeds chance for each
     element alone, given their number (:class:`~.verdict.exponential_tail.ExponentialTail`). For a photograph they count
@@ -187,7 +190,7 @@ def _score(observation: Observation) -> Score:
             {"place": [float(value) for value in one.place], "sides": one.box.sides.tolist()} for one in broken.elements
         ],
     }
-    if broken.detection_power < LEAST_POWER:
+    if broken.detection_power < broken.least_power:
         reason = f"undecided: only {broken.detection_power:.0%} of joined elements would be detected"
         reasons = {name: reason for name in Integrity.columns if name != "detection_power"}
         return Score(values | dict.fromkeys(reasons), reasons, records=records)
@@ -217,6 +220,8 @@ class BrokenTiles:
         90th percentile of the evidence over that of fresh draws.
     detection_power
         Share of composite elements of fresh draws that the score would count beyond chance.
+    least_power
+        Detection power below which the elements are not judged.
     elements
         The elements of a cell.
     """
@@ -228,13 +233,14 @@ class BrokenTiles:
     score: float
     evidence_p90: float
     detection_power: float
+    least_power: float
     elements: list[Element]
 
     @classmethod
     def none(cls) -> BrokenTiles:
         """Return the result if no part of a cell varies together, so that joined elements look whole: no power."""
         nowhere, nothing = np.zeros((0, 2)), np.zeros(0)
-        return cls([], nowhere, nothing, 0, 1.0, 0.0, 0.0, [])
+        return cls([], nowhere, nothing, 0, 1.0, 0.0, 0.0, LEAST_POWER, [])
 
     @property
     def share(self) -> float:
@@ -638,6 +644,7 @@ def _count_broken(evidence: list[_Evidence], model: bool) -> BrokenTiles:
         groups = [group for group, keep in zip(groups, strong, strict=True) if keep]
     limit = max((_Limit.at(rate, groups) for rate in _RATES), key=lambda one: one.net_power)
     total = sum(len(group.output) for group in groups)
+    apart = sum(len(group.output) / group.overlap for group in groups)
     counted = float(np.mean(np.concatenate([group.output for group in groups]) > -math.log(limit.rate)))
     surprisals = np.concatenate([group.output for group in groups]) - math.log(total)
     order = np.argsort(-surprisals, kind="stable")
@@ -657,6 +664,7 @@ def _count_broken(evidence: list[_Evidence], model: bool) -> BrokenTiles:
         score=float(np.clip(1 - (counted - limit.chance) / max(limit.net_power, 1e-9), 0, 1)),
         evidence_p90=float(np.quantile(output, 0.9) / max(float(np.quantile(whole, 0.9)), 1e-9)),
         detection_power=limit.net_power,
+        least_power=LEAST_POWER if model else max(LEAST_POWER, LEAST_FOUND / apart),
         elements=[element for one in evidence for element in one.learned.elements],
     )
 

@@ -92,7 +92,7 @@ class Cuts:
 
     def joined_edges(self, values: Values) -> Levels:
         """Return the same at each cut, if the second side of the cut shows another window, ``(n, k)``."""
-        others = np.roll(values, 1 + len(values) // 3, 0)
+        others = _partners(values)
         energies = np.empty((len(values), len(self.normals)))
         for cut, normal in enumerate(self.normals):
             joined = np.where((self.sides[1, :, cut] > 0)[:, np.newaxis], others, values)
@@ -123,22 +123,24 @@ class CutWindows:
     means
         ``(2, n, k, C)``: mean colors of both sides.
     edges, joined_edges
-        ``(n, k)``: energy at the cuts, of the windows and of windows joined along each cut, from :class:`Cuts`, less
-        the mean over all cuts of the whole windows.
+        ``(n, k)``: energy at the cuts, of the windows and of windows joined along each cut, from :class:`Cuts`.
+    levels
+        ``(2, n)``: mean of the edges of the whole windows over the cuts, and that of the windows and of those that they
+        are joined to.
     """
 
     means: NDArray[np.float64]
     edges: Levels
     joined_edges: Levels
+    levels: NDArray[np.float64]
 
     @classmethod
     def measure(cls, cuts: Cuts, rows: Rows) -> CutWindows:
         """Measure windows ``(n, p C)`` less their mean window."""
         values = _values(cuts, rows)
         edges, joined = cuts.edges(values), cuts.joined_edges(values)
-        level = edges.mean(1, keepdims=True)
-        other = np.roll(level, 1 + len(level) // 3, 0)
-        return cls(cuts.side_means(values), edges - level, joined - (level + other) / 2)
+        level = edges.mean(1)
+        return cls(cuts.side_means(values), edges, joined, np.stack([level, (level + _partners(level)) / 2]))
 
     @classmethod
     def join(cls, parts: list[CutWindows]) -> CutWindows:
@@ -147,6 +149,7 @@ class CutWindows:
             np.concatenate([one.means for one in parts], 1),
             np.concatenate([one.edges for one in parts]),
             np.concatenate([one.joined_edges for one in parts]),
+            np.concatenate([one.levels for one in parts], 1),
         )
 
 
@@ -162,9 +165,10 @@ class JointTest:
     twice the log-likelihood ratio of both Gaussians. Where joints run or elements have no tone, W is near C, and the
     cut gives no evidence. So the outline of the elements need not be known.
 
-    *Edge.* Along a hard cut the derivative across it is larger than anywhere inside whole elements. Its logarithm,
-    relative to the mean over all cuts of the window (so that sharpness and contrast do not count), has a mean and a
-    variance over whole elements, and others over elements joined along this very cut. The statistic is twice the
+    *Edge.* Along a hard cut the derivative across it is larger than anywhere inside whole elements. The logarithm of
+    its energy has a mean and a variance over whole elements, and others over elements joined along this very cut. The
+    mean over all cuts of the window is subtracted, or that of whole elements if it is larger: more contrast or less
+    sharpness of the window as a whole is no evidence. The statistic is twice the
     log-likelihood ratio. A feathered joint has no edge, so the edge is used only where tones have too little power.
 
     Each cut has few parameters, which two dozen windows determine.
@@ -180,12 +184,15 @@ class JointTest:
         ``(k,)``: log det C - log det W.
     edges
         ``(4, k)``: mean and variance of the edge of whole and of joined windows; None: edges are not used.
+    level
+        Usual mean of the energies of a window over the cuts.
     """
 
     cuts: Cuts
     precision: Covariances
     offset: Levels
     edges: NDArray[np.float64] | None
+    level: float
 
     @classmethod
     def fit(cls, cuts: Cuts, windows: CutWindows, light: Levels | None, edges: bool) -> JointTest:
@@ -209,11 +216,12 @@ class JointTest:
         whole = _covariances(first - second) + least
         joined = _covariances(first) + _covariances(second) + least
         offset = np.linalg.slogdet(joined)[1] - np.linalg.slogdet(whole)[1]
-        moments = None
+        moments, level = None, float(windows.levels[0].mean())
         if edges:
-            pairs = (windows.edges, windows.joined_edges)
+            own, other = np.maximum(windows.levels, level)[..., np.newaxis]
+            pairs = (windows.edges - own, windows.joined_edges - other)
             moments = np.stack([part for one in pairs for part in (one.mean(0), one.var(0, ddof=1) + _EDGE_VARIANCE)])
-        return cls(cuts, np.linalg.inv(whole) - np.linalg.inv(joined), offset, moments)
+        return cls(cuts, np.linalg.inv(whole) - np.linalg.inv(joined), offset, moments, level)
 
     def evidence(self, tiles: Rows) -> Levels:
         """Return the evidence of each window ``(n, p C)``, ``(n,)``: positive."""
@@ -223,9 +231,14 @@ class JointTest:
         ratio = np.einsum("nkc,kcd,nkd->nk", away, self.precision, away, optimize=True) - self.offset
         if self.edges is not None:
             own, (usual, variance, joined, spread) = self.cuts.edges(values), self.edges
-            own = np.maximum(own - own.mean(1, keepdims=True), usual)
+            own = np.maximum(own - np.maximum(own.mean(1, keepdims=True), self.level), usual)
             ratio += (own - usual) ** 2 / variance - (own - joined) ** 2 / spread - np.log(spread / variance)
         return np.asarray(2 * np.logaddexp(0, logsumexp(ratio / 2, axis=1) - np.log(ratio.shape[1])))
+
+
+def _partners(windows: Values | Levels) -> Values | Levels:
+    """Return for each window the one that it is joined to: a third of all windows away."""
+    return np.roll(windows, 1 + len(windows) // 3, 0)
 
 
 def _values(cuts: Cuts, rows: Rows) -> Values:
