@@ -13,8 +13,9 @@ to it, and ``nrbench report`` shows its pictures.
     The same textures with planted defects. Prints for each defect the area under the ROC curve (AUC) and the shares
     called lost and undecided, by regular share.
 ``perils``
-    Fresh draws, and the baselines, of all textures of all suites: every model, types 0 to III. Prints false alarms of
-    the three perils by type of texture, and the mean ``quality`` of each row by suite.
+    Fresh draws, and the baselines, of all textures of all suites, and of every model with varying geometry (``types``:
+    type II with equal colors, and type III). Prints false alarms of the three perils by type of texture, and the mean
+    ``quality`` of each row by suite. ``--suites`` takes some of them.
 ``planted``
     Two-tone elements, blur, noise in place of the texture inside elements, and loss of contrast in textures of a
     regular share of 0.5 to 0.95. Prints for each defect and size the AUC of its own column and of ``quality``, and
@@ -117,6 +118,8 @@ RESPONSES: Mapping[str, tuple[float, tuple[str, ...]]] = {
 
 SUITES = ("core", "default", "integer", "frontier", "report2004", "spectrum")
 """The suites of textures with fresh draws that ``perils`` takes."""
+TYPES = "types"
+"""The textures of :func:`bent_rows`."""
 PERILS = ("regularity", "integrity", "randomness")
 ALARMS = (0.95, 0.75)
 """Scores of a fresh draw below these count as a false alarm and as a gross one."""
@@ -256,20 +259,31 @@ def study_perils(options: argparse.Namespace) -> None:
     """Print false alarms of the three perils on fresh draws of all models, and the quality of the baselines."""
     names = options.textures or ["*"]
     tables = []
-    for suite in SUITES:
-        plan = load_suite(suite)
-        rows = [
-            row
-            for row in plan.model_dump(mode="json")["texture"]
-            if any(Path(row["name"]).match(name) for name in names)
-        ]
+    for suite in options.suites:
+        keys: Row = {"sample": "128x128", "size": "256x256"}
+        rows = bent_rows()
+        if suite != TYPES:
+            content = load_suite(suite).model_dump(mode="json")
+            rows, keys = content["texture"], {key: content[key] for key in keys}
+        rows = [row for row in rows if any(Path(row["name"]).match(name) for name in names)]
         if rows:
-            keys = plan.model_dump(mode="json", include={"sample", "size"})
             table = run_study(f"perils-{suite}", options, rows, options.methods, metrics=[*PERILS, "quality"], **keys)
             tables.append(table.assign(suite=suite))
     table = pd.concat(tables, ignore_index=True)
     print_peril_alarms(table[table["method"] == "oracle"].drop_duplicates("key"))
     print_suite_quality(table)
+
+
+def bent_rows() -> list[Row]:
+    """Return a row of type II and one of type III for every model with a lattice: moved elements, and bent ones."""
+    rows = []
+    for name in sorted(set(plugins.names("datasets")) - {"images", "noise"}):
+        for kind, parameters in (
+            ("II", {"color": 0.0, "intensity": 0.0, "noise": 0.0, "jitter": 0.2}),
+            ("III", {"color": 0.2, "intensity": 0.1, "noise": 0.02, "bend": 0.25}),
+        ):
+            rows.append({"name": f"{name}-{kind}", "dataset": name, "family": name, "parameters": parameters})
+    return rows
 
 
 def print_peril_alarms(fresh: pd.DataFrame) -> None:
@@ -721,6 +735,7 @@ def main() -> None:
     parser.add_argument("--half", choices=FIRST_SEED, default="report", help="which textures and seeds")
     parser.add_argument("--textures", nargs="*", help="of references: patterns of texture names")
     parser.add_argument("--pictures", help="of photographs: a folder with truth.csv")
+    parser.add_argument("--suites", nargs="*", default=[*SUITES, TYPES], help="of perils")
     parser.add_argument("--methods", nargs="*", default=["oracle"], help="of perils: oracle and baselines")
     parser.add_argument("--jobs", type=int, default=2, help="cells at the same time")
     parser.add_argument("--out", default="runs/validation", help="where the runs lie")

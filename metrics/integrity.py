@@ -41,7 +41,7 @@ from .whole_elements.elements import (
     subtract_mean,
     tile_element,
 )
-from .whole_elements.joint_test import Cuts, CutWindows, JointTest
+from .whole_elements.joint_test import Cuts, JointTest
 
 _FRESH, _ALARMS = 0.95, 0.002
 """Score of fresh draws, and probability that a fresh draw scores less by chance."""
@@ -129,11 +129,9 @@ class Integrity:
 
     *Without a model* the sample replaces the fresh draws. It holds too few elements for the covariance of all samples
     of a window, so each cut is tested for itself (:class:`~.whole_elements.joint_test.JointTest`): in a whole element
-    the mean colors of both sides go together, and no edge runs along the cut. The sample is divided into four strips,
-    each of which is measured by tests that are learned from the other three. The composite elements are joined of
-    elements of the same strip. Where elements have tones of their own, feathered joints are found as well as hard ones.
-    Elsewhere only hard joints are evidence, and the score says nothing of feathered ones, which nobody sees there. If
-    the regions that vary together have little power, tiles take the place of elements.
+    the mean colors of both sides go together. The sample is divided into four strips, each of which is measured by
+    tests that are learned from the other three. The composite elements are joined of elements of the same strip. If the
+    regions that vary together have little power, tiles take the place of elements.
     """
 
     version: ClassVar[str] = "8"
@@ -264,6 +262,8 @@ class LearnedElements:
         Area of a cell, px^2.
     colors
         ``(C, k)``: the axes of color.
+    usual
+        Share of the whole windows below the limit at which the power is stated.
     """
 
     elements: list[Element]
@@ -272,11 +272,12 @@ class LearnedElements:
     composite: Levels
     cell_area: float
     colors: Points
+    usual: float = _CALM
 
     @property
     def power(self) -> float:
-        """Share of composite windows with more evidence than 99 % of the whole ones."""
-        return float((self.composite > np.quantile(self.whole, _CALM)).mean())
+        """Share of composite windows with more evidence than usual whole ones."""
+        return float((self.composite > np.quantile(self.whole, self.usual)).mean())
 
     @property
     def box(self) -> Box:
@@ -453,23 +454,21 @@ def _learn_joints(cutter: Cutter, elements: list[Element], colors: Points) -> Le
     strips = [np.concatenate(part)[::step] for part in parts]
     if min(map(len, strips)) < 2:
         return None
-    measured = [CutWindows.measure(cuts, strip) for strip in strips]
     composites = [compose_tiles(strip, cuts.box.samples) for strip in strips]
-    best: LearnedElements | None = None
-    for light, edges in ((colors.sum(0), False), (None, False), (None, True)):
+    found: list[LearnedElements] = []
+    for light in (colors.sum(0), None):
         tests = [
-            JointTest.fit(cuts, CutWindows.join(measured[:number] + measured[number + 1 :]), light, edges)
+            JointTest.fit(cuts, np.concatenate(strips[:number] + strips[number + 1 :]), light)
             for number in range(len(strips))
         ]
         whole, joined = (
             np.concatenate([test.evidence(rows) for test, rows in zip(tests, held, strict=True)])
             for held in (strips, composites)
         )
-        learned = LearnedElements(elements, [(test, 1.0) for test in tests], whole, joined, area, colors)
-        best = learned if best is None or learned.power > best.power else best
-        if best.power >= _ENOUGH_POWER:
+        found.append(LearnedElements(elements, [(test, 1.0) for test in tests], whole, joined, area, colors, _TAIL))
+        if found[-1].power >= _ENOUGH_POWER:
             break
-    return best
+    return max(found, key=lambda one: one.power)
 
 
 @dataclass(frozen=True)
