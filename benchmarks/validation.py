@@ -324,8 +324,9 @@ def print_suite_quality(table: pd.DataFrame) -> None:
 
 def study_planted(options: argparse.Namespace) -> None:
     """Print how well the defects inside tiles are seen by their own columns and by quality."""
-    rows = [texture_row(FIRST_SEED[options.half] + number) for number in range(options.count)]
+    rows = [texture_row(FIRST_SEED[options.half] + number) for number in range(6 * len(SHARES))]
     rows = [row for row in rows if float(row["family"]) >= 0.5]
+    rows = rows[:: max(len(rows) // options.count, 1)]
     methods = ["oracle", *(planted(kind, size) for kind, (sizes, *_) in PLANTED.items() for size in sizes)]
     side = f"{options.sides[0]}x{options.sides[0]}"
     table = run_study("planted", options, rows, methods, size=side, metrics=[*PERILS, "quality"])
