@@ -12,8 +12,23 @@ to it, and ``nrbench report`` shows its pictures.
 ``detection``
     The same textures with planted defects. Prints for each defect the area under the ROC curve (AUC) and the shares
     called lost and undecided, by regular share.
+``perils``
+    Fresh draws, and the baselines, of all textures of all suites, and of every model with varying geometry (``types``:
+    type II with equal colors, and type III). Prints false alarms of the three perils by type of texture, and the mean
+    ``quality`` of each row by suite. ``--suites`` takes some of them.
+``planted``
+    Two-tone elements, blur, noise in place of the texture inside elements, and loss of contrast in textures of a
+    regular share of 0.5 to 0.95. Prints for each defect and size the AUC of its own column and of ``quality``, and
+    Spearman's correlation of both with the size.
 ``without-model``
     The outputs of ``detection`` again, judged by sample and lattice alone. Prints the same tables.
+``photographs``
+    Photographs with known lattices, judged without a model (``--pictures FOLDER`` with a ``truth.csv``). The sample is
+    a quarter of a picture, or one half of a small one; the outputs are the part that does not touch it, and random
+    tiles of the sample joined edge to edge (``shuffle``) at twice its sides. Prints the verdict and ``integrity``.
+``sample-integrity``
+    Fresh draws and outputs with broken elements of the textures of ``core`` and ``report2004`` at 256 px, in color and
+    in gray, judged by sample and lattice alone. Prints how often ``integrity`` speaks and what it says.
 ``invariance``
     Fresh draws of the textures of ``response``, described by another basis, another origin, and at another phase.
     Prints the largest change of each column of ``regularity`` over its standard deviation over fresh draws.
@@ -49,6 +64,7 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image
+from nrbench.metrics.integrity import Integrity
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Again, Shape
 from nrbench.streams import stream
@@ -99,6 +115,21 @@ RESPONSES: Mapping[str, tuple[float, tuple[str, ...]]] = {
     "verbatim": (0.5, ("randomness.repetition",)),
 }
 """For each defect the size at which it saturates, and the columns that are meant for it."""
+
+SUITES = ("core", "default", "integer", "frontier", "report2004", "spectrum")
+"""The suites of textures with fresh draws that ``perils`` takes."""
+TYPES = "types"
+"""The textures of :func:`bent_rows`."""
+PERILS = ("regularity", "integrity", "randomness")
+ALARMS = (0.95, 0.75)
+"""Scores of a fresh draw below these count as a false alarm and as a gross one."""
+PLANTED: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
+    "two-tone": ((0.05, 0.1, 0.2, 0.3), "quality.integrity", False),
+    "blur": ((0.25, 0.5, 0.75, 1.0), "randomness.distance", True),
+    "noise": ((0.25, 0.5, 0.75, 1.0), "randomness.distance", True),
+    "contrast": ((0.05, 0.1, 0.15, 0.2), "randomness.distance", True),
+}
+"""For each defect its sizes, the column that is meant for it, and whether the column grows with it."""
 
 LEVELS = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
 """Levels of the departures of a model in ``departures``."""
@@ -224,6 +255,110 @@ def study_detection(options: argparse.Namespace) -> None:
         print_detection(table, table[table["defect"] == "none"])
 
 
+def study_perils(options: argparse.Namespace) -> None:
+    """Print false alarms of the three perils on fresh draws of all models, and the quality of the baselines."""
+    names = options.textures or ["*"]
+    tables = []
+    for suite in options.suites:
+        keys: Row = {"sample": "128x128", "size": "256x256"}
+        rows = bent_rows()
+        if suite != TYPES:
+            content = load_suite(suite).model_dump(mode="json")
+            rows, keys = content["texture"], {key: content[key] for key in keys}
+        rows = [row for row in rows if any(Path(row["name"]).match(name) for name in names)]
+        if rows:
+            table = run_study(f"perils-{suite}", options, rows, options.methods, metrics=[*PERILS, "quality"], **keys)
+            tables.append(table.assign(suite=suite))
+    table = pd.concat(tables, ignore_index=True)
+    print_peril_alarms(table[table["method"] == "oracle"].drop_duplicates("key"))
+    print_suite_quality(table)
+
+
+def bent_rows() -> list[Row]:
+    """Return a row of type II and one of type III for every model with a lattice: moved elements, and bent ones."""
+    rows = []
+    for name in sorted(set(plugins.names("datasets")) - {"images", "noise"}):
+        for kind, parameters in (
+            ("II", {"color": 0.0, "intensity": 0.0, "noise": 0.0, "jitter": 0.2}),
+            ("III", {"color": 0.2, "intensity": 0.1, "noise": 0.02, "bend": 0.25}),
+        ):
+            rows.append({"name": f"{name}-{kind}", "dataset": name, "family": name, "parameters": parameters})
+    return rows
+
+
+def print_peril_alarms(fresh: pd.DataFrame) -> None:
+    """Print how many fresh draws have a false alarm of each peril, with two-sided 95 % intervals, by type."""
+    print("\nFalse alarms of fresh draws: lost (regularity), or a score below a limit; 95 % Clopper-Pearson interval.")
+    print_head("type", "peril", "draws", "judged", *(f"below {limit:g}" for limit in ALARMS))
+    for kind, own in [*fresh.groupby("kind"), ("all", fresh)]:
+        for peril in PERILS:
+            values = own[f"quality.{peril}" if peril != "regularity" else "regularity.preserved"].dropna()
+            scores = values.astype(float)
+            counts = [int((scores < limit).sum()) for limit in ALARMS]
+            print_row(kind, peril, len(own), len(scores), *(interval(count, len(scores)) for count in counts))
+
+
+def interval(events: int, trials: int) -> str:
+    """Return a count with the two-sided 95 % Clopper-Pearson interval of its rate."""
+    if not trials:
+        return "-"
+    found = binomtest(events, trials).proportion_ci(0.95, "exact")
+    return f"{events} = {events / trials:.3f} ({found.low:.3f} to {found.high:.3f})"
+
+
+def print_suite_quality(table: pd.DataFrame) -> None:
+    """Print the mean quality of each row by suite, over textures where it is no right answer, and the largest one."""
+    print("\nMean of `quality` over textures (n), and its extreme: least for the oracle, largest for a baseline.")
+    methods = [name for name in ("oracle", *BASELINES) if (table["method"] == name).any()]
+    right = {name: plugins.build("synthesizers", name).right_on for name in methods if name != "oracle"}
+    print_head("suite", *methods)
+    for suite, own in table.groupby("suite", sort=False):
+        cells = []
+        for method in methods:
+            mine = own[(own["method"] == method) & ~own["kind"].isin(right.get(method, ()))]
+            means = mine.groupby("texture")["quality.score"].apply(lambda one: one.astype(float).mean()).dropna()
+            extreme = means.min() if method == "oracle" else means.max()
+            cells.append(f"{means.mean():.3f} ({len(means)}) {extreme:.2f}" if len(means) else "-")
+        print_row(suite, *cells)
+
+
+def study_planted(options: argparse.Namespace) -> None:
+    """Print how well the defects inside tiles are seen by their own columns and by quality."""
+    rows = [texture_row(FIRST_SEED[options.half] + number) for number in range(6 * len(SHARES))]
+    rows = [row for row in rows if float(row["family"]) >= 0.5]
+    rows = rows[:: max(len(rows) // options.count, 1)]
+    methods = ["oracle", *(planted(kind, size) for kind, (sizes, *_) in PLANTED.items() for size in sizes)]
+    side = f"{options.sides[0]}x{options.sides[0]}"
+    table = run_study("planted", options, rows, methods, size=side, metrics=[*PERILS, "quality"])
+    fresh = table[table["defect"] == "none"]
+    print(f"\n{len(rows)} textures of {side} px, {len(fresh)} fresh draws. AUC over all images (n with a value).")
+    print_head("defect", "size", "column", "AUC", "AUC of `quality`", "mean `quality`")
+    for kind, (sizes, column, grows) in PLANTED.items():
+        for size in sizes:
+            own = table[(table["defect"] == kind) & np.isclose(table["size"], size)]
+            cells = []
+            for name, sign in ((column, 1 if grows else -1), ("quality.score", -1)):
+                pair = [sign * one[name].astype(float) for one in (fresh, own)]
+                cells.append(f"{auc(*pair):.3f} ({pair[1].notna().sum()})")
+            print_row(kind, f"{size:g}", f"`{column}`", *cells, f"{own['quality.score'].astype(float).mean():.3f}")
+    print("\nSpearman's correlation with the size, fresh draws as size 0: mean over textures (least); over all images.")
+    print_head("defect", "column", "within a texture", "over all", "`quality` within a texture", "over all")
+    for kind, (_, column, _) in PLANTED.items():
+        own = table[(table["defect"] == kind) | (table["defect"] == "none")]
+        cells = []
+        for name in (column, "quality.score"):
+            values = [rank_correlation(one, name) for _, one in own.groupby("texture")]
+            cells += [f"{np.nanmean(values):+.3f} ({min(values, key=abs):+.3f})", f"{rank_correlation(own, name):+.3f}"]
+        print_row(kind, f"`{column}`", *cells)
+
+
+def rank_correlation(table: pd.DataFrame, column: str) -> float:
+    """Return Spearman's correlation of the size with a column; 0 if the column has one value only."""
+    values = table[column].astype(float)
+    known = values.notna()
+    return float(spearmanr(table["size"][known], values[known]).statistic) if values.nunique() > 1 else 0.0
+
+
 def run_verdicts(name: str, options: argparse.Namespace, side: int, methods: list[str]) -> pd.DataFrame:
     """Return the table of ``regularity`` and ``integrity`` on textures of all regular shares."""
     rows = [texture_row(FIRST_SEED[options.half] + number) for number in range(options.count)]
@@ -303,6 +438,92 @@ def study_without_model(options: argparse.Namespace) -> None:
         fresh = table[table["defect"] == "none"]
         print_alarms(fresh, side)
         print_detection(table, fresh)
+
+
+SMALL_PICTURE = 400
+"""Pictures with a shorter side are cut in halves, px."""
+SMALLEST_SCORE = 0.95
+"""Least score of integrity of a fresh draw."""
+
+
+def study_photographs(options: argparse.Namespace) -> None:
+    """Print the verdict and the integrity of photographs' own regions, and of random tiles of them."""
+    names = ("photograph", "sample", "own region: preserved", "integrity", "power", "shuffle: preserved", "integrity")
+    print_head(*names, "power", "reason")
+    folder, truth = Path(options.pictures), pd.read_csv(Path(options.pictures) / "truth.csv")
+    for _, row in truth.dropna(subset=["t1x"]).iterrows():
+        picture = read_image(folder / row["file"])
+        lattice = nrbench.Lattice((row["t1x"], row["t1y"]), (row["t2x"], row["t2y"]))
+        height, width = picture.shape[:2]
+        small = min(height, width) < SMALL_PICTURE
+        tall = height // 2 if height >= width or not small else height
+        wide = width // 2 if width > height or not small else width
+        sample, region = quantize(picture[:tall, :wide]), quantize(picture[-tall:, -wide:])
+        shuffled = nrbench.synthesize("shuffle", sample, (2 * tall, 2 * wide), lattice=lattice, seed=0).image
+        cells, reason = [], ""
+        for output in (region, quantize(shuffled)):
+            scores = sample_scores(sample, output, lattice)
+            cells += [show_verdict(scores["preserved"]), show_value(scores["score"]), show_value(scores["power"])]
+            reason = scores["reason"] or reason
+        print_row(Path(row["file"]).stem, f"{wide} x {tall}", *cells, reason)
+
+
+def sample_scores(sample: Image, output: Image, lattice: nrbench.Lattice) -> Row:
+    """Return the verdict and the integrity of an output that is judged by its sample and the lattice."""
+    observation = nrbench.Observation(sample, output, nrbench.Texture(sample, lattice, (lattice,)))
+    integrity = Integrity().score(observation)
+    return {
+        "preserved": Regularity().score(observation).values["preserved"],
+        "score": integrity.values["score"],
+        "power": integrity.values["detection_power"],
+        "reason": integrity.reasons.get("score", ""),
+    }
+
+
+def show_verdict(preserved: bool | None) -> str:
+    """Return the verdict in words."""
+    return "undecided" if preserved is None else "preserved" if preserved else "lost"
+
+
+def show_value(value: float | None) -> str:
+    """Return a value with two decimals, or a dash."""
+    return "-" if value is None else f"{value:.2f}"
+
+
+def study_sample_integrity(options: argparse.Namespace) -> None:
+    """Print how integrity without a model judges fresh draws and outputs with broken elements."""
+    rows = []
+    for suite in ("core", "report2004"):
+        own = [row for row in load_suite(suite).model_dump(mode="json")["texture"] if not row["parameters"].get("bend")]
+        rows += [{key: value for key, value in row.items() if key not in ("sample", "size")} for row in own]
+    rows = rows[:: max(len(rows) // options.count, 1)]
+    methods = ["oracle", planted("two-tone", 0.3), "shuffle", "rsgf:block=20,border=5,seam=blend,subpixel=false"]
+    run_study("sample-integrity", options, rows, methods, sample="256x256", size="256x256", metrics=["cost"])
+    found = []
+    for record in nrbench.Run(run_folder("sample-integrity", options, "256x256")).cells:
+        if record.status == "ok" and record.cell.lattice_truth is not None:
+            sample, output = (read_image(record.folder / f"{name}.png") for name in ("sample", "output"))
+            for color, pair in (("color", (sample, output)), ("gray", tuple(map(grayed, (sample, output))))):
+                scores = sample_scores(*pair, record.cell.lattice_truth)
+                found.append({"texture": record.texture, "method": record.method, "color": color, **scores})
+    table = pd.DataFrame(found)
+    names = ("output", "n", "verdict", "integrity speaks", "median power", "median score", "least, largest")
+    print_head("", *names, f"below {SMALLEST_SCORE}", "AUC against fresh draws")
+    for color, own in table.groupby("color"):
+        fresh = own.loc[own["method"] == "oracle", "score"].astype(float)
+        for method, some in own.groupby("method", sort=False):
+            judged, score = some["preserved"].notna().sum(), some["score"].astype(float)
+            known = score.dropna()
+            values = [f"{known.median():.2f}", f"{known.min():.2f}, {known.max():.2f}"] if len(known) else ["-", "-"]
+            below = int((known < SMALLEST_SCORE).sum())
+            power = show_value(some["power"].astype(float).median())
+            cells = (len(some), judged, len(known), power, *values, below, f"{auc(-fresh, -known):.3f}")
+            print_row(color, method, *cells)
+
+
+def grayed(image: Image) -> Image:
+    """Return the mean of the channels, in all channels."""
+    return quantize(np.repeat(image.mean(-1, keepdims=True), image.shape[-1], -1))
 
 
 def study_invariance(options: argparse.Namespace) -> None:
@@ -492,7 +713,11 @@ def band(values: pd.Series[float], level: float) -> Callable[[pd.Series[float]],
 STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "alarms": study_alarms,
     "detection": study_detection,
+    "perils": study_perils,
+    "planted": study_planted,
     "without-model": study_without_model,
+    "photographs": study_photographs,
+    "sample-integrity": study_sample_integrity,
     "response": study_response,
     "silence": study_silence,
     "invariance": study_invariance,
@@ -510,6 +735,9 @@ def main() -> None:
     parser.add_argument("--sides", type=int, nargs="+", default=[256], help="width and height of the outputs in px")
     parser.add_argument("--half", choices=FIRST_SEED, default="report", help="which textures and seeds")
     parser.add_argument("--textures", nargs="*", help="of references: patterns of texture names")
+    parser.add_argument("--pictures", help="of photographs: a folder with truth.csv")
+    parser.add_argument("--suites", nargs="*", default=[*SUITES, TYPES], help="of perils")
+    parser.add_argument("--methods", nargs="*", default=["oracle"], help="of perils: oracle and baselines")
     parser.add_argument("--jobs", type=int, default=2, help="cells at the same time")
     parser.add_argument("--out", default="runs/validation", help="where the runs lie")
     options = parser.parse_args()

@@ -31,7 +31,17 @@ from .whole_elements.composite_tiles import (
     compose_tiles,
     light_moments,
 )
-from .whole_elements.elements import Box, Cutter, Element, Windows, find_color_axes, find_elements, subtract_mean
+from .whole_elements.elements import (
+    Box,
+    Cutter,
+    Element,
+    Windows,
+    find_color_axes,
+    find_elements,
+    subtract_mean,
+    tile_element,
+)
+from .whole_elements.joint_test import Cuts, JointTest
 
 _FRESH, _ALARMS = 0.95, 0.002
 """Score of fresh draws, and probability that a fresh draw scores less by chance."""
@@ -39,15 +49,19 @@ _RATES = tuple(0.09 * 2.0**-k for k in range(15))
 """Shares of whole elements beyond the limits that are tried."""
 BROKEN_SURPRISAL = 8.0
 """Surprisal above which an element is surely broken: see ``benchmarks/validation.py alarms``."""
-LEAST_POWER, LEAST_SAMPLE_POWER = 0.1, 0.3
-"""Detection power below which elements are not judged, with fresh draws and with a sample alone."""
+LEAST_POWER, LEAST_FOUND = 0.1, 12.0
+"""Detection power below which elements are not judged; without a model, the least number of elements, without a common
+pixel, that would be detected if all were joined. By the variance of a count of 12, an output without a whole element
+then scores above a half with a probability of less than 5 %."""
 
 _LEAST_WINDOWS, _LEAST_REFERENCES, _LEAST_OF_ELEMENT = 12, 6, 4
 """Least number of windows of one shape in the output, and of windows without a common pixel in each part of the
 references; least number in an image of windows around one element."""
-_FOLDS, _LEAST_AREA = 4, 0.1
-"""Number of parts of a sample; share of the cell's area that an element of a photograph covers at least. Smaller
-regions that vary together are grain."""
+_PARTS = 2
+"""Number of parts of the fresh draws."""
+_FOLDS, _LEAST_WHOLE, _LEAST_AREA = 4, 12, 0.1
+"""Without a model: number of strips of the sample; least number of windows without a common pixel; least area of an
+element, over that of a cell. Smaller regions that vary together are grain."""
 _ALTERATIONS, _ENOUGH_POWER = ((1.0, 1.0), (0.0, 1.0), (0.0, 0.05)), 0.5
 """Weights of uneven light, and of blur and bending, in the variation of whole elements: the first pair with at least
 this detection power. In a gray texture a step of light cannot be distinguished from an element of two tones, and in an
@@ -92,8 +106,9 @@ class Integrity:
     score is ``1 - b = 1 - (c - q) / (p - q)``, between 0 and 1. It corrects for broken elements that the test misses
     and for whole ones that it counts. The limit is the one with the largest ``p - q``, which is ``detection_power``. q
     is the share of fresh elements above the limit. It is larger for few elements, so that a fresh draw scores less than
-    0.95 with a probability of about 0.002 only. Elements whose power is below 0.1, or 0.3 for a photograph, are not
-    judged: their parts have no tone of their own, or too few are known.
+    0.95 with a probability of about 0.002 only. Elements whose power is below 0.1 are not judged: their parts have no
+    tone of their own, or too few are known. Without a model the power must also be so large that 12 elements would be
+    detected if all were broken.
 
     *Broken tiles.* ``broken_share`` and ``broken_tiles`` count only elements whose evidence exceeds chance for each
     element alone, given their number (:class:`~.verdict.exponential_tail.ExponentialTail`). For a photograph they count
@@ -110,11 +125,16 @@ class Integrity:
     break some; so may a seam that clips values.
 
     The scores do not depend on the lattice's origin. Elements that regularity detects as displaced are left out,
-    because they lie over other elements. For a photograph the sample replaces the fresh draws. It is divided into four
-    parts: directions are learned from two, the variances along them from a third, and the fourth is measured.
+    because they lie over other elements.
+
+    *Without a model* the sample replaces the fresh draws. It holds too few elements for the covariance of all samples
+    of a window, so each cut is tested for itself (:class:`~.whole_elements.joint_test.JointTest`): in a whole element
+    the mean colors of both sides go together. The sample is divided into four strips, each of which is measured by
+    tests that are learned from the other three. The composite elements are joined of elements of the same strip. If the
+    regions that vary together have little power, tiles take the place of elements.
     """
 
-    version: ClassVar[str] = "7"
+    version: ClassVar[str] = "8"
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
             "1 = elements as whole as in fresh draws, 0 = no element whole; corrected for those that are missed.",
@@ -242,19 +262,22 @@ class LearnedElements:
         Area of a cell, px^2.
     colors
         ``(C, k)``: the axes of color.
+    usual
+        Share of the whole windows below the limit at which the power is stated.
     """
 
     elements: list[Element]
-    discriminants: list[tuple[Discriminant, float]]
+    discriminants: list[tuple[Discriminant | JointTest, float]]
     whole: Levels
     composite: Levels
     cell_area: float
     colors: Points
+    usual: float = _CALM
 
     @property
     def power(self) -> float:
-        """Share of composite windows with more evidence than 99 % of the whole ones."""
-        return float((self.composite > np.quantile(self.whole, _CALM)).mean())
+        """Share of composite windows with more evidence than usual whole ones."""
+        return float((self.composite > np.quantile(self.whole, self.usual)).mean())
 
     @property
     def box(self) -> Box:
@@ -330,12 +353,9 @@ def learn_references(reference: Reference, observation: Observation, noise: Poin
     noise
         2 x 2: covariance of tile offsets in images without displacements, px^2.
     """
-    least_area = 0.0
     if reference.source == "sample":
-        sample, least_area = observation.sample, _LEAST_AREA
-        measured = Measurements.at(sample, reference.periodic, reference.prepare_image(sample))
-        cutters = [Cutter.from_measurements(measured, noise)]
-    elif observation.truth is not None and observation.truth.displacement is not None:
+        return _learn_sample(reference, observation.sample, noise)
+    if observation.truth is not None and observation.truth.displacement is not None:
         cutters = [Cutter.from_measurements(one, noise) for one in observation.shared(measure_fresh)]
     else:
         draws = observation.shared(draw_fresh)
@@ -344,28 +364,26 @@ def learn_references(reference: Reference, observation: Observation, noise: Poin
     if len(colors) != observation.output.shape[2]:
         return "undecided: the references hold no whole cell"
     cutters = [cutter.project_colors(colors) for cutter in cutters]
-    groups = find_elements(cutters, least_area)
+    groups = find_elements(cutters)
     if not groups:
         return []
     learned = [one for group in groups if (one := _learn(cutters, group, colors)) is not None]
-    return learned or f"undecided: the references hold fewer than {_FOLDS} x {_LEAST_REFERENCES} whole elements"
+    return learned or f"undecided: the references hold fewer than {_PARTS} x {_LEAST_REFERENCES} whole elements"
 
 
 def _learn(cutters: list[Cutter], elements: list[Element], colors: Points) -> LearnedElements | None:
-    """Return what images without defects show of elements; None if they hold too few of them."""
+    """Return what fresh draws show of elements; None if they hold too few of them."""
     box = elements[0].box
-    folds = [_Fold([], [], []) for _ in range(2 if len(cutters) > 1 else _FOLDS)]
+    halves = [_Half([], [], []) for _ in range(_PARTS)]
     for number, cutter in enumerate(cutters):
         for element in elements:
             windows = cutter.cut(element)
-            rows = subtract_mean(windows.values)
-            for fold, part in zip(folds, _split(windows.middles, box, number, len(cutters), len(folds)), strict=True):
-                fold.add(cutter, windows.take(part), rows[part])
+            halves[number % _PARTS].add(cutter, windows, subtract_mean(windows.values))
     overlap = max(len(elements) * box.area / cutters[0].lattice.area, 1.0)
-    if min(fold.count for fold in folds) / overlap < _LEAST_REFERENCES:
+    if min(half.count for half in halves) / overlap < _LEAST_REFERENCES:
         return None
-    parts = [fold.whole_tiles(box) for fold in folds]
-    floor = _floor([windows for fold in folds for windows in fold.windows], box, [part.rows for part in parts])
+    parts = [half.whole_tiles(box) for half in halves]
+    floor = _floor([windows for half in halves for windows in half.windows], box, [part.rows for part in parts])
     lit = light_moments(box, colors.sum(0))
     area = cutters[0].lattice.area
     for light, other in _ALTERATIONS:
@@ -379,29 +397,83 @@ def _learn(cutters: list[Cutter], elements: list[Element], colors: Points) -> Le
 def _discriminate(
     elements: list[Element], parts: list[WholeTiles], floor: Levels, area: float, colors: Points
 ) -> LearnedElements:
-    """Return the evidence in each part of the references by the directions learned from the other parts.
-
-    The variances along the directions are measured on one more part of a sample, so that a slow change of the sample is
-    a variation of whole elements. Two halves of fresh draws do not differ in this way.
-    """
+    """Return the evidence in each half of the fresh draws by the directions learned from the other half."""
     samples = elements[0].box.samples
-    discriminants, whole, composite = [], [], []
-    for number, held in enumerate(parts):
-        other = held if len(parts) == 2 else parts[number - 1]
-        rest = [part for part in parts if part is not held and part is not other]
-        one = WholeTiles(np.concatenate([part.rows for part in rest]), np.mean([part.altered for part in rest], 0))
-        discriminant = Discriminant.fit(one, other, floor, samples)
+    discriminants: list[tuple[Discriminant | JointTest, float]] = []
+    whole, composite = [], []
+    for rest, held in zip(parts[::-1], parts, strict=True):
+        discriminant = Discriminant.fit(rest, held, floor, samples)
         evidence = discriminant.evidence(held.rows)
-        level = max(float(evidence.mean()), 1e-9) if len(parts) == 2 else 1.0
+        level = max(float(evidence.mean()), 1e-9)
         discriminants.append((discriminant, level))
         whole.append(evidence / level)
         composite.append(discriminant.evidence(compose_tiles(held.rows, samples)) / level)
     return LearnedElements(elements, discriminants, np.concatenate(whole), np.concatenate(composite), area, colors)
 
 
+def _learn_sample(reference: Reference, sample: Image, noise: Points) -> list[LearnedElements] | str:
+    """Return what a sample shows of its elements, or else of its tiles, or the reason why it shows nothing.
+
+    The windows are the sample's elements. They are its tiles if these have more power, and joined elements would be
+    missed more often than found: elements that have no tone are not found by their tones.
+    """
+    measured = Measurements.at(sample, reference.periodic, reference.prepare_image(sample))
+    cutter = Cutter.from_measurements(measured, noise)
+    colors = find_color_axes([cutter])
+    if len(colors) != sample.shape[2]:
+        return "undecided: the sample holds no whole cell"
+    cutter = cutter.project_colors(colors)
+    groups = find_elements([cutter], _LEAST_AREA)
+    learned = [one for group in groups if (one := _learn_joints(cutter, group, colors)) is not None]
+    power = max((one.power for one in learned), default=-1.0)
+    if power < _ENOUGH_POWER:
+        tile = _learn_joints(cutter, [tile_element(cutter.lattice)], colors)
+        learned = [tile] if tile is not None and tile.power > power else learned
+    return learned or f"undecided: the sample holds fewer than {_LEAST_WHOLE} whole elements, or all in a row"
+
+
+def _learn_joints(cutter: Cutter, elements: list[Element], colors: Points) -> LearnedElements | None:
+    """Return what a sample shows of elements; None if it holds too few of them.
+
+    The sample is divided into parallel strips. Each is measured by a test that is learned from the others.
+    """
+    cuts = Cuts.through(elements[0].box)
+    elements = [Element(element.place, cuts.box) for element in elements]
+    parts: list[list[Rows]] = [[] for _ in range(_FOLDS)]
+    for element in elements:
+        windows = cutter.cut(element)
+        if len(windows.middles) > 1:
+            rows = subtract_mean(windows.values) * math.sqrt(len(windows.middles) / (len(windows.middles) - 1))
+            for part, own in zip(parts, _split(windows.middles, cuts.box), strict=True):
+                part.append(rows[own])
+    area = cutter.lattice.area
+    count = sum(len(rows) for part in parts for rows in part) / max(len(elements) * cuts.box.area / area, 1.0)
+    if count < _LEAST_WHOLE or min(sum(map(len, part)) for part in parts) < 2:
+        return None
+    step = -(-sum(len(rows) for part in parts for rows in part) // _MOST_REFERENCES)
+    strips = [np.concatenate(part)[::step] for part in parts]
+    if min(map(len, strips)) < 2:
+        return None
+    composites = [compose_tiles(strip, cuts.box.samples) for strip in strips]
+    found: list[LearnedElements] = []
+    for light in (colors.sum(0), None):
+        tests = [
+            JointTest.fit(cuts, np.concatenate(strips[:number] + strips[number + 1 :]), light)
+            for number in range(len(strips))
+        ]
+        whole, joined = (
+            np.concatenate([test.evidence(rows) for test, rows in zip(tests, held, strict=True)])
+            for held in (strips, composites)
+        )
+        found.append(LearnedElements(elements, [(test, 1.0) for test in tests], whole, joined, area, colors, _TAIL))
+        if found[-1].power >= _ENOUGH_POWER:
+            break
+    return max(found, key=lambda one: one.power)
+
+
 @dataclass(frozen=True)
-class _Fold:
-    """Windows of one part of the references, from each image and around each element, and their departures."""
+class _Half:
+    """Windows of one half of the fresh draws, from each image and around each element, and their departures."""
 
     cutters: list[Cutter]
     windows: list[Windows]
@@ -429,18 +501,16 @@ class _Fold:
         return WholeTiles(rows[:: -(-len(rows) // _MOST_REFERENCES)], np.mean(altered, 0))
 
 
-def _split(middles: Points, box: Box, number: int, images: int, parts: int) -> list[NDArray[np.bool_]]:
-    """Return the parts of the windows: those of every second image, or those in parallel strips of a single image.
+def _split(middles: Points, box: Box) -> list[NDArray[np.bool_]]:
+    """Return the windows of a sample in parallel strips, along its longer side.
 
-    Strips along the threads of a sample do not share threads. All parts are empty if the strips are narrower than half
-    a window, because windows of different strips would then show the same pixels.
+    All strips are empty if they are narrower than half a window, because windows of different strips would then show
+    the same pixels.
     """
-    if images > 1:
-        return [np.full(len(middles), number % parts == part) for part in range(parts)]
-    widths = np.ptp(middles, axis=0) / parts / box.reach if len(middles) else np.zeros(2)
+    widths = np.ptp(middles, axis=0) / _FOLDS / box.reach
     along = middles[:, int(np.argmax(widths))]
-    place = np.argsort(np.argsort(along, kind="stable"), kind="stable") * parts // max(len(along), 1)
-    return [(place == part) & (widths.max() >= 1) for part in range(parts)]
+    place = np.argsort(np.argsort(along, kind="stable"), kind="stable") * _FOLDS // max(len(along), 1)
+    return [(place == part) & (widths.max() >= 1) for part in range(_FOLDS)]
 
 
 def _output_evidence(learned: LearnedElements, rows: Rows) -> Levels:
@@ -566,14 +636,14 @@ def _count_broken(evidence: list[_Evidence], model: bool) -> BrokenTiles:
     Without a model, few whole elements are known, and no element alone exceeds chance. Then the elements above the
     limit of the score are broken, if they are more than chance explains.
     """
-    least_power = LEAST_POWER if model else LEAST_SAMPLE_POWER
     groups = [_Surprisals.of(one) for one in evidence]
-    strong = [max(_Limit.at(rate, [group]).net_power for rate in _RATES) >= least_power for group in groups]
+    strong = [max(_Limit.at(rate, [group]).net_power for rate in _RATES) >= LEAST_POWER for group in groups]
     if any(strong):
         evidence = [one for one, keep in zip(evidence, strong, strict=True) if keep]
         groups = [group for group, keep in zip(groups, strong, strict=True) if keep]
     limit = max((_Limit.at(rate, groups) for rate in _RATES), key=lambda one: one.net_power)
     total = sum(len(group.output) for group in groups)
+    apart = sum(len(group.output) / group.overlap for group in groups)
     counted = float(np.mean(np.concatenate([group.output for group in groups]) > -math.log(limit.rate)))
     surprisals = np.concatenate([group.output for group in groups]) - math.log(total)
     order = np.argsort(-surprisals, kind="stable")
@@ -593,7 +663,7 @@ def _count_broken(evidence: list[_Evidence], model: bool) -> BrokenTiles:
         score=float(np.clip(1 - (counted - limit.chance) / max(limit.net_power, 1e-9), 0, 1)),
         evidence_p90=float(np.quantile(output, 0.9) / max(float(np.quantile(whole, 0.9)), 1e-9)),
         detection_power=limit.net_power,
-        least_power=least_power,
+        least_power=LEAST_POWER if model else max(LEAST_POWER, LEAST_FOUND / apart),
         elements=[element for one in evidence for element in one.learned.elements],
     )
 

@@ -61,6 +61,13 @@ class Planted:
                                                                                        Gaussian, in 8 px; where it
                                                                                        spans a tile; needs no
                                                                                        lattice
+        blur            the whole draw is blurred                                      standard deviation of the
+                                                                                       Gaussian, in px; needs no
+                                                                                       lattice
+        contrast        all values are moved toward their mean                         share of the contrast that is
+                                                                                       lost; needs no lattice
+        noise           white noise replaces the texture inside elements (less than    share of its variance; needs
+                        about 4 px wide), with equal variance                          a geometry that is constant
         seam            one side of a line is brighter and the other darker, by half   step of values at the line;
                         of the step each, fading linearly to nothing 16 px away        where values are clipped;
                                                                                        needs no lattice
@@ -144,6 +151,9 @@ DEFECTS: Mapping[str, plant.Defect] = MappingProxyType(
         "stretch": plant.stretch,
         "off-lattice": plant.off_lattice,
         "blurred-band": plant.blurred_band,
+        "blur": plant.blur,
+        "contrast": plant.contrast,
+        "noise": plant.noise,
         "seam": plant.seam,
         "color-mean": plant.color_mean,
         "two-tone": plant.two_tone,

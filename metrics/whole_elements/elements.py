@@ -138,11 +138,12 @@ class Cutter:
     image
         The image.
     lattice
-        The lattice of its tiles.
+        The lattice of its tiles, in the basis of the references: places of elements are cell coordinates. A canonical
+        basis would not do. Where two vectors are nearly equal, a small error of the lattice makes it another one.
     """
 
     def __init__(self, image: Image, lattice: Lattice) -> None:
-        self.lattice, self.shape, self._image = lattice.canonical(), (image.shape[0], image.shape[1]), image
+        self.lattice, self.shape, self._image = lattice, (image.shape[0], image.shape[1]), image
         self._smooth: dict[int, Image] = {}
         self._tracked: tuple[cKDTree, Points] | None = None
 
@@ -165,7 +166,7 @@ class Cutter:
     def project_colors(self, axes: Points) -> Cutter:
         """Return the same cutter for the image with other channels: ``axes`` is ``(C, k)``."""
         other = Cutter(np.asarray(self._image @ axes.astype(np.float32)), self.lattice)
-        other.lattice, other._tracked = self.lattice, self._tracked
+        other._tracked = self._tracked
         return other
 
     def cut(self, element: Element) -> Windows:
@@ -263,6 +264,14 @@ def find_color_axes(cutters: list[Cutter]) -> Points:
         return np.eye(1)
     variances, axes = np.linalg.eigh(covariance)
     return np.asarray(axes[:, variances >= _LEAST_COLOR * max(float(variances.sum()), 1e-12)])
+
+
+def tile_element(lattice: Lattice) -> Element:
+    """Return a whole tile as an element: a rectangle along the first vector, as large as a cell."""
+    t1 = lattice.matrix[0]
+    length = float(np.hypot(*t1))
+    sides = np.array([t1, lattice.area / length**2 * np.array([-t1[1], t1[0]])])
+    return Element(np.zeros(2), Box(sides, _count_samples(sides)))
 
 
 def find_elements(cutters: list[Cutter], least_area: float = 0.0) -> list[list[Element]]:

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points, Vector
-from nrbench.plugins.forms import Again, Refused, Shape
+from nrbench.plugins.forms import Again, Refused, Shape, Texture
 
 from ..sampling.equal_places import EqualPlaces, pixel_grid
 
@@ -27,6 +27,8 @@ _MOST = 0.5
 """Size at which a dropped or doubled row and a doubled tile saturate."""
 _BLUR = 8.0
 """Standard deviation in px of the blur at size 1."""
+_COARSE = 4.0
+"""Standard deviation in px of the Gaussian above which variation is coarse: tones of elements, not their texture."""
 _SEAM_REACH = 16.0
 """Distance in px from a seam at which its change of brightness ends."""
 _SPLINE_MARGIN = 8
@@ -80,12 +82,16 @@ class Site:
         return np.asarray(np.minimum(self.tile_size, self.extent / 3))
 
     def fresh(self, margin: int = 0) -> Image:
+        """Return the pixels of a fresh draw, ``margin`` px wider than the output on every side."""
+        return self.draw(margin).image
+
+    def draw(self, margin: int = 0) -> Texture:
         """Return a fresh draw, ``margin`` px wider than the output on every side."""
         height, width = self.shape
         draw = self.again((height + 2 * margin, width + 2 * margin), FIRST_DRAW + int(self.rng.integers(1, 1 << 30)))
         if draw is None:
             raise Refused("planted: this texture has no fresh draw of the output's size")
-        return draw.image
+        return draw
 
     def pixels(self) -> Points:
         """Return (x, y) of every pixel, ``(H, W, 2)``."""
@@ -328,6 +334,42 @@ def blurred_band(site: Site) -> PlantedImage:
     if deviation:
         image[covered] = gaussian_filter(image, (deviation, deviation, 0), mode="mirror")[covered]
     return PlantedImage(image, site.zeros(), covered & (image != fresh).any(), f"standard deviation {deviation:g} px")
+
+
+def blur(site: Site) -> PlantedImage:
+    """Blur the whole draw."""
+    fresh = site.fresh()
+    image = gaussian_filter(fresh, (site.size, site.size, 0), mode="mirror") if site.size else fresh
+    return PlantedImage(image, site.zeros(), _changed(image, fresh), f"standard deviation {site.size:g} px")
+
+
+def contrast(site: Site) -> PlantedImage:
+    """Move all values toward their mean."""
+    fresh = site.fresh()
+    image = fresh + np.float32(site.size) * (fresh.mean((0, 1), np.float64).astype(np.float32) - fresh)
+    return PlantedImage(image, site.zeros(), _changed(image, fresh), f"contrast times {1 - site.size:g}")
+
+
+def noise(site: Site) -> PlantedImage:
+    """Replace a share of the variance of the texture inside elements by white noise.
+
+    The texture inside elements is what the periodic image does not explain, less its Gaussian blur of 4 px.
+    """
+    if site.known is None:
+        raise Refused("planted: this texture has no lattice")
+    draw = site.draw()
+    if draw.ideal is None or draw.displacement is not None:
+        raise Refused("planted: noise needs a texture model whose geometry does not vary")
+    rest = draw.image - draw.ideal
+    fine = rest - gaussian_filter(rest, (_COARSE, _COARSE, 0), mode="mirror")
+    white = site.rng.standard_normal(fine.shape) * fine.std((0, 1), dtype=np.float64)
+    change = (math.sqrt(1 - site.size) - 1) * fine + math.sqrt(site.size) * white
+    image = np.clip(draw.image + change, 0, 1).astype(np.float32) if site.size else draw.image
+    return PlantedImage(image, site.zeros(), _changed(image, draw.image), f"{site.size:g} of the variance")
+
+
+def _changed(image: Image, fresh: Image) -> Mask:
+    return np.asarray((image != fresh).any(-1))
 
 
 def seam(site: Site) -> PlantedImage:

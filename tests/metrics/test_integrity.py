@@ -4,18 +4,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.stats import spearmanr
 
 from nrbench import metrics, plugins
 from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.ceramic import Ceramic
+from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.metrics.integrity import Integrity, learn_references
+from nrbench.metrics.integrity import LEAST_POWER, Integrity, learn_references
 from nrbench.metrics.verdict.reference import Reference
 from nrbench.metrics.whole_elements.composite_tiles import Discriminant, WholeTiles, compose_tiles
-from nrbench.metrics.whole_elements.elements import Cutter, find_elements
+from nrbench.metrics.whole_elements.elements import Box, Cutter, find_elements
+from nrbench.metrics.whole_elements.joint_test import Cuts, JointTest
 from nrbench.plugins.forms import Observation, Score, Task, Texture
 from nrbench.suites.suite import TextureRow, load_suite
 from nrbench.synthesizers.rsgf import Rsgf
@@ -113,6 +117,41 @@ def test_the_sample_alone_tells_whole_from_broken_elements(case: Cases, name: st
     assert None not in (values[0]["score"], values[1]["score"])
     assert values[0]["score"] >= 0.95
     assert values[1]["score"] <= 0.2
+
+
+def test_windows_of_a_square_lattice_lie_at_the_same_places_in_sample_and_output() -> None:
+    """Where two vectors are equally long, a small error of the output's lattice does not move or mirror the windows."""
+    model = Ceramic(period=21.3, rotation=37.0, color=0.2, noise=0.03)
+    own = Case(model, model.render((192, 192), np.random.default_rng(0)))
+    values = [integrity(own.observe(own.fresh(192, k), model=False)).values for k in range(3)]
+    assert min(one["detection_power"] for one in values) > 0.6
+    assert min(one["score"] for one in values) >= 0.95
+
+
+@pytest.mark.parametrize("blur", [0.0, 2.0])
+def test_the_sample_alone_shows_feathered_joints(case: Cases, blur: float) -> None:
+    """Copies of cells have a score of at most 0.2 without a model, also if the joints alone are blurred by 2 px."""
+    own = case("brick")
+    task = Task(own.texture.image, (192, 192), own.texture.lattice, np.random.default_rng(0))
+    copies = copy_cells(task)
+    assert task.lattice is not None
+    y, x = np.indices(task.shape)
+    uv = task.lattice.to_cell(np.stack([x, y], -1).astype(float))
+    joints = np.abs(uv - np.rint(uv)).min(-1) < 0.15
+    copies[joints] = ndimage.gaussian_filter(copies, (blur, blur, 0))[joints]
+    score = integrity(own.observe(quantize(copies), model=False)).values["score"]
+    assert score is not None and score <= 0.2
+
+
+def test_few_elements_are_not_judged() -> None:
+    """Without a model, an output of two dozen elements needs more power than one of many."""
+    model = Hexagon(period=14.3, color=0.03, intensity=0.0, noise=0.06)
+    own = Case(model, model.render((160, 160), np.random.default_rng(0)))
+    large, small = (integrity(own.observe(own.fresh()[:side, :side], model=False)) for side in (192, 90))
+    assert large.values["score"] is not None
+    assert small.values["score"] is None
+    assert small.values["detection_power"] is not None and small.values["detection_power"] > LEAST_POWER
+    assert small.reasons["score"].startswith("undecided: only")
 
 
 def test_one_two_tone_brick_is_found_in_its_place(case: Cases) -> None:
@@ -218,3 +257,22 @@ def test_the_discriminant_separates_composite_from_whole_tiles() -> None:
     whole, composite = discriminant.evidence(other), discriminant.evidence(compose_tiles(other, (7, 7)))
     assert np.median(composite) > 5 * np.quantile(whole, 0.95)
     assert (discriminant.composite > 2 * discriminant.whole).all()
+
+
+def test_the_joint_test_weighs_each_cut_by_the_tones_on_both_sides() -> None:
+    """Elements of one tone are told from joined ones along any cut; elements without tones give no evidence."""
+    rng = np.random.default_rng(0)
+    cuts = Cuts.through(Box(np.array([[20.0, 0.0], [0.0, 12.0]]), (4, 4)))
+    grain = 0.05 * rng.normal(size=(60, 240))
+    toned = 0.1 * rng.normal(size=(60, 1)) + grain
+    rows = [one - one.mean(0) for one in (toned, grain)]
+    found = []
+    for one in rows:
+        test = JointTest.fit(cuts, one[::2], None)
+        whole, joined = test.evidence(one[1::2]), test.evidence(compose_tiles(one[1::2], cuts.box.samples))
+        found.append(float((joined > np.quantile(whole, 0.9)).mean()))
+    assert found[0] > 0.8
+    assert found[1] < 0.2
+    step = np.where(np.arange(240) % 20 < 10, 0.1, -0.1)[np.newaxis]
+    lit = JointTest.fit(cuts, rows[0], np.ones(1))
+    assert lit.evidence(step)[0] < 0.1 * JointTest.fit(cuts, rows[0], None).evidence(step)[0]
