@@ -65,6 +65,7 @@ PINNED_PAPERS = {
     "patch-based": "3e9c6cf3a162",
     "quilting": "582aafe6ea50",
     "regularized-patch": "578c72c3b049",
+    "graph-cuts": "112033b60069",
 }
 """The output of each method with the parameters of its paper, on the weave."""
 
