@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Final, Literal
 
@@ -22,6 +22,7 @@ from nrbench.plugins.forms import Detector, FoundLattice, Refused, Synthesis, Ta
 from .gap_filling.blocks import BlockGrid, check_border
 from .gap_filling.canvas import BlockCanvas, Map, SeamMethod
 from .gap_filling.matching import FrameMatcher, Match, align_patch, fit_deformation
+from .geometry.straightening import Geometry, straighten_first
 from .sampling.equal_places import EqualPlaces, Pixels, SearchShape, nearby_pixels, nearest_pixels
 from .sampling.patches import Patches, round_places
 from .seams.minimum_cut import Mask
@@ -99,6 +100,10 @@ class Rsgf:
     finder
         Detector that finds the lattice if none is given: ``"consensus"``, or the paper's ``"gncc"``, which reports half
         or twice the period of some walls and carpets.
+    geometry
+        ``"straighten"``: if the geometry of the sample departs from the lattice, the sample is straightened first and
+        the output deformed again, as the sample is (:func:`~.geometry.straightening.synthesize_straight`). ``"as-is"``:
+        not, as in the paper.
     """
 
     block: int = 40
@@ -112,6 +117,7 @@ class Rsgf:
     candidate_fraction: float | None = None
     prefer_unused: bool = True
     finder: Finder = "consensus"
+    geometry: Geometry = "as-is"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -134,6 +140,8 @@ class Rsgf:
                 )
         if not 0 <= self.deform <= MAX_DEFORM:
             raise BadInput(f"deform {self.deform}; choose from 0 to {MAX_DEFORM:g} px")
+        if self.geometry == "straighten" and self.search == "stochastic":
+            raise BadInput("geometry 'straighten' needs a lattice, which search 'stochastic' does not use; drop one")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`Rsgf`.
@@ -143,6 +151,8 @@ class Rsgf:
         Refused
             If the sample does not hold a block with its borders, or no patch equal to one of the output's.
         """
+        if self.geometry == "straighten":
+            return straighten_first(replace(self, geometry="as-is"), task, self._detector())
         grid = BlockGrid(task.shape, self.block, self.border)
         grid.search_shape(task.sample.shape)
         found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, self._detector())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Final, Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Synthesis, Task, find_lattice
 
+from .geometry.straightening import Geometry, straighten_first
 from .sampling.two_periods import require_two_periods
 from .tile_laying.tile_canvas import Stitch, TileCanvas
 from .tile_laying.tile_shape import AnchorKind, TileKind, TileShape, anchor_lattice, tile_shape
@@ -111,6 +112,10 @@ class TileSet:
         that leave each set enough tiles.
     symmetry
         Also use the tiles of the sample mirrored or turned, if that does not change its mean tile (section 4.4).
+    geometry
+        ``"straighten"``: if the geometry of the sample departs from the lattice, the sample is straightened first and
+        the output deformed again, as the sample is (:func:`~.geometry.straightening.synthesize_straight`). ``"as-is"``:
+        not, as in the paper.
     """
 
     tile: TileKind | Literal["auto"] = "auto"
@@ -126,6 +131,7 @@ class TileSet:
     feather: float = FEATHER
     anchor: AnchorKind | Literal["given"] = "elements"
     symmetry: bool = False
+    geometry: Geometry = "as-is"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -163,6 +169,8 @@ class TileSet:
             If no lattice is found, if the sample does not show two periods, or not a complete tile of each set and two
             of one, or if registration, feather or margin is larger than s.
         """
+        if self.geometry == "straighten":
+            return straighten_first(replace(self, geometry="as-is"), task, Consensus())
         found = find_lattice(task, Consensus())
         if found.lattice is None:
             raise Refused(f"no lattice found ({found.reason}), so that there are no tiles; give a lattice")

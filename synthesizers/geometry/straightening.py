@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import fold
 from nrbench.imaging.largest_box import largest_box
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import SourceMap, Synthesis, Task
+from nrbench.plugins.forms import Detector, SourceMap, Synthesis, Synthesizer, Task, find_lattice
 
 from ..sampling.equal_places import pixel_grid
 from ..sampling.patches import Patches
@@ -23,6 +23,8 @@ from .deformed_lattice import DeformedLattice, find_deformed_lattice
 from .free_form import FreeForm
 from .vertex_field import Deform, Update, output_field
 
+Geometry = Literal["as-is", "straighten"]
+"""Whether a method takes the sample as it is, or straightens it first and deforms the output again."""
 LEAST_AMPLITUDE: Final = 0.04
 """Amplitude, in units of s, below which displacements are taken for errors of the tracker."""
 LEAST_GAIN: Final = 1.2
@@ -191,6 +193,25 @@ def synthesize_straight(task: Task, lattice: Lattice, synthesize: Callable[[Task
     return replace(
         made, image=image, lattice=lattice, source=source, extras={**made.extras, "straightened": straight.image}
     )
+
+
+def straighten_first(method: Synthesizer, task: Task, detector: Detector) -> Synthesis:
+    """Return the synthesis of a method on the straightened sample, deformed again; see :func:`synthesize_straight`.
+
+    Parameters
+    ----------
+    method
+        The method as it is without straightening.
+    task
+        The task.
+    detector
+        Finds the lattice if none is given. If there is none, the method is called with the task itself.
+    """
+    found = find_lattice(task, detector)
+    if found.lattice is None:
+        return method.synthesize(task)
+    made = synthesize_straight(task, found.lattice, method.synthesize)
+    return replace(made, detection_seconds=found.seconds)
 
 
 def _trace(straight: StraightSample, source: SourceMap, places: Points) -> SourceMap:

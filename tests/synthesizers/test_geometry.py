@@ -8,6 +8,8 @@ import pytest
 from scipy import ndimage
 
 import nrbench
+from nrbench import plugins
+from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task, Texture
@@ -171,6 +173,28 @@ def test_a_method_gets_the_task_itself_where_nothing_departs() -> None:
     tasks = [Task(texture.image, (90, 100), texture.lattice, np.random.default_rng(1)) for _ in range(2)]
     plain, wrapped = Tiling().synthesize(tasks[0]), synthesize_straight(tasks[1], texture.lattice, Tiling().synthesize)
     np.testing.assert_array_equal(plain.image, wrapped.image)
+
+
+@pytest.mark.parametrize("name", ["rsgf", "tile-set"])
+def test_methods_ask_for_it_by_a_parameter(name: str) -> None:
+    """``geometry=straighten`` gives the bytes of the mechanism on a bent sample, the method's own on a regular one."""
+    plain, asking = (plugins.build("synthesizers", name, {"geometry": way}) for way in ("as-is", "straighten"))
+    for bend in (0.0, 0.4):
+        texture = bent(bend=bend, side=160)
+        assert texture.lattice is not None
+        tasks = [Task(texture.image, (110, 120), texture.lattice, np.random.default_rng(1)) for _ in range(2)]
+        made, expected = asking.synthesize(tasks[0]), synthesize_straight(tasks[1], texture.lattice, plain.synthesize)
+        np.testing.assert_array_equal(made.image, expected.image)
+        assert ("straightened" in made.extras) == (bend > 0)
+
+
+def test_without_a_lattice_a_method_does_what_it_does_without_one() -> None:
+    """RSGF goes into its stochastic mode; where it never uses a lattice, the parameter is an error."""
+    blank = np.random.default_rng(0).random((96, 96, 3), np.float32)
+    task = Task(blank, (100, 100), None, np.random.default_rng(1))
+    assert "stochastic" in plugins.build("synthesizers", "rsgf", {"geometry": "straighten"}).synthesize(task).note
+    with pytest.raises(BadInput, match="geometry"):
+        plugins.build("synthesizers", "rsgf", {"geometry": "straighten", "search": "stochastic"})
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
