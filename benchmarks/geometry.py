@@ -146,9 +146,7 @@ def show_rule(options: argparse.Namespace) -> None:
                 found += straight.departs
                 if not straight.deformed.obstacle and straight.departs == case.startswith("undisturbed"):
                     odd.append(model)
-        print(
-            f"  {case:24} {found} of {measured} that hold 9 tiles depart; otherwise than expected: {sorted(set(odd))}"
-        )
+        print(f"  {case:24} {found} of {measured} with nine tiles depart; not as expected: {sorted(set(odd))}")
 
 
 SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {

@@ -1,4 +1,4 @@
-"""The largest upright box of pixels that all have a property."""
+"""The largest upright box inside a mask with a ragged border."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 
 def largest_box(inside: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Return first and last row and column, half-open, of a large box of True values.
+    """Return first and last row and column, half-open, of a box whose borders hold True values alone.
 
-    The worst border of the mask is removed until none holds a False value. The box is not always the largest one, but
-    where False values lie along the borders it is close to it.
+    The worst border of the mask is removed until none holds a False value. Where False values lie along the borders of
+    the mask, the box is close to the largest one without any. Holes in the middle are not seen.
     """
     y0, y1, x0, x1 = 0, inside.shape[0], 0, inside.shape[1]
     while y1 - y0 > 1 and x1 - x0 > 1:

@@ -6,6 +6,7 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import Values, fold, sample_tile
@@ -20,6 +21,9 @@ REFINEMENTS: Final = 3
 """How often the steps are halved around the best corner and link."""
 LINKS: Final = 8
 """Number of steps along each side of the triangle in which the links between corners are tried."""
+BLUR: Final = 1 / 12
+"""Standard deviation, in s, of a blur of the departures from the mean tile. Where an outline is off by a fraction of a
+pixel, departures of both signs lie side by side; they would make joints look like places where texels differ."""
 Corners = tuple[Lattice, Points]
 """The lattice of the middles of texels, and the corners of a texel from its middle, in order, ``(2 k, 2)`` px."""
 
@@ -43,7 +47,9 @@ def quiet_texels(image: Image, lattice: Lattice, kind: TexelKind) -> Corners:
     """
     lattice = lattice.reduced()
     mean = fold(image, lattice)
-    departures = ((image - mean.unfold(image.shape[:2])) ** 2).sum(-1, keepdims=True)
+    sigma = BLUR * lattice.s
+    departures = ndimage.gaussian_filter(image - mean.unfold(image.shape[:2]), (sigma, sigma, 0))
+    departures = (departures**2).sum(-1, keepdims=True)
     variance = fold(departures, lattice).values
     grid = np.arange(STEPS) / STEPS
     places = lattice.from_cell(np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2))

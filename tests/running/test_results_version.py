@@ -44,7 +44,7 @@ PINNED: Pins = {
     "weave/precomputed": ("ee38e22f8772", 0.0, None),
     "weave/quilting": ("582aafe6ea50", 1.0, 0.927),
     "weave/random-phase": ("569bfad8f2f5", 0.213, None),
-    "weave/regularized-patch": ("e2af96eb7949", 1.0, 1.01),
+    "weave/regularized-patch": ("91a3c3c9ce72", 1.0, 1.0),
     "weave/representative-tile": ("7eb69abc4ad5", 1.0, 0.33),
     "weave/rsgf": ("71d1b2fb2cfd", 1.0, 0.656),
     "weave/shuffle": ("752f026208e9", 1.0, 0.998),
