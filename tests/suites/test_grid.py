@@ -74,11 +74,11 @@ def test_bad_grids(grid: Any, message: str) -> None:
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("core", "aa9da824262a1471"),
-        ("default", "4b00e40b44b68349"),
-        ("frontier", "0e4258cd1c70455a"),
-        ("integer", "91a2f35095371711"),
-        ("spectrum", "77f6723515031a9c"),
+        ("core", "780b36770bccd8c9"),
+        ("default", "117e3501a8740179"),
+        ("frontier", "79c6c29e9724c398"),
+        ("integer", "1bf655853a8029fd"),
+        ("spectrum", "59af64198089eccf"),
         ("validation", "c21b350cb23e9977"),
     ],
 )
