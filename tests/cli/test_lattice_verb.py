@@ -19,6 +19,7 @@ from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Observation
+from nrbench.suites.cell import Recipe
 
 
 def call(line: str) -> int:
@@ -60,7 +61,8 @@ def test_the_clicked_anchor_is_carried_through(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`--pick` prints six numbers; with them `synth` cuts tiles around the clicked point and keeps bricks whole."""
-    wall = texture("brick", shape=(128, 128), seed=2, color=0.3)
+    recipe = Recipe("brick", {"color": 0.3}, 0, "wall", 0, (128, 128))
+    wall = recipe.render()
     assert wall.lattice is not None
     write_image(Path("wall.png"), wall.image)
     x, y = wall.lattice.points((64, 64))[0] + 0.25
@@ -78,7 +80,9 @@ def test_the_clicked_anchor_is_carried_through(
     for name, lattice in (("clicked", numbers), ("vectors", numbers.rpartition(",")[0].rpartition(",")[0])):
         assert call(f"synth wall.png -m tile-set:anchor=given --size 160x160 --lattice {lattice} -o {name}.png") == 0
         output = read_image(f"{name}.png")
-        observation = Observation(quantize(wall.image), output, truth=wall, lattice_given=Lattice.parse(lattice))
+        observation = Observation(
+            quantize(wall.image), output, wall, lattice_given=Lattice.parse(lattice), again=recipe.again(wall)
+        )
         broken[name] = plugins.build("metrics", "integrity").score(observation).values["broken_share"]
     expected = synthesize("tile-set", wall.image, (160, 160), numbers, anchor="given").image
     np.testing.assert_array_equal(read_image("clicked.png"), quantize(expected))

@@ -135,7 +135,8 @@ def test_every_table_has_mark_and_footnote(mixed: Run, tmp_path: Path) -> None:
     assert f"✓ 0.10 {BASELINE_SIGN} |" in markdown and f"*tiling* † {BASELINE_SIGN} 1/3" in markdown
     for words in (text, markdown):
         assert f"{BASELINE_SIGN} {BASELINE_LEGEND}" in " ".join(words.split())
-    summary, places_ = (path.read_text("utf-8") for path in LatexTables().write(mixed, tmp_path))
+    tables = {path.stem: path.read_text("utf-8") for path in LatexTables().write(mixed, tmp_path)}
+    summary, places_ = tables["summary"], tables["comparison"]
     assert r"\textit{tiling}\nrbReference{}\nrbValidBaseline{}\textsuperscript{1/3}" in summary
     assert r"\nrbPreserved{} 0.10\nrbValidBaseline{}" in places_ and BASELINE_LEGEND in places_
     page = HtmlReport().render(mixed, tmp_path)
