@@ -332,23 +332,32 @@ def study_planted(options: argparse.Namespace) -> None:
     table = run_study("planted", options, rows, methods, size=side, metrics=[*PERILS, "quality"])
     fresh = table[table["defect"] == "none"]
     print(f"\n{len(rows)} textures of {side} px, {len(fresh)} fresh draws. AUC over all images (n with a value).")
-    print_head("defect", "size", "column", "AUC", "AUC of `quality`", "mean `quality`")
+    print("Where an own column has no value, elements have no tones. The last AUC leaves these images out.")
+    print_head("defect", "size", "column", "AUC", "AUC of `quality`", "of `quality` where known", "mean `quality`")
     for kind, (sizes, column, grows) in PLANTED.items():
         for size in sizes:
             own = table[(table["defect"] == kind) & np.isclose(table["size"], size)]
-            cells = []
-            for name, sign in ((column, 1 if grows else -1), ("quality.score", -1)):
-                pair = [sign * one[name].astype(float) for one in (fresh, own)]
+            cells, known = [], [one[one[column].notna()] for one in (fresh, own)]
+            for name, sign, some in (
+                (column, 1 if grows else -1, (fresh, own)),
+                ("quality.score", -1, (fresh, own)),
+                ("quality.score", -1, known),
+            ):
+                pair = [sign * one[name].astype(float) for one in some]
                 cells.append(f"{auc(*pair):.3f} ({pair[1].notna().sum()})")
             print_row(kind, f"{size:g}", f"`{column}`", *cells, f"{own['quality.score'].astype(float).mean():.3f}")
-    print("\nSpearman's correlation with the size, fresh draws as size 0: mean over textures (least); over all images.")
+    print("\nSpearman's correlation with the size, fresh draws as size 0: mean over textures (least); over all.")
     print_head("defect", "column", "within a texture", "over all", "`quality` within a texture", "over all")
     for kind, (_, column, _) in PLANTED.items():
         own = table[(table["defect"] == kind) | (table["defect"] == "none")]
         cells = []
         for name in (column, "quality.score"):
-            values = [rank_correlation(one, name) for _, one in own.groupby("texture")]
-            cells += [f"{np.nanmean(values):+.3f} ({min(values, key=abs):+.3f})", f"{rank_correlation(own, name):+.3f}"]
+            judged = own[own[column].notna()]
+            values = [rank_correlation(one, name) for _, one in judged.groupby("texture")]
+            cells += [
+                f"{np.nanmean(values):+.3f} ({min(values, key=abs):+.3f})",
+                f"{rank_correlation(judged, name):+.3f}",
+            ]
         print_row(kind, f"`{column}`", *cells)
 
 
