@@ -93,7 +93,7 @@ class Claim(BaseModel):
     name
         Its name.
     quote, source
-        The sentence, and where it stands.
+        The sentence in the words of the paper, with dots where words are left out, and where it stands.
     score
         The score, as ``metric.column``.
     axis
