@@ -15,7 +15,7 @@ import numpy as np
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, as_image, match_ndim, quantize
-from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.plugins.forms import Detection, Observation, Refused, Score, Shape, Synthesis, Task, Texture, Value
 from nrbench.running.phases import checked_synthesis, failure_reason, score_observation
 from nrbench.running.runner import Options, Progress, execute, working_metrics
@@ -82,10 +82,24 @@ def detect_lattice(image: Any, detector: str = "consensus", **parameters: Any) -
 
 
 def as_lattice(lattice: Latticelike) -> Lattice | None:
-    """Return a lattice from any of the forms of :data:`Latticelike`."""
-    if lattice is None or isinstance(lattice, Lattice):
-        return lattice
-    return Lattice.parse(lattice) if isinstance(lattice, str) else Lattice(*lattice)
+    """Return a lattice from any of the forms of :data:`Latticelike`.
+
+    Raises
+    ------
+    BadInput
+        If it has none of these forms, or repeats in less than 2 px.
+    """
+    if lattice is None:
+        return None
+    if isinstance(lattice, str):
+        return Lattice.parse(lattice)
+    try:
+        made = lattice if isinstance(lattice, Lattice) else Lattice(*lattice)
+    except TypeError:
+        raise BadInput(
+            f"lattice {lattice!r}: give two vectors, e.g. ((32, 0), (0, 24)), or three with the origin"
+        ) from None
+    return require_visible(made, lattice)
 
 
 def synthesize(

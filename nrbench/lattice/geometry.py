@@ -237,10 +237,22 @@ class Lattice:
                 f"lattice {text!r}: give four numbers x1,y1,x2,y2 in px, e.g. 32,0,0,24, "
                 "or six, x1,y1,x2,y2,x,y, with the origin"
             ) from None
-        lattice = cls((x1, y1), (x2, y2), (x, y))
-        if lattice.s < LEAST_PERIOD:
-            raise BadInput(f"lattice {text!r}: repeats every {lattice.s:g} px; pixels show no period under 2 px")
-        return lattice
+        return require_visible(cls((x1, y1), (x2, y2), (x, y)), text)
+
+
+def require_visible(lattice: Lattice, given: object) -> Lattice:
+    """Return a lattice as it is, or raise :class:`BadInput` if it repeats in less than 2 px.
+
+    Parameters
+    ----------
+    lattice
+        The lattice.
+    given
+        The form in which the user gave it, for the message.
+    """
+    if lattice.s < LEAST_PERIOD:
+        raise BadInput(f"lattice {given!r}: repeats every {lattice.s:g} px; pixels show no period under 2 px")
+    return lattice
 
 
 def shortest_pair(basis: Points) -> tuple[Points, Points]:
