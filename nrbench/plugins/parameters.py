@@ -68,7 +68,7 @@ def fill_preset(cls: type[Any], parameters: Mapping[str, Any], where: str) -> di
     if PRESET not in given:
         return given
     name, presets = given.pop(PRESET), getattr(cls, "presets", {})
-    if name not in presets:
+    if not isinstance(name, str) or name not in presets:
         known = f"choose one of: {', '.join(presets)}" if presets else "it has none; leave preset out"
         raise BadInput(f"{where}: preset {name!r} is not known; {known}")
     return {**presets[name], **given}

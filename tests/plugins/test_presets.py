@@ -90,6 +90,13 @@ def test_an_unknown_preset_names_those_that_exist(kind: str, name: str, message:
         plugins.build(kind, name, {"preset": "article"})
 
 
+@pytest.mark.parametrize("preset", [None, 3, ["paper"], {"paper": 1}])
+def test_a_preset_that_is_no_name_is_refused(preset: object) -> None:
+    """Whatever Python value is given as the preset, the error names it and lists the presets."""
+    with pytest.raises(BadInput, match="is not known; choose one of: paper, dark"):
+        api.synthesize("grays", np.random.default_rng(0).random((16, 16)), (8, 8), preset=preset)
+
+
 def test_a_preset_is_the_same_cell_as_its_parameters() -> None:
     """Keys, labels and tables hold the filled parameters, for methods and for detectors of the lattice axis."""
     rows = [{"name": "brick", "dataset": "brick"}]
