@@ -61,7 +61,7 @@ class PatchBased:
     zone
         Width of the boundary zone in px, from 1 to half a patch. (The paper: 4.)
     epsilon
-        The largest relative error of a patch that fits, 0 or more. (The paper: 0.2.) 0: always one of the patches of
+        The largest relative error of a patch that fits, 0 to 1000. (The paper: 0.2.) 0: always one of the patches of
         least distance.
     search
         ``"exhaustive"``: all patches are compared. ``"kdtree"``: only the neighbors that the tree finds.
@@ -102,8 +102,8 @@ class PatchBased:
         if self.zone < 1:
             raise BadInput(f"zone {self.zone}; choose a width from 1 px to half of the patch")
         check_patch("patch", self.patch, "zone", self.zone)
-        if not 0 <= self.epsilon < math.inf:
-            raise BadInput(f"epsilon {self.epsilon}; choose 0 (only the best patches) or more")
+        if not 0 <= self.epsilon <= 1000:
+            raise BadInput(f"epsilon {self.epsilon}; choose 0 (only the best patches) to 1000")
         if self.neighbors < 1:
             raise BadInput(f"neighbors {self.neighbors}; choose 1 or more")
         if not 0 <= self.search_error < math.inf:

@@ -66,7 +66,7 @@ class RegularizedPatch:
         Breadth in px of the zone that two texels share; at most the breadth of a texel. None: a sixth of s, from 3 to
         8 px.
     tolerance
-        d_max over the root mean square of the texels' values along their borders, 0 or more. 0: always the texel that
+        d_max over the root mean square of the texels' values along their borders, 0 to 1000. 0: always the texel that
         differs least.
     deform
         Deformation of the output. ``"synthesize"``: drawn anew. ``"keep"``: the sample's own, mirrored beyond the
@@ -103,8 +103,8 @@ class RegularizedPatch:
     def __post_init__(self) -> None:
         if self.zone is not None and not 0 <= self.zone < np.inf:
             raise BadInput(f"zone {self.zone}; choose 0 px or more, or leave it out")
-        if not 0 <= self.tolerance < np.inf:
-            raise BadInput(f"tolerance {self.tolerance}; choose 0 or more")
+        if not 0 <= self.tolerance <= 1000:
+            raise BadInput(f"tolerance {self.tolerance}; choose from 0 to 1000")
         if self.update != "sample" and self.deform != "synthesize":
             raise BadInput(
                 f"update {self.update!r} has no effect with deform {self.deform!r}; "

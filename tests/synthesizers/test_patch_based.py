@@ -126,6 +126,7 @@ def test_a_sample_smaller_than_a_patch_is_refused_with_a_way_out() -> None:
         ({"zone": -1}, "zone -1"),
         ({"epsilon": -0.1}, "epsilon -0.1; choose 0"),
         ({"epsilon": float("nan")}, "epsilon nan; choose 0"),
+        ({"epsilon": 1e300}, "epsilon 1e\\+300; choose 0"),
         ({"neighbors": 0}, "neighbors 0; choose 1"),
         ({"search_error": -1.0}, "search_error -1.0; choose 0"),
     ],

@@ -118,7 +118,13 @@ def test_gray_samples_stay_gray() -> None:
 
 @pytest.mark.parametrize(
     "parameters",
-    [{"zone": -1.0}, {"zone": math.nan}, {"tolerance": -0.1}, {"deform": "keep", "update": "argmax"}],
+    [
+        {"zone": -1.0},
+        {"zone": math.nan},
+        {"tolerance": -0.1},
+        {"tolerance": 1e300},
+        {"deform": "keep", "update": "argmax"},
+    ],
 )
 def test_bad_parameters_are_refused(parameters: dict[str, Any]) -> None:
     """A parameter out of range, or without effect, is an error that names it."""
