@@ -19,6 +19,7 @@ SMALL: Any = {"color": GRAY, "fontsize": 7}
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 8,
+    "text.parse_math": False,
     "svg.hashsalt": "nrbench",
     "svg.fonttype": "path",
     "pdf.fonttype": 42,

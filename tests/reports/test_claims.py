@@ -131,6 +131,14 @@ def test_a_score_that_is_missing_leaves_a_claim_undecided(make_claims: Make) -> 
     assert only(make_claims(lambda *_: None, {"relation": "less", "other_at": 24})).outcome == "undecided"
 
 
+def test_a_plot_shows_names_as_they_are(make_claims: Make) -> None:
+    """Dollar signs in the name of an axis or a series are no formula: a broken one neither fails nor is left out."""
+    series = {"name": r"$\frac$", "levels": [24, 40], "methods": [SMALL, LARGE]}
+    expect = {"series": series["name"], "at": 40, "relation": "less", "other_at": 24}
+    run = make_claims(lambda *_: 0.5, {}, series=[series], expect=[expect], axis=r"block $\frac{$")
+    assert plot_claim(only(run), "svg").startswith(b"<?xml")
+
+
 def test_a_run_without_claims_has_none(make_cell: Make, make_run: Make) -> None:
     """A suite that tests no claim has no such section."""
     assert evaluate_claims(make_run([make_cell()])) == []
