@@ -106,9 +106,9 @@ class Integrity:
     score is ``1 - b = 1 - (c - q) / (p - q)``, between 0 and 1. It corrects for broken elements that the test misses
     and for whole ones that it counts. The limit is the one with the largest ``p - q``, which is ``detection_power``. q
     is the share of fresh elements above the limit. It is larger for few elements, so that a fresh draw scores less than
-    0.95 with a probability of about 0.002 only. Elements whose power is below 0.1 are not judged: their parts have no
-    tone of their own, or too few are known. Without a model the power must also be so large that 12 elements would be
-    detected if all were broken.
+    0.95 with a probability of about 0.002 only, if its elements are independent; windows of one thread are not.
+    Elements whose power is below 0.1 are not judged: their parts have no tone of their own, or too few are known.
+    Without a model the power must also be so large that 12 elements would be detected if all were broken.
 
     *Broken tiles.* ``broken_share`` and ``broken_tiles`` count only elements whose evidence exceeds chance for each
     element alone, given their number (:class:`~.verdict.exponential_tail.ExponentialTail`). For a photograph they count
