@@ -49,7 +49,7 @@ class Cuts:
     def through(cls, box: Box) -> Cuts:
         """Return cuts in eight directions and at five distances from the middle of a window with about one sample a px.
 
-        Cuts that leave less than a twelfth of the window on one side are left out.
+        Cuts that leave less than 8 % of the window on one side are left out.
 
         Parameters
         ----------
