@@ -13,8 +13,8 @@ ANSWERS = ("yes", "no", "cannot say")
 """The possible answers to every question, in the order of the keys 1, 2, 3."""
 PRESERVED = "regularity.preserved"
 WHOLE_SCORE = 0.95
-"""``integrity.score`` below which more elements are broken than chance explains. ``integrity`` allows for chance so that
-a fresh draw of independent elements scores less with a probability of about 0.002. Of fresh draws of all models, a
+"""``integrity.score`` below which more elements are broken than chance explains. ``integrity`` allows for chance, so
+that a fresh draw of independent elements scores less with a probability of about 0.002. Of fresh draws of all models, a
 share of 0.02 does, all of textures of threads, whose windows are not independent (docs/validation.md)."""
 
 Scores = Mapping[str, Value]
