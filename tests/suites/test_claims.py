@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from nrbench.errors import BadInput
+from nrbench.plugins import find
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import load_suite, validated_suite
 
@@ -89,6 +90,13 @@ def test_a_claim_that_makes_no_sense_is_refused(changes: dict[str, Any], message
     with pytest.raises(BadInput, match="tiny") as caught:
         validated_suite(with_claim(**changes), "suite tiny")
     assert message in str(caught.value)
+
+
+def test_the_scores_of_the_builtin_claims_exist() -> None:
+    """Each claim of the suite ``claims`` reads a column that a metric declares."""
+    for claim in load_suite("claims").claim:
+        metric, _, column = claim.score.partition(".")
+        assert column in find("metrics", metric).cls.columns, claim.name  # type: ignore[union-attr]
 
 
 def test_builtin_suites_other_than_claims_test_no_claims() -> None:
