@@ -16,7 +16,8 @@ _SPREAD = 0.07
 def plot_claim(result: ClaimResult, kind: str, width: float = 4.3, height: float = 150.0) -> bytes:
     """Return the panel of a claim as a file of a kind (``svg``, ``pdf``, ``png``); width in inches, height in points.
 
-    All levels of all series lie at equal distances, in the order of their numbers.
+    All levels of all series lie at equal distances, in the order of their numbers. The scale of the scores shows 0, and
+    1 if it is the best or the highest value.
     """
     return render_figure(partial(_claim_figure, result, width, height), kind)
 
@@ -41,9 +42,12 @@ def _claim_figure(result: ClaimResult, width: float, height: float) -> Figure:
     axes.set_xticks(range(len(levels)), [f"{level:g}" for level in levels])
     axes.set_xlim(-0.3, len(levels) - 0.7)
     low, high = axes.get_ylim()
-    axes.set_ylim(min(low, -0.04), max(high, 1.04))
+    column = result.column
+    shows_one = column is None or column.better == "one" or column.range[1] == 1
+    high = max(high, 1.04 if shows_one else 0.0)
+    axes.set_ylim(min(low, -0.04 * high), high)
     axes.set_xlabel(result.claim.axis, labelpad=2)
-    axes.set_ylabel(result.claim.score, labelpad=2)
+    axes.set_ylabel(result.score_with_unit, labelpad=2)
     axes.axhline(0, color=FAINT, lw=0.6, zorder=0)
     axes.tick_params(length=3, width=0.7)
     for side in ("top", "right"):

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import pandas as pd
 
 from nrbench.errors import BadInput
+from nrbench.plugins.forms import Column
 from nrbench.runs.records import Run
 from nrbench.suites.claims import Claim, Expectation, Series
 from nrbench.suites.plan import Method
-from nrbench.suites.suite import Suite, validated_suite
+from nrbench.suites.suite import validated_suite
 
 from .estimates import Estimate, means_over_textures, paired_differences, success_rate
 from .verdicts import PRESERVED, QUALITY, RANKING, tabulate_cells
@@ -59,11 +60,19 @@ class ClaimResult:
         The claim.
     series, expectations
         Its series and expectations, measured.
+    column
+        The declaration of its score; None if the run does not have the score.
     """
 
     claim: Claim
     series: Sequence[ClaimSeries]
     expectations: Sequence[ExpectationResult]
+    column: Column | None = None
+
+    @property
+    def score_with_unit(self) -> str:
+        """The name of the score, and its unit if it has one."""
+        return f"{self.claim.score}, {self.column.unit}" if self.column and self.column.unit else self.claim.score
 
     @property
     def outcome(self) -> str:
@@ -87,10 +96,10 @@ def evaluate_claims(run: Run) -> list[ClaimResult]:
         method=[record.method for record in run.cells],
         family=[record.family or record.texture for record in run.cells],
     )
-    return [_evaluate(claim, suite, cells) for claim in suite.claim]
+    return [_evaluate(claim, cells, run.columns.get(claim.score)) for claim in suite.claim]
 
 
-def _evaluate(claim: Claim, suite: Suite, cells: pd.DataFrame) -> ClaimResult:
+def _evaluate(claim: Claim, cells: pd.DataFrame, column: Column | None) -> ClaimResult:
     return ClaimResult(
         claim,
         [
@@ -103,6 +112,7 @@ def _evaluate(claim: Claim, suite: Suite, cells: pd.DataFrame) -> ClaimResult:
             for series in claim.series
         ],
         [_test(claim, one, cells) for one in claim.expect],
+        column,
     )
 
 
