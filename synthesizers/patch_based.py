@@ -144,7 +144,7 @@ class PatchBased:
         """Return the spots of the patches. Raise :class:`Refused` if the sample does not hold a patch."""
         side = min(task.sample.shape[:2])
         patch = self.patch or max(round(PATCH_SHARE * side), LEAST_PATCH, 2 * self.zone)
-        require_patch("patch", patch, task.sample.shape)
+        require_patch("patch", patch, "zone", self.zone, task.sample.shape)
         return RasterGrid(task.shape, patch, self.zone)
 
 

@@ -110,5 +110,5 @@ class Quilting:
         """Return the spots of the blocks. Raise :class:`Refused` if the sample does not hold a block."""
         side = min(task.sample.shape[:2])
         block = self.block or max(round(BLOCK_SHARE * side), LEAST_BLOCK, 2 * self.overlap)
-        require_patch("block", block, task.sample.shape)
+        require_patch("block", block, "overlap", self.overlap, task.sample.shape)
         return RasterGrid(task.shape, block, self.overlap or max(round(block / PARTS), 1))

@@ -118,6 +118,13 @@ def test_a_sample_smaller_than_a_patch_is_refused_with_a_way_out() -> None:
         synthesize(PatchBased(patch=31), noise(30, 60), (64, 64))
 
 
+def test_a_zone_too_wide_for_the_sample_is_refused_with_a_way_out() -> None:
+    """If no patch of the sample holds the default zone, the refusal names the widest zone, and that one works."""
+    with pytest.raises(Refused, match=r"zone of 8 px; choose zone <= 4, and leave patch out"):
+        synthesize(PatchBased(), noise(9, 40), (20, 20))
+    synthesize(PatchBased(zone=4), noise(9, 40), (20, 20))
+
+
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [

@@ -101,6 +101,14 @@ def test_a_sample_smaller_than_a_block_is_refused_with_a_way_out() -> None:
         synthesize(Quilting(block=31), noise(30, 60), (64, 64))
 
 
+@pytest.mark.parametrize("block", [0, 20])
+def test_an_overlap_too_wide_for_the_sample_is_refused_with_a_way_out(block: int) -> None:
+    """If no block of the sample holds the overlap, the refusal names the largest overlap, and that one works."""
+    with pytest.raises(Refused, match=r"overlap of 10 px; choose overlap <= 7, and leave block out"):
+        synthesize(Quilting(block, overlap=10), noise(15, 40), (20, 20))
+    synthesize(Quilting(overlap=7), noise(15, 40), (20, 20))
+
+
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
