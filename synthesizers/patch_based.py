@@ -15,7 +15,7 @@ from nrbench.errors import BadInput
 from nrbench.plugins.forms import Synthesis, Task
 
 from .gap_filling.matching import FrameMatcher, frame_mask
-from .patch_laying.choice import draw_within
+from .patch_laying.choice import LARGEST_SHARE, draw_within
 from .patch_laying.raster_canvas import RasterCanvas, RasterGrid, check_patch, require_patch
 from .patch_laying.zone_tree import ZoneTree
 
@@ -61,7 +61,7 @@ class PatchBased:
     zone
         Width of the boundary zone in px, from 1 to half a patch. (The paper: 4.)
     epsilon
-        The largest relative error of a patch that fits, 0 or more. (The paper: 0.2.) 0: always one of the patches of
+        The largest relative error of a patch that fits, 0 to 1e6. (The paper: 0.2.) 0: always one of the patches of
         least distance.
     search
         ``"exhaustive"``: all patches are compared. ``"kdtree"``: only the neighbors that the tree finds.
@@ -102,8 +102,8 @@ class PatchBased:
         if self.zone < 1:
             raise BadInput(f"zone {self.zone}; choose a width from 1 px to half of the patch")
         check_patch("patch", self.patch, "zone", self.zone)
-        if not 0 <= self.epsilon < math.inf:
-            raise BadInput(f"epsilon {self.epsilon}; choose 0 (only the best patches) or more")
+        if not 0 <= self.epsilon <= LARGEST_SHARE:
+            raise BadInput(f"epsilon {self.epsilon}; choose 0 (only the best patches) to {LARGEST_SHARE:g}")
         if self.neighbors < 1:
             raise BadInput(f"neighbors {self.neighbors}; choose 1 or more")
         if not 0 <= self.search_error < math.inf:

@@ -188,12 +188,16 @@ def test_regular_samples_stay_regular(name: str) -> None:
     [
         {"randomness": -0.1},
         {"randomness": float("inf")},
+        {"randomness": 1e300},
+        {"randomness": float("nan")},
         {"region": 0.0},
         {"region": 0.9},
         {"passes": -1},
         {"power": 3},
         {"feather": -1.0},
         {"feather": 9.0},
+        {"feather": 1e-200},
+        {"feather": float("nan")},
     ],
 )
 def test_bad_parameters_are_named(options: dict[str, Any]) -> None:
@@ -201,6 +205,14 @@ def test_bad_parameters_are_named(options: dict[str, Any]) -> None:
     (name,) = options
     with pytest.raises(BadInput, match=f"{name} .*; choose"):
         GraphCuts(**options)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("options", [{"randomness": 1e6}, {"randomness": 1e-320}, {"feather": 0.1}])
+def test_the_largest_and_least_values_work(options: dict[str, Any]) -> None:
+    """At the ends of their ranges parameters cause no overflow."""
+    sample = noise(20, 20)
+    checked_synthesis(synthesize(GraphCuts(passes=1, **options), sample, (30, 30)), sample, (30, 30))
 
 
 def test_samples_too_small_for_a_region_are_refused() -> None:

@@ -133,6 +133,7 @@ def test_a_zone_too_wide_for_the_sample_is_refused_with_a_way_out() -> None:
         ({"zone": -1}, "zone -1"),
         ({"epsilon": -0.1}, "epsilon -0.1; choose 0"),
         ({"epsilon": float("nan")}, "epsilon nan; choose 0"),
+        ({"epsilon": 1e200}, r"epsilon 1e\+200; choose 0 .* to 1e\+06"),
         ({"neighbors": 0}, "neighbors 0; choose 1"),
         ({"search_error": -1.0}, "search_error -1.0; choose 0"),
     ],

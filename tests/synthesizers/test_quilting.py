@@ -88,6 +88,14 @@ def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
     assert (first != other).any()
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_largest_tolerance_accepts_every_block() -> None:
+    """At the end of its range the tolerance causes no overflow, and the second block comes from anywhere."""
+    sample = noise(10, 10)
+    made = [synthesize(Quilting(8, 2, 1e6), sample, (8, 14), seed=k).source for k in range(120)]
+    assert len({tuple(source[4, 10, :2]) for source in made if source is not None}) == 9
+
+
 def test_an_automatic_overlap_is_a_sixth_of_the_block() -> None:
     """Leaving the overlap out equals giving a sixth."""
     sample = noise(50, 50)
@@ -119,6 +127,7 @@ def test_an_overlap_too_wide_for_the_sample_is_refused_with_a_way_out(block: int
         ({"tolerance": -0.1}, "tolerance -0.1; choose 0"),
         ({"tolerance": float("nan")}, "tolerance nan; choose 0"),
         ({"tolerance": float("inf")}, "tolerance inf; choose 0"),
+        ({"tolerance": 1e200}, r"tolerance 1e\+200; choose 0 .* to 1e\+06"),
     ],
 )
 def test_bad_parameters_are_named(parameters: dict[str, float], message: str) -> None:
