@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -69,7 +68,7 @@ class PatchBased:
         Number of patches that the tree finds, from 1 on; without effect in an exhaustive search.
     search_error
         The tree may return a patch whose distance, in the space of the components, is up to 1 + ``search_error`` times
-        that of the one it stands for; 0 or more. Without effect in an exhaustive search.
+        that of the one it stands for; 0 to 1e6. Without effect in an exhaustive search.
     """
 
     patch: int = 0
@@ -106,8 +105,8 @@ class PatchBased:
             raise BadInput(f"epsilon {self.epsilon}; choose 0 (only the best patches) to {LARGEST_SHARE:g}")
         if self.neighbors < 1:
             raise BadInput(f"neighbors {self.neighbors}; choose 1 or more")
-        if not 0 <= self.search_error < math.inf:
-            raise BadInput(f"search_error {self.search_error}; choose 0 (exact) or more")
+        if not 0 <= self.search_error <= LARGEST_SHARE:
+            raise BadInput(f"search_error {self.search_error}; choose 0 (exact) to {LARGEST_SHARE:g}")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis.

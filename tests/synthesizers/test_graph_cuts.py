@@ -92,6 +92,19 @@ def test_the_same_stream_gives_the_same_bytes() -> None:
     assert (first.image != other.image).any()
 
 
+def test_every_parameter_changes_something() -> None:
+    """Every parameter has an effect on a texture that varies."""
+    sample = quantize(texture("brick", shape=(40, 40), seed=0, color=0.3, noise=0.03).image)
+    base = synthesize(GraphCuts(), sample, (70, 70)).image
+    changes: list[dict[str, Any]] = [
+        {"placement": "sub-patch"}, {"placement": "random"}, {"randomness": 0.0}, {"randomness": 1.0}, {"region": 0.4},
+        {"refine": "random"}, {"refine": "minima"}, {"refine": "extremes"}, {"refine": "none"}, {"passes": 0},
+        {"force": False}, {"normalized": False}, {"power": 2}, {"feather": 2.0},
+    ]  # fmt: skip
+    for change in changes:
+        assert (synthesize(GraphCuts(**change), sample, (70, 70)).image != base).any(), change
+
+
 def note_windows(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Note the calls that choose a window of refinement."""
     chosen: list[str] = []

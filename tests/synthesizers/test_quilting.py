@@ -1,5 +1,7 @@
 """Claims about image quilting."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -94,6 +96,13 @@ def test_the_largest_tolerance_accepts_every_block() -> None:
     sample = noise(10, 10)
     made = [synthesize(Quilting(8, 2, 1e6), sample, (8, 14), seed=k).source for k in range(120)]
     assert len({tuple(source[4, 10, :2]) for source in made if source is not None}) == 9
+
+
+@pytest.mark.parametrize("change", [{"block": 16}, {"overlap": 6}, {"tolerance": 0.5}])
+def test_every_parameter_changes_something(change: dict[str, Any]) -> None:
+    """Every parameter has an effect on noise."""
+    base, other = (synthesize(Quilting(**given), noise(40, 40), (90, 90)).image for given in ({}, change))
+    assert (base != other).any()
 
 
 def test_an_automatic_overlap_is_a_sixth_of_the_block() -> None:
