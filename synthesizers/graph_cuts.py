@@ -26,6 +26,10 @@ normalizes by the overlap and names no least one; the mean over a few pixels wou
 MARGIN = 8
 """In sub-patch matching the compared window is larger than the region by 1 / MARGIN of its side on each side ("slightly
 larger than the error region")."""
+MOST_RANDOM = 1e6
+"""The largest k. It makes all translations almost equally probable."""
+LEAST_FEATHER = 0.1
+"""px: the least width of feathering. At this width the weight of a pixel's neighbor is 2e-22."""
 LEAST_GAIN = 0.01
 """A pass of refinement pays if it reduces the total cost of the seams by at least this share."""
 
@@ -39,8 +43,9 @@ class GraphCuts:
     costs count where they stay (section 3.1; :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`). First the
     output is filled. The next region is the one at the first unknown pixel, line by line. Then regions are covered
     again, until it does not pay: a pass has as many steps as the output holds regions, and the last pass is the first
-    one that reduces the cost of all seams by less than 1 %. Only translations at which the sample covers the region
-    completely are considered (section 4). Finally the seams are feathered (section 5).
+    one that reduces the cost of all seams by less than 1 %. A pass that increases it is undone. Only translations at
+    which the sample covers the region completely are considered (section 4). Finally the seams are feathered
+    (section 5).
 
     The method does not use a lattice. The translations of least cost often keep the period of the texture, not always.
 
@@ -64,7 +69,7 @@ class GraphCuts:
         differences there; here they are averaged, so that k has the same meaning. ``"random"``: all translations are
         equally probable.
     randomness
-        k, 0 or more: translations are drawn with a probability proportional to exp(-C / (k sigma^2)); C is the mean
+        k, 0 to 1e6: translations are drawn with a probability proportional to exp(-C / (k sigma^2)); C is the mean
         squared difference, sigma^2 is the variance of the sample. 0: one of the least C. It has no effect if the
         placement is random.
     region
@@ -87,8 +92,8 @@ class GraphCuts:
     power
         Exponent of the differences in the cost of a seam: 1 (the paper) or 2.
     feather
-        Standard deviation in px of the Gaussian that weights the patches around a pixel near a seam (section 5); 0 to
-        8. 0: every pixel is a copy.
+        Standard deviation in px of the Gaussian that weights the patches around a pixel near a seam (section 5); 0.1
+        to 8. 0: every pixel is a copy.
     """
 
     placement: Placement = "entire"
@@ -128,16 +133,18 @@ class GraphCuts:
 }"""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.randomness < math.inf:
-            raise BadInput(f"randomness {self.randomness}; choose 0 (always a translation of least cost) or more")
+        if not 0 <= self.randomness <= MOST_RANDOM:
+            raise BadInput(
+                f"randomness {self.randomness}; choose 0 (always a translation of least cost) to {MOST_RANDOM:g}"
+            )
         if not 0 < self.region <= 0.8:
             raise BadInput(f"region {self.region}; choose a share of the sample above 0, at most 0.8")
         if self.passes < 0:
             raise BadInput(f"passes {self.passes}; choose 0 or more")
         if self.power not in (1, 2):
             raise BadInput(f"power {self.power}; choose 1 (the paper) or 2")
-        if not 0 <= self.feather <= 8:
-            raise BadInput(f"feather {self.feather}; choose from 0 (copies only) to 8 px")
+        if self.feather != 0 and not LEAST_FEATHER <= self.feather <= 8:
+            raise BadInput(f"feather {self.feather}; choose 0 (copies only), or {LEAST_FEATHER:g} to 8 px")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`GraphCuts`.
@@ -184,7 +191,7 @@ class GraphCuts:
         heat = SeamHeat(work, patches.size)
         reach = max(whole - part for whole, part in zip(task.sample.shape[:2], patches.size, strict=True))
         for number in range(self.passes):
-            before = work.cost
+            before, origin, seams = work.cost, work.origin.copy(), work.seams.copy()
             if before == 0:
                 return
             for step in range(steps):
@@ -192,7 +199,10 @@ class GraphCuts:
                 patches.cover_region(region, _costliest_pixel(work, region) if self.force else None)
                 heat.update(region, reach)
                 task.progress(filled * (1 + number + step / steps))
-            if before - work.cost <= LEAST_GAIN * before:
+            after = work.cost
+            if after > before:
+                work.origin, work.seams = origin, seams
+            if before - after <= LEAST_GAIN * before:
                 return
 
     def _choose_region(self, heat: SeamHeat, rng: np.random.Generator) -> Window:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,7 +14,7 @@ from nrbench.errors import BadInput
 from nrbench.plugins.forms import Synthesis, Task
 
 from .gap_filling.matching import FrameMatcher, frame_mask
-from .patch_laying.choice import draw_within
+from .patch_laying.choice import LARGEST_SHARE, draw_within
 from .patch_laying.raster_canvas import RasterCanvas, RasterGrid, check_patch, require_patch
 from .patch_laying.zone_tree import ZoneTree
 
@@ -61,7 +60,7 @@ class PatchBased:
     zone
         Width of the boundary zone in px, from 1 to half a patch. (The paper: 4.)
     epsilon
-        The largest relative error of a patch that fits, 0 to 1000. (The paper: 0.2.) 0: always one of the patches of
+        The largest relative error of a patch that fits, 0 to 1e6. (The paper: 0.2.) 0: always one of the patches of
         least distance.
     search
         ``"exhaustive"``: all patches are compared. ``"kdtree"``: only the neighbors that the tree finds.
@@ -69,7 +68,7 @@ class PatchBased:
         Number of patches that the tree finds, from 1 on; without effect in an exhaustive search.
     search_error
         The tree may return a patch whose distance, in the space of the components, is up to 1 + ``search_error`` times
-        that of the one it stands for; 0 or more. Without effect in an exhaustive search.
+        that of the one it stands for; 0 to 1e6. Without effect in an exhaustive search.
     """
 
     patch: int = 0
@@ -102,12 +101,12 @@ class PatchBased:
         if self.zone < 1:
             raise BadInput(f"zone {self.zone}; choose a width from 1 px to half of the patch")
         check_patch("patch", self.patch, "zone", self.zone)
-        if not 0 <= self.epsilon <= 1000:
-            raise BadInput(f"epsilon {self.epsilon}; choose 0 (only the best patches) to 1000")
+        if not 0 <= self.epsilon <= LARGEST_SHARE:
+            raise BadInput(f"epsilon {self.epsilon}; choose 0 (only the best patches) to {LARGEST_SHARE:g}")
         if self.neighbors < 1:
             raise BadInput(f"neighbors {self.neighbors}; choose 1 or more")
-        if not 0 <= self.search_error < math.inf:
-            raise BadInput(f"search_error {self.search_error}; choose 0 (exact) or more")
+        if not 0 <= self.search_error <= LARGEST_SHARE:
+            raise BadInput(f"search_error {self.search_error}; choose 0 (exact) to {LARGEST_SHARE:g}")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis.
@@ -144,7 +143,7 @@ class PatchBased:
         """Return the spots of the patches. Raise :class:`Refused` if the sample does not hold a patch."""
         side = min(task.sample.shape[:2])
         patch = self.patch or max(round(PATCH_SHARE * side), LEAST_PATCH, 2 * self.zone)
-        require_patch("patch", patch, task.sample.shape)
+        require_patch("patch", patch, "zone", self.zone, task.sample.shape)
         return RasterGrid(task.shape, patch, self.zone)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -13,7 +12,7 @@ from nrbench.errors import BadInput
 from nrbench.plugins.forms import Synthesis, Task
 
 from .gap_filling.matching import FrameMatcher
-from .patch_laying.choice import draw_within
+from .patch_laying.choice import LARGEST_SHARE, draw_within
 from .patch_laying.raster_canvas import RasterCanvas, RasterGrid, check_patch, require_patch
 
 BLOCK_SHARE = 0.5
@@ -52,7 +51,7 @@ class Quilting:
     overlap
         Width of the overlap in px, from 1 to half a block. 0: a sixth of the block, rounded (the paper).
     tolerance
-        A block is accepted if its error is at most (1 + tolerance) times the least error; 0 or more. (The paper: 0.1.)
+        A block is accepted if its error is at most (1 + tolerance) times the least error; 0 to 1e6. (The paper: 0.1.)
     """
 
     block: int = 0
@@ -76,8 +75,8 @@ class Quilting:
 
     def __post_init__(self) -> None:
         check_patch("block", self.block, "overlap", self.overlap)
-        if not 0 <= self.tolerance < math.inf:
-            raise BadInput(f"tolerance {self.tolerance}; choose 0 (only the best blocks) or more")
+        if not 0 <= self.tolerance <= LARGEST_SHARE:
+            raise BadInput(f"tolerance {self.tolerance}; choose 0 (only the best blocks) to {LARGEST_SHARE:g}")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis.
@@ -110,5 +109,5 @@ class Quilting:
         """Return the spots of the blocks. Raise :class:`Refused` if the sample does not hold a block."""
         side = min(task.sample.shape[:2])
         block = self.block or max(round(BLOCK_SHARE * side), LEAST_BLOCK, 2 * self.overlap)
-        require_patch("block", block, task.sample.shape)
+        require_patch("block", block, "overlap", self.overlap, task.sample.shape)
         return RasterGrid(task.shape, block, self.overlap or max(round(block / PARTS), 1))

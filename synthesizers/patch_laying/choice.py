@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+LARGEST_SHARE = 1e6
+"""The largest relative error that a method accepts as a parameter. Its square times an error is finite."""
+
 
 def draw_within(errors: NDArray[Any], limit: float, rng: np.random.Generator) -> int:
     """Draw one of the entries that are at most ``limit``, all with the same probability.

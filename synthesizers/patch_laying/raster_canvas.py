@@ -14,7 +14,6 @@ from nrbench.imaging.convert import Image, to_bytes
 from nrbench.plugins.forms import Refused, Shape
 
 from ..gap_filling.blocks import Box
-from ..sampling.equal_places import search_shape
 from ..sampling.patches import Source
 from ..seams.overlap_seam import cut_sides
 from .feathering import blend, feather_weights
@@ -89,14 +88,32 @@ def check_patch(what: str, size: int, margin: str, overlap: int) -> None:
         raise BadInput(f"{margin} {overlap} with {what} {size}; choose a width from 1 px to half of the {what}")
 
 
-def require_patch(what: str, size: int, sample_shape: tuple[int, ...]) -> None:
-    """Raise :class:`Refused` if the sample does not hold a patch of ``size`` px; ``what`` is the parameter's name."""
+def require_patch(what: str, size: int, margin: str, overlap: int, sample_shape: tuple[int, ...]) -> None:
+    """Raise :class:`Refused` if the sample does not hold a patch, and say which parameters would do.
+
+    Parameters
+    ----------
+    what, margin
+        The names of the two parameters.
+    size
+        Side of the patch, px.
+    overlap
+        Width of the overlap, px. 0: automatic.
+    sample_shape
+        Height and width of the sample, px.
+    """
     height, width = sample_shape[:2]
-    if min(search_shape(size, (height, width))) < 1:
+    side = min(height, width)
+    if size <= side:
+        return
+    if 2 * overlap > side:
         raise Refused(
-            f"the sample is {width}x{height} px, a {what} {size}x{size} px; "
-            f"choose {what} <= {min(height, width)}, or leave it out"
+            f"the sample is {width}x{height} px, a {what} at least twice the {margin} of {overlap} px; "
+            f"choose {margin} <= {side // 2}, and leave {what} out"
         )
+    raise Refused(
+        f"the sample is {width}x{height} px, a {what} {size}x{size} px; choose {what} <= {side}, or leave it out"
+    )
 
 
 class RasterCanvas:

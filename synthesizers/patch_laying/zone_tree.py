@@ -65,7 +65,7 @@ class ZoneTree:
         """
         frame = np.where(frame_mask(self.hole, self.matcher.size)[..., np.newaxis], template, 0).astype(np.float64)
         query = self._round(np.tensordot(self._components, frame, 3)[np.newaxis])
-        numbers = self._tree.nearest(query, count, eps)[0][0]
+        numbers = self._tree.nearest(query, min(count, len(self._products)), eps)[0][0]
         y, x = np.divmod(numbers[numbers >= 0], self.matcher.search_shape[1])
         return np.stack([x, y], -1)
 

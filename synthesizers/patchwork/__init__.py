@@ -1,1 +1,1 @@
-"""Patch-based synthesis: patches matched to an output and cut into it, for the method fftm-patch."""
+"""Patches matched to an output and cut into it along minimum cuts, for the methods graph-cuts and fftm-patch."""

@@ -1,4 +1,4 @@
-"""Patch-based synthesis: patches of a sample are cut into an output along the least visible seams.
+"""A patchwork: patches of a sample, cut into an output along the least visible seams.
 
 Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts), sections 3, 4.
 """
@@ -52,10 +52,11 @@ class Patchwork:
         (height, width) of the output, px.
     normalized
         False: a seam between patch A at pixel s and patch B at pixel t costs ``|A(s) - B(s)| + |A(t) - B(t)|``,
-        Euclidean over the features (equation 1). True: the cost is the square of that sum, divided by the gradients of
-        both patches at both pixels along the link (after section 5). This is no metric. In the cut, an old seam that
-        costs more than the two seams that could replace it then counts only as much as these. The cut may therefore
-        miss the minimum, but the total cost never increases.
+        Euclidean over the features, to the power ``power`` (equation 1). True: this is divided by the sum of the
+        gradients of both patches at both pixels along the link, plus one gray level (after section 5). This is no
+        metric, nor is a sum to the power 2. In the cut, an old seam that costs more than the two seams that could
+        replace it then counts only as much as these. The cut may therefore miss the minimum, but the total cost never
+        increases unless a pixel is forced.
     wrap
         Whether opposite edges of the output are adjacent.
     power

@@ -1,4 +1,4 @@
-"""The compiled loops of patch-based synthesis: the costs of a window's links with the old and the new patch."""
+"""The compiled loops of a patchwork: the costs of a window's links with the old and the new patch."""
 
 from __future__ import annotations
 

@@ -194,7 +194,8 @@ def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tu
         The generator; one number is drawn from it.
     """
     above = costs - costs.min()
-    weights = np.exp(-above / scale) if scale > 0 else (above == 0).astype(np.float64)
+    with np.errstate(over="ignore"):
+        weights = np.exp(-above / scale) if scale > 0 else (above == 0).astype(np.float64)
     cumulative = np.cumsum(weights)
     index = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], "right"))
     y, x = divmod(min(index, cumulative.size - 1), costs.shape[1])

@@ -37,7 +37,7 @@ PINNED: Pins = {
     "weave/command": ("c7dcc3413662", 0.554, None),
     "weave/fftm-patch": ("55591b94be29", 1.0, 0.647),
     "weave/fftm-pixel": ("38d55f1a6cc0", 1.0, 0.971),
-    "weave/graph-cuts": ("112033b60069", 1.0, 0.831),
+    "weave/graph-cuts": ("a7660d611138", 1.0, 0.794),
     "weave/lattice-only": ("61b98c87908c", 0.994, None),
     "weave/patch-based": ("22ae6fd6bc7a", 1.0, 0.854),
     "weave/planted:kind=phase-step,size=0.25": ("f742306bbc6b", 0.417, None),
@@ -65,7 +65,7 @@ PINNED_PAPERS = {
     "patch-based": "3e9c6cf3a162",
     "quilting": "582aafe6ea50",
     "regularized-patch": "578c72c3b049",
-    "graph-cuts": "112033b60069",
+    "graph-cuts": "a7660d611138",
 }
 """The output of each method with the parameters of its paper, on the weave."""
 

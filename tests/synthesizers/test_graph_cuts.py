@@ -92,6 +92,19 @@ def test_the_same_stream_gives_the_same_bytes() -> None:
     assert (first.image != other.image).any()
 
 
+def test_every_parameter_changes_something() -> None:
+    """Every parameter has an effect on a texture that varies."""
+    sample = quantize(texture("brick", shape=(40, 40), seed=0, color=0.3, noise=0.03).image)
+    base = synthesize(GraphCuts(force=False), sample, (70, 70)).image
+    changes: list[dict[str, Any]] = [
+        {"placement": "sub-patch"}, {"placement": "random"}, {"randomness": 0.0}, {"randomness": 1.0}, {"region": 0.4},
+        {"refine": "random"}, {"refine": "minima"}, {"refine": "extremes"}, {"refine": "none"}, {"passes": 0},
+        {"force": True}, {"normalized": False}, {"power": 2}, {"feather": 2.0},
+    ]  # fmt: skip
+    for change in changes:
+        assert (synthesize(GraphCuts(**{"force": False} | change), sample, (70, 70)).image != base).any(), change
+
+
 def note_windows(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Note the calls that choose a window of refinement."""
     chosen: list[str] = []
@@ -141,6 +154,24 @@ def test_refinement_stops_when_it_does_not_pay(monkeypatch: pytest.MonkeyPatch) 
     assert len(chosen) == 2 * 16
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_refinement_never_leaves_costlier_seams(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forced pixels make a pass on a weave costlier; it is undone, so that the seams are those of the fill."""
+    sample = texture("weave", shape=(96, 96), seed=seed, color=0.3, noise=0.03).image
+    filled, _ = made(sample, (160, 160), seed)
+    works: list[Patchwork] = []
+    prepare = GraphCuts.prepare
+
+    def keep(method: GraphCuts, task: Task) -> tuple[Patchwork, WholePatches]:
+        work, patches = prepare(method, task)
+        works.append(work)
+        return work, patches
+
+    monkeypatch.setattr(GraphCuts, "prepare", keep)
+    GraphCuts().synthesize(Task(sample, (160, 160), None, np.random.default_rng(seed)))
+    assert works[0].cost <= filled.cost
+
+
 def test_refinement_makes_seams_cost_less() -> None:
     """Covering the worst regions reduces the cost of all seams by a fifth on a wall."""
     sample = texture("brick", shape=(96, 96), seed=0, color=0.3, noise=0.03).image
@@ -188,12 +219,16 @@ def test_regular_samples_stay_regular(name: str) -> None:
     [
         {"randomness": -0.1},
         {"randomness": float("inf")},
+        {"randomness": 1e300},
+        {"randomness": float("nan")},
         {"region": 0.0},
         {"region": 0.9},
         {"passes": -1},
         {"power": 3},
         {"feather": -1.0},
         {"feather": 9.0},
+        {"feather": 1e-200},
+        {"feather": float("nan")},
     ],
 )
 def test_bad_parameters_are_named(options: dict[str, Any]) -> None:
@@ -201,6 +236,14 @@ def test_bad_parameters_are_named(options: dict[str, Any]) -> None:
     (name,) = options
     with pytest.raises(BadInput, match=f"{name} .*; choose"):
         GraphCuts(**options)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("options", [{"randomness": 1e6}, {"randomness": 1e-320}, {"feather": 0.1}])
+def test_the_largest_and_least_values_work(options: dict[str, Any]) -> None:
+    """At the ends of their ranges parameters cause no overflow."""
+    sample = noise(20, 20)
+    checked_synthesis(synthesize(GraphCuts(passes=1, **options), sample, (30, 30)), sample, (30, 30))
 
 
 def test_samples_too_small_for_a_region_are_refused() -> None:

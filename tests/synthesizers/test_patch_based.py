@@ -1,5 +1,7 @@
 """Claims about patch-based sampling."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from synthesis_cases import noise, synthesize
@@ -53,6 +55,31 @@ def test_a_patch_fits_or_is_the_best(search: Search, epsilon: float, monkeypatch
     if search == "kdtree":
         # The tree finds patches that are much better than the mean one, even where none fits.
         assert np.mean([distance / least for distance, least, limit in found if least > limit] or [1]) < 1.15
+
+
+def test_a_tree_that_finds_all_patches_misses_none_that_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If the tree returns all patches, each drawn patch is within d_max, or the best of all if none is."""
+    method = PatchBased(9, 3, 0.5, "kdtree", neighbors=16 * 19, search_error=0)
+    found = rms_ratios(method, noise(24, 27, seed=2), (45, 45), monkeypatch)
+    assert all(distance <= max(limit, least) + 1e-9 for distance, least, limit in found)
+    assert any(least > limit for _, least, limit in found) and any(distance > least for distance, least, _ in found)
+
+
+@pytest.mark.parametrize(
+    ("base", "change"),
+    [
+        ({}, {"patch": 16}),
+        ({}, {"zone": 5}),
+        ({}, {"epsilon": 1.0}),
+        ({}, {"search": "kdtree"}),
+        ({"search": "kdtree", "epsilon": 1.0}, {"neighbors": 60}),
+        ({"search": "kdtree"}, {"search_error": 0.0}),
+    ],
+)
+def test_every_parameter_changes_something(base: dict[str, Any], change: dict[str, Any]) -> None:
+    """Every parameter has an effect on noise, the last two if the tree is used."""
+    first, other = (synthesize(PatchBased(**given), noise(40, 40), (90, 90)).image for given in (base, base | change))
+    assert (first != other).any()
 
 
 def test_all_patches_that_fit_are_drawn_alike() -> None:
@@ -118,6 +145,13 @@ def test_a_sample_smaller_than_a_patch_is_refused_with_a_way_out() -> None:
         synthesize(PatchBased(patch=31), noise(30, 60), (64, 64))
 
 
+def test_a_zone_too_wide_for_the_sample_is_refused_with_a_way_out() -> None:
+    """If no patch of the sample holds the default zone, the refusal names the widest zone, and that one works."""
+    with pytest.raises(Refused, match=r"zone of 8 px; choose zone <= 4, and leave patch out"):
+        synthesize(PatchBased(), noise(9, 40), (20, 20))
+    synthesize(PatchBased(zone=4), noise(9, 40), (20, 20))
+
+
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
@@ -126,9 +160,10 @@ def test_a_sample_smaller_than_a_patch_is_refused_with_a_way_out() -> None:
         ({"zone": -1}, "zone -1"),
         ({"epsilon": -0.1}, "epsilon -0.1; choose 0"),
         ({"epsilon": float("nan")}, "epsilon nan; choose 0"),
-        ({"epsilon": 1e300}, "epsilon 1e\\+300; choose 0"),
+        ({"epsilon": 1e200}, r"epsilon 1e\+200; choose 0 .* to 1e\+06"),
         ({"neighbors": 0}, "neighbors 0; choose 1"),
         ({"search_error": -1.0}, "search_error -1.0; choose 0"),
+        ({"search_error": 1e200}, r"search_error 1e\+200; choose 0 .* to 1e\+06"),
     ],
 )
 def test_bad_parameters_are_named(parameters: dict[str, float], message: str) -> None:

@@ -127,6 +127,15 @@ def test_without_error_the_tree_returns_the_nearest_of_its_components() -> None:
     assert (distances[loose[:, 1] * 29 + loose[:, 0]] <= 1.5 * np.sort(distances)[:20] + 2).all()
 
 
+def test_the_tree_returns_at_most_all_patches() -> None:
+    """If more patches are asked for than the sample has, each is returned once; also if all are equal."""
+    for sample in (noise(14, 17), np.full((14, 17, 3), 0.4, np.float32)):
+        tree = ZoneTree(FrameMatcher(sample, 10), (3, 10, 0, 10))
+        found = tree.find_nearest(np.full((10, 10, 3), 99, np.float32), 2**40)
+        assert {tuple(place) for place in found.tolist()} == {(x, y) for x in range(8) for y in range(5)}
+        assert len(found) == 40
+
+
 def test_components_are_orthonormal_and_keep_what_varies() -> None:
     """Rounded components are nearly orthonormal, and a zone that varies in few directions is kept almost whole."""
     rng = np.random.default_rng(1)

@@ -1,5 +1,7 @@
 """Claims about image quilting."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -88,6 +90,21 @@ def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
     assert (first != other).any()
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_largest_tolerance_accepts_every_block() -> None:
+    """At the end of its range the tolerance causes no overflow, and the second block comes from anywhere."""
+    sample = noise(10, 10)
+    made = [synthesize(Quilting(8, 2, 1e6), sample, (8, 14), seed=k).source for k in range(120)]
+    assert len({tuple(source[4, 10, :2]) for source in made if source is not None}) == 9
+
+
+@pytest.mark.parametrize("change", [{"block": 16}, {"overlap": 6}, {"tolerance": 0.5}])
+def test_every_parameter_changes_something(change: dict[str, Any]) -> None:
+    """Every parameter has an effect on noise."""
+    base, other = (synthesize(Quilting(**given), noise(40, 40), (90, 90)).image for given in ({}, change))
+    assert (base != other).any()
+
+
 def test_an_automatic_overlap_is_a_sixth_of_the_block() -> None:
     """Leaving the overlap out equals giving a sixth."""
     sample = noise(50, 50)
@@ -101,6 +118,14 @@ def test_a_sample_smaller_than_a_block_is_refused_with_a_way_out() -> None:
         synthesize(Quilting(block=31), noise(30, 60), (64, 64))
 
 
+@pytest.mark.parametrize("block", [0, 20])
+def test_an_overlap_too_wide_for_the_sample_is_refused_with_a_way_out(block: int) -> None:
+    """If no block of the sample holds the overlap, the refusal names the largest overlap, and that one works."""
+    with pytest.raises(Refused, match=r"overlap of 10 px; choose overlap <= 7, and leave block out"):
+        synthesize(Quilting(block, overlap=10), noise(15, 40), (20, 20))
+    synthesize(Quilting(overlap=7), noise(15, 40), (20, 20))
+
+
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
@@ -111,6 +136,7 @@ def test_a_sample_smaller_than_a_block_is_refused_with_a_way_out() -> None:
         ({"tolerance": -0.1}, "tolerance -0.1; choose 0"),
         ({"tolerance": float("nan")}, "tolerance nan; choose 0"),
         ({"tolerance": float("inf")}, "tolerance inf; choose 0"),
+        ({"tolerance": 1e200}, r"tolerance 1e\+200; choose 0 .* to 1e\+06"),
     ],
 )
 def test_bad_parameters_are_named(parameters: dict[str, float], message: str) -> None:
