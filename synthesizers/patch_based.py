@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Synthesis, Task
 
+from .gap_filling.blocks import Box
 from .gap_filling.matching import FrameMatcher, frame_mask
 from .patch_laying.choice import LARGEST_SHARE, draw_within
-from .patch_laying.raster_canvas import RasterCanvas, RasterGrid, check_patch, require_patch
+from .patch_laying.raster_canvas import Place, RasterCanvas, RasterGrid, check_patch, require_patch
 from .patch_laying.zone_tree import ZoneTree
 
 Search = Literal["exhaustive", "kdtree"]
@@ -119,25 +120,18 @@ class PatchBased:
         grid = self.find_grid(task)
         canvas, matcher = RasterCanvas(task.sample, grid), FrameMatcher(task.sample, grid.size)
         tree = lru_cache(maxsize=3)(lambda hole: ZoneTree(matcher, hole))
-        rows, columns = matcher.search_shape
-        for number, spot in enumerate(grid.spots()):
-            if number == 0:
-                y, x = divmod(int(task.rng.integers(rows * columns)), columns)
+
+        def choose(old: NDArray[np.float32], hole: Box) -> Place:
+            limit = squared_limit(old[frame_mask(hole, grid.size)], self.epsilon)
+            if self.search == "exhaustive":
+                index = draw_within(-matcher.rate_everywhere(old, hole), limit, task.rng)
+                y, x = divmod(index, matcher.search_shape[1])
             else:
-                old, hole = canvas.image[canvas.window(spot)].astype(np.float32), grid.hole(spot.left, spot.top)
-                limit = squared_limit(old[frame_mask(hole, grid.size)], self.epsilon)
-                if self.search == "exhaustive":
-                    index = draw_within(-matcher.rate_everywhere(old, hole), limit, task.rng)
-                    y, x = divmod(index, columns)
-                else:
-                    places = tree(hole).find_nearest(old, self.neighbors, self.search_error)
-                    x, y = places[draw_within(-matcher.rate(old, hole, places), limit, task.rng)].tolist()
-            canvas.join_by_feathering(spot, (x, y))
-            if spot.x == 0:
-                task.progress(spot.y / task.shape[0])
-        task.progress(1.0)
-        image, source = canvas.result()
-        return Synthesis(image, source=source)
+                places = tree(hole).find_nearest(old, self.neighbors, self.search_error)
+                x, y = places[draw_within(-matcher.rate(old, hole, places), limit, task.rng)].tolist()
+            return x, y
+
+        return canvas.cover(task, matcher.search_shape, choose, canvas.join_by_feathering)
 
     def find_grid(self, task: Task) -> RasterGrid:
         """Return the spots of the patches. Raise :class:`Refused` if the sample does not hold a patch."""

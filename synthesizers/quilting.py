@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Synthesis, Task
 
+from .gap_filling.blocks import Box
 from .gap_filling.matching import FrameMatcher
 from .patch_laying.choice import LARGEST_SHARE, draw_within
-from .patch_laying.raster_canvas import RasterCanvas, RasterGrid, check_patch, require_patch
+from .patch_laying.raster_canvas import Place, RasterCanvas, RasterGrid, check_patch, require_patch
 
 BLOCK_SHARE = 0.5
 """Side of an automatic block as a share of the sample's shorter side.
@@ -88,22 +90,15 @@ class Quilting:
         """
         grid = self.find_grid(task)
         canvas, matcher = RasterCanvas(task.sample, grid), FrameMatcher(task.sample, grid.size)
-        rows, columns = matcher.search_shape
-        for number, spot in enumerate(grid.spots()):
-            if number == 0:
-                index = int(task.rng.integers(rows * columns))
-            else:
-                old = canvas.image[canvas.window(spot)].astype(np.float32)
-                errors = -matcher.rate_everywhere(old, grid.hole(spot.left, spot.top))
-                # Errors are squares of the paper's norm.
-                index = draw_within(errors, (1 + self.tolerance) ** 2 * float(errors.min()), task.rng)
-            y, x = divmod(index, columns)
-            canvas.join_along_seam(spot, (x, y))
-            if spot.x == 0:
-                task.progress(spot.y / task.shape[0])
-        task.progress(1.0)
-        image, source = canvas.result()
-        return Synthesis(image, source=source)
+
+        def choose(old: NDArray[np.float32], hole: Box) -> Place:
+            errors = -matcher.rate_everywhere(old, hole)
+            # Errors are squares of the paper's norm.
+            index = draw_within(errors, (1 + self.tolerance) ** 2 * float(errors.min()), task.rng)
+            y, x = divmod(index, matcher.search_shape[1])
+            return x, y
+
+        return canvas.cover(task, matcher.search_shape, choose, canvas.join_along_seam)
 
     def find_grid(self, task: Task) -> RasterGrid:
         """Return the spots of the blocks. Raise :class:`Refused` if the sample does not hold a block."""

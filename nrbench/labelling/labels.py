@@ -70,7 +70,7 @@ class LabelPage:
     items
         Its items, in the order in which they are shown.
     questions
-        The names of the questions about each item, in the order in which they are asked.
+        The names of the questions about each item, in the order of the page.
     """
 
     name: str

@@ -49,7 +49,7 @@ class FreeForm:
         grid of control points is as wide as the points spread. Each finer one, of half the spacing, takes what the
         coarser ones left, :data:`REPEATS` times over. The finest is so fine that two points share no control point, so
         that the sum interpolates. Beyond the points the coarse grids continue the map. The condition that keeps the map
-        one-to-one (Lee, Chwa and Shin 1995) is not imposed: it would change the displacements that are asked for. Time
+        one-to-one (Lee, Chwa and Shin 1995) is not imposed: it would change the given displacements. Time
         is linear in the points and in the area over ``nearest`` squared.
 
         Parameters

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -11,12 +12,17 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, to_bytes
-from nrbench.plugins.forms import Refused, Shape
+from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
 from ..gap_filling.blocks import Box
 from ..sampling.patches import Source
 from ..seams.overlap_seam import cut_sides
-from .feathering import blend, feather_weights
+
+Place = tuple[int, int]
+"""(x, y) of a patch's first pixel in the sample."""
+Weights = NDArray[np.int64]
+"""``int64 (h, w)``: weights in units of 1 / (zone + 1), from 1 to zone + 1. They are integers, so that blends are
+rounded alike on every machine."""
 
 
 class Spot(NamedTuple):
@@ -149,19 +155,19 @@ class RasterCanvas:
         """Return the rows and columns of a spot."""
         return slice(spot.y, spot.y + self.grid.size), slice(spot.x, spot.x + self.grid.size)
 
-    def cut_patch(self, place: tuple[int, int]) -> NDArray[np.uint8]:
+    def cut_patch(self, place: Place) -> NDArray[np.uint8]:
         """Return the patch at a place (x, y) of the sample, ``(size, size, C)``."""
         x, y = place
         return self.sample[y : y + self.grid.size, x : x + self.grid.size]
 
-    def join_along_seam(self, spot: Spot, place: tuple[int, int]) -> None:
+    def join_along_seam(self, spot: Spot, place: Place) -> None:
         """Lay the patch at a place (x, y) of the sample into a spot, cut along the seams of least error."""
         window, patch = self.window(spot), self.cut_patch(place)
         mask = cut_sides(self.image[window], patch, self.grid.overlap, spot.left, spot.top)[..., np.newaxis]
         np.copyto(self.image[window], patch, where=mask)
         np.copyto(self.source[window][..., :2], self._steps + np.array(place, np.float32), where=mask)
 
-    def join_by_feathering(self, spot: Spot, place: tuple[int, int]) -> None:
+    def join_by_feathering(self, spot: Spot, place: Place) -> None:
         """Lay the patch at a place (x, y) of the sample into a spot, and blend it with the patches it overlaps."""
         window, patch, zone = self.window(spot), self.cut_patch(place), self.grid.overlap
         weights = feather_weights(self.grid.size, zone, spot.left, spot.top)
@@ -172,8 +178,85 @@ class RasterCanvas:
         np.copyto(source[..., :2], self._steps + np.array(place, np.float32), where=larger[..., np.newaxis])
         source[..., 2] = np.where(larger, share, kept)
 
+    def cover(
+        self,
+        task: Task,
+        places: Shape,
+        choose: Callable[[NDArray[np.float32], Box], Place],
+        join: Callable[[Spot, Place], None],
+    ) -> Synthesis:
+        """Cover all spots in their order, and return the synthesis.
+
+        Parameters
+        ----------
+        task
+            The source of random numbers, and where progress is reported.
+        places
+            Rows and columns of the places of a patch in the sample. The first patch is drawn from all of them.
+        choose
+            ``choose(old, hole)`` returns the place of a later patch: ``old`` are the pixels of its spot, ``float32
+            (size, size, C)``, gray levels; ``hole`` is the part without pixels.
+        join
+            :meth:`join_along_seam` or :meth:`join_by_feathering`.
+        """
+        for number, spot in enumerate(self.grid.spots()):
+            if number == 0:
+                y, x = divmod(int(task.rng.integers(places[0] * places[1])), places[1])
+            else:
+                x, y = choose(self.image[self.window(spot)].astype(np.float32), self.grid.hole(spot.left, spot.top))
+            join(spot, (x, y))
+            if spot.x == 0:
+                task.progress(spot.y / task.shape[0])
+        task.progress(1.0)
+        image, source = self.result()
+        return Synthesis(image, source=source)
+
     def result(self) -> tuple[Image, Source]:
         """Return the output and its source map."""
         height, width = self.grid.shape
         image = self.image[:height, :width] / np.float32(255)
         return np.asarray(image, np.float32), np.ascontiguousarray(self.source[:height, :width])
+
+
+@lru_cache(maxsize=64)
+def feather_weights(size: int, zone: int, left: bool, top: bool) -> Weights:
+    """Return the weights of a square patch that overlaps earlier patches on some of its sides.
+
+    The weight of a pixel is its distance to the nearest overlapped side, and is largest from ``zone`` on (Szeliski and
+    Shum 1997; Liang et al. 2001, step e). The rest of the weight goes to what lies under the patch.
+
+    Parameters
+    ----------
+    size
+        Side of the patch, px.
+    zone
+        Width of the overlap, px.
+    left, top
+        Whether the patch overlaps earlier patches on these sides.
+
+    Examples
+    --------
+    >>> feather_weights(4, 2, left=True, top=False)[0].tolist()
+    [1, 2, 3, 3]
+    """
+    ramp, full = np.minimum(np.arange(size) + 1, zone + 1), np.full(size, zone + 1)
+    weights = np.minimum((ramp if top else full)[:, np.newaxis], ramp if left else full)
+    weights.flags.writeable = False
+    return weights
+
+
+def blend(old: NDArray[np.uint8], new: NDArray[np.uint8], weights: Weights, zone: int) -> NDArray[np.uint8]:
+    """Return the weighted means of two pictures, rounded to gray levels, halves up.
+
+    Parameters
+    ----------
+    old, new
+        ``(h, w, C)``.
+    weights
+        ``(h, w)``: the weights of ``new`` in units of 1 / (zone + 1).
+    zone
+        See :func:`feather_weights`.
+    """
+    part = weights[..., np.newaxis]
+    total = part * new + (zone + 1 - part) * old
+    return np.asarray((2 * total + zone + 1) // (2 * zone + 2), np.uint8)

@@ -260,7 +260,7 @@ def test_the_discriminant_separates_composite_from_whole_tiles() -> None:
 
 
 def test_the_joint_test_weighs_each_cut_by_the_tones_on_both_sides() -> None:
-    """Elements of one tone are told from joined ones along any cut; elements without tones give no evidence."""
+    """The test separates whole elements from joined ones along any cut; elements without tones give no evidence."""
     rng = np.random.default_rng(0)
     cuts = Cuts.through(Box(np.array([[20.0, 0.0], [0.0, 12.0]]), (4, 4)))
     grain = 0.05 * rng.normal(size=(60, 240))

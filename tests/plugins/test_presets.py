@@ -152,7 +152,7 @@ def test_bad_presets_are_found_at_registration(body: str, message: str, tmp_path
 
 
 def test_a_preset_need_not_give_parameters_without_default(tmp_path: Path) -> None:
-    """A required parameter that a preset leaves out is asked for when the plugin is built."""
+    """A required parameter that a preset leaves out is named as missing when the plugin is built."""
     body = """
     path: str
     level: float = 0.25

@@ -1,4 +1,4 @@
-"""What tests of methods are asked, and how they ask it."""
+"""Samples and tasks that the tests of methods share."""
 
 import math
 

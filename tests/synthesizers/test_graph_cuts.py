@@ -46,7 +46,7 @@ def made(sample: Image, shape: tuple[int, int], seed: int = 1, **options: Any) -
 @pytest.mark.parametrize("options", VARIANTS)
 @pytest.mark.parametrize("channels", [1, 3])
 def test_every_variant_gives_an_output_with_a_true_source_map(options: dict[str, Any], channels: int) -> None:
-    """Shapes and channels are those asked for, and pixels of weight 1 equal their sources."""
+    """Shape and channels are those of task and sample, and pixels of weight 1 equal their sources."""
     sample = noise(30, 26, channels)
     result = synthesize(GraphCuts(**options), sample, (50, 61))
     assert result.image.shape == (50, 61, channels) and result.lattice is None

@@ -12,8 +12,7 @@ from nrbench.imaging.convert import to_bytes
 from nrbench.synthesizers.gap_filling.blocks import box_slices
 from nrbench.synthesizers.gap_filling.matching import FrameMatcher, frame_mask
 from nrbench.synthesizers.patch_laying.choice import draw_within
-from nrbench.synthesizers.patch_laying.feathering import blend, feather_weights
-from nrbench.synthesizers.patch_laying.raster_canvas import RasterCanvas, RasterGrid
+from nrbench.synthesizers.patch_laying.raster_canvas import RasterCanvas, RasterGrid, blend, feather_weights
 from nrbench.synthesizers.patch_laying.zone_tree import ZoneTree
 
 
@@ -128,7 +127,7 @@ def test_without_error_the_tree_returns_the_nearest_of_its_components() -> None:
 
 
 def test_the_tree_returns_at_most_all_patches() -> None:
-    """If more patches are asked for than the sample has, each is returned once; also if all are equal."""
+    """A search for more patches than the sample has returns each patch once, also if all are equal."""
     for sample in (noise(14, 17), np.full((14, 17, 3), 0.4, np.float32)):
         tree = ZoneTree(FrameMatcher(sample, 10), (3, 10, 0, 10))
         found = tree.find_nearest(np.full((10, 10, 3), 99, np.float32), 2**40)
