@@ -252,7 +252,7 @@ def _published_method(method: Method) -> str:
 
 
 def _published_place(row: FigureRow, index: int, method: Method) -> str:
-    word, share = row.figure.verdicts.get(method.name.partition(":")[0]), row.measured[index]
+    word, share = row.figure.verdicts.get(method.base), row.measured[index]
     known = {1.0: "preserved", 0.0: "lost", None: "undecided"}
     marks = [_MARKS[name][0] if name else None for name in (word or "refused", known.get(share))]
     return " ".join(rf"\nrb{mark}{{}}" if mark else f"{100 * (share or 0):.0f}" for mark in marks)

@@ -90,6 +90,11 @@ class Method:
     parameters: Mapping[str, Any]
 
     @property
+    def base(self) -> str:
+        """The name without parameters."""
+        return self.name.partition(":")[0]
+
+    @property
     def label(self) -> str:
         """The name, with the lattice source in parentheses."""
         return method_label(self.name, self.lattice_source)

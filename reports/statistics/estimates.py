@@ -156,7 +156,7 @@ def means_over_textures(cells: pd.DataFrame, names: Sequence[str]) -> dict[str, 
         The scores.
     """
     by_texture = cells.groupby("texture", sort=False)[list(names)].mean()
-    return {name: _mean_estimate(by_texture[name].dropna(), len(by_texture)) for name in names}
+    return {name: estimate_mean(by_texture[name].dropna(), len(by_texture)) for name in names}
 
 
 def paired_differences(first: pd.DataFrame, second: pd.DataFrame, names: Sequence[str]) -> dict[str, Estimate]:
@@ -170,11 +170,20 @@ def paired_differences(first: pd.DataFrame, second: pd.DataFrame, names: Sequenc
     return means_over_textures(pd.DataFrame({"texture": both["texture"], **gaps}), names)
 
 
-def _mean_estimate(values: pd.Series[float], of: int) -> Estimate:
-    if values.empty:
-        return Estimate(None, n=0, of=of)
-    low, high = bootstrap_interval(values.to_numpy(np.float64)) or (None, None)
-    return Estimate(float(values.mean()), low, high, len(values), of)
+def estimate_mean(values: ArrayLike, of: int) -> Estimate:
+    """Return the mean of values, one a texture, with a bootstrap interval; ``of`` is the number of all textures."""
+    known = np.asarray(values, np.float64)
+    if not known.size:
+        return Estimate(None, of=of)
+    low, high = bootstrap_interval(known) or (None, None)
+    return Estimate(float(known.mean()), low, high, known.size, of)
+
+
+def estimate_rate(shares: ArrayLike, of: int) -> Estimate:
+    """Return the mean of shares, one a texture, with Wilson's interval; ``of`` is the number of all textures."""
+    known = np.asarray(shares, np.float64)
+    low, high = wilson_interval(float(known.sum()), known.size) or (None, None)
+    return Estimate(float(known.mean()) if known.size else None, low, high, known.size, of)
 
 
 def success_rate(cells: pd.DataFrame, leave_refusals_out: bool = False) -> Estimate:
@@ -194,9 +203,7 @@ def success_rate(cells: pd.DataFrame, leave_refusals_out: bool = False) -> Estim
     verdicts = ["preserved", "lost", "failed"] if leave_refusals_out else ["preserved", "lost", "failed", "refused"]
     counted = applicable[applicable["verdict"].isin(verdicts)]
     shares = counted["verdict"].eq("preserved").groupby(counted["texture"]).mean()
-    of, n = applicable["texture"].nunique(), len(shares)
-    low, high = wilson_interval(float(shares.sum()), n) or (None, None)
-    return Estimate(float(shares.mean()) if n else None, low, high, n, of)
+    return estimate_rate(shares, applicable["texture"].nunique())
 
 
 def as_numbers(values: Sequence[Any]) -> NDArray[np.float64]:

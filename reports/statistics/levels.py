@@ -97,9 +97,7 @@ def compare_levels(run: Run, comparison: Comparison) -> list[LevelPanel]:
     for row in rows:
         if row.get("departure") and row.get("level") is not None and cells["texture"].eq(row["name"]).any():
             groups.setdefault(row["departure"], {}).setdefault(float(row["level"]), []).append(row["name"])
-    methods = [
-        method for method in comparison.methods if not method.reference or method.name.partition(":")[0] in _REFERENCES
-    ]
+    methods = [method for method in comparison.methods if not method.reference or method.base in _REFERENCES]
     panels = [
         LevelPanel(departure, list(names), [_level_series(method, names, cells) for method in methods])
         for departure, names in groups.items()

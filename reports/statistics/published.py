@@ -20,7 +20,7 @@ from nrbench.runs.records import Run
 from nrbench.streams import stream
 
 from .comparison import Comparison, Method
-from .estimates import Estimate, bootstrap_interval, count_answers, kappa, wilson_interval
+from .estimates import Estimate, count_answers, estimate_mean, estimate_rate, kappa
 from .verdicts import tabulate_cells
 
 SENTENCE = (
@@ -206,7 +206,7 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
             rate
             for group, (_, _, ran) in GROUPS.items()
             for i, method in enumerate(methods)
-            if _base(method) in ran and (rate := _rate(group, method, figures, i)) is not None
+            if method.base in ran and (rate := _rate(group, method, figures, i)) is not None
         ],
         classes=[_class_agreement(kind, figures, methods) for kind in [*kinds, "all"]],
         kappa=observed,
@@ -218,11 +218,6 @@ def _report_methods() -> list[str]:
     return list(dict.fromkeys(method for figure in read_published() for method in figure.verdicts))
 
 
-def _base(method: Method) -> str:
-    """Return the name of a method without parameters."""
-    return method.name.partition(":")[0]
-
-
 def _find_method(name: str, methods: Sequence[Method]) -> Method | None:
     """Return the column of a method, with default parameters and the report's source of the lattice if it exists."""
     sources = LATTICES.get(name, ())
@@ -231,7 +226,7 @@ def _find_method(name: str, methods: Sequence[Method]) -> Method | None:
         source = method.lattice_source
         return method.name != name, sources.index(source) if source in sources else len(sources)
 
-    return min((method for method in methods if _base(method) == name), key=preference, default=None)
+    return min((method for method in methods if method.base == name), key=preference, default=None)
 
 
 def _measured_shares(cells: pd.DataFrame) -> dict[str, float]:
@@ -249,7 +244,7 @@ def _in_group(row: FigureRow, group: str, name: str) -> bool:
 
 
 def _rate(group: str, method: Method, figures: Sequence[FigureRow], index: int) -> RateRow | None:
-    name = _base(method)
+    name = method.base
     rows = [row for row in figures if _in_group(row, group, name)]
     if not rows:
         return None
@@ -257,23 +252,14 @@ def _rate(group: str, method: Method, figures: Sequence[FigureRow], index: int) 
     measured = np.array([np.nan if (share := row.measured[index]) is None else share for row in rows])
     decided = np.isfinite(measured)
     gap = measured[decided] - published[decided]
-    low, high = bootstrap_interval(gap) or (None, None)
     return RateRow(
         group=group,
         method=method,
-        published=_share(published, len(rows)),
-        same=_share(published[decided], len(rows)),
-        measured=_share(measured[decided], len(rows)),
-        difference=Estimate(float(gap.mean()) if len(gap) else None, low, high, len(gap), len(rows)),
+        published=estimate_rate(published, len(rows)),
+        same=estimate_rate(published[decided], len(rows)),
+        measured=estimate_rate(measured[decided], len(rows)),
+        difference=estimate_mean(gap, len(rows)),
     )
-
-
-def _share(shares: NDArray[np.float64], of: int) -> Estimate:
-    """Return the mean of shares with Wilson's interval."""
-    if not len(shares):
-        return Estimate(None, of=of)
-    low, high = wilson_interval(float(shares.sum()), len(shares)) or (None, None)
-    return Estimate(float(shares.mean()), low, high, len(shares), of)
 
 
 def _class_agreement(kind: str, figures: Sequence[FigureRow], methods: Sequence[Method]) -> ClassRow:
@@ -285,13 +271,12 @@ def _class_agreement(kind: str, figures: Sequence[FigureRow], methods: Sequence[
         equal = [
             share if row.figure.verdicts[name] == WORDS[0] else 1 - share
             for method, share in zip(methods, row.measured, strict=True)
-            if share is not None and (name := _base(method)) in row.figure.verdicts
+            if share is not None and (name := method.base) in row.figure.verdicts
         ]
         if equal:
             means.append(float(np.mean(equal)))
             pairs += len(equal)
-    low, high = bootstrap_interval(means) or (None, None)
-    return ClassRow(kind, pairs, Estimate(float(np.mean(means)) if means else None, low, high, len(means), of))
+    return ClassRow(kind, pairs, estimate_mean(means, of))
 
 
 def _compare_cells(
@@ -302,7 +287,7 @@ def _compare_cells(
         (row.figure.verdicts[name], WORDS[0] if share >= 0.5 else WORDS[1], (row.figure.description, name))
         for row in figures
         for method, share in zip(methods, row.measured, strict=True)
-        if share is not None and (name := _base(method)) in row.figure.verdicts
+        if share is not None and (name := method.base) in row.figure.verdicts
     ]
     if not pairs:
         return None, None
@@ -336,7 +321,7 @@ def published_table(published: PublishedComparison) -> pd.DataFrame:
     rows = [
         [
             *(row.figure.number, row.figure.description, row.figure.kind, row.texture),
-            *(method.name, method.lattice_source, row.figure.verdicts.get(_base(method)), share),
+            *(method.name, method.lattice_source, row.figure.verdicts.get(method.base), share),
         ]
         for row in published.figures
         for method, share in zip(published.methods, row.measured, strict=True)
