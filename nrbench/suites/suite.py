@@ -250,6 +250,10 @@ def validated_suite(content: dict[str, Any], where: str) -> Suite:
         raise BadInput(f"{where}: two textures have the name {twice!r}; rename one")
     if not rows:
         raise BadInput(f"{where}: has no texture; add a [[texture]] table with name and dataset")
+    if suite.claim and len(set(suite.lattice)) > 1:
+        raise BadInput(
+            f"{where}: claims compare methods with one source of the lattice; name one of {', '.join(suite.lattice)}"
+        )
     for claim in suite.claim:
         for series in claim.series:
             for level in series.levels:

@@ -99,6 +99,12 @@ def test_the_scores_of_the_builtin_claims_exist() -> None:
         assert column in find("metrics", metric).cls.columns, claim.name  # type: ignore[union-attr]
 
 
+def test_claims_need_one_source_of_the_lattice() -> None:
+    """Means over cells of two sources would mix what methods were given with what they found."""
+    with pytest.raises(BadInput, match="claims compare methods with one source of the lattice; name one of given, own"):
+        validated_suite({**CONTENT, "lattice": ["given", "own"]}, "suite tiny")
+
+
 def test_builtin_suites_other_than_claims_test_no_claims() -> None:
     """The suite of claims is the only one that restricts methods to textures."""
     assert not any(load_suite(name).claim for name in ("default", "core", "frontier", "report2004", "spectrum"))
