@@ -107,8 +107,8 @@ class RegularizedPatch:
             raise BadInput(f"tolerance {self.tolerance}; choose from 0 to 1000")
         if self.update != "sample" and self.deform != "synthesize":
             raise BadInput(
-                f"update {self.update!r} has no effect with deform {self.deform!r}; choose update 'sample', also beside "
-                "preset 'paper', or deform 'synthesize'"
+                f"update {self.update!r} has no effect with deform {self.deform!r}; "
+                "choose update 'sample', also beside preset 'paper', or deform 'synthesize'"
             )
 
     def synthesize(self, task: Task) -> Synthesis:
