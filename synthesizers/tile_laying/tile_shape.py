@@ -26,7 +26,7 @@ ELEMENT: Final = 6.0
 equally near to the middle of an element; with grain of 0.1 and color of 0.1 or less, 6 is nearer."""
 LEAST_WEIGHT: Final = 0.1
 """Weight of a seam where elements do not vary, added everywhere. It hardly matters: on 40 mild walls (color 0.05 to
-0.3), powers and floors of 2 and 0.1, 4 and 0.05, 8 and 0.02 leave 0.0001, 0.0001, 0.0004 of the bricks two-toned."""
+0.3), powers and floors of 2 and 0.1, 4 and 0.05, 8 and 0.02 leave at most 0.0004 of the bricks two-toned."""
 FINE: Final = 4
 """Parts of a pixel between anchors of elements: half a pixel decides on which side of a joint a seam runs."""
 MAX_ANCHORS: Final = 100
