@@ -94,6 +94,9 @@ class TileSet:
 
     def blocks(self, shape: Shape, extent: Shape) -> Iterator[TileSet]:
         """Yield the tiles in upright boxes of ``extent`` that cover an image of ``shape`` with least overlap."""
+        if shape == extent:
+            yield self
+            return
         starts = [
             np.linspace(0, max(side - length, 0), -(-side // length))
             for side, length in zip(shape, extent, strict=True)
