@@ -24,6 +24,8 @@ from ..verdict.verdict import Verdict
 _DRAWS, _MOST_DRAWS = 4, 12
 """Number of fresh draws for outputs of 256 x 256 px, and its upper limit. Smaller outputs get more draws, so that the
 number of tiles is about the same."""
+_LARGE, _FEW_DRAWS = 400**2, 3
+"""Area of an output, px, above which its own tiles are so many that fewer draws are enough, and their number."""
 _FIRST_DRAW = FIRST_DRAW + 1000
 """Fresh draws from this number on have the output's size; those below belong to regularity."""
 _ALIGNMENT = 0.4
@@ -295,7 +297,8 @@ def draw_fresh(observation: Observation) -> tuple[Texture, ...]:
     again, shape = observation.again, observation.output.shape[:2]
     if again is None:
         return ()
-    count = int(np.clip(_DRAWS * 256**2 / (shape[0] * shape[1]), _DRAWS, _MOST_DRAWS))
+    area = shape[0] * shape[1]
+    count = _FEW_DRAWS if area > _LARGE else int(np.clip(_DRAWS * 256**2 / area, _DRAWS, _MOST_DRAWS))
     draws = [again(shape, _FIRST_DRAW + k) for k in range(count)]
     if any(draw is None for draw in draws):
         raise ValueError(f"the texture's model gave no fresh draw of {shape[1]}x{shape[0]} px")
