@@ -375,7 +375,8 @@ def learn_references(reference: Reference, observation: Observation, noise: Poin
     if len(colors) != observation.output.shape[2]:
         return "undecided: the references hold no whole cell"
     cutters = [cutter.project_colors(colors) for cutter in cutters]
-    groups, learned = [], []
+    groups: list[list[Element]] = []
+    learned: list[LearnedElements] = []
     for grain in (False, True):
         groups = find_elements(cutters, grain=grain) or groups
         learned = [one for group in groups if (one := _learn(cutters, group, colors)) is not None] or learned
@@ -635,7 +636,7 @@ class _Surprisals:
         variance = beyond = 0.0
         for numbers, surprisals in self.images:
             above = surprisals > -math.log(rate)
-            variance += sum_variance(numbers, above - rate)
+            variance += sum_variance(numbers, above.astype(np.float64) - rate)
             beyond += float(above.sum())
         return max(self.overlap, variance / beyond) if beyond else self.overlap
 
