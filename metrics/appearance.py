@@ -18,7 +18,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Column, Observation, Score, Texture, Value
 
 from .ncc.periodic import tile_box
-from .residual_tiles.tiles import draw_fresh
+from .residual_tiles.tiles import try_fresh
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 from .verdict.reference import FIRST_DRAW
 
@@ -126,7 +126,7 @@ def fresh_images(observation: Observation, number: int) -> list[Image]:
     The first ones are those that ``integrity`` and ``randomness`` use, too.
     """
     shape = (observation.output.shape[0], observation.output.shape[1])
-    draws: list[Texture | None] = [*observation.shared(draw_fresh)[:number]]
+    draws: list[Texture | None] = [*observation.shared(try_fresh)[:number]]
     if observation.again is not None:
         draws += [observation.again(shape, _FIRST_DRAW + k) for k in range(len(draws), number)]
     return [draw.image for draw in draws if draw is not None]

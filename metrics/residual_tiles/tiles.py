@@ -294,15 +294,21 @@ def _cut_displaced(image: Measurements, references: tuple[Measurements, ...], gr
 
 def draw_fresh(observation: Observation) -> tuple[Texture, ...]:
     """Return fresh draws of the output's size, or none without a model. Metrics share them."""
+    draws = observation.shared(try_fresh)
+    if any(draw is None for draw in draws):
+        height, width = observation.output.shape[:2]
+        raise ValueError(f"the texture's model gave no fresh draw of {width}x{height} px")
+    return tuple(draw for draw in draws if draw is not None)
+
+
+def try_fresh(observation: Observation) -> tuple[Texture | None, ...]:
+    """Return what the texture gives as fresh draws of the output's size: None where it gives none."""
     again, shape = observation.again, observation.output.shape[:2]
     if again is None:
         return ()
     area = shape[0] * shape[1]
     count = _FEW_DRAWS if area > _LARGE else int(np.clip(_DRAWS * 256**2 / area, _DRAWS, _MOST_DRAWS))
-    draws = [again(shape, _FIRST_DRAW + k) for k in range(count)]
-    if any(draw is None for draw in draws):
-        raise ValueError(f"the texture's model gave no fresh draw of {shape[1]}x{shape[0]} px")
-    return tuple(draw for draw in draws if draw is not None)
+    return tuple(again(shape, _FIRST_DRAW + k) for k in range(count))
 
 
 def measure_fresh(observation: Observation) -> tuple[Measurements, ...]:
