@@ -1,23 +1,24 @@
 """Whether labels agree with the scores; the labels were given without knowing the methods or the scores.
 
-``python benchmarks/labels.py [FILE.csv]``
+``python benchmarks/labels.py [FILE.csv] [--photographs FOLDER]``
 
 ``labels/outputs.csv``, which is read by default, holds the answers of two labellers (vision-language models that saw
-nothing but the pictures) to three questions about outputs of methods on textures of ``core`` and ``report2004``: is
-the lattice kept (1 or 0), are the elements whole (1 or 0), does it look like more of the same texture (1 to 5). Another
-file is a table ``labels.csv`` that ``nrbench report RUN --labels ...`` wrote: one row for each output, person and
-question, with the answers yes, no and cannot say.
+nothing but the pictures) about outputs of methods and references on textures of four suites, and about planted steps of
+phase: is the lattice kept (1 or 0), are the elements whole (1 or 0), does it look like more of the same texture (1 or
+0), and a grade of this likeness (1 to 5). ``labels/photographs.csv`` holds the same for photographs, whose names are
+those of files in FOLDER. Another file is a table ``labels.csv`` that ``nrbench report RUN --labels ...`` wrote: one row
+for each output, person and question, with the answers yes, no and cannot say.
 
 Each output is made again, compared with the hash of its pixels, and scored. Outputs that differ are counted, and so are
-outputs of pictures or of changed suites, which cannot be made again. Prints Cohen's kappa between the labellers, and
-between them and the automatic answers, over the outputs that both decide, and the rank correlation of ``quality.score``
-with the answers to the third question.
+outputs of pictures that are not there and of changed suites, which cannot be made again. Prints Cohen's kappa between
+the labellers, and between them and the automatic answers, over the outputs that both decide; the rank correlation of
+``quality.score`` with the grades; and, by the size of a planted step, the share of answers that the lattice is lost.
 """
 
 from __future__ import annotations
 
+import argparse
 import itertools
-import sys
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -44,7 +45,8 @@ LABELS = Path(__file__).parent / "labels" / "outputs.csv"
 OUTPUT = ["suite", "texture", "method", "lattice_source", "replicate", "pixels"]
 """The columns that identify an output."""
 ANSWER = ["person", "question", "answer"]
-_STORED_QUESTIONS = {"lattice": LATTICE.name, "whole": ELEMENTS.name, "same": MORE.name}
+GRADE = "grade"
+_STORED_QUESTIONS = {"lattice": LATTICE.name, "whole": ELEMENTS.name, "more": MORE.name, "grade": GRADE}
 _VALUES = {"yes": 1.0, "no": 0.0, "cannot say": np.nan}
 
 
@@ -55,7 +57,7 @@ def read_labels(path: Path) -> pd.DataFrame:
     -------
     pandas.DataFrame
         One row an answer, with the columns :data:`OUTPUT` and :data:`ANSWER`. The answers are numbers: 1 for yes, 0 for
-        no, NaN for cannot say, or the 1 to 5 of ``outputs.csv``.
+        no, NaN for cannot say, or a grade from 1 to 5.
     """
     table = pd.read_csv(path, keep_default_na=False, dtype=str)
     if "question" in table:
@@ -64,7 +66,7 @@ def read_labels(path: Path) -> pd.DataFrame:
     else:
         table = table.assign(lattice_source="given", replicate="0")
         parts = [
-            table[OUTPUT].assign(person=person, question=name, answer=table[f"{person}_{column}"].astype(float))
+            table[OUTPUT].assign(person=person, question=name, answer=pd.to_numeric(table[f"{person}_{column}"]))
             for person, (column, name) in itertools.product(("first", "second"), _STORED_QUESTIONS.items())
         ]
         labels = pd.concat(parts, ignore_index=True)
@@ -98,7 +100,7 @@ def score_output(sample: Sample, seed: int, row: Mapping[str, Any]) -> dict[str,
     output = checked_synthesis(method.synthesize(task), texture.image, sample.shape).image
     if not pixels_hash(output).startswith(row["pixels"]):
         raise ValueError(f"{row['texture']}, {row['method']}: the output is not the one that was labelled")
-    observation = Observation(texture.image, output, texture, again=again)
+    observation = Observation(texture.image, output, texture, again=again if sample.recipe.procedural else None)
     metrics = {"regularity": Regularity(), "integrity": Integrity(), "quality": Quality()}
     return {
         f"{name}.{column}": value
@@ -107,18 +109,20 @@ def score_output(sample: Sample, seed: int, row: Mapping[str, Any]) -> dict[str,
     }
 
 
-def score_outputs(outputs: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+def score_outputs(outputs: pd.DataFrame, photographs: str = "photographs") -> tuple[pd.DataFrame, list[str]]:
     """Return the outputs that could be made again, with their scores, and why the others could not.
 
     Parameters
     ----------
     outputs
         One row an output, with the columns :data:`OUTPUT`.
+    photographs
+        The folder of the pictures of the suite ``photographs``.
     """
     scored, lost = [], []
     for name, part in outputs.groupby("suite"):
         try:
-            suite = load_suite(str(name))
+            suite = load_suite(photographs if name == "photographs" else str(name))
             samples = {
                 (sample.row.name, sample.recipe.replicate): sample
                 for sample in draw_samples(suite, sorted(set(part["texture"])))
@@ -146,10 +150,10 @@ def kappa(one: pd.Series[Any], other: pd.Series[Any]) -> float:
     return (agreement - chance) / (1 - chance) if chance < 1 else 1.0
 
 
-def main(path: Path) -> None:
+def main(path: Path, photographs: str) -> None:
     """Score all labelled outputs and print the agreement."""
     labels = read_labels(path)
-    table, lost = score_outputs(labels[OUTPUT].drop_duplicates(ignore_index=True))
+    table, lost = score_outputs(labels[OUTPUT].drop_duplicates(ignore_index=True), photographs)
     print(f"{len(table)} outputs of {table['texture'].nunique()} textures; {len(lost)} cannot be made again")
     for why, count in Counter(lost).most_common(5):
         print(f"  {count} x {why}")
@@ -169,9 +173,13 @@ def main(path: Path) -> None:
             print_kappa(f"{question.name}: automatic answer and {person}", automatic, given[person])
     if MORE.name not in answers:
         return
-    table["same"] = answers[MORE.name].mean(axis=1).to_numpy()
+    for one, other in itertools.combinations(answers[MORE.name].columns, 2):
+        print_kappa(f"{MORE.name}: {one} and {other}", answers[MORE.name][one], answers[MORE.name][other])
+    print_steps(table, answers[LATTICE.name])
+    asked = GRADE if GRADE in answers else MORE.name
+    table["same"] = answers[asked].mean(axis=1).to_numpy()
     known = table[table[MORE.column].notna() & table["same"].notna()]
-    print(f"quality and the third answer: Spearman {spearmanr(known[MORE.column], known['same']).statistic:.2f}")
+    print(f"quality and the {asked}: Spearman {spearmanr(known[MORE.column], known['same']).statistic:.2f}")
     by_texture = [
         kendalltau(part[MORE.column], part["same"]).statistic
         for _, part in known.groupby("texture")
@@ -182,6 +190,16 @@ def main(path: Path) -> None:
     print(means.sort_values("same").round(2).to_string())
 
 
+def print_steps(table: pd.DataFrame, kept: pd.DataFrame) -> None:
+    """Print, by the size of a planted step of phase, how often the lattice is called lost, and by the verdict."""
+    sizes = table["method"].str.extract(r"phase-step,size=([\d.]+)")[0].astype(float).to_numpy()
+    verdicts = table[LATTICE.column].map({True: 0.0, False: 1.0}).to_numpy(float)
+    frame = pd.DataFrame({"size": sizes, "labels": 1 - kept.mean(axis=1).to_numpy(), "verdict": verdicts})
+    if frame["size"].notna().any():
+        means = frame.dropna(subset="size").groupby("size")[["labels", "verdict"]].mean()
+        print(f"share called lost, by the size of a planted step (s):\n{means.round(2).to_string()}")
+
+
 def print_kappa(name: str, one: pd.Series[Any], other: pd.Series[Any]) -> None:
     """Print the kappa of two series of answers over those that both give."""
     both = one.notna() & other.notna()
@@ -189,4 +207,8 @@ def print_kappa(name: str, one: pd.Series[Any], other: pd.Series[Any]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else LABELS)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("file", nargs="?", type=Path, default=LABELS)
+    parser.add_argument("--photographs", default="photographs", metavar="FOLDER", help="folder of photographs.csv")
+    options = parser.parse_args()
+    main(options.file, options.photographs)
