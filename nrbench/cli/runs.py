@@ -49,12 +49,14 @@ def _plan_options(command: F) -> F:
 def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
     from nrbench.api import changed
-    from nrbench.suites.plan import make_plan
+    from nrbench.running.guard import Limits
+    from nrbench.running.guarded import LIMITS, plan_run
     from nrbench.suites.suite import load_suite
 
     axes = {key: arguments[key] for key in ("sample", "size", "seed", "replicates")}
     suite = changed(load_suite(arguments["suite"]), arguments["methods"], arguments["lattice"], **axes)
-    return make_plan(suite, arguments["textures"]), arguments["out"] or Path("runs") / suite.name
+    limits = Limits(arguments.get("timeout", LIMITS.seconds), arguments.get("memory", LIMITS.mib))
+    return plan_run(suite, arguments["textures"], limits), arguments["out"] or Path("runs") / suite.name
 
 
 @click.command("run")
