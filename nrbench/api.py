@@ -20,7 +20,8 @@ from nrbench.plugins.forms import Detection, Observation, Refused, Score, Shape,
 from nrbench.running.guard import Limits
 from nrbench.running.guarded import LIMITS, plan_run
 from nrbench.running.phases import checked_synthesis, failure_reason, score_observation
-from nrbench.running.runner import Options, Progress, execute, working_metrics
+from nrbench.running.progress import Progress
+from nrbench.running.runner import Options, execute, working_metrics
 from nrbench.runs.records import Run
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
@@ -251,7 +252,7 @@ def run(
     limits = Limits(options.timeout, options.memory) if options else LIMITS
     plan = plan_run(changed(chosen, methods, lattice, **changes), textures, limits)
     root = Path(out) if out is not None else Path("runs") / chosen.name
-    return execute(plan, root, options, progress or (lambda done, total, what: None))
+    return execute(plan, root, options, progress or (lambda step: None))
 
 
 def changed(suite: Suite, methods: Sequence[str] = (), lattice: Sequence[str] = (), **changes: Any) -> Suite:

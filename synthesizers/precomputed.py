@@ -88,9 +88,9 @@ def _listed(folder: Path, sample: Image) -> Iterator[Image]:
         for row in rows:
             if not (row["sample"] and row["output"]):
                 raise BadInput(f"{index} line {rows.line_num}: has an empty field; name a sample and an output")
-            sample, output = (_inside(folder, row[name], f"{index} line {rows.line_num}") for name in names)
-            if pixels_hash(read_image(sample)) == wanted:
-                yield read_image(output)
+            paths = [_inside(folder, row[name], f"{index} line {rows.line_num}") for name in names]
+            if pixels_hash(read_image(paths[0])) == wanted:
+                yield read_image(paths[1])
 
 
 def _inside(folder: Path, name: str, where: str) -> Path:

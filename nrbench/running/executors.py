@@ -51,7 +51,8 @@ def executor(jobs: int, scheduler: str | None = None) -> Iterator[tuple[Executor
         with _cluster(scheduler) as cluster:
             yield cluster, run_job
     elif jobs == 0:
-        with threadpool_limits(1):  # as in a worker: sums over several threads round otherwise
+        limit_threads: Any = threadpool_limits
+        with limit_threads(1):  # as in a worker: sums over several threads round otherwise
             yield InProcess(), run_job_here
     else:
         pool = ThreadPoolExecutor(jobs, thread_name_prefix="cell")

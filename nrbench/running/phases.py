@@ -98,7 +98,7 @@ def read_texture(folder: Path, known: Mapping[str, Any]) -> tuple[Texture, Image
         family=known["family"],
         kind=known["kind"],
         regular_share=known["regular_share"],
-        region=tuple(known["region"]) if known["region"] else None,  # type: ignore[arg-type]
+        region=tuple(known["region"]) if known["region"] else None,
     )
     return texture, read_image(where.again) if where.again.is_file() else None
 

@@ -61,6 +61,8 @@ class Result(TypedDict, total=False):
         What is known of a texture that was drawn.
     written
         The files of a report.
+    wall
+        Wall seconds of a whole cell. They are not on disk.
     lattice, confidence, reason
         The outcome of a detection, see :class:`~nrbench.plugins.forms.FoundLattice`.
     """
@@ -81,6 +83,7 @@ class Result(TypedDict, total=False):
     reason: str
     texture: dict[str, Any]
     written: list[str]
+    wall: float
 
 
 class ScoreContent(TypedDict, total=False):

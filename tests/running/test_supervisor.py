@@ -25,6 +25,7 @@ from nrbench.cli.main import main
 from nrbench.imaging.files import read_image, write_image
 from nrbench.running import guard, guarded, runner
 from nrbench.running.guarded import write_guarded
+from nrbench.running.progress import Step
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
 from nrbench.running.worker import Request
@@ -283,7 +284,7 @@ def test_a_failed_metric_spares_the_others_and_is_tried_again(faulty: Path, tmp_
 def test_an_interrupted_run_ends_at_once_and_resumes(
     way: str, faulty: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, warm_executor: Any
 ) -> None:
-    """Ctrl-C ends a run with exit code 130; no process and no result of its cells remain, and they run again."""
+    """Ctrl-C twice ends a run at once with exit code 130; no process and no result of its cells remain."""
     choose_way(way, monkeypatch, warm_executor)
     suite = tmp_path / "s.toml"
     suite.write_text(
@@ -302,6 +303,9 @@ def test_an_interrupted_run_ends_at_once_and_resumes(
         time.sleep(0.02)
     children = psutil.Process(running.pid).children(recursive=True)
     running.send_signal(signal.SIGINT)
+    time.sleep(0.3)
+    assert running.poll() is None  # the cells may end
+    running.send_signal(signal.SIGINT)
     try:
         assert running.wait(10) == 130
     finally:
@@ -315,6 +319,27 @@ def test_an_interrupted_run_ends_at_once_and_resumes(
         main(words)
     assert not left.value.code
     assert [record.status for record in Run(tmp_path / "run").cells] == ["ok", "ok"]
+
+
+def test_one_interrupt_lets_the_running_cells_end(faulty: Path, tmp_path: Path) -> None:
+    """After the event is set no cell is started, those that run end with their results, and the rest resumes."""
+    options = Options(jobs=0)
+
+    def interrupt(step: Step) -> None:
+        steps.append(step)
+        options.stop.set()
+
+    steps: list[Step] = []
+    suite = small_suite(["fine", "scatter", "tiling"])
+    with pytest.raises(KeyboardInterrupt):
+        run(suite, out=tmp_path / "run", options=options, progress=interrupt)
+    assert 1 <= len(steps) < 3
+    assert {cell.status for cell in Run(tmp_path / "run").cells} == {"ok", "missing"}
+    steps.clear()
+    run(suite, out=tmp_path / "run", options=Options(jobs=0), progress=steps.append)
+    assert [step.done for step in steps] == [1, 2, 3]
+    assert steps[-1].cached >= 1
+    assert steps[-1].remaining == 0
 
 
 def test_the_worker_has_one_thread(supervisors: list[Supervisor]) -> None:
