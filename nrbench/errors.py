@@ -49,7 +49,7 @@ def describe_error(error: BaseException) -> str:
         text = f"its message raised {type(second).__name__}"
     frames = traceback.extract_tb(error.__traceback__)
     last = max((i for i, frame in enumerate(frames) if Path(frame.filename).parent in _CALLERS), default=-1)
-    own = [frame for frame in frames[last + 1 :] if frame.filename == frames[last + 1].filename]
+    own = [frame for frame in frames[last + 1 :] if last >= 0 and frame.filename == frames[last + 1].filename]
     where = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
     return f"{type(error).__name__}: {text}{where}"
 
