@@ -28,7 +28,7 @@ from .texel_pasting.texel_stock import TexelStock
 
 ZONE: Final = (3.0, 8.0)
 """px: the least and the greatest default breadth of the zone; between them it is a sixth of s."""
-_BAND = 1 << 18
+_BAND = 1 << 16
 """Number of output pixels that are computed at a time."""
 _LEAST_WEIGHT = 1e-6
 
@@ -108,7 +108,7 @@ class RegularizedPatch:
         if self.update != "sample" and self.deform != "synthesize":
             raise BadInput(
                 f"update {self.update!r} has no effect with deform {self.deform!r}; "
-                "choose deform 'synthesize', or leave update out"
+                "choose update 'sample', also beside preset 'paper', or deform 'synthesize'"
             )
 
     def synthesize(self, task: Task) -> Synthesis:

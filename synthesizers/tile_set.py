@@ -18,7 +18,7 @@ from nrbench.plugins.forms import Refused, Synthesis, Task, find_lattice
 from .geometry.straightening import Geometry, straighten_first
 from .sampling.two_periods import require_two_periods
 from .tile_laying.tile_canvas import Stitch, TileCanvas
-from .tile_laying.tile_shape import AnchorKind, TileKind, TileShape, anchor_lattice, tile_shape
+from .tile_laying.tile_shape import AnchorKind, ElementWeights, TileKind, TileShape, anchor_lattice, tile_shape
 from .tile_laying.tile_stock import Difference, Tiles, TileStock, shift_images, symmetric_copies, untransformed
 
 FINE_PARTS: Final = 4
@@ -27,6 +27,8 @@ COARSE: Final = 10.0
 """px; if s is at least this long, rounding to whole pixels misplaces a tile by at most 0.05 s along x and along y."""
 LEAST_SIDE: Final = 16.0
 """px; if s is shorter, tiles consist of several cells: small tiles are many, and seams find no way around elements."""
+ELONGATED: Final = 2.0
+"""If a rectangular cell is this many times as long as wide, automatic tiles are two cells wide."""
 MARGIN: Final = 2.0
 """px by which tiles are longer at each end for exact cuts, so that seams can run around elements."""
 FEATHER: Final = 3.0
@@ -112,6 +114,10 @@ class TileSet:
         ``"quiet"``: where the gradient energy of the mean tile, summed along the borders of all minimum tiles, is least
         (the paper's low-frequency regions). ``"given"``: at the lattice's origin. The first two choose among the places
         that leave each set enough tiles.
+    follow
+        Whether seams are led along the joints of elements: the cost of a seam is multiplied by how much the elements of
+        the sample vary from tile to tile at this place of the cell. Differences alone do not show the joint between two
+        elements of like color. For ``stitch=graphcut``; the paper's seams are led by differences alone.
     symmetry
         Also use the tiles of the sample mirrored or turned, if that does not change its mean tile (section 4.4). Copies
         turned by multiples of 60 degrees are interpolated by splines of order 5.
@@ -133,12 +139,13 @@ class TileSet:
     slope: int = 4
     feather: float = FEATHER
     anchor: AnchorKind | Literal["given"] = "elements"
+    follow: bool = True
     symmetry: bool = False
     geometry: Geometry = "as-is"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "tile": "upright",
@@ -152,6 +159,7 @@ class TileSet:
             "slope": 1,
             "feather": FEATHER,
             "anchor": "given",
+            "follow": False,
             "symmetry": False,
         }
     }
@@ -235,7 +243,10 @@ class TileLaying:
         self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
         self.stock = TileStock(self.tile, images, tuple(self.copies), self.radius)
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
-        self.canvas = TileCanvas(task.shape, self.stock, self.copies, method.slope, method.feather, method.stitch)
+        weights = ElementWeights.of(task.sample, self.lattice) if method.follow else None
+        self.canvas = TileCanvas(
+            task.shape, self.stock, self.copies, method.slope, method.feather, method.stitch, weights
+        )
 
     def lay_tiles(self) -> None:
         """Lay every tile that touches the output, row by row (step 2)."""
@@ -314,9 +325,17 @@ def _tile_shapes(method: TileSet, lattice: Lattice) -> Iterator[TileShape]:
         kinds: list[TileKind] = [method.tile]
     else:
         kinds = ["cell"] if lattice.kind in ("rectangular", "square") else ["lattice", "cell"]
+        if kinds == ["cell"] and _elongation(lattice) >= ELONGATED:
+            kinds = ["rectangle", "cell"]
     factors = [max(1, math.ceil(LEAST_SIDE / lattice.s)), 1] if method.cells is None else [method.cells]
     margins = [MARGIN, 0.0] if method.stitch == "graphcut" else [0.0]
     for cells in factors:
         for kind in kinds:
             for margin in margins if method.margin is None else [method.margin]:
                 yield tile_shape(lattice, kind, cells, margin)
+
+
+def _elongation(lattice: Lattice) -> float:
+    """Return the length of the second reduced vector over that of the first."""
+    first, second = np.hypot(*lattice.reduced().matrix.T)
+    return float(max(first, second) / min(first, second))

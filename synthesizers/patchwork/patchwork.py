@@ -18,9 +18,9 @@ from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import Image
 
 from ..sampling.patches import Source
-from ..seams.minimum_cut import Links, Mask, minimum_cut
+from ..seams.minimum_cut import Mask
 from .feather_kernels import feather_seams
-from .patchwork_kernels import FIRST, SECOND, STAY, UNIT, link_choices
+from .patchwork_kernels import UNIT, cut_links, link_choices, show_patch
 from .translations import Features, Layer, Translations, draw_translation
 
 Window = tuple[int, int, int, int]
@@ -174,13 +174,8 @@ class Patchwork:
         x, y = place[0] + around[2] - window[2], place[1] + around[0] - window[0]
         choices = link_choices(self.features, self._slopes, self.normalized, self.power, origin, known, x, y)
         new = cut_least_seams(choices, (ring | ~known) & ~forced, forced)
-        rows, columns = np.nonzero(new)
-        at = pixels[0][rows, 0], pixels[1][0, columns]
-        self.origin[at] = np.stack([columns + x, rows + y], -1)
-        self.known[at] = True
-        costs = np.stack([_link_costs(choices[axis], new, axis) for axis in (0, 1)])
-        self.seams[:, pixels[0], pixels[1]] = np.where(_links_of(ring), costs, self.seams[:, pixels[0], pixels[1]])
-        return int(new.sum())
+        rows, columns = pixels[0].ravel(), pixels[1].ravel()
+        return show_patch(choices, new, ring, rows, columns, x, y, self.origin, self.known, self.seams)
 
     def _add_ring(self, window: Window) -> tuple[Window, Mask]:
         """Return a window extended by one pixel on each side, and a mask of the added ring."""
@@ -221,7 +216,7 @@ def cut_least_seams(choices: NDArray[np.int64], fixed_old: Mask, fixed_new: Mask
     choices
         Costs from :func:`~nrbench.synthesizers.patchwork.patchwork_kernels.link_choices`.
     fixed_old, fixed_new
-        ``bool (h, w)``: pixels that must stay, and pixels that must become new.
+        ``bool (h, w)``: pixels that must stay, and pixels that must become new; none is both.
 
     Notes
     -----
@@ -230,31 +225,7 @@ def cut_least_seams(choices: NDArray[np.int64], fixed_old: Mask, fixed_new: Mask
     plus (a - b - c) / 2 if t becomes new. If c exceeds a + b, which no metric allows, c is replaced by a + b. All costs
     are doubled, so that they stay integers.
     """
-    stay, second, first = np.moveaxis(choices.astype(np.float64), 1, 0)
-    stay = np.minimum(stay, first + second)
-    links = first + second - stay
-    becoming = (first - second - stay).sum(0)
-    becoming[:, 1:] += (second - first - stay)[0, :, :-1]
-    becoming[1:] += (second - first - stay)[1, :-1]
-    source = np.where(fixed_new, np.inf, np.maximum(-becoming, 0))
-    sink = np.where(fixed_old, np.inf, np.maximum(becoming, 0))
-    return minimum_cut(Links(links[0, :, :-1], links[1, :-1]), source, sink)
-
-
-def _link_costs(choices: NDArray[np.int64], new: Mask, axis: int) -> NDArray[np.int64]:
-    """Return the costs of the links along one axis after the pixels of the mask ``new`` are replaced."""
-    there = np.roll(new, -1, 1 - axis)
-    one = np.where(new, choices[FIRST], choices[SECOND])
-    return np.where(new & there, 0, np.where(new | there, one, choices[STAY]))
-
-
-def _links_of(ring: Mask) -> Mask:
-    """Return the links, ``(2, h, w)``, with at least one pixel that is not on the ring."""
-    inside = ~ring
-    links = np.stack([inside, inside])
-    links[0, :, :-1] |= inside[:, 1:]
-    links[1, :-1] |= inside[1:]
-    return links
+    return cut_links(choices, fixed_old, fixed_new)
 
 
 class SeamHeat:

@@ -1,4 +1,4 @@
-"""The compiled loops of a patchwork: the costs of a window's links with the old and the new patch."""
+"""The compiled loops of a patchwork: the costs of a window's links, the cut, and the patch that it shows."""
 
 from __future__ import annotations
 
@@ -7,11 +7,23 @@ from numpy.typing import NDArray
 
 from nrbench.jit import kernel
 
+from ..seams.seam_kernels import SOURCE, grow_trees
+
 UNIT = 16.0
 """Costs are integers, in units of 1 / UNIT gray levels, so that flows are exact."""
 STAY, SECOND, FIRST = 0, 1, 2
 """Cases of a link: both pixels stay; only the second becomes new; only the first becomes new. If both become new, the
 link costs nothing."""
+
+
+@kernel("int64(float64, int64, boolean, int64)")
+def seam_cost(apart: float, busy: int, normalized: bool, power: int) -> int:
+    """Return the cost of a seam on a link, from the summed differences and gradients of two patches at its pixels."""
+    if normalized:
+        if power == 2:
+            return int(np.rint(UNIT * UNIT * apart * apart / (busy + UNIT)))
+        return int(np.rint(UNIT * UNIT * UNIT * apart / (busy + UNIT)))
+    return int(np.rint(UNIT * apart * apart if power == 2 else UNIT * apart))
 
 
 @kernel("int64(int32[:, :, ::1], int32[:, :, ::1], int64, boolean, int64, int64, int64, int64, int64)")
@@ -34,7 +46,7 @@ def step_cost(
     if y == v and x == u:
         return 0
     height, width, channels = features.shape
-    apart, busy = 0.0, 0.0
+    apart, busy = 0.0, 0
     for k in range(2):
         j, i = y + k * axis, x + k * (1 - axis)
         m, n = v + k * axis, u + k * (1 - axis)
@@ -46,11 +58,7 @@ def step_cost(
             squares += difference * difference
         apart += np.sqrt(np.float64(squares))
         busy += slopes[axis, j, i] + slopes[axis, m, n]
-    if normalized:
-        if power == 2:
-            return int(np.rint(UNIT * UNIT * apart * apart / (busy + UNIT)))
-        return int(np.rint(UNIT * UNIT * UNIT * apart / (busy + UNIT)))
-    return int(np.rint(UNIT * apart * apart if power == 2 else UNIT * apart))
+    return seam_cost(apart, busy, normalized, power)
 
 
 @kernel(
@@ -89,7 +97,24 @@ def link_choices(
         The time is O(h w F).
     """
     height, width = known.shape
+    rows, columns, channels = features.shape
     costs = np.zeros((2, 3, height, width), np.int64)
+    # Most links join pixels of one patch. Their cost depends on how far each pixel is from the new one.
+    apart = np.zeros((height, width))
+    busy = np.zeros((2, height, width), np.int64)
+    for j in range(height):
+        for i in range(width):
+            if not known[j, i]:
+                continue
+            v, u = source[j, i, 1], source[j, i, 0]
+            n, m = min(max(y + j, 0), rows - 1), min(max(x + i, 0), columns - 1)
+            squares = 0
+            for c in range(channels):
+                difference = int(features[v, u, c]) - int(features[n, m, c])
+                squares += difference * difference
+            apart[j, i] = np.sqrt(np.float64(squares))
+            for axis in range(2):
+                busy[axis, j, i] = slopes[axis, v, u] + slopes[axis, n, m]
     for axis in range(2):
         down, right = axis, 1 - axis
         for j in range(height - down):
@@ -98,6 +123,12 @@ def link_choices(
                 first, second = known[j, i], known[n, m]
                 ay, ax = source[j, i, 1], source[j, i, 0]
                 by, bx = source[n, m, 1] - down, source[n, m, 0] - right
+                if first and second and ay == by and ax == bx:
+                    if ay != y + j or ax != x + i:
+                        steep = busy[axis, j, i] + busy[axis, n, m]
+                        cost = seam_cost(apart[j, i] + apart[n, m], steep, normalized, power)
+                        costs[axis, SECOND, j, i] = costs[axis, FIRST, j, i] = cost
+                    continue
                 if first and second:
                     costs[axis, STAY, j, i] = step_cost(features, slopes, axis, normalized, power, ay, ax, by, bx)
                 if first:
@@ -109,3 +140,85 @@ def link_choices(
                         features, slopes, axis, normalized, power, y + j, x + i, by, bx
                     )
     return costs
+
+
+@kernel("boolean[:, ::1](int64[:, :, :, ::1], boolean[:, ::1], boolean[:, ::1])")
+def cut_links(
+    choices: NDArray[np.int64], fixed_old: NDArray[np.bool_], fixed_new: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return the pixels of a window that become new: :func:`~.patchwork.cut_least_seams` describes the graph."""
+    height, width = fixed_old.shape
+    stride = width + 2
+    residual, terminal = np.zeros((4, (height + 2) * stride)), np.zeros((height + 2) * stride)
+    for j in range(height):
+        for i in range(width):
+            node = (j + 1) * stride + i + 1
+            for axis in range(2):
+                if (i if axis == 0 else j) == (width if axis == 0 else height) - 1:
+                    continue
+                ahead = node + (1 if axis == 0 else stride)
+                first, second = choices[axis, FIRST, j, i], choices[axis, SECOND, j, i]
+                stay = min(choices[axis, STAY, j, i], first + second)
+                residual[2 * axis, node] = residual[2 * axis + 1, ahead] = first + second - stay
+                terminal[node] -= first - second - stay
+                terminal[ahead] -= second - first - stay
+            if fixed_new[j, i]:
+                terminal[node] = np.inf
+            elif fixed_old[j, i]:
+                terminal[node] = -np.inf
+    tree = grow_trees(residual, terminal, stride)
+    new = np.empty((height, width), np.bool_)
+    for j in range(height):
+        for i in range(width):
+            new[j, i] = tree[(j + 1) * stride + i + 1] == SOURCE
+    return new
+
+
+@kernel(
+    "int64(int64[:, :, :, ::1], boolean[:, ::1], boolean[:, ::1], int64[::1], int64[::1], int64, int64,"
+    " int64[:, :, ::1], boolean[:, ::1], int64[:, :, ::1])"
+)
+def show_patch(
+    choices: NDArray[np.int64],
+    new: NDArray[np.bool_],
+    ring: NDArray[np.bool_],
+    rows: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    x: int,
+    y: int,
+    origin: NDArray[np.int64],
+    known: NDArray[np.bool_],
+    seams: NDArray[np.int64],
+) -> int:
+    """Show a patch at the new pixels of a window, record the costs of the seams, and return the number of new pixels.
+
+    Parameters
+    ----------
+    choices, x, y
+        As in :func:`link_choices`.
+    new, ring
+        ``(h, w)``: the pixels that become new, and those around the window, whose links to one another stay.
+    rows, columns
+        ``(h,)`` and ``(w,)``: the window's rows and columns in the output.
+    origin, known, seams
+        Those of :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`; written.
+    """
+    height, width = new.shape
+    count = 0
+    for j in range(height):
+        for i in range(width):
+            for axis in range(2):
+                n, m = (j, i + 1) if axis == 0 else (j + 1, i)
+                inside = n < height and m < width
+                if ring[j, i] and not (inside and not ring[n, m]):
+                    continue
+                there = inside and new[n, m]
+                case = STAY
+                if new[j, i] != there:
+                    case = FIRST if new[j, i] else SECOND
+                seams[axis, rows[j], columns[i]] = 0 if new[j, i] and there else choices[axis, case, j, i]
+            if new[j, i]:
+                count += 1
+                origin[rows[j], columns[i], 0], origin[rows[j], columns[i], 1] = i + x, j + y
+                known[rows[j], columns[i]] = True
+    return count

@@ -5,9 +5,9 @@ Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video syn
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,8 @@ Features = NDArray[np.int32]
 Costs = NDArray[np.float64]
 """``float64 (rows, columns)``: the cost of each place (y, x) of the window's first pixel in the sample."""
 _Spectra = NDArray[np.complex128]
+_FARTHEST = 746.0
+"""exp of less than minus this is 0."""
 
 
 def to_gray_levels(image: Image, weight: float = 1.0) -> Features:
@@ -80,29 +82,45 @@ class Translations:
         """
         height, width = window[0].values.shape[:2]
         rows, columns = self.layers[0].shape[0] - height + 1, self.layers[0].shape[1] - width + 1
-        product, total = np.zeros(self._prepared[1][0].shape, np.complex128), np.zeros((rows, columns))
-        for spectra, squares, table, layer in zip(*self._prepared, window, strict=True):
-            known = 1 if layer.known is None else layer.known[..., np.newaxis]
-            values = layer.values * known
-            product += np.einsum("chw,chw->hw", spectra, self._transformed(-2 * values))
-            total += float((values.astype(np.int64) ** 2).sum())
+        planes, total = [], np.zeros((rows, columns))
+        for number, layer in enumerate(window):
+            values = np.moveaxis(layer.values, -1, 0).astype(np.float64)
             if layer.known is None:
-                total += box_sums_from(table, (height, width))
+                total += self._box_sums(number, (height, width))
             else:
-                product += squares * self._transformed(layer.known[..., np.newaxis])[0]
+                values *= layer.known
+                planes.append(layer.known[np.newaxis].astype(np.float64))
+            total += float((values**2).sum())
+            planes.append(-2 * values)
+        spectra = self._stacked(tuple(layer.known is not None for layer in window))
+        product = np.einsum("chw,chw->hw", spectra, _transform_planes(np.concatenate(planes), self._fast_shape))
         products = fft.irfft(fft.ifft(product.conj(), axis=0)[:rows], self._fast_shape[1], axis=1)
         return np.asarray(total + np.rint(products[:, :columns]))
 
-    def _transformed(self, pixels: NDArray[Any]) -> _Spectra:
-        return _transform(pixels, self._fast_shape)
+    @cached_property
+    def _stacked(self) -> Callable[[tuple[bool, ...]], _Spectra]:
+        """The conjugate spectra of all layers; of each whose flag is set, first that of its summed squares."""
+        return lru_cache(1 << len(self.layers))(self._stack)
+
+    def _stack(self, masked: tuple[bool, ...]) -> _Spectra:
+        planes = []
+        for layer, with_squares in zip(self.layers, masked, strict=True):
+            planes += [(layer.astype(np.int64) ** 2).sum(-1)[np.newaxis]] if with_squares else []
+            planes.append(np.moveaxis(layer, -1, 0))
+        return _transform_planes(np.concatenate(planes), self._fast_shape).conj()
 
     @cached_property
-    def _prepared(self) -> tuple[list[_Spectra], list[_Spectra], list[Costs]]:
-        """Each layer's conjugate spectra, the conjugate spectrum of its summed squares, and their integral image."""
-        squares = [(layer.astype(np.int64) ** 2).sum(-1, keepdims=True) for layer in self.layers]
-        spectra = [self._transformed(layer).conj() for layer in self.layers]
-        sums = [self._transformed(each)[0].conj() for each in squares]
-        return spectra, sums, [integral_image(each[..., 0]) for each in squares]
+    def _box_sums(self) -> Callable[[int, tuple[int, int]], Costs]:
+        """The sums of a layer's squares over all boxes of a size; those of the latest sizes are kept."""
+        return lru_cache(2 * len(self.layers))(self._sum_boxes)
+
+    def _sum_boxes(self, number: int, size: tuple[int, int]) -> Costs:
+        return box_sums_from(self._tables[number], size)
+
+    @cached_property
+    def _tables(self) -> list[Costs]:
+        """The integral image of each layer's squares."""
+        return [integral_image((layer.astype(np.int64) ** 2).sum(-1)) for layer in self.layers]
 
     @cached_property
     def _fast_shape(self) -> tuple[int, int]:
@@ -171,7 +189,12 @@ class EntirePatch:
 
 def _transform(pixels: NDArray[Any], shape: tuple[int, int]) -> _Spectra:
     """Return the spectra ``(C, rows, columns)`` of ``(h, w, C)``, padded with zeros to a shape."""
-    lines = fft.rfft(np.moveaxis(pixels, -1, 0).astype(np.float64), shape[1], axis=2)
+    return _transform_planes(np.moveaxis(pixels, -1, 0), shape)
+
+
+def _transform_planes(planes: NDArray[Any], shape: tuple[int, int]) -> _Spectra:
+    """Return the spectra ``(C, rows, columns)`` of planes ``(C, h, w)``, padded with zeros to a shape."""
+    lines = fft.rfft(planes.astype(np.float64, copy=False), shape[1], axis=2)
     return np.asarray(fft.fft(lines, shape[0], axis=1))
 
 
@@ -194,9 +217,9 @@ def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tu
         The generator; one number is drawn from it.
     """
     above = costs - costs.min()
-    with np.errstate(over="ignore"):
-        weights = np.exp(-above / scale) if scale > 0 else (above == 0).astype(np.float64)
+    near = np.flatnonzero(above <= _FARTHEST * scale)  # the weights of all others are 0
+    weights = np.exp(-above.ravel()[near] / scale) if scale > 0 else np.ones(len(near))
     cumulative = np.cumsum(weights)
     index = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], "right"))
-    y, x = divmod(min(index, cumulative.size - 1), costs.shape[1])
+    y, x = divmod(int(near[min(index, len(near) - 1)]), costs.shape[1])
     return x, y

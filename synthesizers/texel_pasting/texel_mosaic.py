@@ -73,9 +73,8 @@ class TexelMosaic:
             for step in NEIGHBORS:
                 there = chosen[column + 1 + step[0], row + 1 + step[1]]
                 if there >= 0:
-                    number, table = stock.zones[step]
-                    squares += table[:, there]
-                    points += number
+                    squares += stock.differences(step, int(there))
+                    points += stock.zone_size(step)
             limit = max(largest**2 * points, float(squares.min())) * (1 + 1e-9)
             able = np.flatnonzero(squares <= limit)
             chosen[column + 1, row + 1] = able[int(draw * len(able))]

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import distance
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 
 from .texel_shape import NEIGHBORS, Step, TexelShape
 
-_CHUNK = 1 << 20
+_CHUNK = 1 << 16
 """Number of points of the sample that are read at a time."""
+_KEPT = 1 << 22
+"""Number of differences that are kept, 32 MiB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,32 +62,59 @@ class TexelStock:
         middles = middles[holds(middles[:, np.newaxis] + shape.rim).all(1)]
         return cls(shape, middles, read)
 
-    @cached_property
-    def zones(self) -> dict[Step, tuple[int, NDArray[np.float64]]]:
-        """For each neighbor the points of the shared zone, and the sum of squared differences, ``(n, n)``.
+    def zone_size(self, step: Step) -> int:
+        """Return the number of points of the zone that a texel shares with the one at a step."""
+        return len(self._zones[min(step, _opposite(step))][0])
 
-        Row i, column j: texel i in place, texel j beside it. Differences are summed over points and averaged over
-        channels. All texels lie on the lattice, so that these numbers hold wherever two texels meet. O(n^2 zone).
+    def differences(self, step: Step, there: int) -> NDArray[np.float64]:
+        """Return how each texel differs from one beside it, in the zone that they share, ``(n,)``.
+
+        Squared differences are summed over the points of the zone and averaged over channels. All texels lie on the
+        lattice, so that these numbers hold wherever the two meet.
+
+        Parameters
+        ----------
+        step
+            From each texel to the one beside it.
+        there
+            The number of the texel beside it.
+
+        Notes
+        -----
+        The first call for a step and a texel takes O(n zone). At most :data:`_KEPT` numbers are kept for later calls;
+        n x n tables would take hundreds of MiB where the sample holds thousands of texels.
         """
-        found: dict[Step, tuple[int, NDArray[np.float64]]] = {}
+        return self._differences(step, there)
+
+    @cached_property
+    def _differences(self) -> Callable[[Step, int], NDArray[np.float64]]:
+        return lru_cache(max(1, _KEPT // max(len(self.middles), 1)))(self._compute_differences)
+
+    def _compute_differences(self, step: Step, there: int) -> NDArray[np.float64]:
+        """Compute :meth:`differences`; a step and its opposite share a zone, so that they agree on every pair."""
+        forward = min(step, _opposite(step))
+        points, own, other = self._zones[forward]
+        if not len(points):
+            return np.zeros(len(self.middles))
+        here, beside = (own, other) if step == forward else (other, own)
+        squares = distance.cdist(beside[there : there + 1], here, "sqeuclidean")[0]
+        return np.asarray(squares / (here.shape[1] // len(points)))
+
+    @cached_property
+    def _zones(self) -> dict[Step, tuple[Points, NDArray[np.float64], NDArray[np.float64]]]:
+        """For each forward step: points of the shared zone, their values in each texel, and in each as the other."""
+        zones = {}
         for step in NEIGHBORS:
-            back = (-step[0], -step[1])
-            if back in found:
-                found[step] = found[back][0], found[back][1].T
-                continue
-            points = self.shape.shared_zone(step)
-            if not len(points):
-                found[step] = 0, np.zeros((len(self.middles), len(self.middles)))
-                continue
-            own = self._values(points)
-            other = self._values(points - np.array(step) @ self.shape.lattice.matrix)
-            cross = (own**2).sum(1)[:, np.newaxis] + (other**2).sum(1) - 2 * own @ other.T
-            channels = own.shape[1] // len(points)
-            found[step] = len(points), np.maximum(cross, 0) / channels
-        return found
+            if step < _opposite(step):
+                points = self.shape.shared_zone(step)
+                beside = points - np.array(step) @ self.shape.lattice.matrix
+                zones[step] = points, self._values(points), self._values(beside)
+        return zones
 
     def _values(self, offsets: Points) -> NDArray[np.float64]:
         """Return the values of each texel at offsets ``(m, 2)`` from its middle, as ``(n, m C)``."""
+        if not len(offsets):
+            return np.zeros((len(self.middles), 0))
         step = max(1, _CHUNK // len(offsets))
         parts = [
             self.read(self.middles[first : first + step, np.newaxis] + offsets)
@@ -98,3 +128,7 @@ class TexelStock:
         """Mean square of the values on the rims."""
         values = self._values(self.shape.rim)
         return float((values**2).mean())
+
+
+def _opposite(step: Step) -> Step:
+    return -step[0], -step[1]

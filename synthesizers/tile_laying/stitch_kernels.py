@@ -187,13 +187,14 @@ def paste(
 
 
 @kernel(
-    "float64[::1](uint8[:, :, ::1], uint8[:, ::1], float32[:, :, ::1], uint8[::1], int64, int64[:, ::1], int64[:, ::1],"
-    " int64, int64)"
+    "float64[::1](uint8[:, :, ::1], uint8[:, ::1], float32[:, :, ::1],"
+    " Tuple((float32[:, ::1], float64[:, ::1])), uint8[::1], int64, int64[:, ::1], int64[:, ::1], int64, int64)"
 )
 def cut_tile(
     canvas: NDArray[np.uint8],
     filled: NDArray[np.uint8],
     seams: NDArray[np.float32],
+    weights: tuple[NDArray[np.float32], NDArray[np.float64]],
     source: NDArray[np.uint8],
     first: int,
     pixels: NDArray[np.int64],
@@ -210,6 +211,9 @@ def cut_tile(
     seams
         ``(H, W, 2)``: costs of the canvas's seams between each pixel and the next to its right, and below; changed to
         those with the tile. They count for pixels that stay, so that it pays to cover them.
+    weights
+        Table and numbers of :class:`~nrbench.synthesizers.tile_laying.tile_shape.ElementWeights`, for the canvas. A
+        table of one number stands for weights of 1.
     box
         ``(2, 2)``: the least and the greatest (x, y) of the tile's pixels.
 
@@ -245,6 +249,7 @@ def cut_tile(
             shown[k] = state[pixels[k, 1] - box[0, 1], pixels[k, 0] - box[0, 0]] == _EMPTY
         return shown
     across, down = link_costs(old, new, True, 1.0)
+    weigh_links(weights[0], weights[1], x0, y0, across, down)
     double_border(state, across, down)
     residual, terminal = link_graph(state, across, down, seams[y0 : y0 + height, x0 : x0 + width])
     tree = grow_trees(residual, terminal, width + 2)
@@ -256,6 +261,45 @@ def cut_tile(
         seams[y0 : y0 + height, x0 : x0 + width], filled[y0 : y0 + height, x0 : x0 + width], mask, across, down
     )
     return shown
+
+
+@kernel("void(float32[:, ::1], float64[:, ::1], int64, int64, float64[:, ::1], float64[:, ::1])")
+def weigh_links(
+    table: NDArray[np.float32],
+    to_cell: NDArray[np.float64],
+    x0: int,
+    y0: int,
+    across: NDArray[np.float64],
+    down: NDArray[np.float64],
+) -> None:
+    """Multiply the costs of links by the mean weight of their two pixels, read from a table over the cell.
+
+    Parameters
+    ----------
+    table, to_cell
+        As ``weights`` in :func:`cut_tile`.
+    x0, y0
+        The first pixel of the box in the canvas.
+    across, down
+        Costs of the links to the right ``(h, w - 1)`` and downward ``(h - 1, w)``; changed.
+    """
+    if table.size == 1:
+        return
+    height, width = across.shape[0], down.shape[1]
+    rows, columns = table.shape
+    weights = np.empty((height, width))
+    for y in range(height):
+        for x in range(width):
+            u = to_cell[0, 0] * (x0 + x) + to_cell[0, 1] * (y0 + y) + to_cell[0, 2]
+            v = to_cell[1, 0] * (x0 + x) + to_cell[1, 1] * (y0 + y) + to_cell[1, 2]
+            column, row = int((u - np.floor(u)) * columns + 0.5), int((v - np.floor(v)) * rows + 0.5)
+            weights[y, x] = table[row % rows, column % columns]
+    for y in range(height):
+        for x in range(width):
+            if x < width - 1:
+                across[y, x] *= (weights[y, x] + weights[y, x + 1]) / 2
+            if y < height - 1:
+                down[y, x] *= (weights[y, x] + weights[y + 1, x]) / 2
 
 
 @kernel("void(uint8[:, ::1], float64[:, ::1], float64[:, ::1])")

@@ -11,6 +11,7 @@ from nrbench.imaging.convert import Image
 
 from .choice_kernels import gather
 from .stitch_kernels import band_width, blend_weights, cut_tile, error_surface, paste, wide_seam
+from .tile_shape import ElementWeights
 from .tile_stock import Overlap, SampleCopy, Tiles, TileStock
 
 Stitch = Literal["dynamic", "graphcut"]
@@ -33,6 +34,8 @@ class TileCanvas:
         Width in px of the ramp where the two seams of a tile conflict; 0 cuts.
     stitch
         Two seams by dynamic programming, or one exact minimum cut of the overlap.
+    weights
+        How much the seams of minimum cuts count at each place of the cell. None: 1 everywhere.
 
     Attributes
     ----------
@@ -52,6 +55,7 @@ class TileCanvas:
         slope: int,
         feather: float,
         stitch: Stitch = "dynamic",
+        weights: ElementWeights | None = None,
     ) -> None:
         tile, images = stock.tile, stock.images
         self.shape, self.tile, self.images = shape, tile, images
@@ -63,6 +67,8 @@ class TileCanvas:
         self.filled = np.zeros(size, np.uint8)
         self.origins = np.zeros((*size, 3), np.float32)
         self.seams = np.zeros((*(size if stitch == "graphcut" else (0, 0)), 2), np.float32)
+        self.weights = np.ones((1, 1), np.float32) if weights is None else weights.table
+        self.to_cell = np.zeros((2, 3)) if weights is None else weights.numbers_from(-self.margin)
         x, y, row, column, border = tile.pixels.T
         self.pixels = np.ascontiguousarray(np.column_stack([x, y, (y * width + x) * channels, row, column, border]))
         x, y = np.moveaxis(tile.cells, -1, 0)
@@ -83,7 +89,16 @@ class TileCanvas:
         source, first = self.images.values[row], int(y * width + x) * channels
         if self.stitch == "graphcut":
             weights = cut_tile(
-                self.values, self.filled, self.seams, source, first, self.pixels, self.tile.box, left, top
+                self.values,
+                self.filled,
+                self.seams,
+                (self.weights, self.to_cell),
+                source,
+                first,
+                self.pixels,
+                self.tile.box,
+                left,
+                top,
             )
         else:
             surface = np.empty(self.tile.grid, np.float64)

@@ -7,6 +7,7 @@ import pytest
 from synthesis_cases import FRACTIONAL, noise, synthesize
 
 import nrbench
+from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
@@ -130,6 +131,14 @@ def test_bad_parameters_are_refused(parameters: dict[str, Any]) -> None:
     """A parameter out of range, or without effect, is an error that names it."""
     with pytest.raises(BadInput, match=next(iter(parameters)) if len(parameters) == 1 else "update"):
         RegularizedPatch(**parameters)
+
+
+def test_the_paper_with_the_deformation_kept_needs_another_update() -> None:
+    """The preset sets update, so the message about deform=keep names the update that removes the error."""
+    kept = {"preset": "paper", "deform": "keep"}
+    with pytest.raises(BadInput, match="choose update 'sample', also beside preset 'paper'"):
+        plugins.build("synthesizers", "regularized-patch", kept)
+    assert plugins.build("synthesizers", "regularized-patch", {**kept, "update": "sample"}).deform == "keep"
 
 
 def test_samples_without_texels_are_refused() -> None:

@@ -1,6 +1,7 @@
 """The shape, the borders and the choice of texels."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -88,20 +89,43 @@ def stock_of(image: np.ndarray, lattice: Lattice, zone: float = 4.0) -> TexelSto
     )
 
 
-def test_zone_tables_equal_brute_force() -> None:
-    """The table of each neighbor is the sum of squared differences of texels laid side by side."""
+def test_differences_of_neighbors_equal_brute_force() -> None:
+    """The difference from each neighbor is the sum of squared differences of texels laid side by side."""
     image = np.random.default_rng(0).random((70, 80, 3), np.float32)
     lattice = Lattice((16.0, 0.0), (0.0, 14.0))
     stock = stock_of(image, lattice)
     patches = Patches(image)
     for step in ((1, 0), (0, -1), (1, 1), (-1, 1)):
-        number, table = stock.zones[step]
         points = stock.shape.shared_zone(step)
-        assert number == len(points)
+        assert stock.zone_size(step) == len(points)
         for i, j in ((0, 1), (3, 2), (1, 1)):
             own = patches.read_points(stock.middles[i] + points)
             other = patches.read_points(stock.middles[j] + points - np.array(step) @ lattice.matrix)
-            assert table[i, j] == pytest.approx(float(((own - other) ** 2).sum() / 3), rel=1e-4, abs=1e-4)
+            assert stock.differences(step, j)[i] == pytest.approx(
+                float(((own - other) ** 2).sum() / 3), rel=1e-4, abs=1e-4
+            )
+
+
+def test_a_step_and_its_opposite_agree() -> None:
+    """Texel i with j at its right differs as j with i at its left, whether the numbers are kept or not."""
+    stock = stock_of(np.random.default_rng(0).random((70, 80, 3), np.float32), Lattice((16.3, 2.0), (-1.0, 14.2)))
+    for step in NEIGHBORS:
+        back = (-step[0], -step[1])
+        there = np.array([stock.differences(step, j) for j in range(len(stock.middles))])
+        assert np.array_equal(there.T, [stock.differences(back, i) for i in range(len(stock.middles))])
+        assert np.array_equal(there[0], stock.differences(step, 0))
+
+
+def test_memory_does_not_grow_with_the_square_of_the_texels() -> None:
+    """2500 texels take less than 80 MiB; tables of all pairs would take 190 MiB."""
+    image = np.random.default_rng(0).random((408, 408, 1), np.float32)
+    tracemalloc.start()
+    stock = stock_of(image, Lattice((8.0, 0.0), (0.0, 8.0)), 3.0)
+    TexelMosaic.grow(stock, (np.zeros(2), np.full(2, 300.0)), 0.1, np.random.default_rng(0), lambda done: None)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(stock.middles) > 2400
+    assert peak < 80 << 20
 
 
 @given(st.integers(0, 50))
@@ -119,8 +143,8 @@ def test_texels_are_drawn_within_d_max(seed: int) -> None:
         for step in NEIGHBORS:
             there = standing[column + 1 + step[0], row + 1 + step[1]]
             if there >= 0:
-                points += stock.zones[step][0]
-                squares += stock.zones[step][1][:, there]
+                points += stock.zone_size(step)
+                squares += stock.differences(step, int(there))
         chosen = mosaic.chosen[column, row]
         assert squares[chosen] <= max(largest**2 * points, squares.min()) * (1 + 1e-6)
         standing[column + 1, row + 1] = chosen

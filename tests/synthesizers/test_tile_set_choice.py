@@ -165,6 +165,7 @@ def test_every_parameter_changes_something() -> None:
         {"tile": "upright"}, {"tile": "rectangle"}, {"tile": "lattice"}, {"cells": 2}, {"quantile": 0.1},
         {"threshold": 30.0}, {"registration": 3.0}, {"parts": 3}, {"margin": 0.0},
         {"stitch": "dynamic"}, {"anchor": "quiet"}, {"anchor": "given"}, {"symmetry": True},
+        {"follow": False},
     ]  # fmt: skip
     for change in changes:
         assert (made(**change) != base).any(), change

@@ -10,7 +10,7 @@ from nrbench.api import texture
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
-from nrbench.synthesizers.tile_laying.tile_shape import element_costs, tile_shape
+from nrbench.synthesizers.tile_laying.tile_shape import ElementWeights, element_costs, tile_shape
 from nrbench.synthesizers.tile_set import LEAST_SIDE, TileLaying, TileSet
 
 LATTICES = [Lattice((24.3, 0.0), (0.0, 21.7)), Lattice((14.2, 12.7), (14.2, -12.7)), Lattice((23.4, 5.1), (-5.1, 23.4))]
@@ -111,3 +111,73 @@ def test_elements_of_slight_departures_are_found(model: str, most: float, color:
         costs, anchors = element_costs(quantize(drawn.image), Lattice(drawn.lattice.t1, drawn.lattice.t2))
         off = drawn.lattice.wrap(anchors[costs.argmin()] - drawn.lattice.origin)
         assert np.hypot(*off) < most, (seed, off)
+
+
+def joined_bricks(seed: int, shape: tuple[int, int], size: tuple[int, int], method: TileSet, **wall: float) -> float:
+    """Return the share of the bricks in the output 5 % of which or more come from a second brick of the sample."""
+    wall = {"width": 27.3, "height": 12.2, "joint": 2.2, **wall}
+    drawn = texture("brick", shape, seed, **wall)
+    assert drawn.lattice is not None
+    lattice = Lattice(drawn.lattice.t1, drawn.lattice.t2)
+    source = method.synthesize(Task(quantize(drawn.image), size, lattice, np.random.default_rng(seed))).source
+    assert source is not None
+
+    def bricks(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        x, y = x - drawn.lattice.origin[0], y - drawn.lattice.origin[1]
+        row = np.rint(y / wall["height"])
+        small = row % wall["small_every"] == 0 if "small_every" in wall else np.zeros(row.shape, np.bool_)
+        width = np.where(small, wall["width"] / 2, wall["width"])
+        x = x - row * wall["width"] / 2
+        column = np.rint(x / width)
+        inside = (np.abs(x - column * width) < width / 2 - wall["joint"] / 2 - 1) & (
+            np.abs(y - row * wall["height"]) < (wall["height"] - wall["joint"]) / 2 - 1
+        )
+        return ((row + 500) * 1000 + column + 500).astype(np.int64), inside
+
+    y, x = np.indices(size).astype(np.float64)
+    places, inside = bricks(x, y)
+    origins = bricks(*np.moveaxis(source[..., :2].astype(np.float64), -1, 0))[0]
+    joined = []
+    for place in np.unique(places[12:-12, 16:-16]):
+        counts = np.unique(origins[inside & (places == place)], return_counts=True)[1]
+        if counts.sum() > 40:
+            joined.append(counts.max() < 0.95 * counts.sum())
+    return float(np.mean(joined))
+
+
+@pytest.mark.parametrize("color", [0.05, 0.3])
+def test_seams_follow_joints_between_like_bricks(color: float) -> None:
+    """On mild walls at most one brick in 200 is joined of two; without the weights of elements many more are."""
+    followed, plain = (
+        np.mean([joined_bricks(seed, (128, 128), (256, 256), method, color=color) for seed in range(700, 703)])
+        for method in (TileSet(), TileSet(follow=False))
+    )
+    assert followed <= 0.005
+    assert color > 0.1 or plain > 0.01
+
+
+def test_bricks_as_wide_as_the_cell_stay_whole() -> None:
+    """Where a cell is one brick wide and six courses high, automatic tiles join few bricks; one cell joins more."""
+    wall = {"width": 22.7, "height": 9.3, "joint": 1.8, "small_every": 6, "color": 0.15, "intensity": 0.2}
+    automatic, cell = (
+        np.mean([joined_bricks(seed, (192, 192), (240, 240), method, **wall) for seed in (3, 4)])
+        for method in (TileSet(), TileSet(tile="cell", follow=False))
+    )
+    assert automatic <= 0.04
+    assert cell > 2 * automatic
+
+
+def test_element_weights_are_least_at_joints() -> None:
+    """The weight in the middle of a brick is at least three times that at the joint between two."""
+    drawn = texture("brick", (160, 160), 5, width=27.3, height=12.2, joint=2.2, color=0.1)
+    assert drawn.lattice is not None
+    weights = ElementWeights.of(quantize(drawn.image), drawn.lattice)
+    rows, columns = weights.table.shape
+    numbers = weights.numbers_from(np.zeros(2))
+
+    def at(x: float, y: float) -> float:
+        u, v = numbers @ (x + drawn.lattice.origin[0], y + drawn.lattice.origin[1], 1)
+        return float(weights.table[round(v * rows) % rows, round(u * columns) % columns])
+
+    assert at(0, 0) > 3 * at(27.3 / 2, 0)
+    assert at(0, 0) > 3 * at(0, 12.2 / 2)
