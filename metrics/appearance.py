@@ -15,9 +15,10 @@ from scipy.stats import wasserstein_distance
 
 from nrbench.imaging.convert import Image, gray
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Column, Observation, Score, Value
+from nrbench.plugins.forms import Column, Observation, Score, Texture, Value
 
 from .ncc.periodic import tile_box
+from .residual_tiles.tiles import try_fresh
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 from .verdict.reference import FIRST_DRAW
 
@@ -35,6 +36,8 @@ _SPECTRUM_WINDOW = 64
 _ROUNDING_VARIANCE = 1 / 12 / 255**2
 _SCALES = (0.0, 1.0, 2.0, 4.0, 8.0)
 """Standard deviations in px of the Gaussians whose differences are the octave bands."""
+_SUBSAMPLED = 2.0
+"""Standard deviation of a Gaussian, over the distance of the samples, from which every second sample is left out."""
 _BLURRIEST = 0.01
 """The blurriest window is this quantile of all windows."""
 _WIDTH_IN_TILES, _WIDTH_WITHOUT_LATTICE, _LEAST_WIDTH, _WIDEST_SHARE = 1.5, 24.0, 8, 4
@@ -68,7 +71,7 @@ class Appearance:
     its border: ``extras["tile"]``, or the output itself if ``extras["tileable"]`` is not zero.
     """
 
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
     columns: ClassVar[Mapping[str, Column]] = {
         "color": _column("Sliced Wasserstein distance between the colors of output and fresh draws.", "values"),
         "gradient": _column(
@@ -118,9 +121,14 @@ class Appearance:
 
 
 def fresh_images(observation: Observation, number: int) -> list[Image]:
-    """Return up to ``number`` fresh draws of the output's shape; none of a photograph."""
+    """Return up to ``number`` fresh draws of the output's shape; none of a photograph.
+
+    The first ones are those that ``integrity`` and ``randomness`` use, too.
+    """
     shape = (observation.output.shape[0], observation.output.shape[1])
-    draws = [observation.again(shape, _FIRST_DRAW + k) for k in range(number)] if observation.again else []
+    draws: list[Texture | None] = [*observation.shared(try_fresh)[:number]]
+    if observation.again is not None:
+        draws += [observation.again(shape, _FIRST_DRAW + k) for k in range(len(draws), number)]
     return [draw.image for draw in draws if draw is not None]
 
 
@@ -225,16 +233,24 @@ def _window_width(lattice: Lattice | None, side: int) -> int:
 def _local_energies(image: Image, width: int) -> NDArray[np.float32]:
     """Return the mean energy of each of four octave bands in windows of ``width`` px, ``(4, rows, columns)``.
 
-    Windows lie inside the image, a quarter of their width apart. The variance of rounding to 8 bits is added.
+    Windows lie inside the image, a quarter of their width apart. Coarse bands are computed on every second or
+    fourth pixel, where next to nothing of them is lost. The variance of rounding to 8 bits is added.
     """
-    plane = gray(image)
-    smooth = [plane if s == 0 else ndimage.gaussian_filter(plane, s, mode="reflect") for s in _SCALES]
-    bands = [(fine - coarse) ** 2 for fine, coarse in itertools.pairwise(smooth)]
-    rows, columns = (slice(width // 2, side - width // 2, max(width // 4, 1)) for side in plane.shape)
-    means = [
-        ndimage.uniform_filter1d(ndimage.uniform_filter1d(band, width, 0)[rows], width, 1)[:, columns] for band in bands
-    ]
-    return np.stack(means) + np.float32(_ROUNDING_VARIANCE)
+    fine, step, energies = gray(image), 1, []
+    for near, far in itertools.pairwise(_SCALES):
+        coarse = ndimage.gaussian_filter(fine, math.sqrt(far**2 - near**2) / step, mode="reflect")
+        band, own = (fine - coarse) ** 2, max(width // step, 1)
+        means = ndimage.uniform_filter1d(ndimage.uniform_filter1d(band, own, 0), own, 1)
+        rows, columns = (
+            np.minimum(np.arange(width // 2, side - width // 2, max(width // 4, 1)) // step, last)
+            for side, last in zip(image.shape[:2], np.array(band.shape) - 1, strict=True)
+        )
+        energies.append(means[np.ix_(rows, columns)])
+        if far >= _SUBSAMPLED * step:
+            fine, step = coarse[::2, ::2], 2 * step
+        else:
+            fine = coarse
+    return np.stack(energies) + np.float32(_ROUNDING_VARIANCE)
 
 
 def _sharpness(output: NDArray[np.float32], references: list[NDArray[np.float32]]) -> tuple[float, float]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +16,8 @@ from nrbench.imaging.convert import Image, gray, quantize
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Column, Observation, Score
 
-from .residual_tiles.tiles import draw_fresh, measure_fresh, offset_noise
+from .residual_tiles.dependence import sum_variance
+from .residual_tiles.tiles import align_middles, draw_fresh, find_middles, measure_fresh, offset_noise
 from .verdict.examination import examine
 from .verdict.exponential_tail import ExponentialTail
 from .verdict.measurements import Measurements
@@ -106,7 +107,9 @@ class Integrity:
     score is ``1 - b = 1 - (c - q) / (p - q)``, between 0 and 1. It corrects for broken elements that the test misses
     and for whole ones that it counts. The limit is the one with the largest ``p - q``, which is ``detection_power``. q
     is the share of fresh elements above the limit. It is larger for few elements, so that a fresh draw scores less than
-    0.95 with a probability of about 0.002 only, if its elements are independent; windows of one thread are not.
+    0.95 with a probability of about 0.002 only. Windows of one thread are not independent. In fresh draws the variance
+    of the number of windows above the limit is measured (:func:`~.residual_tiles.dependence.sum_variance`), and windows
+    count in clumps of the size that explains it.
     Elements whose power is below 0.1 are not judged: their parts have no tone of their own, or too few are known.
     Without a model the power must also be so large that 12 elements would be detected if all were broken.
 
@@ -134,7 +137,7 @@ class Integrity:
     regions that vary together have little power, tiles take the place of elements.
     """
 
-    version: ClassVar[str] = "8"
+    version: ClassVar[str] = "9"
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
             "1 = elements as whole as in fresh draws, 0 = no element whole; corrected for those that are missed.",
@@ -264,6 +267,9 @@ class LearnedElements:
         ``(C, k)``: the axes of color.
     usual
         Share of the whole windows below the limit at which the power is stated.
+    images
+        For each fresh draw, the numbers ``(n, 2)`` of the cells of its windows, and their evidence. Without a model
+        there are none.
     """
 
     elements: list[Element]
@@ -273,6 +279,7 @@ class LearnedElements:
     cell_area: float
     colors: Points
     usual: float = _CALM
+    images: tuple[tuple[NDArray[np.int64], Levels], ...] = ()
 
     @property
     def power(self) -> float:
@@ -316,13 +323,16 @@ def find_broken(verdict: Verdict, observation: Observation) -> BrokenTiles | str
     """
     if verdict.lack_of_power:
         return f"undecided: {verdict.lack_of_power}"
-    learned = learn_references(verdict.reference, observation, offset_noise(verdict.references))
+    noise = offset_noise(verdict.references)
+    learned = learn_references(verdict.reference, observation, noise)
     if isinstance(learned, str):
         return learned
     if not learned:
         return BrokenTiles.none()
-    output = Cutter.from_measurements(verdict.output, offset_noise(verdict.references))
-    output = output.project_colors(learned[0].colors)
+    # Fresh draws are cut as the output is: on the lattice if the content is not displaced.
+    displaced = verdict.reference.source == "sample" or _is_displaced(observation)
+    middles = find_middles(verdict.output, noise) if displaced else align_middles(verdict.output, verdict.references)
+    output = Cutter.from_measurements(verdict.output, middles).project_colors(learned[0].colors)
     evidence = []
     for one in learned:
         windows = [_select_in_place(output.cut(element), verdict) for element in one.elements]
@@ -355,8 +365,9 @@ def learn_references(reference: Reference, observation: Observation, noise: Poin
     """
     if reference.source == "sample":
         return _learn_sample(reference, observation.sample, noise)
-    if observation.truth is not None and observation.truth.displacement is not None:
-        cutters = [Cutter.from_measurements(one, noise) for one in observation.shared(measure_fresh)]
+    if _is_displaced(observation):
+        measured = observation.shared(measure_fresh)
+        cutters = [Cutter.from_measurements(one, find_middles(one, noise)) for one in measured]
     else:
         draws = observation.shared(draw_fresh)
         cutters = [Cutter(quantize(draw.image), reference.lattice) for draw in draws]
@@ -364,21 +375,32 @@ def learn_references(reference: Reference, observation: Observation, noise: Poin
     if len(colors) != observation.output.shape[2]:
         return "undecided: the references hold no whole cell"
     cutters = [cutter.project_colors(colors) for cutter in cutters]
-    groups = find_elements(cutters)
+    groups: list[list[Element]] = []
+    learned: list[LearnedElements] = []
+    for grain in (False, True):
+        groups = find_elements(cutters, grain=grain) or groups
+        learned = [one for group in groups if (one := _learn(cutters, group, colors)) is not None] or learned
+        if any(one.power >= LEAST_POWER for one in learned):
+            break
     if not groups:
         return []
-    learned = [one for group in groups if (one := _learn(cutters, group, colors)) is not None]
     return learned or f"undecided: the references hold fewer than {_PARTS} x {_LEAST_REFERENCES} whole elements"
+
+
+def _is_displaced(observation: Observation) -> bool:
+    """Return whether the model displaces the content of its draws."""
+    return observation.truth is not None and observation.truth.displacement is not None
 
 
 def _learn(cutters: list[Cutter], elements: list[Element], colors: Points) -> LearnedElements | None:
     """Return what fresh draws show of elements; None if they hold too few of them."""
     box = elements[0].box
-    halves = [_Half([], [], []) for _ in range(_PARTS)]
+    halves = [_Half([], [], [], []) for _ in range(_PARTS)]
     for number, cutter in enumerate(cutters):
         for element in elements:
             windows = cutter.cut(element)
-            halves[number % _PARTS].add(cutter, windows, subtract_mean(windows.values))
+            numbers = element.numbers(windows.middles, cutter.lattice)
+            halves[number % _PARTS].add(cutter, windows, numbers, subtract_mean(windows.values))
     overlap = max(len(elements) * box.area / cutters[0].lattice.area, 1.0)
     if min(half.count for half in halves) / overlap < _LEAST_REFERENCES:
         return None
@@ -391,7 +413,12 @@ def _learn(cutters: list[Cutter], elements: list[Element], colors: Points) -> Le
         learned = _discriminate(elements, altered, floor, area, colors)
         if learned.power >= _ENOUGH_POWER:
             break
-    return learned
+    images = [
+        image
+        for half, (test, level) in zip(halves, learned.discriminants, strict=True)
+        for image in half.evidence(test, level)
+    ]
+    return replace(learned, whole=np.concatenate([levels for _, levels in images]), images=tuple(images))
 
 
 def _discriminate(
@@ -418,7 +445,7 @@ def _learn_sample(reference: Reference, sample: Image, noise: Points) -> list[Le
     missed more often than found: elements that have no tone are not found by their tones.
     """
     measured = Measurements.at(sample, reference.periodic, reference.prepare_image(sample))
-    cutter = Cutter.from_measurements(measured, noise)
+    cutter = Cutter.from_measurements(measured, find_middles(measured, noise))
     colors = find_color_axes([cutter])
     if len(colors) != sample.shape[2]:
         return "undecided: the sample holds no whole cell"
@@ -473,22 +500,34 @@ def _learn_joints(cutter: Cutter, elements: list[Element], colors: Points) -> Le
 
 @dataclass(frozen=True)
 class _Half:
-    """Windows of one half of the fresh draws, from each image and around each element, and their departures."""
+    """Windows of one half of the fresh draws, from each image and around each element.
+
+    Their departures and the numbers of their cells lie beside them.
+    """
 
     cutters: list[Cutter]
     windows: list[Windows]
+    numbers: list[NDArray[np.int64]]
     rows: list[Rows]
 
     @property
     def count(self) -> int:
         return sum(map(len, self.rows))
 
-    def add(self, cutter: Cutter, windows: Windows, rows: Rows) -> None:
+    def add(self, cutter: Cutter, windows: Windows, numbers: NDArray[np.int64], rows: Rows) -> None:
         """Add windows around one element."""
         if len(rows):
             self.cutters.append(cutter)
             self.windows.append(windows)
+            self.numbers.append(numbers)
             self.rows.append(rows)
+
+    def evidence(self, test: Discriminant | JointTest, level: float) -> Iterator[tuple[NDArray[np.int64], Levels]]:
+        """Yield for each image the numbers of the cells of its windows, and their evidence over ``level``."""
+        for image in dict.fromkeys(self.cutters):
+            own = [number for number, cutter in enumerate(self.cutters) if cutter is image]
+            levels = test.evidence(np.concatenate([self.rows[number] for number in own])) / level
+            yield np.concatenate([self.numbers[number] for number in own]), levels
 
     def whole_tiles(self, box: Box) -> WholeTiles:
         """Return at most as many windows as are needed, and the moments of their alterations."""
@@ -565,12 +604,15 @@ class _Surprisals:
         Number of windows that contain the same pixel.
     references
         Number of whole windows of the references.
+    images
+        As in :class:`LearnedElements`, with surprisals in place of the evidence.
     """
 
     output: Levels
     composite: Levels
     overlap: float
     references: int
+    images: tuple[tuple[NDArray[np.int64], Levels], ...]
 
     @classmethod
     def of(cls, evidence: _Evidence) -> _Surprisals:
@@ -579,11 +621,24 @@ class _Surprisals:
         output, composite = (
             tail.surprisal(levels) + math.log(len(levels)) for levels in (evidence.output, learned.composite)
         )
-        return cls(output, composite, learned.overlap, len(learned.whole))
+        images = tuple((numbers, tail.surprisal(one) + math.log(len(one))) for numbers, one in learned.images)
+        return cls(output, composite, learned.overlap, len(learned.whole), images)
 
     def power(self, rate: float) -> float:
         """Return the share of composite windows that are counted at a rate of false alarms."""
         return float((self.composite > -math.log(rate)).mean())
+
+    def clump(self, rate: float) -> float:
+        """Return the number of windows that count as one: the variance over the mean of the number beyond a limit.
+
+        It is measured in the fresh draws, and is at least the number of windows that contain the same pixel.
+        """
+        variance = beyond = 0.0
+        for numbers, surprisals in self.images:
+            above = surprisals > -math.log(rate)
+            variance += sum_variance(numbers, above.astype(np.float64) - rate)
+            beyond += float(above.sum())
+        return max(self.overlap, variance / beyond) if beyond else self.overlap
 
 
 @dataclass(frozen=True)
@@ -610,10 +665,10 @@ class _Limit:
         """Return the limit with a given rate.
 
         The number of whole windows beyond it has a negative binomial distribution: Poisson's, with a rate that is known
-        from a number of references. Windows that overlap are counted together.
+        from a number of references. Windows are counted in clumps, see :meth:`_Surprisals.clump`.
         """
         sizes = np.array([len(group.output) for group in groups], np.float64)
-        clump = float(sizes @ [group.overlap for group in groups] / sizes.sum())
+        clump = float(sizes @ [group.clump(rate) for group in groups] / sizes.sum())
         power = float(sizes @ [group.power(rate) for group in groups] / sizes.sum())
         known = rate * sum(group.references for group in groups) / clump
         mean = rate * sizes.sum() / clump

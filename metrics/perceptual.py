@@ -37,7 +37,7 @@ class Perceptual:
     weights; scoring never downloads them. Without packages and weights the column is empty.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
         "dists": Column(
             "DISTS distance between output and fresh draws, over that between fresh draws.",

@@ -42,7 +42,7 @@ class Portilla:
     seconds.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
         "distance": Column(
             "Root mean squared z-score of texture statistics against fresh draws, over that of a fresh draw.",

@@ -14,6 +14,7 @@ from nrbench.imaging.convert import mean_channels
 from nrbench.imaging.fold import Values
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
+from .residual_tiles.dependence import sum_variance
 from .residual_tiles.distance import measure_distances
 from .residual_tiles.repetition import SIZES, Twins, copied_share, count_sources, find_twins
 from .residual_tiles.tiles import ComparedTiles, TileSet, part_starts, quarters
@@ -25,8 +26,9 @@ _LEAST_VARIANCE = (2 / 255) ** 2
 """Departures weaker than two gray levels (of 8 bits) cannot be told from rounding and resampling."""
 _LEAST_COLOR = (1 / 255) ** 2
 """Mean colors that vary by less than a gray level (of 8 bits) are not compared."""
-_LEAST_TOLERANCE = 0.1
-"""Tolerance of the logarithm of the variation, at least: differences of 10 % are not visible."""
+_LEAST_TOLERANCE, _DEVIATIONS = 0.1, 3.0
+"""Tolerance of the logarithm of the variation: at least 0.1, because differences of 10 % are not visible, and at least
+three standard deviations over fresh draws, which one of 370 exceeds."""
 _RESOLUTION = 5.0
 """Twins that are less frequent than one fifth of those of the best copier cannot be told from chance."""
 _OUTLYING = 4.5
@@ -65,17 +67,17 @@ class Randomness:
 
     ``score`` is the smallest of three numbers, each 1 for a fresh draw and 0 for one tile repeated:
 
-    - the smaller over the larger variation of output and fresh draws, beyond a tolerance of twice the scatter of fresh
-      draws (see :class:`Energies`);
+    - the smaller over the larger variation of output and fresh draws, beyond a tolerance of three standard deviations
+      over fresh draws (see :class:`Energies`);
     - the logarithm of the effective number of different windows, over that of a fresh draw (see
       :func:`score_repetition`);
-    - 1 less the distance.
+    - 1 less the distance, beyond what chance explains (see :class:`~.residual_tiles.distance.Distance`).
 
     For a photograph the sample replaces the fresh draws. Energies are then compared in boxes as large as the smaller of
     sample and output, each about its own mean tile. Randomness is not scored where regularity is lost.
     """
 
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
             "The worst of variation, repetition and distance: 1 as a fresh draw, 0 one tile repeated.", better="higher"
@@ -134,7 +136,7 @@ def score_tiles(observation: Observation, verdict: Verdict) -> Score:
     parts = {
         "variation": energies.score,
         "repetition": score_repetition(narrow, len(tiles.output)),
-        "distance": float(np.clip(1 - max(distances.values()), 0, 1)),
+        "distance": 1 - max(one.excess for one in distances.values()),
     }
     if verdict.geometry_score is not None:
         parts["geometry"] = verdict.geometry_score
@@ -145,7 +147,7 @@ def score_tiles(observation: Observation, verdict: Verdict) -> Score:
         "repetition": max((one.score for one in narrow), default=None),
         "repetition_wide": next((one.score for one in twins if one.size == 2), None),
         "copied": copied_share(tiles),
-        "distance": max(distances.values()),
+        "distance": max(one.value for one in distances.values()),
         "survival": survival,
     }
     reasons = {
@@ -157,7 +159,8 @@ def score_tiles(observation: Observation, verdict: Verdict) -> Score:
     }
     records: dict[str, Any] = {
         "parts_of_score": parts,
-        "distances": distances,
+        "distances": {name: one.value for name, one in distances.items()},
+        "tolerances_of_distances": {name: one.tolerance for name, one in distances.items()},
         **odd_shares,
         "reference": "fresh draws" if tiles.model else "sample",
         "tiles": len(tiles.output),
@@ -210,8 +213,8 @@ class Energies:
         Of all pixels.
     color, reference_color
         Of the tiles' mean colors, in output and reference.
-    fresh
-        Of all pixels, in each fresh draw, or in each half of the sample.
+    scatter
+        Standard deviation of the logarithm of the ratio of output to reference, over fresh draws.
     """
 
     output: float
@@ -219,7 +222,7 @@ class Energies:
     sample: float
     color: float
     reference_color: float
-    fresh: tuple[float, ...] = ()
+    scatter: float = 0.0
 
     @classmethod
     def of(cls, tiles: ComparedTiles) -> Energies:
@@ -230,8 +233,8 @@ class Energies:
         """
         output, color = _pooled_energy(tiles.blocks[0], tiles.weights)
         reference, reference_color = _pooled_energy(tiles.blocks[1], tiles.weights)
-        sample, *fresh = (_pooled_energy([one], tiles.weights)[0] for one in (tiles.sample, *tiles.fresh))
-        return cls(output, reference, sample, color, reference_color, tuple(fresh))
+        sample, _ = _pooled_energy([tiles.sample], tiles.weights)
+        return cls(output, reference, sample, color, reference_color, _scatter(tiles))
 
     @property
     def ratio(self) -> float:
@@ -240,9 +243,8 @@ class Energies:
 
     @property
     def tolerance(self) -> float:
-        """Tolerance of the logarithm of the ratio: twice its standard deviation over fresh draws, at least 0.1."""
-        logarithms = np.log(np.maximum(self.fresh, 1e-12)) - math.log(max(self.reference, 1e-12))
-        return max(2 * float(np.sqrt(np.mean(logarithms**2))), _LEAST_TOLERANCE) if self.fresh else _LEAST_TOLERANCE
+        """Tolerance of the logarithm of the ratio: three standard deviations over fresh draws, at least 0.1."""
+        return max(_DEVIATIONS * self.scatter, _LEAST_TOLERANCE)
 
     @property
     def score(self) -> float:
@@ -253,6 +255,29 @@ class Energies:
     def color_ratio(self) -> float | None:
         """The same for the mean colors; None if they hardly vary."""
         return None if self.reference_color < _LEAST_COLOR else self.color / self.reference_color
+
+
+def _scatter(tiles: ComparedTiles) -> float:
+    """Return the standard deviation of the logarithm of the energy of an output over that of the reference.
+
+    It is measured on the fresh draws, or the halves of the sample, in two ways, of which the larger counts: by the
+    covariances of the tiles of one line (:func:`~.residual_tiles.dependence.sum_variance`), and from image to image.
+    The latter sees what tiles share that do not lie on a line, but is measured on few images.
+    """
+    energies = [_tile_energies(one, tiles.weights) for one in tiles.fresh]
+    mean, size = float(np.mean(np.concatenate(energies))), float(np.mean([len(one) for one in energies]))
+    lines = [
+        sum_variance(one.numbers, own - mean) / len(own) ** 2 for one, own in zip(tiles.fresh, energies, strict=True)
+    ]
+    variance = max(float(np.mean(lines)), float(np.var([one.mean() for one in energies], ddof=1)))
+    images = size / len(tiles.output) + size / sum(map(len, tiles.reference))
+    return math.sqrt(variance * images) / max(mean, 1e-12)
+
+
+def _tile_energies(tiles: TileSet, weights: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the weighted mean squared departure of each tile, ``(n,)``."""
+    squares = mean_channels(tiles.departures**2).reshape(len(tiles), -1)
+    return np.asarray(squares @ (weights / weights.sum()).ravel(), np.float64)
 
 
 def _pooled_energy(sets: Iterable[TileSet], weights: NDArray[np.float32]) -> tuple[float, float]:

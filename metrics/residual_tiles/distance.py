@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.stats import chi2
 
 from nrbench.imaging.convert import mean_channels
 from nrbench.imaging.fold import Values
@@ -29,11 +31,46 @@ They are added, as standard deviations, to the variation of fresh draws."""
 _SHARE_OF_VARIANCE = 0.02
 """Share of the mean variance that is added to the variance of every direction of the part means."""
 _LEAST_VARIANCE = (1 / 255) ** 2
+_ALARMS, _FREEDOM = 0.003, 4
+"""Probability that the distance of a fresh draw exceeds the tolerance, and number of independent squares whose sum the
+statistic is in the worst case: there are four features of detail, and tiles of one thread vary together."""
+
+
+@dataclass(frozen=True)
+class Distance:
+    """Distance between the tiles of an output and those of fresh draws.
+
+    Parameters
+    ----------
+    value
+        The energy distance, less its mean between one fresh draw and the others.
+    usual
+        What chance alone contributes to the energy distance, mean over fresh draws: positive.
+    """
+
+    value: float
+    usual: float
+
+    @property
+    def tolerance(self) -> float:
+        """The value that a fresh draw exceeds with a probability of 0.003.
+
+        Without a difference of distributions the energy distance is a weighted sum of squares of nearly normal
+        numbers (Szekely and Rizzo, 2013). Its mean is known from fresh draws. Its upper limit is that of as few squares
+        as there can be: the fewer, the wider they scatter.
+        """
+        return float(chi2.isf(_ALARMS, _FREEDOM) / _FREEDOM - 1) * self.usual
+
+    @property
+    def excess(self) -> float:
+        """The value beyond chance, in [0, 1]: 0 up to the tolerance, the whole value from twice the tolerance on."""
+        share = (self.value - self.tolerance) / max(self.tolerance, 1e-9)
+        return float(np.clip(self.value, 0, 1) * np.clip(share, 0, 1))
 
 
 def measure_distances(
     output: TileSet, fresh: Sequence[TileSet], weights: NDArray[np.float32], mean: Values
-) -> dict[str, float]:
+) -> dict[str, Distance]:
     """Return the energy distance between the tiles of an output and those of fresh draws, by group of features.
 
     Each tile is described twice. *parts*: the mean departures of its 4 x 4 parts from the mean tile of its own image,
@@ -60,7 +97,7 @@ def measure_distances(
     Returns
     -------
     dict
-        ``parts`` and ``detail``; each may be slightly negative.
+        ``parts`` and ``detail``; each value may be slightly negative.
     """
     sets = [output, *fresh]
     parts = [_part_means(tiles, weights) for tiles in sets]
@@ -127,7 +164,7 @@ def _whitened(sets: list[Rows]) -> list[Rows]:
     return [rows @ whitening for rows in sets]
 
 
-def compare_sets(sets: list[Rows]) -> float:
+def compare_sets(sets: list[Rows]) -> Distance:
     """Return the energy distance of the first set to all others, less the mean of that of each of these to the rest."""
     start = np.cumsum([0, *(len(rows) for rows in sets)])
     rows = np.concatenate(sets)
@@ -135,15 +172,19 @@ def compare_sets(sets: list[Rows]) -> float:
     sums = np.add.reduceat(np.add.reduceat(lengths, start[:-1], 0, np.float64), start[:-1], 1)
     counts = np.array([len(rows) for rows in sets], np.float64)
 
-    def distance(one: int, others: list[int]) -> float:
-        # E|Y - Y'| is over pairs within each of the other sets, because each is a draw.
+    def distance(one: int, others: list[int]) -> tuple[float, float]:
+        # E|Y - Y'| is over pairs within each of the other sets, because each is a draw. The second number is what the
+        # distance of two draws of one distribution has on average if it is taken with the pairs of a tile with itself.
         between = float((sums[one, others] / counts[others]).mean() / counts[one])
         own = float(sums[one, one] / (counts[one] * (counts[one] - 1)))
         theirs = float((sums[others, others] / (counts[others] * (counts[others] - 1))).mean())
-        return (2 * between - own - theirs) / max(2 * between, 1e-12)
+        chance = own / counts[one] + theirs / counts[others].sum()
+        return (2 * between - own - theirs) / max(2 * between, 1e-12), chance / max(2 * between, 1e-12)
 
     fresh = list(range(1, len(sets)))
-    return distance(0, fresh) - float(np.mean([distance(k, [j for j in fresh if j != k]) for k in fresh]))
+    value, chance = distance(0, fresh)
+    usual = float(np.mean([distance(k, [j for j in fresh if j != k])[0] for k in fresh]))
+    return Distance(value - usual, max(usual + chance, 0.0))
 
 
 def _lengths(rows: Rows) -> NDArray[np.float32]:

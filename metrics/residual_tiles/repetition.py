@@ -18,8 +18,11 @@ from .tiles import ComparedTiles, TileSet, quarters
 Distances = NDArray[np.float32]
 SIZES = (0.5, 1.0, 2.0)
 """Widths of the compared windows, in tiles."""
-_MOST_TILES = 1200
-"""Largest number of tiles that are compared; if there are more, the central ones."""
+_MOST_TILES = 500
+"""Largest number of tiles that are compared with each other; if there are more, the central ones. They have 125,000
+pairs."""
+_MOST_COPIES = 300
+"""Largest number of tiles that are searched for in the sample; if there are more, evenly spaced ones."""
 _OF_COPIER = 0.1
 """Pairs are twins below the distance at which pairs of fresh draws are a tenth as frequent as twins of a copier."""
 _LEAST_PAIRS = 6
@@ -122,7 +125,7 @@ def find_twins(
 ) -> list[Twins]:
     """Return the twins among windows of each of :data:`SIZES` of which there are pairs.
 
-    For n tiles, at most 1200, this computes O(n^2) products of tiles.
+    For n tiles, at most 500, this computes O(n^2) products of tiles.
 
     Parameters
     ----------
@@ -202,7 +205,7 @@ def _nearest_in_sample(some: TileSet, tiles: ComparedTiles, inside: bool = False
     those of the sample, and each window is not compared with itself.
     """
     parts = zip(
-        quarters(some.tiles),
+        quarters(some.tiles[:: -(-len(some) // _MOST_COPIES) or 1]),
         tiles.windows,
         quarters(tiles.mean[np.newaxis]),
         quarters(tiles.weights[np.newaxis, ..., np.newaxis])[:, 0, ..., 0],

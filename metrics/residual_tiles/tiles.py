@@ -24,6 +24,8 @@ from ..verdict.verdict import Verdict
 _DRAWS, _MOST_DRAWS = 4, 12
 """Number of fresh draws for outputs of 256 x 256 px, and its upper limit. Smaller outputs get more draws, so that the
 number of tiles is about the same."""
+_LARGE, _FEW_DRAWS = 400**2, 3
+"""Area of an output, px, above which its own tiles are so many that fewer draws are enough, and their number."""
 _FIRST_DRAW = FIRST_DRAW + 1000
 """Fresh draws from this number on have the output's size; those below belong to regularity."""
 _ALIGNMENT = 0.4
@@ -94,6 +96,9 @@ class TileSet:
 
     def blocks(self, shape: Shape, extent: Shape) -> Iterator[TileSet]:
         """Yield the tiles in upright boxes of ``extent`` that cover an image of ``shape`` with least overlap."""
+        if shape == extent:
+            yield self
+            return
         starts = [
             np.linspace(0, max(side - length, 0), -(-side // length))
             for side, length in zip(shape, extent, strict=True)
@@ -289,14 +294,21 @@ def _cut_displaced(image: Measurements, references: tuple[Measurements, ...], gr
 
 def draw_fresh(observation: Observation) -> tuple[Texture, ...]:
     """Return fresh draws of the output's size, or none without a model. Metrics share them."""
+    draws = observation.shared(try_fresh)
+    if any(draw is None for draw in draws):
+        height, width = observation.output.shape[:2]
+        raise ValueError(f"the texture's model gave no fresh draw of {width}x{height} px")
+    return tuple(draw for draw in draws if draw is not None)
+
+
+def try_fresh(observation: Observation) -> tuple[Texture | None, ...]:
+    """Return what the texture gives as fresh draws of the output's size: None where it gives none."""
     again, shape = observation.again, observation.output.shape[:2]
     if again is None:
         return ()
-    count = int(np.clip(_DRAWS * 256**2 / (shape[0] * shape[1]), _DRAWS, _MOST_DRAWS))
-    draws = [again(shape, _FIRST_DRAW + k) for k in range(count)]
-    if any(draw is None for draw in draws):
-        raise ValueError(f"the texture's model gave no fresh draw of {shape[1]}x{shape[0]} px")
-    return tuple(draw for draw in draws if draw is not None)
+    area = shape[0] * shape[1]
+    count = _FEW_DRAWS if area > _LARGE else int(np.clip(_DRAWS * 256**2 / area, _DRAWS, _MOST_DRAWS))
+    return tuple(again(shape, _FIRST_DRAW + k) for k in range(count))
 
 
 def measure_fresh(observation: Observation) -> tuple[Measurements, ...]:

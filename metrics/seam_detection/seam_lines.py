@@ -49,10 +49,10 @@ def find_worst_lines(image: Image, lattice: Lattice | None) -> tuple[Line, Line]
     """Return the worst lines of an image: the one with the strongest step, and the one with the strongest gradient.
 
     The periodic part is subtracted first, so that rows of bricks are no seams. Then brightness and squared gradient are
-    summed along all lines by a discrete Radon transform, in O(N^2 log N): lines in every direction that start at any
-    pixel of the border and are at least half the image's side long. The step of a line is the difference between the
-    3 px on its right and the 3 px on its left. Its gradient is compared with that of 6 px on either side. Both are then
-    compared with those of parallel lines only, because some directions are rougher than others.
+    summed along all lines by a discrete Radon transform, in O(N^2 log N): lines in every direction, at most 1024, that
+    start at any pixel of the border and are at least half the image's side long. The step of a line is the difference
+    between the 3 px on its right and the 3 px on its left. Its gradient is compared with that of 6 px on either side.
+    Both are then compared with those of parallel lines only, because some directions are rougher than others.
 
     Parameters
     ----------

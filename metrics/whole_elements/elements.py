@@ -15,7 +15,6 @@ from nrbench.imaging.fold import Values, interpolate
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Shape
 
-from ..residual_tiles.tiles import find_middles
 from ..verdict.measurements import Measurements
 
 Bends = tuple[Points, Points]
@@ -26,6 +25,8 @@ _SAMPLES, _FEWEST, _MOST = 36, 3, 12
 """Number of samples of a window, and the least and largest number along each of its sides."""
 _GRID_SAMPLES, _GRID_STEP = 144, 1.5
 """Largest number of samples of a cell, and their least distance in px, where covariances are measured."""
+_COARSE = 2
+"""Factor by which the distance of these samples grows where grain hides the elements."""
 _ENOUGH_CELLS = 200
 """Number of cells from which no further image is used."""
 _HIGH = 0.5
@@ -109,6 +110,10 @@ class Element:
     place: Points
     box: Box
 
+    def numbers(self, middles: Points, lattice: Lattice) -> NDArray[np.int64]:
+        """Return the numbers ``(n, 2)`` of the cells to which elements with middles ``(n, 2)`` px belong."""
+        return np.rint(lattice.to_cell(middles) - self.place).astype(np.int64)
+
 
 @dataclass(frozen=True)
 class Windows:
@@ -148,19 +153,19 @@ class Cutter:
         self._tracked: tuple[cKDTree, Points] | None = None
 
     @classmethod
-    def from_measurements(cls, measurements: Measurements, noise: Points) -> Cutter:
+    def from_measurements(cls, measurements: Measurements, middles: Points) -> Cutter:
         """Return a cutter that follows the displacements of an image's tiles.
 
         Parameters
         ----------
         measurements
             The tiles of an image.
-        noise
-            2 x 2: covariance of tile offsets in images without displacements, px^2.
+        middles
+            ``(n, 2)``: middles (x, y) px of the content of its whole tiles.
         """
         tiles = measurements.tiles
         cutter, whole = cls(measurements.image, tiles.lattice), tiles.centers[tiles.whole]
-        cutter._tracked = cKDTree(whole), find_middles(measurements, noise) - whole
+        cutter._tracked = cKDTree(whole), middles - whole
         return cutter
 
     def project_colors(self, axes: Points) -> Cutter:
@@ -274,7 +279,7 @@ def tile_element(lattice: Lattice) -> Element:
     return Element(np.zeros(2), Box(sides, _count_samples(sides)))
 
 
-def find_elements(cutters: list[Cutter], least_area: float = 0.0) -> list[list[Element]]:
+def find_elements(cutters: list[Cutter], least_area: float = 0.0, grain: bool = False) -> list[list[Element]]:
     """Return the elements of a cell, in groups whose windows have one shape; none if no image contains a whole cell.
 
     An element is a region whose samples vary together from cell to cell: a brick, or a thread with its pieces on both
@@ -290,10 +295,14 @@ def find_elements(cutters: list[Cutter], least_area: float = 0.0) -> list[list[E
         Images without defects.
     least_area
         Least area of an element, over that of a cell.
+    grain
+        Whether the correlations are those beneath the grain. Grain that is stronger than the tones of the elements
+        hides them: no two samples correlate by more than a half. The samples are then twice as far apart, each the mean
+        of four times as many pixels, and their variances are taken without what they do not share with any neighbor.
     """
     if not any(len(cutter.cut_cells((1, 1))[0]) for cutter in cutters):
         return []
-    field = _CellCovariance.measure(cutters)
+    field = _CellCovariance.measure(cutters, grain)
     free, first, elements = np.ones(len(field.variance)), 0.0, []
     for _ in range(_MOST_ELEMENTS):
         energy = field.explained @ (free * field.variance)[field.index] * free
@@ -336,10 +345,10 @@ class _CellCovariance:
     explained: Correlations
 
     @classmethod
-    def measure(cls, cutters: list[Cutter]) -> _CellCovariance:
-        """Measure the covariances over all cells of some images."""
+    def measure(cls, cutters: list[Cutter], grain: bool = False) -> _CellCovariance:
+        """Measure the covariances over all cells of some images; with ``grain``, the correlations beneath the grain."""
         lattice = cutters[0].lattice
-        grid = _cell_grid(lattice)
+        grid = _cell_grid(lattice, _COARSE if grain else 1)
         cells: list[tuple[NDArray[np.int64], Values]] = []
         for cutter in cutters:
             if sum(len(numbers) for numbers, _ in cells) < _ENOUGH_CELLS:
@@ -365,14 +374,19 @@ class _CellCovariance:
         shifts = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), -1)
         around = (shifts[:, :, np.newaxis] + uv).reshape(-1, 2)
         covariance = (sums / np.maximum(counts, 1)[..., np.newaxis, np.newaxis]).transpose(2, 0, 1, 3)
-        variance = np.diagonal(covariance[:, 1, 1]).copy()
-        floored = variance + _VARIANCE_FLOOR * variance.mean() + 1e-9
-        rho = covariance.reshape(samples, -1) / np.sqrt(floored[:, np.newaxis] * np.tile(floored, 9))
-        rho[:, np.repeat(counts.ravel() < 2, samples)] = 0
+        total = np.diagonal(covariance[:, 1, 1]).copy()
+        variance = _shared_variance(covariance, total, grid) if grain else total
+        covariance = covariance.reshape(samples, -1)
+        covariance[:, np.repeat(counts.ravel() < 2, samples)] = 0
         near = (np.abs(around - uv[:, np.newaxis]) <= 1).all(-1)
-        background = np.median(rho, 1, keepdims=True)
-        chance = _CHANCE / np.sqrt(np.maximum(counts.max(), 1))
-        high = near & (rho >= background + np.maximum(_HIGH * (1 - background), min(chance, 0.8)))
+        rho, least = _correlations(covariance, variance)
+        chance = min(_CHANCE / float(np.sqrt(max(counts.max(), 1))), 0.8)
+        if not grain:
+            high = near & (rho >= least + np.maximum(_HIGH * (1 - least), chance))
+        else:
+            raw, background = _correlations(covariance, total)
+            high = near & (rho >= least + _HIGH * (1 - least)) & (raw >= background + chance)
+        rho = np.minimum(rho, 1)
         return cls(lattice, uv, around, np.tile(np.arange(samples), 9), variance, np.where(high, rho**2, 0.0))
 
     @property
@@ -397,10 +411,42 @@ class _CellCovariance:
         return Element(place, Box(sides, _count_samples(sides)))
 
 
-def _cell_grid(lattice: Lattice) -> tuple[int, int]:
+def _correlations(covariance: Correlations, variance: NDArray[np.float64]) -> tuple[Correlations, Correlations]:
+    """Return the correlations ``(p, 9 p)`` of samples with those of 3 x 3 cells, and the median of each, ``(p, 1)``."""
+    floored = variance + _VARIANCE_FLOOR * variance.mean() + 1e-9
+    rho = covariance / np.sqrt(floored[:, np.newaxis] * np.tile(floored, 9))
+    return rho, np.median(rho, 1, keepdims=True)
+
+
+def _shared_variance(
+    covariance: Correlations, variance: NDArray[np.float64], grid: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Return the variance of each sample of a cell without its grain, ``(p,)``.
+
+    Grain is what a sample shares with none of its neighbors. The rest of its variance is the largest of its covariances
+    with the four neighbors, one of which belongs to the same element.
+
+    Parameters
+    ----------
+    covariance
+        ``(p, 3, 3, p)``: covariances with the samples of 3 x 3 cells.
+    variance
+        ``(p,)``: variance of the samples, grain included.
+    grid
+        Rows and columns of samples.
+    """
+    rows, columns = grid
+    sheet = covariance.reshape(-1, 3, 3, rows, columns).transpose(0, 1, 3, 2, 4).reshape(-1, 3 * rows, 3 * columns)
+    sample = np.arange(rows * columns)
+    y, x = rows + sample // columns, columns + sample % columns
+    beside = [sheet[sample, y + down, x + along] for down, along in ((-1, 0), (1, 0), (0, -1), (0, 1))]
+    return np.asarray(np.clip(np.max(beside, 0), 0, variance))
+
+
+def _cell_grid(lattice: Lattice, coarse: int) -> tuple[int, int]:
     """Return the rows and columns of samples of a cell, evenly spaced."""
     lengths = np.hypot(*lattice.matrix.T)[::-1]
-    step = max(float(np.sqrt(lengths.prod() / _GRID_SAMPLES)), _GRID_STEP)
+    step = coarse * max(float(np.sqrt(lengths.prod() / _GRID_SAMPLES)), _GRID_STEP)
     rows, columns = np.maximum(np.floor(lengths / step + 1e-9), 2).astype(int)
     return int(rows), int(columns)
 

@@ -276,3 +276,34 @@ def test_the_joint_test_weighs_each_cut_by_the_tones_on_both_sides() -> None:
     step = np.where(np.arange(240) % 20 < 10, 0.1, -0.1)[np.newaxis]
     lit = JointTest.fit(cuts, rows[0], np.ones(1))
     assert lit.evidence(step)[0] < 0.1 * JointTest.fit(cuts, rows[0], None).evidence(step)[0]
+
+
+def test_elements_are_found_beneath_strong_grain() -> None:
+    """Where grain is twice as strong as the tones of hexagons, fresh draws are whole and 30 % two-tone tiles show."""
+    model = Hexagon(period=31.0, color=0.07, intensity=0.1, noise=0.055)
+    texture = model.render((128, 128), np.random.default_rng(0))
+    texture = replace(texture, image=quantize(texture.image))
+
+    def again(shape: tuple[int, int], k: int) -> Texture:
+        return model.again(texture, shape, np.random.default_rng((k, 7)))
+
+    task = Task(texture.image, (256, 256), texture.lattice, np.random.default_rng(1), again=again)
+    joined = plugins.build("synthesizers", "planted", {"kind": "two-tone", "size": 0.3}).synthesize(task).image
+    fresh, broken = (
+        integrity(Observation(texture.image, quantize(image), texture, again=again)).values
+        for image in (again((256, 256), 0).image, joined)
+    )
+    assert fresh["score"] > 0.95
+    assert fresh["detection_power"] > 0.5
+    assert broken["score"] == pytest.approx(0.7, abs=0.12)
+
+
+def test_windows_of_one_thread_count_as_one() -> None:
+    """If all windows of a row exceed a limit together, they count as one; if they exceed it independently, singly."""
+    rng = np.random.default_rng(0)
+    rows = np.repeat(np.arange(40), 10)
+    numbers = np.stack([np.tile(np.arange(10), 40), rows], 1)
+    for one_value, size in ((rng.random((4, 40))[:, rows], 10), (rng.random((4, 400)), 1)):
+        images = tuple((numbers, -np.log(values)) for values in one_value)
+        found = metrics.integrity._Surprisals(np.zeros(400), np.zeros(400), 1.0, 1600, images).clump(0.09)
+        assert found == pytest.approx(size, rel=0.35)

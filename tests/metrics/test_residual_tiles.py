@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice
+from nrbench.metrics.residual_tiles.dependence import sum_variance
 from nrbench.metrics.residual_tiles.distance import compare_sets, measure_distances
 from nrbench.metrics.residual_tiles.repetition import SIZES, Share, Twins, find_pairs, find_twins
 from nrbench.metrics.residual_tiles.tiles import TileSet, even_grid, quarters
@@ -176,7 +177,8 @@ def test_lags_are_the_same_both_ways() -> None:
 def distances(own: TileSet, fresh: tuple[TileSet, ...]) -> dict[str, float]:
     """Return the distances, with a wave across the tiles as mean tile."""
     wave = np.broadcast_to(np.sin(np.arange(16) * np.pi / 8)[:, np.newaxis, np.newaxis], (16, 16, 3))
-    return measure_distances(own, fresh, FLAT, np.asarray(wave, np.float32))
+    measured = measure_distances(own, fresh, FLAT, np.asarray(wave, np.float32))
+    return {name: one.value for name, one in measured.items()}
 
 
 def test_the_distance_of_one_distribution_is_zero() -> None:
@@ -201,7 +203,19 @@ def test_distances_follow_a_shift_as_stated() -> None:
     fresh = [rng.standard_normal((600, 1)).astype(np.float32) for _ in range(3)]
     for shift, expected in ((1, 0.2), (2, 0.45), (4, 0.7)):
         own = rng.standard_normal((600, 1)).astype(np.float32) + np.float32(shift)
-        assert compare_sets([own, *fresh]) == pytest.approx(expected, abs=0.03)
+        assert compare_sets([own, *fresh]).value == pytest.approx(expected, abs=0.03)
+        assert compare_sets([own, *fresh]).excess == pytest.approx(expected, abs=0.03)
+
+
+def test_chance_alone_is_no_distance() -> None:
+    """Of 200 further draws at most two have an excess, whether tiles are independent or all rows of tiles are equal."""
+    rng = np.random.default_rng(0)
+    for equal in (1, 10):
+        beyond = 0
+        for _ in range(200):
+            sets = [rng.standard_normal((60 // equal, 4)).repeat(equal, 0).astype(np.float32) for _ in range(5)]
+            beyond += compare_sets(sets).excess > 0.05
+        assert beyond <= 2
 
 
 def test_the_order_of_tiles_does_not_matter() -> None:
@@ -210,3 +224,16 @@ def test_the_order_of_tiles_does_not_matter() -> None:
     mixed = own.take(np.random.default_rng(0).permutation(len(own)))
     for name, value in distances(own, fresh).items():
         assert distances(mixed, fresh)[name] == pytest.approx(value, abs=1e-6)
+
+
+def test_the_variance_of_a_sum_counts_threads() -> None:
+    """The estimate is 1 to 1.6 times the variance of the sum over draws, for independent tiles, rows and diagonals."""
+    rng = np.random.default_rng(0)
+    u, v = (part.ravel() for part in np.meshgrid(np.arange(12), np.arange(12)))
+    numbers = np.stack([u, v], 1)
+    for line in (None, v, u + v):
+        draws = rng.standard_normal((300, 144))
+        if line is not None:
+            draws = 0.6 * draws + 0.8 * rng.standard_normal((300, 24))[:, line]
+        estimate = np.mean([sum_variance(numbers, one) for one in draws])
+        assert 0.9 < estimate / np.var(draws.sum(1)) < 1.7
