@@ -67,6 +67,7 @@ from nrbench.imaging.files import read_image
 from nrbench.metrics.integrity import Integrity
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Again, Shape
+from nrbench.running.progress import Step
 from nrbench.streams import stream
 from nrbench.suites.suite import load_suite, validated_suite
 
@@ -211,10 +212,10 @@ def run_folder(name: str, options: argparse.Namespace, size: str) -> Path:
     return Path(options.out) / f"{name}-{options.half}-{size}"
 
 
-def show_progress(done: int, total: int, what: str) -> None:
+def show_progress(step: Step) -> None:
     """Print a line for each hundredth cell."""
-    if done == total or not done % 100:
-        print(f"{done} of {total} cells", flush=True)
+    if step.done == step.total or not step.done % 100:
+        print(f"{step.done} of {step.total} cells", flush=True)
 
 
 def auc(low: pd.Series[float], high: pd.Series[float]) -> float:

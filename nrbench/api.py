@@ -17,11 +17,13 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, as_image, match_ndim, quantize
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.plugins.forms import Detection, Observation, Refused, Score, Shape, Synthesis, Task, Texture, Value
+from nrbench.running.guard import Limits
+from nrbench.running.guarded import LIMITS, plan_run
 from nrbench.running.phases import checked_synthesis, failure_reason, score_observation
-from nrbench.running.runner import Options, Progress, execute, working_metrics
+from nrbench.running.progress import Progress
+from nrbench.running.runner import Options, execute, working_metrics
 from nrbench.runs.records import Run
 from nrbench.streams import pixels_hash, stream
-from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
 
 Latticelike = Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None
@@ -247,9 +249,10 @@ def run(
         Other keys of the suite: ``seed``, ``replicates``, ``sample``, ``size``.
     """
     chosen = suite if isinstance(suite, Suite) else load_suite(Path(suite) if not isinstance(suite, str) else suite)
-    plan = make_plan(changed(chosen, methods, lattice, **changes), textures)
+    limits = Limits(options.timeout, options.memory) if options else LIMITS
+    plan = plan_run(changed(chosen, methods, lattice, **changes), textures, limits)
     root = Path(out) if out is not None else Path("runs") / chosen.name
-    return execute(plan, root, options, progress or (lambda done, total, what: None))
+    return execute(plan, root, options, progress or (lambda step: None))
 
 
 def changed(suite: Suite, methods: Sequence[str] = (), lattice: Sequence[str] = (), **changes: Any) -> Suite:

@@ -1,8 +1,13 @@
-"""The error for input that the user can correct."""
+"""The error for input that the user can correct, and the words for the errors of plugins."""
 
 from __future__ import annotations
 
+import errno
+import re
+import sys
+import traceback
 from collections.abc import Callable
+from pathlib import Path
 
 
 class BadInput(ValueError):
@@ -20,3 +25,40 @@ def checker(who: str) -> Callable[[bool, str], None]:
             raise BadInput(f"{who}: {message}")
 
     return check
+
+
+_CONTROL = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+_CALLERS = [Path(__file__).parent / folder for folder in ("running", "suites", "plugins")]
+_STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS) if sys.platform != "win32" else (errno.ENOSPC,)
+
+
+def strip_control(text: str) -> str:
+    """Return text without terminal escapes and control characters; line breaks and tabs stay."""
+    return _CONTROL.sub("", text.replace("\r\n", "\n"))
+
+
+def describe_error(error: BaseException) -> str:
+    """Return the type and the message of an error, and the line of the plugin that raised it.
+
+    The line is the last one in the first file that the modules which call plugins (:data:`_CALLERS`) have entered. The
+    message may itself raise an error.
+    """
+    try:
+        text = strip_control(str(error))
+    except BaseException as second:
+        text = f"its message raised {type(second).__name__}"
+    frames = traceback.extract_tb(error.__traceback__)
+    last = max((i for i, frame in enumerate(frames) if Path(frame.filename).parent in _CALLERS), default=-1)
+    own = [frame for frame in frames[last + 1 :] if last >= 0 and frame.filename == frames[last + 1].filename]
+    where = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
+    return f"{type(error).__name__}: {text}{where}"
+
+
+def storage_fault(error: BaseException) -> OSError | None:
+    """Return the error of a full, broken or read-only disk that is, or led to, an error; None if there is none."""
+    seen: BaseException | None = error
+    while seen is not None:
+        if isinstance(seen, OSError) and seen.errno in _STORAGE:
+            return seen
+        seen = seen.__cause__ or seen.__context__
+    return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,9 +14,12 @@ from numpy.typing import NDArray
 
 
 def write_aside(path: Path, write: Callable[[Path], object]) -> None:
-    """Call ``write`` with a temporary path beside ``path``, then rename that file: no reader sees a part of it."""
+    """Call ``write`` with a temporary path beside ``path``, then rename that file: no reader sees a part of it.
+
+    The temporary name is random, so that no link can wait there.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.stem}-{uuid.uuid4().hex[:8]}{path.suffix}")
+    aside = path.with_name(f".{path.stem[:80]}-{uuid.uuid4().hex}{path.suffix}")
     try:
         write(aside)
         aside.replace(path)
@@ -23,10 +27,27 @@ def write_aside(path: Path, write: Callable[[Path], object]) -> None:
         aside.unlink(missing_ok=True)
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a mapping as JSON, atomically. NaN and infinity raise ValueError; None means that a value is unknown."""
+def write_json(path: Path, content: Mapping[str, Any], durable: bool = False) -> None:
+    """Write a mapping as JSON, atomically. NaN and infinity raise ValueError; None means that a value is unknown.
+
+    Parameters
+    ----------
+    path, content
+        The file, and what it will hold.
+    durable
+        Whether the content is on the disk before the file gets its name, so that a loss of power leaves the old file
+        or the new one. This takes about 2 ms.
+    """
     text = json.dumps(content, indent=1, allow_nan=False, default=_plain) + "\n"
-    write_aside(path, lambda aside: aside.write_text(text, "utf-8"))
+
+    def write(aside: Path) -> None:
+        with aside.open("w", encoding="utf-8") as file:
+            file.write(text)
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
+
+    write_aside(path, write)
 
 
 def _plain(value: Any) -> Any:
@@ -38,10 +59,10 @@ def _plain(value: Any) -> Any:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Return the mapping in a JSON file; None where the file is missing or incomplete."""
+    """Return the mapping in a JSON file; None where the file is missing, incomplete or damaged."""
     try:
         content = json.loads(path.read_text("utf-8"))
-    except (FileNotFoundError, json.JSONDecodeError):
+    except (FileNotFoundError, ValueError, RecursionError):  # not UTF-8 and not JSON are both a ValueError
         return None
     return content if isinstance(content, dict) else None
 

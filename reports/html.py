@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import jinja2
 from markupsafe import Markup
 
+from nrbench.errors import strip_control
 from nrbench.labelling.labels import content_hash
 from nrbench.labelling.questions import ANSWERS, WHOLE_SCORE
 from nrbench.runs.records import CellRecord, Run
@@ -47,7 +48,7 @@ _LEVELS_WIDTH = 8.7
 """Width of the plot of levels, inches: three columns."""
 _FILTERS = (
     *("format_number", "format_percent", "format_signed", "format_interval", "format_count", "format_successes"),
-    *("format_limit", "describe_direction", "describe_column", "pluralize", "strip_control"),
+    *("format_limit", "describe_direction", "describe_column", "pluralize"),
 )
 
 
@@ -158,7 +159,8 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update({name: getattr(text_format, name) for name in _FILTERS}, score_shade=score_shade)
+    environment.filters.update({name: getattr(text_format, name) for name in _FILTERS})
+    environment.filters.update(score_shade=score_shade, strip_control=strip_control)
     return environment
 
 

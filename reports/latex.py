@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
@@ -24,7 +24,7 @@ from .statistics.comparison import (
     list_patch_terms,
 )
 from .statistics.estimates import Estimate
-from .statistics.format import format_interval, format_number, format_signed, strip_control
+from .statistics.format import format_interval, format_number, format_signed
 from .statistics.published import SENTENCE, FigureRow, PublishedComparison, compare_with_published
 from .statistics.verdicts import BASELINE_LEGEND, QUALITY, RANKING, SHARES_LEGEND
 

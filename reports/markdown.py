@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import jinja2
 
+from nrbench.errors import strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
@@ -71,4 +72,4 @@ def _environment() -> jinja2.Environment:
 
 def escape_markdown(text: str) -> str:
     """Return text on one line in which nothing is markup."""
-    return _ACTIVE.sub(r"\\\1", " ".join(text_format.strip_control(text).split()))
+    return _ACTIVE.sub(r"\\\1", " ".join(strip_control(text).split()))

@@ -15,7 +15,7 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
@@ -30,7 +30,7 @@ from .statistics.comparison import (
 )
 from .statistics.detections import DetectorSummary, compare_detectors
 from .statistics.estimates import Estimate
-from .statistics.format import format_number, format_percent, strip_control
+from .statistics.format import format_number, format_percent
 from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, SHARES_LEGEND
 
 _SUPERSCRIPT = str.maketrans("0123456789,", "⁰¹²³⁴⁵⁶⁷⁸⁹˒")

@@ -74,7 +74,8 @@ class Command:
         for word in shlex.split(self.run):
             file = shutil.which(word) or word
             if Path(file).is_file():
-                digest.update(Path(file).read_bytes())
+                with open(file, "rb") as content:  # noqa: PTH123
+                    digest.update(hashlib.file_digest(content, "blake2b").digest())
         return digest.hexdigest()
 
     def _words(self, task: Task, sample: Path, output: Path) -> list[str]:

@@ -82,11 +82,20 @@ def _listed(folder: Path, sample: Image) -> Iterator[Image]:
         return
     wanted = pixels_hash(sample)
     with index.open(newline="", encoding="utf-8-sig") as lines:
-        rows = csv.DictReader(lines)
-        if not {"sample", "output"} <= set(rows.fieldnames or ()):
+        rows, names = csv.DictReader(lines), ("sample", "output")
+        if not set(names) <= set(rows.fieldnames or ()):
             raise BadInput(f"{index}: columns {rows.fieldnames}; its first line must be sample,output")
         for row in rows:
             if not (row["sample"] and row["output"]):
                 raise BadInput(f"{index} line {rows.line_num}: has an empty field; name a sample and an output")
-            if pixels_hash(read_image(folder / row["sample"])) == wanted:
-                yield read_image(folder / row["output"])
+            paths = [_inside(folder, row[name], f"{index} line {rows.line_num}") for name in names]
+            if pixels_hash(read_image(paths[0])) == wanted:
+                yield read_image(paths[1])
+
+
+def _inside(folder: Path, name: str, where: str) -> Path:
+    """Return the path of a picture; raise BadInput if it is not in the folder, which may come from a stranger."""
+    path = (folder / name).resolve()
+    if not path.is_relative_to(folder):
+        raise BadInput(f"{where}: {name!r} is not in {folder}; put the picture there and give its path from there")
+    return path

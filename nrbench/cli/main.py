@@ -112,7 +112,7 @@ def _command_path(error: click.ClickException) -> str:
 
 
 def _report_exception(error: Exception, debug: bool) -> int:
-    from nrbench.errors import BadInput
+    from nrbench.errors import BadInput, describe_error
     from nrbench.plugins.forms import Refused
     from nrbench.running.phases import InvalidOutput
 
@@ -126,9 +126,11 @@ def _report_exception(error: Exception, debug: bool) -> int:
         return _print_error(f"the method {error}", 1)
     if isinstance(error, OSError):
         return _print_error(f"{error.filename or 'file'}: {error.strerror or error}", 2)
-    return _print_error(f"internal error: {type(error).__name__}: {error}; run with --debug for the traceback", 1)
+    return _print_error(f"internal error: {describe_error(error)}; run with --debug for the traceback", 1)
 
 
 def _print_error(message: str, code: int) -> int:
-    print(f"nrbench: {' '.join(message.split())}", file=sys.stderr)
+    from nrbench.errors import strip_control
+
+    print(f"nrbench: {' '.join(strip_control(message).split())}", file=sys.stderr)
     return code

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
+    from nrbench.running.progress import Step
     from nrbench.suites.plan import Plan
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -49,12 +50,14 @@ def _plan_options(command: F) -> F:
 def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
     from nrbench.api import changed
-    from nrbench.suites.plan import make_plan
+    from nrbench.running.guard import Limits
+    from nrbench.running.guarded import LIMITS, plan_run
     from nrbench.suites.suite import load_suite
 
     axes = {key: arguments[key] for key in ("sample", "size", "seed", "replicates")}
     suite = changed(load_suite(arguments["suite"]), arguments["methods"], arguments["lattice"], **axes)
-    return make_plan(suite, arguments["textures"]), arguments["out"] or Path("runs") / suite.name
+    limits = Limits(arguments.get("timeout", LIMITS.seconds), arguments.get("memory", LIMITS.mib))
+    return plan_run(suite, arguments["textures"], limits), arguments["out"] or Path("runs") / suite.name
 
 
 @click.command("run")
@@ -91,34 +94,54 @@ def run_command(**arguments: Any) -> int:
     import os
 
     from nrbench.cli.summary import print_summary, write_reports
+    from nrbench.running.progress import first_interrupt
     from nrbench.running.runner import Options, execute
 
     plan, root = _make_plan(arguments)
-    options = Options(
-        jobs=arguments["jobs"] if arguments["jobs"] is not None else os.cpu_count() or 1,
-        argv=["nrbench", *sys.argv[1:]],
-        **{key: arguments[key] for key in ("scheduler", "timeout", "memory", "retry_failed", "reuse")},
-    )
-    with _live_progress() as progress:
+    with _live_progress(arguments["as_json"]) as progress, first_interrupt(_tell_interrupted) as stop:
+        options = Options(
+            jobs=arguments["jobs"] if arguments["jobs"] is not None else os.cpu_count() or 1,
+            argv=["nrbench", *sys.argv[1:]],
+            stop=stop,
+            **{key: arguments[key] for key in ("scheduler", "timeout", "memory", "retry_failed", "reuse")},
+        )
         run = execute(plan, root, options, progress)
     written, broken = write_reports(run, tables_only=arguments["no_report"])
     failed = print_summary(run, written, arguments["as_json"])
     return int(failed or broken)
 
 
+def _tell_interrupted() -> None:
+    print("nrbench: the cells that are running will end; press Ctrl-C again to stop at once", file=sys.stderr)
+
+
 @contextmanager
-def _live_progress() -> Iterator[Callable[[int, int, str], None]]:
-    """Show progress on standard error: a live bar on a terminal, plain lines elsewhere."""
+def _live_progress(as_json: bool) -> Iterator[Callable[[Step], None]]:
+    """Show progress on standard error: a live bar on a terminal, plain lines elsewhere, JSON lines with ``--json``."""
+    if as_json:
+        yield lambda step: print(json.dumps({"event": "cell", **step.as_dict()}), file=sys.stderr, flush=True)
+        return
     if not sys.stderr.isatty():
-        yield lambda done, total, what: print(f"[{done}/{total}] {what}", file=sys.stderr, flush=True)
+        yield _print_step
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}", markup=False))
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}", markup=False))
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=None)
-        yield lambda done, total, what: bar.update(task, completed=done, total=total, description=what)
+        yield lambda step: bar.update(task, completed=step.done, total=step.total, description=_describe_step(step))
+
+
+def _print_step(step: Step) -> None:
+    left = f", {step.remaining_text}" if step.remaining_text else ""
+    print(f"[{step.done}/{step.total}] {step.text}{left}", file=sys.stderr, flush=True)
+
+
+def _describe_step(step: Step) -> str:
+    """Return the counts that are not zero, the time left, and the last cell."""
+    counts = [f"{count} {word}" for count, word in ((step.cached, "cached"), (step.failed, "failed")) if count]
+    return ", ".join([*counts, *filter(None, [step.remaining_text]), step.text])
 
 
 @click.command("plan")

@@ -12,9 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from nrbench import plugins
+from nrbench.errors import describe_error
+from nrbench.running.guarded import write_guarded
 from nrbench.running.runner import is_cached, metrics_of
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED, RunDirectory
+from nrbench.suites.cell import RESULTS_VERSION
 from nrbench.suites.plan import Plan
 from nrbench.suites.suite import size_text
 
@@ -29,8 +32,21 @@ def failures(run: Run) -> list[str]:
     return [line for record in run.cells for line in _failures_of(record)]
 
 
+def unfinished(run: Run) -> list[str]:
+    """Return one line for each cell without a result, which a run that has ended must not have."""
+    return [
+        f"{_where(record)}: has no result; something removed it: run the same command again"
+        for record in run.cells
+        if record.status == "missing"
+    ]
+
+
+def _where(record: CellRecord) -> str:
+    return f"{record.texture} / {record.method} ({record.lattice_source}, {record.key})"
+
+
 def _failures_of(record: CellRecord) -> list[str]:
-    where = f"{record.texture} / {record.method} ({record.lattice_source}, {record.key})"
+    where = _where(record)
     lines = [f"{where}: {record.status}: {record.message}"] if record.status in FAILED else []
     failed = {f"{name.partition('.')[0]}: {why}" for name, why in record.reasons.items() if why.startswith("failed:")}
     return lines + [f"{where}: {line}" for line in sorted(failed)]
@@ -40,6 +56,13 @@ def write_reports(
     run: Run, formats: str | None = None, tables_only: bool = False, labels: tuple[Path, ...] = ()
 ) -> tuple[list[Path], bool]:
     """Write the reports of a run in the given formats, or in all; return the paths, and whether any report failed."""
+    made_by = run.info.get("results_version")
+    if made_by != RESULTS_VERSION:
+        print(
+            f"nrbench: {run.root} was made by results version {made_by}, and this nrbench has {RESULTS_VERSION}: its "
+            "scores are left out; run the same command again, or use the nrbench that made it",
+            file=sys.stderr,
+        )
     loading = [plugin.name for plugin in plugins.inventory("reports") if plugin.cls is not None]
     written: list[Path] = []
     broken = False
@@ -47,11 +70,13 @@ def write_reports(
         folder = getattr(report, "folder", "report")
         if tables_only and folder != "tables":
             continue
+        own = plugins.find("reports", name).distribution == "nrbench"
         try:
-            written += [Path(path) for path in report.write(run, run.root / folder)]
+            files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder)
+            written += [Path(path) for path in files]
         except (Exception, SystemExit) as error:
             broken = True
-            print(f"nrbench: report {name} failed: {type(error).__name__}: {error}", file=sys.stderr)
+            print(f"nrbench: report {name} failed: {describe_error(error)}", file=sys.stderr)
     return written, broken
 
 
@@ -70,7 +95,7 @@ def print_summary(run: Run, written: list[Path], as_json: bool) -> bool:
         _print_terminal_reports(run)
         page = next((path for path in written if path.suffix == ".html"), None)
         print(f"report: {page.resolve()}" if page else f"tables: {(run.root / 'tables').resolve()}")
-    failed = failures(run)
+    failed = failures(run) + unfinished(run)
     for line in failed:
         print(f"nrbench: {line}", file=sys.stderr)
     return bool(failed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import uuid
 import warnings
 from pathlib import Path
 from typing import Any
@@ -132,7 +132,7 @@ def write_image(path: str | Path, image: Image) -> Path:
     pixels = to_bytes(image)
     chunks = PIL.PngImagePlugin.PngInfo()
     chunks.add(b"sRGB", b"\x00")
-    aside = target.with_name(f".{target.name}.{os.getpid()}.part")
+    aside = target.with_name(f".{target.name[:80]}.{uuid.uuid4().hex}.part")
     try:
         picture = PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
         picture.save(aside, "PNG", compress_level=1, pnginfo=chunks)

@@ -21,6 +21,10 @@ Points = NDArray[np.float64]
 """``float64 (..., 2)``: (x, y) in px, or (u, v) in cells."""
 
 
+LONGEST = 1e9
+"""px; the longest vector of a lattice: squares and products of longer ones may overflow."""
+
+
 @dataclass(frozen=True)
 class Lattice:
     """All points ``origin + a t1 + b t2`` for integers a, b.
@@ -46,6 +50,10 @@ class Lattice:
         for name in ("t1", "t2", "origin"):
             object.__setattr__(self, name, _check_vector(getattr(self, name), name))
         longest = max(math.hypot(*self.t1), math.hypot(*self.t2))
+        if longest > LONGEST or math.hypot(*self.origin) > LONGEST**2:
+            raise BadInput(
+                f"lattice: t1 {self.t1}, t2 {self.t2}, origin {self.origin} are not in px; no image is so large"
+            )
         if abs(self._determinant) <= 1e-6 * longest**2:
             raise BadInput(f"lattice: t1 {self.t1} and t2 {self.t2} are parallel or zero; give two independent vectors")
 

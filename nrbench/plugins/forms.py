@@ -186,6 +186,7 @@ SourceMap = NDArray[np.float32]
 """``float32 (H, W, 3)``: for each output pixel the (x, y) of the sample pixel that it was copied from, and the weight
 of that pixel in (0, 1]. Where several pixels were blended, the one of the largest weight. NaN where none was copied."""
 Value = float | bool | None
+Better = Literal["higher", "lower", "one", "none"]
 T = TypeVar("T")
 
 
@@ -458,7 +459,7 @@ class Column:
     meaning: str
     unit: str = ""
     range: tuple[float, float] = (0.0, 1.0)
-    better: Literal["higher", "lower", "one", "none"] = "none"
+    better: Better = "none"
 
 
 @dataclass(frozen=True)

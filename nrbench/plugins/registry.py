@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from nrbench.errors import BadInput
-from nrbench.plugins.forms import Column
+from nrbench.plugins.forms import Better, Column
 from nrbench.plugins.parameters import PRESET, converted, missing, nearest, validated
 
 
@@ -266,7 +266,17 @@ def _column_fault(kind: str, cls: Any) -> str:
     columns = getattr(cls, "columns", None)
     if not (isinstance(columns, Mapping) and columns and all(isinstance(c, Column) for c in columns.values())):
         return f"metric {cls.__name__!r} declares no columns; set `columns: ClassVar = {{name: Column(...)}}`"
+    wrong = next((name for name, column in columns.items() if not _is_column(name, column)), None)
+    if wrong is not None:
+        return f"metric {cls.__name__!r}: column {wrong!r} is not valid: {columns[wrong]}; see Column"
     return ""
+
+
+def _is_column(name: Any, column: Column) -> bool:
+    texts = all(isinstance(text, str) for text in (name, column.meaning, column.unit))
+    limits = isinstance(column.range, tuple) and len(column.range) == 2
+    numbers = limits and all(isinstance(limit, int | float) for limit in column.range)
+    return texts and numbers and column.range[0] <= column.range[1] and column.better in get_args(Better)
 
 
 def _preset_fault(kind: str, cls: Any) -> str:
@@ -317,12 +327,21 @@ def _file_plugins(file: Path, module: Any) -> list[Plugin]:
     for cls in vars(module).values():
         if not (inspect.isclass(cls) and cls.__module__ == module.__name__):
             continue
-        for kind, form in FORMS.items():
-            if callable(getattr(cls, form.method, None)):
-                name = getattr(cls, "name", cls.__name__.lower())
-                version = f"{getattr(cls, 'version', '0')}+{digest}"
-                found.append(Plugin(kind, str(name), cls, str(file), version, fault(kind, cls)))
+        for kind in _kinds_of(cls):
+            name = getattr(cls, "name", cls.__name__.lower())
+            version = f"{getattr(cls, 'version', '0')}+{digest}"
+            found.append(Plugin(kind, str(name), cls, str(file), version, fault(kind, cls)))
     return found
+
+
+def _kinds_of(cls: type[Any]) -> list[str]:
+    """Return the kinds of plugin that a class is, or is meant to be.
+
+    A class with all methods of a kind is of that kind. One that has only the first method of a kind is reported as a
+    broken plugin of it, unless it is complete as another kind.
+    """
+    has = {kind: [callable(getattr(cls, method, None)) for method in form.methods] for kind, form in FORMS.items()}
+    return [kind for kind in has if all(has[kind])] or [kind for kind in has if has[kind][0]]
 
 
 def _methods_wanted() -> str:

@@ -7,6 +7,8 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from threadpoolctl import threadpool_limits
+
 from nrbench.errors import BadInput
 from nrbench.running.supervisor import Job, close_all, run_job, run_job_here
 from nrbench.runs.store import Result
@@ -49,7 +51,9 @@ def executor(jobs: int, scheduler: str | None = None) -> Iterator[tuple[Executor
         with _cluster(scheduler) as cluster:
             yield cluster, run_job
     elif jobs == 0:
-        yield InProcess(), run_job_here
+        limit_threads: Any = threadpool_limits
+        with limit_threads(1):  # as in a worker: sums over several threads round otherwise
+            yield InProcess(), run_job_here
     else:
         pool = ThreadPoolExecutor(jobs, thread_name_prefix="cell")
         try:

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import cast
 
 import psutil
@@ -21,6 +22,10 @@ TICK = 0.02
 MEMORY_TICK = 0.1
 """Seconds between two checks of the memory of the child and its own children."""
 MIB = 1 << 20
+LONG_LOG, SHORT_LOG = 16 << 20, 1 << 20
+"""Bytes of a log above which it is cut, and bytes that are kept of it."""
+MARK = "NRBENCH_RUN"
+"""Environment variable that holds a mark of the process that started a worker; all that a worker starts inherits it."""
 
 
 class Message(Result, total=False):
@@ -46,13 +51,20 @@ class Limits:
     Parameters
     ----------
     seconds
-        Wall seconds; each message of the child starts the clock again.
+        Wall seconds of each part of the work.
     mib
         MiB above the idle worker.
+    parts
+        The parts of the work, each done when a message ``{"scored": part}`` arrives, which starts the clock again.
+    start_seconds, start_mib
+        What the child needs in addition to start: an interpreter and its imports.
     """
 
     seconds: float
     mib: float
+    parts: tuple[str, ...] = ()
+    start_seconds: float = 0.0
+    start_mib: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -93,6 +105,8 @@ class Watch:
         What it may use.
     base
         Resident bytes of the idle worker that it was forked from; 0 for a fresh interpreter.
+    log
+        The file that the child writes its messages to; it is kept short.
     wanted
         Returns whether the result is still wanted: false once the run has ended.
     """
@@ -104,9 +118,10 @@ class Watch:
         ended: Callable[[], bool],
         limits: Limits,
         base: int = 0,
+        log: Path | None = None,
         wanted: Callable[[], bool] = lambda: True,
     ) -> None:
-        self.pid, self.receive, self.ended = pid, receive, ended
+        self.pid, self.receive, self.ended, self.log = pid, receive, ended, log
         self.limits, self.base, self.wanted = limits, base, wanted
         self.messages: list[Message] = []
         self.started = 0
@@ -114,7 +129,8 @@ class Watch:
 
     def watch(self) -> tuple[str, str] | None:
         """Wait until the child ends (None) or breaks a limit (status and message)."""
-        deadline = time.monotonic() + self.limits.seconds
+        limits, left = self.limits, set(self.limits.parts)
+        deadline = time.monotonic() + limits.start_seconds + limits.seconds
         memory_check = time.monotonic() + MEMORY_TICK
         while True:
             messages = self._receive()
@@ -122,17 +138,21 @@ class Watch:
             if not messages and self.ended():
                 return None
             now = time.monotonic()
-            deadline = now + self.limits.seconds if messages else deadline
+            done = left & {message.get("scored", "") for message in messages}
+            if done:
+                left -= done
+                deadline = now + limits.seconds
             if now > deadline:
-                return "timeout", f"took longer than {self.limits.seconds:g} s; raise --timeout if it may"
+                return "timeout", f"took longer than {limits.seconds:g} s; raise --timeout if it may"
             if not self.wanted():
                 return "abandoned", "the run ended"
             if now > memory_check:
                 memory_check = now + MEMORY_TICK
                 own, started = resident(self.pid)
                 self.started = max(self.started, started)
-                if own + started - self.base > self.limits.mib * MIB:
-                    return "memory", f"used more than {self.limits.mib:g} MiB; raise --memory if it may"
+                if own + started - self.base > (limits.mib + limits.start_mib) * MIB:
+                    return "memory", f"used more than {limits.mib:g} MiB; raise --memory if it may"
+                shorten(self.log)
 
     def _receive(self) -> list[Message]:
         if self._open:
@@ -149,6 +169,18 @@ class Watch:
         if code != 0:
             return Ending(self.messages, "crash", explain_exit(code))
         return Ending(self.messages, started=self.started)
+
+
+def shorten(log: Path | None) -> None:
+    """Cut a log that has grown long: only its end is kept. The child goes on appending to it."""
+    if log is None or not log.is_file() or log.stat().st_size <= LONG_LOG:
+        return
+    with log.open("rb") as file:
+        file.seek(-SHORT_LOG, os.SEEK_END)
+        end = file.read(SHORT_LOG)
+    os.truncate(log, 0)
+    with log.open("ab") as file:
+        file.write(b"[the beginning of this log was cut off]\n" + end)
 
 
 def parse_message(line: str | bytes) -> Message | None:
@@ -183,6 +215,17 @@ def sweep(pid: int) -> None:
             os.killpg(pid, signal.SIGKILL)
     with contextlib.suppress(psutil.Error):
         psutil.Process(pid).kill()
+
+
+def sweep_marked(mark: str) -> None:
+    """Kill every process whose environment carries a mark, whatever its parent and session (Linux)."""
+    if not sys.platform.startswith("linux"):
+        return
+    wanted = f"{MARK}={mark}".encode()
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if folder.name != str(os.getpid()) and wanted in (folder / "environ").read_bytes().split(b"\0"):
+                os.kill(int(folder.name), signal.SIGKILL)
 
 
 def adopt_orphans() -> None:

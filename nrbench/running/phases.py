@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench import plugins
+from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
@@ -36,19 +37,70 @@ from nrbench.plugins.forms import (
     timed_detection,
 )
 from nrbench.running.guard import Message, cpu_seconds
+from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder, Result, metric_key
 from nrbench.storage import read_arrays, read_json, write_arrays, write_json
 from nrbench.streams import pixels_hash, stream
-from nrbench.suites.cell import Cell
+from nrbench.suites.cell import Cell, Recipe
+from nrbench.suites.plan import draw_texture
 
 Send = Callable[[Message], None]
 """Sends one message to the process that watches this one."""
 COPY_TOLERANCE = 1.5 / 255
 """Largest difference between a copied pixel and its source: the rounding to 8 bits."""
+RANGE_TOLERANCE = 0.1
+"""How far values of an output may lie outside [0, 1]. Interpolation overshoots by less; they are clipped."""
+
+
+FAULTS = (Exception, SystemExit, GeneratorExit)
+"""What a plugin may raise that ends its phase. A keyboard interrupt ends a run that has no children, as it should."""
 
 
 class InvalidOutput(Exception):
     """A method returned something that is no valid :class:`~nrbench.plugins.forms.Synthesis` of its task."""
+
+
+def render(folder: Path, send: Send) -> None:
+    """Draw the texture whose recipe ``cell.json`` holds, write its pixels, and send what is known of it."""
+    where = CellFolder(folder)
+    wanted = read_json(where.cell_file) or {}
+    try:
+        texture, again = draw_texture(Recipe.from_dict(wanted["recipe"]), tuple(wanted["shape"]))
+        write_image(where.sample, texture.image)
+        if again is not None:
+            write_image(where.again, again)
+        send(cast("Message", {"status": "ok", "message": "", "texture": _describe(texture)}))
+    except BadInput as error:
+        send({"status": "invalid", "message": str(error)})
+    except FAULTS as error:
+        _send_error(error, send)
+
+
+def _describe(texture: Texture) -> dict[str, Any]:
+    """Return what is known of a texture, without its arrays, as values that JSON can hold."""
+    return {
+        "lattice": texture.lattice.as_dict() if texture.lattice else None,
+        "lattices": [lattice.as_dict() for lattice in texture.lattices],
+        "family": texture.family,
+        "kind": texture.kind,
+        "regular_share": texture.regular_share,
+        "region": list(texture.region) if texture.region else None,
+    }
+
+
+def read_texture(folder: Path, known: Mapping[str, Any]) -> tuple[Texture, Image | None]:
+    """Return the texture that :func:`render` wrote and described, and the region beside it."""
+    where = CellFolder(folder)
+    texture = Texture(
+        read_image(where.sample),
+        Lattice.from_dict(known["lattice"]) if known["lattice"] else None,
+        tuple(map(Lattice.from_dict, known["lattices"])),
+        family=known["family"],
+        kind=known["kind"],
+        regular_share=known["regular_share"],
+        region=tuple(known["region"]) if known["region"] else None,
+    )
+    return texture, read_image(where.again) if where.again.is_file() else None
 
 
 def detect(folder: Path, send: Send) -> None:
@@ -57,10 +109,9 @@ def detect(folder: Path, send: Send) -> None:
     cell = read_json(where.cell_file) or {}
     detector = plugins.build("detectors", cell["detector"], cell["parameters"])
     try:
-        detection = timed_detection(detector, read_image(where.sample))
-    except (Exception, SystemExit) as error:
-        traceback.print_exc()
-        send({"status": "error", "message": _error_text(error)})
+        detection = timed_detection(detector, _frozen(read_image(where.sample)))
+    except FAULTS as error:
+        _send_error(error, send)
         return
     send(cast("Message", {"status": "ok", "message": detection.reason, **detection.as_dict()}))
 
@@ -80,8 +131,17 @@ def synthesize(folder: Path, send: Send) -> None:
         send({"status": "invalid", "message": str(invalid)})
     except MemoryError:
         send({"status": "memory", "message": "ran out of the memory it may use"})
-    except (Exception, SystemExit) as error:
-        traceback.print_exc()
+    except FAULTS as error:
+        _send_error(error, send)
+
+
+def _send_error(error: BaseException, send: Send) -> None:
+    """Send the message of an error: status ``storage`` if a disk is full or broken, else ``error``."""
+    traceback.print_exc()
+    disk = storage_fault(error)
+    if disk is not None:
+        send({"status": "storage", "message": f"{disk.filename or 'disk'}: {disk.strerror}"})
+    else:
         send({"status": "error", "message": _error_text(error)})
 
 
@@ -101,12 +161,12 @@ def _synthesize(where: CellFolder, cell: Cell) -> Result:
         "cpu_seconds": cpu,
         "detection_seconds": synthesis.detection_seconds,
         "lattice_used": synthesis.lattice.as_dict() if synthesis.lattice else None,
+        "output_hash": pixels_hash(synthesis.image),
     }
 
 
 def _task(where: CellFolder, cell: Cell) -> Task:
-    sample = read_image(where.sample)
-    sample.setflags(write=False)
+    sample = _frozen(read_image(where.sample))
     rng = stream("synthesis", cell.seed, pixels_hash(sample), cell.replicate)
     again = _fresh_draws(where, cell) if cell.reference else None
     recompose = _recompositions(cell) if cell.reference else None
@@ -116,10 +176,10 @@ def _task(where: CellFolder, cell: Cell) -> Task:
 def _fresh_draws(where: CellFolder, cell: Cell) -> Again | None:
     """Return the fresh draws that a reference method may use; of a photograph, the region that was cut for it."""
     if cell.procedural:
-        return lambda shape, k: cell.recipe.again(cell.recipe.render())(shape, k)
+        return _frozen_draws(lambda shape, k: cell.recipe.again(cell.recipe.render())(shape, k))
     if not where.again.is_file():
         return None
-    region = read_image(where.again)
+    region = _frozen(read_image(where.again))
 
     def draw(shape: Shape, k: int) -> Texture | None:
         fits = k == 0 and region.shape[0] >= shape[0] and region.shape[1] >= shape[1]
@@ -137,7 +197,31 @@ def _recompositions(cell: Cell) -> Again | None:
         recompose = cell.recipe.recompose(cell.recipe.render())
         return recompose(shape, k) if recompose else None
 
-    return draw
+    return _frozen_draws(draw)
+
+
+def _frozen(array: NDArray[Any]) -> Any:
+    """Return an array, made read-only."""
+    array.setflags(write=False)
+    return array
+
+
+def _frozen_texture(texture: Texture) -> Texture:
+    """Return a texture, all its arrays made read-only."""
+    for array in (texture.image, texture.ideal, texture.displacement, *texture.elements.values()):
+        if array is not None:
+            _frozen(array)
+    return texture
+
+
+def _frozen_draws(draw: Again) -> Again:
+    """Return the same draws, all their arrays made read-only."""
+
+    def frozen(shape: Shape, k: int) -> Texture | None:
+        texture = draw(shape, k)
+        return _frozen_texture(texture) if texture is not None else None
+
+    return frozen
 
 
 def _write(where: CellFolder, synthesis: Synthesis) -> None:
@@ -212,6 +296,9 @@ def _checked_image(image: Any, shape: tuple[int, int, int]) -> Image:
     if not np.isfinite(pixels).all():
         bad = int((~np.isfinite(pixels)).any(-1).sum())
         raise InvalidOutput(f"returned NaN or infinity in {bad} of {shape[0] * shape[1]} pixels")
+    low, high = float(pixels.min()), float(pixels.max())
+    if low < -RANGE_TOLERANCE or high > 1 + RANGE_TOLERANCE:
+        raise InvalidOutput(f"returned values from {low:.3g} to {high:.3g}; an image has values in [0, 1]")
     return quantize(np.asarray(pixels, np.float32))
 
 
@@ -238,6 +325,18 @@ def check_source(source: SourceMap, image: Image, sample: Image) -> None:
         raise InvalidOutput(f"returned a source map that is not true: {wrong} copied pixels differ from their source")
 
 
+def report(folder: Path, send: Send) -> None:
+    """Write the report of a run that ``cell.json`` names, and send the paths of its files."""
+    wanted = read_json(CellFolder(folder).cell_file) or {}
+    run = Run(Path(wanted["run"]))
+    try:
+        plugin = plugins.build("reports", wanted["report"], wanted["parameters"])
+        written = [str(path) for path in plugin.write(run, run.root / wanted["folder"])]
+        send({"status": "ok", "message": "", "written": written})
+    except FAULTS as error:
+        _send_error(error, send)
+
+
 def score(folder: Path, metrics: Iterable[str], send: Send) -> None:
     """Score a cell by some metrics, and write one file for each; send ``{"scored": metric}`` after each.
 
@@ -248,7 +347,10 @@ def score(folder: Path, metrics: Iterable[str], send: Send) -> None:
     for metric in metrics:
         try:
             _write_score(where, metric, score_observation(observation, metric))
-        except (Exception, SystemExit) as error:
+        except FAULTS as error:
+            if storage_fault(error) is not None:
+                _send_error(error, send)
+                return
             traceback.print_exc()
             where.write_failed_score(metric, failure_reason(error))
         send({"scored": metric})
@@ -275,6 +377,8 @@ def score_observation(observation: Observation, metric: str) -> Score:
     plugin = plugins.build("metrics", metric)
     rng = stream("metric", pixels_hash(observation.output), metric)
     score: Score = plugin.score(observation.with_stream(rng))
+    if not isinstance(score, Score):
+        raise TypeError(f"returned {type(score).__name__} instead of a Score")
     return dataclasses.replace(score, values=_checked_values(score, plugin.columns))
 
 
@@ -284,7 +388,7 @@ def failure_reason(error: BaseException) -> str:
 
 
 def _error_text(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"
+    return describe_error(error)
 
 
 def _checked_values(score: Score, columns: Mapping[str, Column]) -> dict[str, Value]:
@@ -301,25 +405,28 @@ def _checked_values(score: Score, columns: Mapping[str, Column]) -> dict[str, Va
 
 
 def observe(where: CellFolder, cell: Cell) -> Observation:
-    """Return the observation that metrics score, read from the cell's folder alone."""
-    sample, result = read_image(where.sample), where.result() or Result()
+    """Return the observation that metrics score, read from the cell's folder alone.
+
+    All its arrays are read-only, so that no metric can change them for the next one.
+    """
+    sample, result = _frozen(read_image(where.sample)), where.result() or Result()
     truth, again = _truth(cell, sample)
     measured: Mapping[str, Any] = result
     names = ("cpu_seconds", "detection_seconds", "peak_mib")
     cost = {name: measured[name] for name in names if measured.get(name) is not None}
     if cell.detected is not None:
         cost["detection_seconds"] = cell.detected.seconds
-    output, used = read_image(where.output, smallest=1), result.get("lattice_used")
-    for image in (sample, output):
-        image.setflags(write=False)  # no metric can change them for the next one
+    output, used = _frozen(read_image(where.output, smallest=1)), result.get("lattice_used")
+    if pixels_hash(output) != result.get("output_hash", pixels_hash(output)):
+        raise InvalidOutput("output.png has changed since the method returned it; run the cell again")
     return Observation(
         sample=sample,
         output=output,
         truth=truth,
         lattice_given=cell.lattice_given,
         lattice_used=Lattice.from_dict(used) if used else None,
-        source=read_arrays(where.source)["source"] if where.source.is_file() else None,
-        extras={path.stem: read_arrays(path)["array"] for path in sorted(where.extras.glob("*.npz"))},
+        source=_frozen(read_arrays(where.source)["source"]) if where.source.is_file() else None,
+        extras={path.stem: _frozen(read_arrays(path)["array"]) for path in sorted(where.extras.glob("*.npz"))},
         seconds=result.get("seconds"),
         again=again,
         cost={**cost, "side_by_side": float(result.get("side_by_side", 0))},
@@ -332,8 +439,8 @@ def _truth(cell: Cell, sample: Image) -> tuple[Texture, Again | None]:
     if not cell.procedural:
         known = (cell.lattice_truth,) if cell.lattice_truth else ()
         return Texture(sample, cell.lattice_truth, known, cell.texture, cell.family, region=cell.region), None
-    texture = cell.recipe.render()
-    return dataclasses.replace(texture, image=sample), cell.recipe.again(texture)
+    texture = _frozen_texture(cell.recipe.render())
+    return dataclasses.replace(texture, image=sample), _frozen_draws(cell.recipe.again(texture))
 
 
 def _read_cell(where: CellFolder) -> Cell:

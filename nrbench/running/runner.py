@@ -5,16 +5,19 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypeVar
 
 from nrbench import plugins
 from nrbench.imaging.files import write_image
 from nrbench.plugins.forms import FoundLattice
-from nrbench.running.executors import executor
+from nrbench.running.executors import RunJob, executor
+from nrbench.running.progress import Pace, Progress, Step
 from nrbench.running.supervisor import Job
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
@@ -24,8 +27,6 @@ from nrbench.suites.plan import Plan, Sample
 from nrbench.suites.suite import Suite
 
 T = TypeVar("T")
-Progress = Callable[[int, int, str], None]
-"""Called with the number of cells done, of all, and the name of the last one with its status."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ class Options:
         Another run; its results of equal cells are copied.
     argv
         The command line; ``run.json`` records it.
+    stop
+        Once this event is set no further cell is started; those that are running end, then the run is interrupted.
     """
 
     jobs: int = 1
@@ -57,9 +60,10 @@ class Options:
     retry_failed: bool = False
     reuse: Path | None = None
     argv: Sequence[str] = ()
+    stop: threading.Event = field(default_factory=threading.Event)
 
 
-def _no_progress(done: int, total: int, what: str) -> None:
+def _no_progress(step: Step) -> None:
     """Ignore progress."""
 
 
@@ -109,6 +113,8 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     ------
     BadInput
         When ``root`` holds something else, another process is running in it, or the suite names an unknown metric.
+    KeyboardInterrupt
+        When ``options.stop`` was set, after the cells that were running have ended.
     """
     options, metrics = options or Options(), metrics_of(plan.suite)
     directory = RunDirectory(root)
@@ -120,7 +126,7 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
         if options.reuse is not None:
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
         with executor(options.jobs, options.scheduler) as (pool, run_job):
-            runner = _Runner(directory, options, metrics, lambda job: pool.submit(run_job, job))
+            runner = _Runner(directory, options, metrics, lambda job: pool.submit(_run_timed, run_job, job))
             runner.run(runner.with_detected_lattices(plan.cells), progress)
     return Run(root)
 
@@ -159,10 +165,11 @@ class _Runner:
 
     def run(self, cells: list[tuple[Cell, Sample]], progress: Progress) -> None:
         """Run every cell; its folder is prepared just before it starts."""
+        pace = Pace([cell for cell, _ in cells], 1 if self.options.scheduler else self.options.jobs)
         jobs = ((cell, self._cell_job(cell, sample)) for cell, sample in cells)
-        for done, (cell, future) in enumerate(self._run_jobs(jobs), 1):
-            status = future.result()["status"]
-            progress(done, len(cells), f"{cell.texture} / {cell.label} ({cell.lattice_source}): {status}")
+        for cell, future in self._run_jobs(jobs):
+            result = future.result()
+            progress(pace.step(cell, result["status"], result.get("wall")))
 
     def _cell_job(self, cell: Cell, sample: Sample) -> Job | Result:
         where, retry = self.directory.cell(cell.key), self.options.retry_failed
@@ -199,8 +206,15 @@ class _Runner:
             running[self._start(job)] = tag
             while len(running) >= most:
                 yield from _take_finished(running)
+            if self.options.stop.is_set():
+                break
+        if self.options.stop.is_set():
+            for future in [future for future in running if future.cancel()]:
+                running.pop(future)
         while running:
             yield from _take_finished(running)
+        if self.options.stop.is_set():
+            raise KeyboardInterrupt
 
     def _start(self, job: Job | Result) -> Future[Result]:
         if isinstance(job, Job):
@@ -208,6 +222,13 @@ class _Runner:
         known: Future[Result] = Future()
         known.set_result(job)
         return known
+
+
+def _run_timed(run_job: RunJob, job: Job) -> Result:
+    """Run a job; add the wall seconds that it took to its result."""
+    start = time.monotonic()
+    result = run_job(job)
+    return {**result, "wall": time.monotonic() - start}
 
 
 def _take_finished(running: dict[Future[Result], T]) -> Iterator[tuple[T, Future[Result]]]:

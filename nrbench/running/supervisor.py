@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import queue
+import shutil
 import subprocess
 import sys
 import threading
+import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Literal, Protocol
 
+import numpy as np
+
 from nrbench import plugins
+from nrbench.errors import describe_error, storage_fault
 from nrbench.running import guard
 from nrbench.running.guard import Message
 from nrbench.running.worker import Reply, Request, perform
@@ -83,19 +89,32 @@ def perform_job(job: Job, runner: RequestRunner) -> Result:
     where = CellFolder(Path(job.folder))
     try:
         if job.kind == "detect":
-            return where.write_result(runner.run(job.request("detect")).result)
+            return _detect(job, where, runner)
         result = where.result() or _synthesize(job, where, runner)
         if result["status"] == "ok":
             _score(job, where, runner)
+            if where.result() is None:  # a plugin removed or garbled it
+                where.write_result(result)
         return result
-    except OSError:
-        raise
     except Exception as error:
-        return {"status": "crash", "message": f"{type(error).__name__}: {error}"}
+        if storage_fault(error) is not None:
+            raise
+        result = {"status": "crash", "message": describe_error(error), "phase": "synthesize"}
+        with contextlib.suppress(OSError):
+            shutil.rmtree(where.result_file, ignore_errors=True)  # where a plugin has put a folder
+            where.write_result(result)
+        return result
+
+
+def _detect(job: Job, where: CellFolder, runner: RequestRunner) -> Result:
+    result = _run(runner, job.request("detect")).result
+    if result["status"] == "ok" and "lattice" not in result:
+        result = {"status": "crash", "message": "ended without an answer"}
+    return where.write_result(result)
 
 
 def _synthesize(job: Job, where: CellFolder, runner: RequestRunner) -> Result:
-    result = runner.run(job.request("synthesize")).result
+    result = _run(runner, job.request("synthesize")).result
     if result["status"] == "ok" and not where.output.is_file():
         result = {"status": "crash", "message": "ended without an output"}
     if result["status"] != "ok":
@@ -103,11 +122,33 @@ def _synthesize(job: Job, where: CellFolder, runner: RequestRunner) -> Result:
     return where.write_result({**result, "side_by_side": job.side_by_side})
 
 
+def _run(runner: RequestRunner, request: Request) -> Reply:
+    """Run a request.
+
+    Raises
+    ------
+    OSError
+        When the disk is full or broken. This ends the run, because further cells would fail in the same way.
+    """
+    reply = runner.run(request)
+    if reply.result["status"] == "storage":
+        raise OSError(errno.ENOSPC, reply.result["message"])
+    return reply
+
+
 def _score(job: Job, where: CellFolder, runner: RequestRunner) -> None:
     """Score by every metric that has not scored the cell yet; record the failure of one that kills the child."""
     missing = where.missing_scores(job.metrics)
+    own = [metric for metric in missing if plugins.find("metrics", metric).distribution == "nrbench"]
+    for group in (own, *([metric] for metric in missing if metric not in own)):
+        _score_group(job, where, runner, group)
+
+
+def _score_group(job: Job, where: CellFolder, runner: RequestRunner, metrics: list[str]) -> None:
+    """Score by metrics that share a process. The metrics of nrbench share one; each other one has its own."""
+    missing = metrics
     while missing:
-        reply = runner.run(job.request("score", tuple(missing)))
+        reply = _run(runner, job.request("score", tuple(missing)))
         missing = [metric for metric in missing if metric not in reply.scored]
         if missing:
             why = reply.result["message"] or "the metric sent nothing"
@@ -128,6 +169,7 @@ class Supervisor:
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader: threading.Thread | None = None
+        self._mark = uuid.uuid4().hex
         self._forks = True
         self._ended = False
 
@@ -166,7 +208,7 @@ class Supervisor:
 
     def _start(self) -> bool:
         """Start the worker; return whether it can fork."""
-        self._worker = _start_process(subprocess.DEVNULL)
+        self._worker = _start_process(subprocess.DEVNULL, self._mark)
         self._lines, self._reader = _read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}
         if not first.get("fork"):
@@ -185,6 +227,7 @@ class Supervisor:
         if worker is not None:
             guard.sweep(worker.pid)
             worker.wait()
+            guard.sweep_marked(self._mark)
             for pipe in (worker.stdin, worker.stdout if self._drained() else None):
                 with contextlib.suppress(OSError):
                     pipe.close() if pipe else None
@@ -213,7 +256,8 @@ class InProcessRunner:
     def run(self, request: Request) -> Reply:
         """Run one request here; raise what the phase raises."""
         messages: list[Message] = []
-        perform(request, messages.append)
+        with np.errstate():  # so that no plugin changes it for the next one
+            perform(request, messages.append)
         return Reply.of(guard.Ending(messages))
 
 
@@ -222,7 +266,7 @@ def worker_environment() -> dict[str, str]:
     return {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "1"), "PYTHONSAFEPATH": "1", "MPLBACKEND": "Agg"}
 
 
-def _start_process(log: IO[bytes] | int, *options: str) -> subprocess.Popen[str]:
+def _start_process(log: IO[bytes] | int, mark: str, *options: str) -> subprocess.Popen[str]:
     program = "from nrbench.running.worker import main; main()"
     return subprocess.Popen(
         [sys.executable, "-c", program, *options, *plugins.files()],
@@ -230,7 +274,7 @@ def _start_process(log: IO[bytes] | int, *options: str) -> subprocess.Popen[str]
         stdout=subprocess.PIPE,
         stderr=log,
         text=True,
-        env=worker_environment(),
+        env={**worker_environment(), guard.MARK: mark},
         start_new_session=True,
     )
 
@@ -253,24 +297,29 @@ def _read_lines(process: subprocess.Popen[str]) -> tuple[queue.Queue[str | None]
 
 def _run_in_fresh_interpreter(request: Request, wanted: Callable[[], bool]) -> Reply:
     """Run one request in an interpreter of its own, and watch it from this process while the reply is wanted."""
-    with (Path(request.folder) / "log.txt").open("ab") as log:
-        child = _start_process(log, "--once")
+    mark = uuid.uuid4().hex
+    with request.log.open("ab") as log:
+        child = _start_process(log, mark, "--once")
     lines, _ = _read_lines(child)
     assert child.stdin is not None
     with contextlib.suppress(OSError):
         child.stdin.write(request.to_json() + "\n")
         child.stdin.close()
-    limits = guard.Limits(request.seconds + GRACE, request.mib + 512)  # its start and imports count too
+    limits = guard.Limits(request.seconds, request.mib, request.metrics, GRACE, 512)
     watch = guard.Watch(
         child.pid,
         lambda seconds: _next_message(lines, seconds),
         lambda: child.poll() is not None,
         limits,
+        log=request.log,
         wanted=wanted,
     )
     broken = watch.watch()
     guard.sweep(child.pid)
-    return Reply.of(watch.ending(broken, child.wait()))
+    code = child.wait()
+    guard.sweep_marked(mark)
+    shutil.rmtree(request.temporary, ignore_errors=True)
+    return Reply.of(watch.ending(broken, code))
 
 
 def _next_message(lines: queue.Queue[str | None], seconds: float) -> list[Message] | None:

@@ -10,8 +10,10 @@ import dataclasses
 import json
 import os
 import select
+import shutil
 import signal
 import sys
+import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Iterable
@@ -22,6 +24,7 @@ from typing import Any, Literal, cast
 import psutil
 
 from nrbench import plugins
+from nrbench.errors import describe_error
 from nrbench.jit import load_kernels
 from nrbench.running import guard, phases
 from nrbench.running.guard import Message
@@ -44,11 +47,21 @@ class Request:
         The metrics of the phase ``score``.
     """
 
-    phase: Literal["detect", "synthesize", "score"]
+    phase: Literal["render", "detect", "synthesize", "score", "report"]
     folder: str
     seconds: float
     mib: float
     metrics: tuple[str, ...] = ()
+
+    @property
+    def log(self) -> Path:
+        """The file of what the phase prints."""
+        return Path(self.folder) / "log.txt"
+
+    @property
+    def temporary(self) -> Path:
+        """The folder of the phase's temporary files, which is removed when the phase has ended."""
+        return Path(self.folder) / "tmp"
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""
@@ -116,6 +129,10 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
         phases.score(folder, request.metrics, send)
     elif request.phase == "detect":
         phases.detect(folder, send)
+    elif request.phase == "render":
+        phases.render(folder, send)
+    elif request.phase == "report":
+        phases.report(folder, send)
     else:
         phases.synthesize(folder, send_with_memory)
 
@@ -143,7 +160,7 @@ def serve(requests: Iterable[str], reply: Callable[[str], None]) -> None:
 def fork_and_watch(request: Request) -> Reply:
     """Run one phase in a forked child under its limits."""
     readable, writable = os.pipe()
-    base, limits = psutil.Process().memory_info().rss, guard.Limits(request.seconds, request.mib)
+    base, limits = psutil.Process().memory_info().rss, guard.Limits(request.seconds, request.mib, request.metrics)
     pid = os.fork()
     if pid == 0:
         os.close(readable)
@@ -151,7 +168,13 @@ def fork_and_watch(request: Request) -> Reply:
     os.close(writable)
     parent = os.getppid()
     watch = guard.Watch(
-        pid, _pipe_receiver(readable), lambda: _has_ended(pid), limits, base, lambda: os.getppid() == parent
+        pid,
+        _pipe_receiver(readable),
+        lambda: _has_ended(pid),
+        limits,
+        base,
+        log=request.log,
+        wanted=lambda: os.getppid() == parent,
     )
     broken = watch.watch()
     guard.sweep(pid) if broken else None
@@ -159,6 +182,7 @@ def fork_and_watch(request: Request) -> Reply:
     guard.sweep(pid)
     guard.sweep_orphans()
     os.close(readable)
+    shutil.rmtree(request.temporary, ignore_errors=True)
     return Reply.of(watch.ending(broken, code))
 
 
@@ -172,21 +196,31 @@ def _child(request: Request, writable: int, limits: guard.Limits) -> None:
     try:
         os.setsid()
         guard.die_with_parent()
-        _redirect(Path(request.folder) / "log.txt")
+        _redirect(request.log)
         os.dup2(writable, 3)
         os.closerange(4, 1 << 16)
         writable = 3
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         guard.confine(limits)
+        _use_temporary(request.temporary)
         perform(request, lambda message: _send(writable, message))
         code = 0
-    except BaseException:
+    except BaseException as error:
         traceback.print_exc()
+        with contextlib.suppress(OSError):
+            _send(writable, {"status": "error", "message": describe_error(error)})
+            code = 0
     finally:
         with contextlib.suppress(Exception):
             sys.stdout.flush()
             sys.stderr.flush()
         os._exit(code)
+
+
+def _use_temporary(folder: Path) -> None:
+    """Make a folder, and let this process and what it starts put temporary files there."""
+    folder.mkdir(exist_ok=True)
+    os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
 
 
 def _redirect(log: Path) -> None:
@@ -236,6 +270,7 @@ def main() -> None:
     if "--once" in arguments:
         guard.die_with_parent()
         request = Request.from_json(sys.stdin.readline())
+        _use_temporary(request.temporary)
         guard.confine(guard.Limits(request.seconds, request.mib))
         perform(request, lambda message: write(json.dumps(message)))
         sys.stderr.flush()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,8 +13,9 @@ from typing import Any
 import pandas as pd
 
 from nrbench import plugins
+from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column, Value
-from nrbench.runs.store import CellFolder, Result, RunDirectory
+from nrbench.runs.store import RUN_FILE, CellFolder, Result, RunDirectory
 from nrbench.storage import read_json
 from nrbench.suites.cell import Cell
 
@@ -200,9 +202,17 @@ class Run:
         return pd.DataFrame(rows, columns=list(rows[0]) if rows else [*HEAD, *self.columns])
 
 
-def _record(where: CellFolder, entry: Mapping[str, Any], metrics: list[str]) -> CellRecord:
+def _read_cell(where: CellFolder, entry: Mapping[str, Any]) -> Cell:
+    """Return a cell of ``run.json``, with the lattice that was found for it after the plan was made."""
     started = read_json(where.cell_file) or entry
-    cell = Cell.from_dict({**entry, **{name: started.get(name) for name in ("lattice_given", "detected")}})
+    for found in (started, entry):
+        with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):
+            return Cell.from_dict({**entry, **{name: found.get(name) for name in ("lattice_given", "detected")}})
+    raise BadInput(f"{where.path.parents[1]}: {RUN_FILE} is damaged; run the same command again")
+
+
+def _record(where: CellFolder, entry: Mapping[str, Any], metrics: list[str]) -> CellRecord:
+    cell = _read_cell(where, entry)
     result = where.result() or Result()
     scores = {metric: where.score(metric) for metric in metrics} if result.get("status") == "ok" else {}
     return CellRecord(

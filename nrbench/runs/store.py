@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -21,13 +22,15 @@ from typing import Any, TypedDict, cast
 import psutil
 
 from nrbench import plugins
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.forms import Value
 from nrbench.storage import read_json, write_json
 from nrbench.suites.cell import RESULTS_VERSION
 from nrbench.suites.plan import Plan
 
 RUN_FILE = "run.json"
+TAIL = 1 << 16
+"""Bytes at the end of a log that are read."""
 FAILED = ("error", "timeout", "memory", "crash", "invalid")
 """The statuses of a failed cell; the other statuses are ``ok`` and ``refused``."""
 
@@ -52,6 +55,14 @@ class Result(TypedDict, total=False):
         1 if other cells ran at the same time, else 0.
     lattice_used
         The lattice that the method used.
+    output_hash
+        Hash of the output's pixels.
+    texture
+        What is known of a texture that was drawn.
+    written
+        The files of a report.
+    wall
+        Wall seconds of a whole cell. They are not on disk.
     lattice, confidence, reason
         The outcome of a detection, see :class:`~nrbench.plugins.forms.FoundLattice`.
     """
@@ -66,9 +77,13 @@ class Result(TypedDict, total=False):
     peak_mib: float
     side_by_side: float
     lattice_used: dict[str, Any] | None
+    output_hash: str
     lattice: dict[str, Any] | None
     confidence: float | None
     reason: str
+    texture: dict[str, Any]
+    written: list[str]
+    wall: float
 
 
 class ScoreContent(TypedDict, total=False):
@@ -139,12 +154,15 @@ class CellFolder:
         return self.path / "log.txt"
 
     def result(self) -> Result | None:
-        """Return how the synthesis ended, or None while it has not."""
-        return cast("Result | None", read_json(self.result_file))
+        """Return how the synthesis ended, or None while it has not. A damaged file counts as none."""
+        content = read_json(self.result_file) or {}
+        texts = isinstance(content.get("status"), str) and isinstance(content.get("message"), str)
+        return cast("Result", content) if texts else None
 
     def write_result(self, result: Result) -> Result:
         """Write how the synthesis ended, and return it."""
-        write_json(self.result_file, dict(result))
+        result = {**result, "message": strip_control(result["message"])}
+        write_json(self.result_file, dict(result), durable=True)
         return result
 
     def score_file(self, metric: str) -> Path:
@@ -152,12 +170,13 @@ class CellFolder:
         return self.scores / f"{metric_key(metric)}.json"
 
     def score(self, metric: str) -> ScoreContent:
-        """Return a metric's score of this cell; empty where there is none yet."""
-        return cast("ScoreContent", read_json(self.score_file(metric)) or {})
+        """Return a metric's score of this cell; empty where there is none yet, or its file is damaged."""
+        content = read_json(self.score_file(metric)) or {}
+        return cast("ScoreContent", content) if _is_score(content, metric) else {}
 
     def missing_scores(self, metrics: Iterable[str]) -> list[str]:
-        """Return the metrics that have not scored this cell yet."""
-        return [metric for metric in metrics if not self.score_file(metric).is_file()]
+        """Return the metrics that have not scored this cell yet, or whose score is damaged."""
+        return [metric for metric in metrics if not self.score(metric)]
 
     def failed_scores(self, metrics: Iterable[str]) -> list[Path]:
         """Return the files of the scores that failed."""
@@ -179,11 +198,32 @@ class CellFolder:
         shutil.rmtree(self.path, ignore_errors=True)
 
     def log_tail(self, lines: int = 12) -> str:
-        """Return the log's last lines."""
+        """Return the log's last lines; of a long log only the end is read."""
         try:
-            return "\n".join(self.log.read_text("utf-8", "replace").splitlines()[-lines:])
+            with self.log.open("rb") as log:
+                log.seek(max(0, self.log.stat().st_size - TAIL))
+                return "\n".join(log.read(TAIL).decode("utf-8", "replace").splitlines()[-lines:])
         except FileNotFoundError:
             return ""
+
+
+def _is_score(content: Mapping[str, Any], metric: str) -> bool:
+    """Return whether the content of a file is a score of a metric: mappings, and a value or reason of each column."""
+    parts = [content.get(name) for name in ("values", "reasons", "records", "pictures")]
+    if not all(isinstance(part, dict) for part in parts):
+        return False
+    values, reasons, _, pictures = cast("list[dict[str, Any]]", parts)
+    known = all(
+        isinstance(reasons.get(name), str) if value is None else isinstance(value, bool | int | float)
+        for name, value in values.items()
+    )
+    local = all(isinstance(name, str) and name == Path(name).name for name in pictures.values())
+    return known and local and set(values) == _column_names(metric)
+
+
+@cache
+def _column_names(metric: str) -> frozenset[str]:
+    return frozenset(plugins.build("metrics", metric).columns)
 
 
 @cache
@@ -237,10 +277,14 @@ class RunDirectory:
             When the directory is no run.
         """
         content = read_json(self.root / RUN_FILE)
-        if content is None or not {"suite", "cells"} <= set(content):
+        if content is None or not (isinstance(content.get("suite"), dict) and isinstance(content.get("cells"), list)):
             raise BadInput(
                 f"{self.root}: is no run (it has no {RUN_FILE}); pass the directory that `nrbench run` printed"
             )
+        keys = [str(cell.get("key", "")) if isinstance(cell, dict) else "" for cell in content["cells"]]
+        odd = next((key for key in keys if not re.fullmatch("[0-9a-f]{8,64}", key)), None)
+        if odd is not None:
+            raise BadInput(f"{self.root / RUN_FILE}: has a cell with the key {odd!r}, which is no hash; run it again")
         return content
 
     def write_info(self, plan: Plan, argv: Sequence[str]) -> None:
@@ -295,8 +339,13 @@ class RunDirectory:
                 ours.clear()
                 aside = ours.path.with_name(f".{key}")
                 shutil.rmtree(aside, ignore_errors=True)
-                shutil.copytree(theirs.path, aside)
+                shutil.copytree(theirs.path, aside, ignore=_links)
                 aside.rename(ours.path)
+
+
+def _links(folder: str, names: list[str]) -> list[str]:
+    """Return the names that are links. They are not copied, because they may lead anywhere."""
+    return [name for name in names if Path(folder, name).is_symlink()]
 
 
 def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:

@@ -39,6 +39,15 @@ class Recipe:
     replicate: int
     shape: Shape
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the recipe as a mapping that can be written as JSON."""
+        return {**dataclasses.asdict(self), "shape": list(self.shape)}
+
+    @classmethod
+    def from_dict(cls, mapping: Mapping[str, Any]) -> Recipe:
+        """Build a recipe from the mapping of :meth:`as_dict`."""
+        return cls(**{**mapping, "shape": tuple(mapping["shape"])})
+
     def plugin(self) -> Any:
         """Return the dataset plugin's instance."""
         return plugins.build("datasets", self.dataset, self.parameters)
@@ -161,7 +170,7 @@ class Cell:
             "sample": self.sample_hash,
             "shape": list(self.shape),
             "seed": [self.seed, self.replicate],
-            "recipe": _recipe_dict(self.recipe) if self.procedural else self.again_hash,
+            "recipe": self.recipe.as_dict() if self.procedural else self.again_hash,
             "dataset": plugins.find("datasets", self.recipe.dataset).version,
         }
         text = json.dumps(decides, sort_keys=True)
@@ -170,7 +179,7 @@ class Cell:
     def as_dict(self) -> dict[str, Any]:
         """Return the cell as a mapping that can be written as JSON."""
         mapping = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        mapping["recipe"] = _recipe_dict(self.recipe)
+        mapping["recipe"] = self.recipe.as_dict()
         for name in ("lattice_given", "lattice_truth", "detected"):
             known: Lattice | FoundLattice | None = mapping[name]
             mapping[name] = known.as_dict() if known else None
@@ -180,7 +189,7 @@ class Cell:
     def from_dict(cls, mapping: Mapping[str, Any]) -> Cell:
         """Build a cell from the mapping of :meth:`as_dict`."""
         values = {key: value for key, value in mapping.items() if key != "key"}
-        values["recipe"] = Recipe(**{**values["recipe"], "shape": tuple(values["recipe"]["shape"])})
+        values["recipe"] = Recipe.from_dict(values["recipe"])
         for name in ("lattice_given", "lattice_truth"):
             values[name] = Lattice.from_dict(values[name]) if values[name] else None
         values["detected"] = FoundLattice.from_dict(values["detected"]) if values.get("detected") else None
@@ -188,7 +197,3 @@ class Cell:
         values["detector"] = tuple(values["detector"]) if values["detector"] else None
         values["region"] = tuple(values["region"]) if values["region"] else None
         return cls(**values)
-
-
-def _recipe_dict(recipe: Recipe) -> dict[str, Any]:
-    return {**dataclasses.asdict(recipe), "shape": list(recipe.shape)}

@@ -5,23 +5,25 @@ from __future__ import annotations
 import dataclasses
 import fnmatch
 import re
-import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from nrbench import plugins
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, describe_error
 from nrbench.imaging.convert import Image, as_image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Shape, Texture
+from nrbench.plugins.forms import Kind, Shape, Texture
 from nrbench.plugins.parameters import label, parse_spec
 from nrbench.streams import pixels_hash
 from nrbench.suites.cell import Cell, Recipe
 from nrbench.suites.suite import Suite, TextureRow
+
+Draw = Callable[[Recipe, Shape], tuple[Texture, Image | None]]
+"""Draws a texture by its recipe, as :func:`draw_texture` does."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ class Origin:
     drawn: tuple[Recipe, Texture] | None = None
 
     @classmethod
-    def of(cls, suite: Suite, row: TextureRow) -> Origin:
+    def of(cls, suite: Suite, row: TextureRow, draw: Draw | None = None) -> Origin:
         """Return the origin of a row's samples.
 
         If the row of a picture has the recipe of a model, the texture is drawn by this recipe, provided that it gives
@@ -156,7 +158,7 @@ class Origin:
         try:
             model = dataclasses.replace(model, parameters=plugins.parameters_of(model.plugin()))
             uncropped = dataclasses.replace(own, shape=model.shape)
-            texture, picture = model.render(), uncropped.render()
+            texture, picture = (_chosen(draw, one)(one, one.shape)[0] for one in (model, uncropped))
             equal = pixels_hash(texture.image) == pixels_hash(picture.image) and _has_lattice_of(texture, picture)
         except Exception:  # the recipe is of another version, or of a plugin that is not installed
             return cls(own)
@@ -167,10 +169,6 @@ class Origin:
     def recipe(self, replicate: int) -> Recipe:
         """Return the recipe of a replicate."""
         return dataclasses.replace(self.first, replicate=self.first.replicate + replicate)
-
-    def render(self, recipe: Recipe) -> Texture:
-        """Draw a texture, unless it is drawn already."""
-        return self.drawn[1] if self.drawn and self.drawn[0] == recipe else recipe.render()
 
 
 def _has_lattice_of(texture: Texture, picture: Texture) -> bool:
@@ -198,6 +196,8 @@ class Sample:
         Of a photograph: hash of a region that does not touch the sample; empty if there is none.
     fault
         Why drawing failed, or empty.
+    region
+        The region of ``again_hash`` if a plugin of others cut it.
     """
 
     row: TextureRow
@@ -206,6 +206,7 @@ class Sample:
     shape: Shape
     again_hash: str = ""
     fault: str = ""
+    region: Image | None = None
 
     @cached_property
     def hash(self) -> str:
@@ -214,7 +215,12 @@ class Sample:
 
     @property
     def again(self) -> Image | None:
-        """The region of :attr:`again_hash`. It is cut at each access, so that a plan does not hold all regions."""
+        """The region of :attr:`again_hash`.
+
+        It is cut at each access, so that a plan does not hold all regions, except those of plugins of others.
+        """
+        if self.region is not None:
+            return self.region
         return _fresh_region(self.recipe, self.texture, self.shape) if self.again_hash and self.texture else None
 
 
@@ -237,7 +243,7 @@ class Plan:
     cells: list[tuple[Cell, Sample]]
 
 
-def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
+def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = None) -> Plan:
     """Draw every sample and list every cell.
 
     Parameters
@@ -246,6 +252,8 @@ def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
         The suite.
     textures
         Shell patterns of texture names. Empty: all textures.
+    draw
+        Draws the textures of datasets that are not part of nrbench; None draws them in this process.
 
     Raises
     ------
@@ -258,7 +266,7 @@ def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
         raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
     if not sources and any(method.uses_lattice for method in methods.values()):
         raise BadInput(f'suite {suite.name}: names no lattice source; add lattice = ["own"] or pass --lattice own')
-    samples = draw_samples(suite, textures)
+    samples = draw_samples(suite, textures, draw)
     cells = [
         (_make_cell(suite, sample, method, source), sample)
         for sample in samples
@@ -269,35 +277,78 @@ def make_plan(suite: Suite, textures: Sequence[str] = ()) -> Plan:
     return Plan(suite, samples, cells)
 
 
-def draw_samples(suite: Suite, textures: Sequence[str] = ()) -> list[Sample]:
-    """Draw every sample of the textures whose names match a pattern; of all textures if there is no pattern."""
+def draw_samples(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = None) -> list[Sample]:
+    """Draw every sample of the textures whose names match a pattern; of all textures if there is no pattern.
+
+    The parameters are those of :func:`make_plan`.
+    """
     rows = [row for row in suite.texture if not textures or any(fnmatch.fnmatch(row.name, each) for each in textures)]
     if not rows:
         names = ", ".join(row.name for row in suite.texture[:12])
         raise BadInput(f"-t {' '.join(textures)}: matches no texture of suite {suite.name} ({names}, ...)")
-    return [sample for row in rows for sample in _draw_row(suite, row)]
+    return [sample for row in rows for sample in _draw_row(suite, row, draw)]
 
 
-def _draw_row(suite: Suite, row: TextureRow) -> Iterator[Sample]:
+def _draw_row(suite: Suite, row: TextureRow, draw: Draw | None) -> Iterator[Sample]:
     try:
-        origin = Origin.of(suite, row)
+        origin = Origin.of(suite, row, draw)
     except BadInput as error:
         raise BadInput(f"suite {suite.name}, texture {row.name!r}: {error}") from None
-    return (_draw(suite, row, origin, replicate) for replicate in range(suite.replicates))
+    return (_draw(suite, row, origin, replicate, draw) for replicate in range(suite.replicates))
 
 
-def _draw(suite: Suite, row: TextureRow, origin: Origin, replicate: int) -> Sample:
+def _draw(suite: Suite, row: TextureRow, origin: Origin, replicate: int, draw: Draw | None) -> Sample:
     recipe, shape = origin.recipe(replicate), row.size or suite.size
+    chosen = _chosen(draw, recipe)
     try:
-        texture = _checked(recipe, origin.render(recipe))
-        texture = dataclasses.replace(texture, image=quantize(texture.image), name=row.name)
-        again = None if recipe.procedural else _fresh_region(recipe, texture, shape)
+        if origin.drawn and origin.drawn[0] == recipe:
+            texture, again = _described(recipe, origin.drawn[1], shape)
+        else:
+            texture, again = chosen(recipe, shape)
     except BadInput as error:
         return Sample(row, recipe, None, shape, fault=str(error))
     except (Exception, SystemExit) as error:
-        line = traceback.format_exc().strip().splitlines()[-3].strip()
-        return Sample(row, recipe, None, shape, fault=f"{type(error).__name__}: {error} ({line})")
-    return Sample(row, recipe, texture, shape, pixels_hash(again) if again is not None else "")
+        return Sample(row, recipe, None, shape, fault=describe_error(error))
+    texture = dataclasses.replace(texture, name=row.name)
+    again_hash = pixels_hash(again) if again is not None else ""
+    return Sample(row, recipe, texture, shape, again_hash, region=None if chosen is draw_texture else again)
+
+
+def _chosen(draw: Draw | None, recipe: Recipe) -> Draw:
+    """Return the function that draws a recipe's texture: ``draw`` for a dataset that is not part of nrbench."""
+    own = plugins.find("datasets", recipe.dataset).distribution == "nrbench"
+    return draw_texture if own or draw is None else draw
+
+
+def draw_texture(recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
+    """Draw a texture by its recipe.
+
+    Parameters
+    ----------
+    recipe
+        The recipe.
+    shape
+        Shape (height, width) of the outputs.
+
+    Returns
+    -------
+    texture
+        The texture, its image rounded to 8 bits.
+    again
+        Of a photograph: a region of the outputs' shape that does not touch the sample, or None.
+
+    Raises
+    ------
+    BadInput
+        When the dataset returns no valid texture.
+    """
+    return _described(recipe, recipe.render(), shape)
+
+
+def _described(recipe: Recipe, rendered: object, shape: Shape) -> tuple[Texture, Image | None]:
+    texture = _checked(recipe, rendered)
+    texture = dataclasses.replace(texture, image=quantize(texture.image))
+    return texture, None if recipe.procedural else _fresh_region(recipe, texture, shape)
 
 
 def _checked(recipe: Recipe, texture: object) -> Texture:
@@ -310,6 +361,10 @@ def _checked(recipe: Recipe, texture: object) -> Texture:
         raise BadInput(f"{where}: render returned the wrong shape: expected {recipe.shape}, got {image.shape}")
     if not (texture.lattice is None or isinstance(texture.lattice, Lattice)):
         raise BadInput(f"{where}: lattice: expected a Lattice or None, got {texture.lattice!r}")
+    if not (texture.kind is None or texture.kind in get_args(Kind)):
+        raise BadInput(f"{where}: kind: expected one of {', '.join(get_args(Kind))} or None, got {texture.kind!r}")
+    if not isinstance(texture.family, str):
+        raise BadInput(f"{where}: family: expected text, got {texture.family!r}")
     share = texture.regular_share
     if not (share is None or (isinstance(share, float) and 0 <= share <= 1)):
         raise BadInput(f"{where}: regular_share: expected a number from 0 to 1, got {share!r}")

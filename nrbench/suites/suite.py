@@ -340,6 +340,8 @@ def _parse(text: str, where: str) -> Suite:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise BadInput(f"{where}: is no valid TOML: {error}") from None
+    except RecursionError:
+        raise BadInput(f"{where}: is nested too deeply; a suite has three levels at most") from None
     return validated_suite(content, where)
 
 

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
 
 from nrbench.plugins.forms import Column
 
 from .estimates import Estimate
-
-_CONTROL = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 
 def format_number(value: float | bool | None) -> str:
@@ -81,8 +78,3 @@ def describe_column(column: Column) -> str:
 def pluralize(count: int, noun: str) -> str:
     """Return ``"1 cell"``, ``"2 cells"``."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
-def strip_control(text: str) -> str:
-    """Return text without terminal escapes and control characters; line breaks and tabs stay."""
-    return _CONTROL.sub("", text.replace("\r\n", "\n"))

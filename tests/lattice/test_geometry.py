@@ -257,6 +257,7 @@ def test_a_lattice_is_written_and_read() -> None:
         ((10, 0), (20, 0), "independent vectors"),
         ((0, 0), (0, 5), "independent vectors"),
         ((math.nan, 0), (0, 5), "finite numbers"),
+        ((1e308, 0), (0, 1e308), "no image is so large"),
         ("ab", (0, 5), "two numbers"),
     ],
 )

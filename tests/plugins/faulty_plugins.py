@@ -1,4 +1,4 @@
-"""Methods, a metric and a detector that misbehave, each in its own way."""
+"""Methods, metrics, a detector and a dataset that misbehave, each in its own way."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from typing import ClassVar
 import numpy as np
 
 from nrbench.imaging.convert import Image
-from nrbench.plugins.forms import Column, Detection, Observation, Refused, Score, Synthesis, Task
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Column, Detection, Observation, Refused, Score, Synthesis, Task, Texture
+from nrbench.runs.records import Run
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,97 @@ class Faulty:
             source = np.ones((*task.shape, 3), np.float32)
             return Synthesis(1 - task.sample[1, 1] + np.zeros_like(good), source=source)
         return Synthesis(good)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Draw a gray texture, or misbehave as ``how`` says."""
+
+    how: str = "fine"
+
+    def render(self, shape: tuple[int, int], rng: np.random.Generator) -> Texture:
+        """Misbehave."""
+        image = np.repeat(rng.random((*shape, 1), np.float32), 3, axis=2)
+        if self.how == "raise":
+            raise RuntimeError("planted failure")
+        if self.how == "mute":
+            raise Mute
+        if self.how == "loop":
+            while True:
+                time.sleep(0.01)
+        if self.how == "segfault":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        if self.how == "exit":
+            os._exit(0)
+        if self.how == "group":
+            os.killpg(os.getpgid(0), signal.SIGKILL)
+        if self.how == "memory":
+            np.ones((1 << 33,), np.uint8)
+        if self.how == "kind":
+            return Texture(image, kind=object())  # type: ignore[arg-type]
+        if self.how == "shape":
+            return Texture(image[:-1])
+        return Texture(image, Lattice((16, 0), (0, 16)), family="gray")
+
+    def again(self, texture: Texture, shape: tuple[int, int], rng: np.random.Generator) -> Texture | None:
+        """Draw another one."""
+        return self.render(shape, rng)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A report that writes one file, or misbehaves as ``how`` says."""
+
+    how: str = "fine"
+    folder: ClassVar[str] = "sheets"
+
+    def write(self, run: Run, directory: Path) -> list[Path]:
+        """Misbehave."""
+        if self.how == "exit":
+            os._exit(0)
+        if self.how == "segfault":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        if self.how == "mute":
+            raise Mute
+        if self.how == "interrupt":
+            raise KeyboardInterrupt
+        directory.mkdir(exist_ok=True)
+        (directory / "sheet.txt").write_text(str(len(run.cells)))
+        return [directory / "sheet.txt"]
+
+    def render(self, run: Run) -> str:
+        """Return the text, as a report for the terminal does; this makes no dataset of the class."""
+        return str(len(run.cells))
+
+
+class Mute(Exception):
+    """An error whose message raises an error."""
+
+    def __str__(self) -> str:
+        raise RuntimeError
+
+
+@dataclass(frozen=True)
+class Meddler:
+    """A metric that tries to alter all that it is given, and the state of numpy."""
+
+    columns: ClassVar = {"written": Column("How many arrays it could write into.", "", (0, 9))}
+
+    def score(self, observation: Observation) -> Score:
+        """Write everywhere."""
+        truth, written = observation.truth, 0
+        arrays = [observation.sample, observation.output, observation.source, *observation.extras.values()]
+        arrays += [truth.image, truth.ideal, *truth.elements.values()] if truth else []
+        if observation.again is not None:
+            fresh = observation.again(observation.sample.shape[:2], 0)
+            arrays += [fresh.image] if fresh else []
+        for array in arrays:
+            if array is not None and array.flags.writeable:
+                array[...] = 0
+                written += 1
+        np.seterr(all="raise")
+        np.random.seed(0)  # noqa: NPY002
+        return Score({"written": float(written)})
 
 
 @dataclass(frozen=True)

@@ -129,6 +129,8 @@ FILES = {
     FROZEN + "class X:\n    'Page.'\n    image: int = 0\n    def detect(self, i): ...": "rename it (taken: image",
     FROZEN + "class X:\n    'Page.'\n    size: int\n    def detect(self, i): ...": "'size' has no default",
     FROZEN + "class X:\n    'Page.'\n    def score(self, o): ...": "declares no columns",
+    HEAD + "from nrbench.plugins.forms import Column\n@dataclass(frozen=True)\nclass X:\n    'Page.'\n"
+    "    columns = {'a': Column('A.', '', 'none')}\n    def score(self, o): ...": "column 'a' is not valid",
     FROZEN + "class X:\n    'Page.'\n    def render(self, s, r): ...": "lacks the method again",
     FROZEN + "class Rsgf:\n    'Page.'\n    def synthesize(self, t): ...": "the name 'rsgf' is taken",
     "x = 1": "defines no plugin",

@@ -22,8 +22,3 @@ def test_counts_say_what_was_left_out() -> None:
     """A success rate says k of n, and how many textures it leaves out."""
     assert text_format.format_successes(Estimate(0.875, 0.5, 1.0, 8, 8)) == "7 of 8"
     assert text_format.format_successes(Estimate(0.875, 0.5, 1.0, 8, 9)) == "7 of 8, 1 left out"
-
-
-def test_plain_drops_escapes_and_keeps_lines() -> None:
-    """Terminal colors, bells and NUL are removed; line breaks and tabs stay."""
-    assert text_format.strip_control("\x1b[1;31mred\x1b[0m\x00\x07\r\n\tb") == "red\n\tb"

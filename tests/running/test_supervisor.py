@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
+from faults import registered_faults
 
+from nrbench import plugins
 from nrbench.api import run
 from nrbench.cli.main import main
-from nrbench.running import runner
+from nrbench.imaging.files import read_image, write_image
+from nrbench.running import guard, guarded, runner
+from nrbench.running.guarded import write_guarded
+from nrbench.running.progress import Step
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
 from nrbench.running.worker import Request
@@ -40,6 +47,18 @@ HOWS = {
     "lie": ("invalid", "returned a source map that is not true"),
 }
 
+
+DRAWING_HOWS = {
+    "raise": "RuntimeError: planted failure (faulty_plugins.py, line ",
+    "mute": "Mute: its message raised RuntimeError",
+    "loop": "dataset picture: took longer than 3 s; raise --timeout if it may",
+    "segfault": "dataset picture: died by SIGSEGV",
+    "exit": "dataset picture: ended without an answer",
+    "group": "dataset picture: died by SIGKILL",
+    "memory": "MemoryError",
+    "kind": "dataset picture: kind: expected one of 0, I, II, III, stochastic or None",
+    "shape": "dataset picture: render returned the wrong shape",
+}
 
 FaultyRun = Callable[[Suite, Options], Run]
 
@@ -65,6 +84,101 @@ def test_every_fault_is_a_row(faulty_run: FaultyRun, tmp_path: Path) -> None:
     assert spawner.status == "timeout"
     time.sleep(max(0, spawner.folder.joinpath("result.json").stat().st_mtime + 4.5 - time.time()))
     assert not mark.exists()
+
+
+@pytest.mark.usefixtures("faulty")
+def test_every_fault_of_a_dataset_is_a_row(
+    supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A texture whose dataset fails in any way is a failed cell with its cause; the other textures are drawn."""
+    monkeypatch.setattr(guarded, "Supervisor", lambda: nullcontext(supervisors[0]))
+    rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*DRAWING_HOWS, "fine")]
+    content = {"name": "drawn", "sample": "64x64", "size": "64x64", "methods": ["fine"], "metrics": ["cost"]}
+    suite = validated_suite({**content, "texture": rows}, "test")
+    *broken, fine = faulty_run(suite, Options(jobs=0, timeout=3, memory=300)).cells
+    for record, (how, message) in zip(broken, DRAWING_HOWS.items(), strict=True):
+        assert (record.status, record.phase) == ("error", "render"), how
+        assert message in record.message, how
+    assert fine.status == "ok"
+    assert fine.family == "gray"
+
+
+def test_a_report_that_dies_takes_nothing_with_it(
+    supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A report of others is written in a process of its own: how it fails is an error with its cause."""
+    monkeypatch.setattr(guarded, "Supervisor", lambda: nullcontext(supervisors[0]))
+    done = faulty_run(small_suite(["fine"]), Options(jobs=0))
+    causes = {
+        "exit": "ended without an answer",
+        "segfault": "died by SIGSEGV",
+        "mute": "Mute: its message raised",
+        "interrupt": "KeyboardInterrupt",
+    }
+    with registered_faults():
+        for how, cause in causes.items():
+            with pytest.raises(RuntimeError, match=cause):
+                write_guarded(done, "sheet", plugins.build("reports", "sheet", {"how": how}), "sheets")
+        (path,) = write_guarded(done, "sheet", plugins.build("reports", "sheet", {"how": "fine"}), "sheets")
+        assert Path(path).read_text() == "1"
+        assert plugins.find("reports", "sheet").cls is not None
+        assert "sheet" not in plugins.names("datasets")
+
+
+@pytest.mark.usefixtures("warm_workers")
+def test_a_metric_alters_nothing_for_the_next_one(faulty_run: FaultyRun) -> None:
+    """All that a metric is given is read-only, and metrics that are not nrbench's have a process of their own."""
+    methods = ["oracle", "scatter"]
+    alone = faulty_run(small_suite(methods, "source"), Options(jobs=1)).cells
+    beside = faulty_run(small_suite(methods, "meddler", "source"), Options(jobs=1)).cells
+    for one, other in zip(alone, beside, strict=True):
+        assert other.status == "ok", other.message
+        assert other.values["meddler.written"] == 0
+        assert {name: other.values[name] for name in one.values if name.startswith("source.")} == {
+            name: value for name, value in one.values.items() if name.startswith("source.")
+        }
+
+
+def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
+    """A result or score that is empty, cut, garbled, too deep, of another shape or a folder is computed again."""
+    suite, options = small_suite(["fine"]), Options(jobs=0)
+    done = faulty_run(suite, options)
+    (record,) = done.cells
+    score = next((record.folder / "scores").glob("cost-*.json"))
+    result, good = record.folder / "result.json", score.read_bytes()
+    damages = (b"", good[: len(good) // 2], b"\xff\xfe{", b"{}", b"[]", b"[" * 100_000, b'{"values": {}}')
+    with registered_faults():
+        for damage in damages:
+            for file in (score, result):
+                file.write_bytes(damage)
+                (again,) = run(suite, out=done.root, options=options).cells
+                assert again.status == "ok", (file.name, damage[:20])
+                assert again.values["cost.seconds"] is not None
+        (record.folder / "cell.json").write_bytes(b"\xff")
+        assert [cell.status for cell in Run(done.root).cells] == ["ok"]
+
+
+def test_an_output_that_was_changed_is_not_scored(faulty_run: FaultyRun) -> None:
+    """Scores are of the pixels that the method returned: an output that another program overwrote gets none."""
+    suite, options = small_suite(["fine"]), Options(jobs=0)
+    done = faulty_run(suite, options)
+    (record,) = done.cells
+    (record.folder / "output.png").write_bytes((record.folder / "sample.png").read_bytes())
+    picture = read_image(record.folder / "output.png")
+    write_image(record.folder / "output.png", 1 - picture)
+    shutil.rmtree(record.folder / "scores")
+    with registered_faults():
+        (again,) = run(suite, out=done.root, options=Options(jobs=1)).cells
+    assert "has changed since the method returned it" in again.reasons["cost.seconds"]
+
+
+def test_a_long_log_keeps_its_end(tmp_path: Path) -> None:
+    """A log that floods the disk is cut; its end stays, and what follows is appended."""
+    log = tmp_path / "log.txt"
+    log.write_bytes(b"x" * guard.LONG_LOG + b"\nend\n")
+    guard.shorten(log)
+    assert log.stat().st_size < 2 * guard.SHORT_LOG
+    assert log.read_bytes().endswith(b"x\nend\n")
 
 
 def test_an_answer_of_no_declared_type_is_invalid(faulty_run: FaultyRun) -> None:
@@ -170,7 +284,7 @@ def test_a_failed_metric_spares_the_others_and_is_tried_again(faulty: Path, tmp_
 def test_an_interrupted_run_ends_at_once_and_resumes(
     way: str, faulty: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, warm_executor: Any
 ) -> None:
-    """Ctrl-C ends a run with exit code 130; no process and no result of its cells remain, and they run again."""
+    """Ctrl-C twice ends a run at once with exit code 130; no process and no result of its cells remain."""
     choose_way(way, monkeypatch, warm_executor)
     suite = tmp_path / "s.toml"
     suite.write_text(
@@ -189,18 +303,43 @@ def test_an_interrupted_run_ends_at_once_and_resumes(
         time.sleep(0.02)
     children = psutil.Process(running.pid).children(recursive=True)
     running.send_signal(signal.SIGINT)
+    time.sleep(0.3)
+    assert running.poll() is None  # the cells may end
+    running.send_signal(signal.SIGINT)
     try:
         assert running.wait(10) == 130
     finally:
         running.kill()
     assert len(children) >= 4  # each cell sleeps in one process, and has started another
     assert not psutil.wait_procs(children, timeout=5)[1]
-    assert {file.name for file in cells.glob("*/*")} == {"cell.json", "sample.png", "log.txt"}
+    left = {file.name for file in cells.glob("*/*")}  # the next run empties the folders of cells without a result
+    assert left - {"tmp"} == {"cell.json", "sample.png", "log.txt"}
     (tmp_path / "awake").touch()
     with pytest.raises(SystemExit) as left:
         main(words)
     assert not left.value.code
     assert [record.status for record in Run(tmp_path / "run").cells] == ["ok", "ok"]
+
+
+def test_one_interrupt_lets_the_running_cells_end(faulty: Path, tmp_path: Path) -> None:
+    """After the event is set no cell is started, those that run end with their results, and the rest resumes."""
+    options = Options(jobs=0)
+
+    def interrupt(step: Step) -> None:
+        steps.append(step)
+        options.stop.set()
+
+    steps: list[Step] = []
+    suite = small_suite(["fine", "scatter", "tiling"])
+    with pytest.raises(KeyboardInterrupt):
+        run(suite, out=tmp_path / "run", options=options, progress=interrupt)
+    assert 1 <= len(steps) < 3
+    assert {cell.status for cell in Run(tmp_path / "run").cells} == {"ok", "missing"}
+    steps.clear()
+    run(suite, out=tmp_path / "run", options=Options(jobs=0), progress=steps.append)
+    assert [step.done for step in steps] == [1, 2, 3]
+    assert steps[-1].cached >= 1
+    assert steps[-1].remaining == 0
 
 
 def test_the_worker_has_one_thread(supervisors: list[Supervisor]) -> None:

@@ -16,4 +16,4 @@ def registered_faults() -> Iterator[Path]:
     try:
         yield FAULTS
     finally:
-        plugins.registry._files.pop(FAULTS.resolve())
+        plugins.registry._files.pop(FAULTS.resolve(), None)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
@@ -40,6 +42,14 @@ def test_the_hash_tells_contents_apart() -> None:
     """Equal contents have equal hashes, and any change gives another."""
     assert load_suite("core").hash == load_suite("core").hash
     assert load_suite("core").with_changes(seed=99).hash != load_suite("core").hash
+
+
+def test_a_deep_file_is_bad_input(tmp_path: Path) -> None:
+    """A file that is nested thousands of levels deep is refused in one sentence."""
+    file = tmp_path / "deep.toml"
+    file.write_text("x = " + "[" * 3000 + "]" * 3000)
+    with pytest.raises(BadInput, match="nested too deeply"):
+        load_suite(str(file))
 
 
 @pytest.mark.parametrize(

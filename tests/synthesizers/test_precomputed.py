@@ -57,6 +57,14 @@ def test_a_missing_folder_is_bad_input(tmp_path: Path) -> None:
         look_up(tmp_path / "none")
 
 
+@pytest.mark.parametrize("name", ["../b.png", "/etc/hostname", "x/../../b.png"])
+def test_a_table_reaches_no_file_outside_its_folder(tmp_path: Path, name: str) -> None:
+    """A folder from a stranger cannot read other files."""
+    (tmp_path / "index.csv").write_text(f"sample,output\n{name},b.png\n")
+    with pytest.raises(BadInput, match=r"line 2: .* is not in"):
+        look_up(tmp_path)
+
+
 def test_a_table_without_its_columns_is_bad_input(tmp_path: Path) -> None:
     """The error about a table with other columns says what its first line must be."""
     (tmp_path / "index.csv").write_text("input,result\na.png,b.png\n")

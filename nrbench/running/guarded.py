@@ -1,0 +1,96 @@
+"""Work for a whole run that plugins do: textures are drawn before its cells run, and reports written after.
+
+Plugins that are not part of nrbench do it in guarded child processes.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from nrbench import plugins
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image
+from nrbench.plugins.forms import Shape, Texture
+from nrbench.running.guard import Limits
+from nrbench.running.phases import read_texture
+from nrbench.running.supervisor import RequestRunner, Supervisor
+from nrbench.running.worker import Request
+from nrbench.runs.records import Run
+from nrbench.storage import write_json
+from nrbench.suites.cell import Recipe
+from nrbench.suites.plan import Draw, Plan, make_plan
+from nrbench.suites.suite import Suite
+
+LIMITS = Limits(120.0, 4096.0)
+"""The limits of the drawing of one texture, where no others are given."""
+
+
+def plan_run(suite: Suite, textures: Sequence[str] = (), limits: Limits = LIMITS) -> Plan:
+    """Draw every sample and list every cell, as :func:`~nrbench.suites.plan.make_plan` does.
+
+    A dataset that fails, hangs or kills its process makes the cells of its texture fail, with the cause. The datasets
+    of nrbench are drawn in this process.
+
+    Parameters
+    ----------
+    suite, textures
+        See :func:`~nrbench.suites.plan.make_plan`.
+    limits
+        The limits of the drawing of one texture.
+    """
+    with Supervisor() as supervisor:
+        return make_plan(suite, textures, guarded_draw(supervisor, limits))
+
+
+def write_guarded(run: Run, name: str, report: Any, folder: str, limits: Limits = LIMITS) -> list[str]:
+    """Let a report plugin write its files in a child process; return their paths.
+
+    Parameters
+    ----------
+    run
+        The run.
+    name, report
+        The name of the plugin, and an instance with its parameters.
+    folder
+        The folder of its files, below the run directory.
+    limits
+        The limits of the process.
+
+    Raises
+    ------
+    RuntimeError
+        When the plugin fails or kills its process; with the cause.
+    """
+    parameters = plugins.parameters_of(report)
+    wanted = {"run": str(run.root.resolve()), "report": name, "parameters": parameters, "folder": folder}
+    with Supervisor() as supervisor, _folder_of(wanted) as where:
+        result = supervisor.run(Request("report", str(where), limits.seconds, limits.mib)).result
+        if result["status"] != "ok" or "written" not in result:
+            raise RuntimeError(result["message"] or "ended without an answer")
+        return result["written"]
+
+
+def guarded_draw(runner: RequestRunner, limits: Limits) -> Draw:
+    """Return a function that draws a texture in a child process under limits, and raises BadInput if that fails."""
+
+    def draw(recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
+        with _folder_of({"recipe": recipe.as_dict(), "shape": list(shape)}) as folder:
+            result = runner.run(Request("render", str(folder), limits.seconds, limits.mib)).result
+            if result["status"] != "ok" or "texture" not in result:
+                cause = result["message"] or "ended without an answer"
+                raise BadInput(cause if result["status"] == "invalid" else f"dataset {recipe.dataset}: {cause}")
+            return read_texture(folder, result["texture"])
+
+    return draw
+
+
+@contextmanager
+def _folder_of(content: Mapping[str, Any]) -> Iterator[Path]:
+    """Yield a temporary folder of a child process, whose ``cell.json`` has this content."""
+    with tempfile.TemporaryDirectory(prefix="nrbench-", ignore_cleanup_errors=True) as folder:
+        write_json(Path(folder, "cell.json"), content)
+        yield Path(folder)
