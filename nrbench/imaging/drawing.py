@@ -9,13 +9,14 @@ import numpy as np
 import PIL.Image
 import PIL.ImageDraw
 import PIL.ImageFont
-from skimage.draw import line_aa
 
 from nrbench.imaging.convert import Image, to_bytes
-from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.geometry import Lattice
 
 COLOR = (1.0, 0.1, 0.6)
 """sRGB color of lattices; rare in brick, cloth and tile."""
+_ROWS = 256
+"""Number of rows that are drawn at a time: arrays of the whole image would need much memory."""
 _LINE = 13
 """Height of a line of a caption, px."""
 _MARGIN = 8
@@ -24,7 +25,7 @@ _LETTERS = 30
 """Least number of letters on a line of a caption."""
 
 
-def draw_lattice(image: Image, lattice: Lattice) -> Image:
+def draw_lattice(image: Image, lattice: Lattice, color: tuple[float, float, float] = COLOR) -> Image:
     """Return the image in color with the cells of the lattice drawn over it in anti-aliased lines one pixel wide.
 
     Parameters
@@ -33,22 +34,32 @@ def draw_lattice(image: Image, lattice: Lattice) -> Image:
         Any :data:`~nrbench.imaging.convert.Image`.
     lattice
         In the image's coordinates. The cells of its reduced basis are drawn.
+    color
+        sRGB color of the lines, in [0, 1].
+
+    Notes
+    -----
+    Each pixel is mixed with the color by its distance from the nearest line, which follows from its cell coordinates.
+    The time depends on the image alone and not on the number of cells.
     """
     canvas = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image.copy()
     basis = lattice.reduced()
-    corners = basis.points((image.shape[0], image.shape[1]), margin=2 * float(np.abs(basis.matrix).max()))
-    for vector in basis.matrix:
-        for start in corners:
-            _draw_line(canvas, start, start + vector)
+    steps = np.linalg.inv(basis.matrix)
+    slopes = steps / np.hypot(*steps)  # columns of length 1: their products with a vector are distances in px
+    apart = 1 / np.hypot(*steps)
+    x = np.arange(image.shape[1]) - basis.origin[0]
+    for top in range(0, image.shape[0], _ROWS):
+        rows = canvas[top : top + _ROWS]
+        y = np.arange(top, top + len(rows))[:, np.newaxis] - basis.origin[1]
+        near = np.full(rows.shape[:2], np.inf)
+        for (right, down), spacing in zip(slopes.T, apart, strict=True):
+            distance = x * right + y * down
+            distance -= spacing * np.rint(distance / spacing)
+            np.minimum(near, np.abs(distance, out=distance), out=near)
+        lines = near < 1
+        weight = (1 - near[lines]).astype(np.float32)[:, np.newaxis]
+        rows[lines] += weight * (np.array(color, np.float32) - rows[lines])
     return canvas
-
-
-def _draw_line(canvas: Image, start: Points, end: Points) -> None:
-    x0, y0, x1, y1 = np.rint([*start, *end]).astype(int)
-    rows, columns, weight = line_aa(y0, x0, y1, x1)  # type: ignore[no-untyped-call]
-    inside = (rows >= 0) & (rows < canvas.shape[0]) & (columns >= 0) & (columns < canvas.shape[1])
-    rows, columns, weight = rows[inside], columns[inside], weight[inside, np.newaxis].astype(np.float32)
-    canvas[rows, columns] = canvas[rows, columns] * (1 - weight) + np.array(COLOR, np.float32) * weight
 
 
 def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: int = 8) -> Image:
