@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -90,6 +89,7 @@ def run_command(**arguments: Any) -> int:
     """
     import os
 
+    from nrbench.cli.progress import live_progress
     from nrbench.cli.summary import print_summary, write_reports
     from nrbench.running.runner import Options, execute
 
@@ -99,26 +99,11 @@ def run_command(**arguments: Any) -> int:
         argv=["nrbench", *sys.argv[1:]],
         **{key: arguments[key] for key in ("scheduler", "timeout", "memory", "retry_failed", "reuse")},
     )
-    with _live_progress() as progress:
+    with live_progress() as progress:
         run = execute(plan, root, options, progress)
     written, broken = write_reports(run, tables_only=arguments["no_report"])
     failed = print_summary(run, written, arguments["as_json"])
     return int(failed or broken)
-
-
-@contextmanager
-def _live_progress() -> Iterator[Callable[[int, int, str], None]]:
-    """Show progress on standard error: a live bar on a terminal, plain lines elsewhere."""
-    if not sys.stderr.isatty():
-        yield lambda done, total, what: print(f"[{done}/{total}] {what}", file=sys.stderr, flush=True)
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}", markup=False))
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=None)
-        yield lambda done, total, what: bar.update(task, completed=done, total=total, description=what)
 
 
 @click.command("plan")

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import MIN_SIDE, Image, as_image, to_bytes
 
+ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
+"""Endings of picture files."""
 _DIRECT = {"L", "LA", "RGB", "RGBA", "I;16"}
 _VIA = {"1": "L", "P": "RGB", "CMYK": "RGB", "YCbCr": "RGB", "LAB": "RGB", "HSV": "RGB"}
 _VIA_ALPHA = dict.fromkeys(("1", "L", "LA"), "LA")
@@ -58,6 +60,20 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
         raise BadInput(f"{where}: has too many pixels; crop it, or scale it down") from None
     except (OSError, SyntaxError, EOFError) as error:
         raise BadInput(f"{where}: cannot be read ({error}); it may be cut short: save it again as PNG") from None
+
+
+def list_pictures(folder: Path) -> list[Path]:
+    """Return the pictures of a folder by the endings of their names, sorted by name; hidden files are left out.
+
+    Raises
+    ------
+    BadInput
+        If there is no such folder.
+    """
+    if not folder.is_dir():
+        raise BadInput(f"directory {folder}: there is no such directory; check the path")
+    names = sorted(entry.name for entry in os.scandir(folder) if entry.is_file() and not entry.name.startswith("."))
+    return [folder / name for name in names if Path(name).suffix.lower() in ENDINGS]
 
 
 def read_shape(path: str | Path) -> tuple[int, int]:
