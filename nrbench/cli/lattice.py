@@ -77,7 +77,9 @@ def lattice_command(
     chosen = [name for name, value in options.items() if value not in (None, False)]
     if len(chosen) > 1:
         raise BadInput(f"{' and '.join(chosen)}: choose one of them")
-    of_folders = {"--least": least is not None, "--keep": keep, "--force": force}
+    of_folders = [
+        name for name, given in (("--least", least is not None), ("--keep", keep), ("--force", force)) if given
+    ]
     if image.is_dir():
         wrong = [*(name for name in chosen if name != "-d"), *(["--diagnostics"] if diagnostics else [])]
         if wrong:
@@ -86,9 +88,8 @@ def lattice_command(
             raise BadInput("--keep and --force: choose one of them")
         existing = "keep" if keep else "replace" if force else "refuse"
         return _survey(image, detector or "consensus", output, least, existing, as_json)
-    if any(of_folders.values()):
-        name = next(name for name, given in of_folders.items() if given)
-        raise BadInput(f"{name}: is for a folder of pictures, and {image} is none; leave it out")
+    if of_folders and image.is_file():
+        raise BadInput(f"{of_folders[0]}: is for a folder of pictures, and {image} is none; leave it out")
     if diagnostics is not None and chosen not in ([], ["-d"]):
         raise BadInput(f"--diagnostics: draws how one detector works; leave {chosen[0]} out")
     for path in filter(None, (output, diagnostics)):
@@ -161,6 +162,8 @@ class _Result:
         """Return the lattice for JSON, with the alternatives and the probabilities of a detector."""
         if self.detection is None:
             return {**self.vectors, "detector": self.detector, "confidence": None}
+        from nrbench.suites.surveying import candidate_dict
+
         probabilities = self.detection.probabilities
         return {
             **self.vectors,
@@ -168,7 +171,7 @@ class _Result:
             "confidence": self.detection.confidence,
             "probabilities": probabilities and probabilities._asdict(),
             "role": self.detection.role,
-            "alternatives": [_alternative_dict(each) for each in self.detection.alternatives],
+            "alternatives": [candidate_dict(each) for each in self.detection.alternatives],
         }
 
     def as_dict(self) -> dict[str, Any]:
@@ -221,12 +224,6 @@ def _of_alternative(candidate: Alternative) -> _Result:
 
 def _describe(candidate: Alternative) -> str:
     return f"{_of_alternative(candidate).text()}, {_notes(candidate)}, confidence {candidate.confidence:.3f}"
-
-
-def _alternative_dict(alternative: Alternative) -> dict[str, Any]:
-    """Return an alternative for JSON, its vectors in the same form as those of the chosen lattice."""
-    rest = {name: value for name, value in alternative.as_dict().items() if name != "lattice"}
-    return {**_of_alternative(alternative).vectors, **rest}
 
 
 def _survey(folder: Path, detector: str, output: Path | None, least: float | None, existing: str, as_json: bool) -> int:

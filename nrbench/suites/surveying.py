@@ -16,7 +16,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.imaging.drawing import contact_sheet, overview, zoom_panels
 from nrbench.imaging.files import list_pictures, read_image, write_image
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Alternative, Detection, Detector, NoLatticeFound
 from nrbench.plugins.parameters import parse_spec
 from nrbench.storage import write_aside
@@ -64,19 +64,28 @@ def _candidate_caption(number: int, candidate: Alternative) -> str:
 
 def _vector_lines(lattice: Lattice) -> list[str]:
     return [
-        f"{name} = ({round(x, 2) + 0.0:.2f}, {round(y, 2) + 0.0:.2f}) px" for name, (x, y) in _vectors(lattice).items()
+        f"{name} = ({round(x, 2) + 0.0:.2f}, {round(y, 2) + 0.0:.2f}) px"
+        for name, (x, y) in known_vectors(lattice).items()
     ]
 
 
-def _vectors(lattice: Lattice) -> dict[str, tuple[float, float]]:
+def known_vectors(lattice: Lattice) -> dict[str, Vector]:
     """Return t1 and t2, and the origin where it is known; (0, 0) stands for an unknown one."""
     known = {"t1": lattice.t1, "t2": lattice.t2}
     return known if lattice.origin == (0.0, 0.0) else {**known, "origin": lattice.origin}
 
 
+def candidate_dict(candidate: Alternative) -> dict[str, Any]:
+    """Return a mapping that can be written as JSON: the vectors, and what is known about the candidate."""
+    return {
+        **known_vectors(candidate.lattice),
+        **{name: value for name, value in vars(candidate).items() if name != "lattice"},
+    }
+
+
 def lattice_text(lattice: Lattice) -> str:
     """Return ``"x1,y1,x2,y2"``, or with the origin where it is known ``"x1,y1,x2,y2,x,y"``, to a ten-thousandth px."""
-    return ",".join(_number(value) for vector in _vectors(lattice).values() for value in vector)
+    return ",".join(_number(value) for vector in known_vectors(lattice).values() for value in vector)
 
 
 def _number(value: float) -> str:
@@ -138,9 +147,9 @@ class Finding(NamedTuple):
         """Return a mapping that can be written as JSON."""
         return {
             "file": self.name,
-            "lattice": self.lattice.as_dict() if self.lattice else None,
+            **(known_vectors(self.lattice) if self.lattice else {"lattice": None}),
             "confidence": self.confidence,
-            "candidates": [candidate.as_dict() for candidate in self.candidates],
+            "candidates": [candidate_dict(candidate) for candidate in self.candidates],
             "reason": self.reason,
             "failed": self.failed,
             "kept": self.kept is not None,
