@@ -94,6 +94,8 @@ def lattice_command(
         raise BadInput(f"--diagnostics: draws how one detector works; leave {chosen[0]} out")
     for path in filter(None, (output, diagnostics)):
         check_output(path)
+        if path.resolve() == image.resolve():
+            raise BadInput(f"{path}: is the picture itself, which would be lost; choose another name")
     picture = read_image(image)
     if every:
         return _compare_detectors(picture, output, as_json)

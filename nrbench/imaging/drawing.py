@@ -87,7 +87,7 @@ def zoom_panels(image: Image, lattices: Sequence[Lattice], side: int = PANEL) ->
         return []
     longest = [float(np.hypot(*lattice.reduced().t2)) for lattice in lattices]
     extent = max(_CELLS * longest[0], _OTHER_CELLS * max(longest), _LEAST)
-    height, width = (min(n, ceil(extent)) for n in image.shape[:2])
+    height, width = (min(n, round(extent)) for n in image.shape[:2])
     top, left = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
     part = image[top : top + height, left : left + width]
     panel, factor = _scale(part, side)

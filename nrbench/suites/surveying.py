@@ -39,6 +39,7 @@ _LETTERS = 42
 """Number of letters on a line of a caption."""
 _LINES = 5
 """Number of lines of a caption."""
+_BLANK: Image = np.ones((1, 1, 3), np.float32)
 Progress = Callable[[int, int, str], object]
 """``progress(done, total, name)`` is called after each picture."""
 
@@ -273,8 +274,7 @@ class Survey:
 
     def _add_to_page(self, finding: Finding, image: Image | None) -> None:
         """Draw a picture with its lattice and the candidates; write the page when it is full."""
-        blank = np.ones((1, 1, 3), np.float32)
-        panels = [blank if image is None else overview(image, finding.lattice)]
+        panels = [_BLANK if image is None else overview(image, finding.lattice)]
         captions = [_picture_caption(finding, image)]
         if image is not None and finding.candidates:
             drawn, texts = draw_candidates(image, finding.candidates)
@@ -282,18 +282,21 @@ class Survey:
         elif image is not None and finding.lattice is not None:
             panels += zoom_panels(image, [finding.lattice])
             captions.append("\n".join([f"from {TRUTH_FILE}", *_vector_lines(finding.lattice)]))
-        missing = 1 + SHOWN - len(panels)
-        self._waiting.append((panels + [blank] * missing, captions + [""] * missing))
+        self._waiting.append((panels, captions))
         if len(self._waiting) == ON_PAGE:
             self._write_page()
 
     def _write_page(self) -> None:
         if not self._waiting:
             return
-        panels = [panel for row, _ in self._waiting for panel in row]
-        captions = [f"{text}\n" + "\n" * (_LINES - text.count("\n") - 2) for _, row in self._waiting for text in row]
+        columns = max(len(row) for row, _ in self._waiting)
+        panels, captions = [], []
+        for row, texts in self._waiting:
+            missing = columns - len(row)
+            panels += row + [_BLANK] * missing
+            captions += [text + "\n" * (_LINES - 1 - text.count("\n")) for text in texts] + [""] * missing
         path = self.directory / FOLDER / f"page-{len(self.pages) + 1}.png"
-        self.pages.append(write_image(path, contact_sheet(panels, captions, columns=1 + SHOWN)))
+        self.pages.append(write_image(path, contact_sheet(panels, captions, columns)))
         self._waiting = []
 
     def _write_table(self) -> None:

@@ -48,6 +48,8 @@ def pictures() -> None:
         ("brick.png --lattice 20,0,40,0", "parallel"),
         ("brick.png --diagnostics d.jpg", "outputs are PNG"),
         ("brick.png --pick", "no window can be opened"),
+        ("brick.png -o ./brick.png", "is the picture itself"),
+        ("brick.png --diagnostics brick.png", "is the picture itself"),
     ],
 )
 def test_misuse(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
