@@ -35,7 +35,7 @@ ON_PAGE = 8
 """Number of pictures on a contact sheet."""
 REJECTED = "rejected"
 """The relation of a candidate that the detector rejected."""
-_LETTERS = 42
+_LETTERS = 38
 """Number of letters on a line of a caption."""
 _LINES = 5
 """Number of lines of a caption."""
