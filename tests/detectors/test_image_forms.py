@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from nrbench import detect_lattice, texture
-from nrbench.detectors.agreement.likeness import WIDE, _average_nearby, views
+from nrbench.detectors.agreement.likeness import _blur, views
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.comparison import lattice_error
 from nrbench.plugins.forms import Texture
@@ -92,11 +92,10 @@ def test_views_need_little_memory() -> None:
     assert peak < image.nbytes / 4
 
 
-def test_a_wide_window_is_a_filter() -> None:
-    """Means under a wide Gaussian window are those of scipy, mirrored at the borders; none is negative."""
+@pytest.mark.parametrize("deviation", [3.0, 40.0, 111.0])
+def test_a_product_of_cosine_transforms_is_a_filter(deviation: float) -> None:
+    """Means under a Gaussian window are those of scipy, which mirrors the values at the borders."""
     power = np.zeros((300, 340), np.float32)
     power[40:60, 300:] = 1
-    expected = ndimage.gaussian_filter(power, WIDE + 1, truncate=5)
-    means = _average_nearby(power, WIDE + 1)
-    np.testing.assert_allclose(means, expected, atol=1e-6)
-    assert means.min() >= 0 and means.dtype == np.float32
+    expected = ndimage.gaussian_filter(power, deviation, truncate=2)
+    np.testing.assert_allclose(_blur(power, deviation), expected, atol=1e-6)

@@ -21,8 +21,6 @@ FINE = 0.7
 """Standard deviation, px, of the Gaussian that smooths the image before its slopes are computed."""
 NEIGHBORHOOD = 1 / 6
 """Standard deviation, in shorter sides of the image, of the Gaussian window over which contrast is normalized."""
-WIDE = 110.0
-"""px; standard deviation above which a Gaussian window is applied by cosine transforms."""
 SIDE = 640
 """px; an image up to this side is analyzed in one view."""
 MIN_SIDE = 24
@@ -80,20 +78,23 @@ def _slopes(image: Image) -> Values:
     smooth = ndimage.gaussian_filter(image.mean(2), FINE)
     pair = np.stack([ndimage.sobel(smooth, 1), ndimage.sobel(smooth, 0)], -1)
     power = (pair**2).sum(-1)
-    nearby = _average_nearby(power, NEIGHBORHOOD * min(power.shape))
+    nearby = _blur(power, NEIGHBORHOOD * min(power.shape))
     return np.asarray(pair / np.sqrt(nearby + 1e-3 * power.mean() + 1e-12)[..., np.newaxis], np.float32)
 
 
-def _average_nearby(power: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
-    """Return the means of ``(H, W)`` values under a Gaussian window; the values are mirrored at the borders.
+def _blur(values: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
+    """Return ``ndimage.gaussian_filter(values, deviation, truncate=2)``, ``(H, W)``.
 
-    The time of a sum grows with its window, the time of a cosine transform does not.
+    A symmetric filter on a mirrored image is a product of cosine transforms, which is much faster for a wide filter.
     """
-    if deviation <= WIDE:
-        return np.asarray(ndimage.gaussian_filter(power, deviation, truncate=2))
-    fall = [np.exp(-0.5 * (np.pi * deviation / n * np.arange(n)) ** 2).astype(np.float32) for n in power.shape]
-    waves = scipy.fft.dctn(power, norm="ortho") * fall[0][:, np.newaxis] * fall[1]
-    return np.maximum(scipy.fft.idctn(waves, norm="ortho", overwrite_x=True), 0)
+    radius = int(2 * deviation + 0.5)
+    taps = np.arange(-radius, radius + 1)
+    window = np.exp(-0.5 * (taps / deviation) ** 2)
+    waves = scipy.fft.dctn(values)
+    for axis, length in enumerate(values.shape):
+        response = np.cos(np.pi / length * np.outer(np.arange(length), taps)) @ (window / window.sum())
+        waves *= np.expand_dims(response.astype(np.float32), 1 - axis)
+    return np.asarray(scipy.fft.idctn(waves), np.float32)
 
 
 class View(NamedTuple):
