@@ -69,6 +69,9 @@ BENCHMARKS = (
         "detector_accuracy.py",
     ),
     Benchmark("consensus_calibration.py --count 1", "What consensus's confidence is worth", "consensus_calibration.py"),
+    Benchmark(
+        "large_images.py 2000", "What detection costs on large images", "large_images.py 500 1000 2000 4000 8000"
+    ),
     Benchmark("drift.py 256", "How far methods are off a fractional lattice", "drift.py 256 1024"),
     Benchmark("two_lattices.py 1", "Which methods keep both lattices of a texture", "two_lattices.py 1 2 3"),
     Benchmark(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,15 +15,13 @@ import numpy as np
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import read_image, read_shape
+from nrbench.imaging.files import list_pictures, read_image, read_shape
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Region, Shape, Texture
 from nrbench.truth import TruthTable
 
 from .modelling.model import check
 
-ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
-"""Endings of picture files."""
 _ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
 """The keys of a suite's row that are read from ``truth.json``."""
 OUTPUT_SCALE = 2
@@ -113,8 +111,7 @@ class Images:
         """
         folder = Path(directory)
         sheet, rendered = read_rendered(folder)
-        names = sorted(entry.name for entry in os.scandir(folder) if entry.is_file() and not entry.name.startswith("."))
-        pictures = [folder / name for name in names if Path(name).suffix.lower() in ENDINGS and name != sheet]
+        pictures = [path for path in list_pictures(folder) if path.name != sheet]
         if not pictures:
             raise BadInput(f"directory {folder}: has no picture; put PNG, JPEG or TIFF files into it")
         truth = read_truth(folder)
@@ -252,9 +249,16 @@ def _free_corner(picture: Shape, shape: Shape, region: Region, rng: np.random.Ge
 
 
 def _named(pictures: list[Path]) -> Iterator[tuple[str, Path]]:
-    """Yield the name and path of each picture. The name lacks the ending unless two pictures would share it."""
-    stems = Counter(path.stem for path in pictures)
-    return ((path.stem if stems[path.stem] == 1 else path.name, path) for path in pictures)
+    """Yield the name and path of each picture. The name lacks the ending unless two pictures would share it.
+
+    Backslashes and control characters, which the name of a texture cannot have, become underscores.
+    """
+    stems = Counter(_plain(path.stem) for path in pictures)
+    return ((_plain(path.stem if stems[_plain(path.stem)] == 1 else path.name), path) for path in pictures)
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\\\x00-\x1f]", "_", name)
 
 
 def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, as_image, match_ndim, quantize
+from nrbench.imaging.convert import Image, as_image, match_channels, match_ndim, quantize
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.plugins.forms import Detection, Observation, Refused, Score, Shape, Synthesis, Task, Texture, Value
 from nrbench.running.guard import Limits
@@ -189,12 +189,13 @@ def score(sample: Any, output: Any, lattice: Latticelike = None) -> Sheet:
     Parameters
     ----------
     sample, output
-        The two images; both have the same number of channels.
+        The two images, both gray or both in color; a gray one may be stored in color.
     lattice
         The sample's lattice. If None, metrics that need a lattice use the one that the detector ``dominance`` finds in
         the sample; if it finds none, their scores are None, with the reason.
     """
     pair = quantize(as_image(sample, "sample")), quantize(as_image(output, "output"))
+    pair = match_channels(*pair), match_channels(*pair[::-1])
     if pair[0].shape[2] != pair[1].shape[2]:
         raise BadInput(f"output: has {pair[1].shape[2]} channels, the sample {pair[0].shape[2]}; convert one of them")
     given = as_lattice(lattice)

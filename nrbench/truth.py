@@ -62,7 +62,7 @@ class TruthTable:
         fields, lines = _lines(path)
         _check_fields(fields, f"{path} line 1")
         for line, values in lines:
-            row = _row(values, f"{path} line {line}", len(fields))
+            row = _row(values, f"{path} line {line}", len(fields), folder)
             name = row.values["file"]
             if name in rows:
                 raise BadInput(f"{row.where}: {name!r} occurs a second time; keep one")
@@ -101,13 +101,17 @@ def _check_fields(fields: Sequence[str], where: str) -> None:
         raise BadInput(f"{where}: has only {half[0]!r}; give both columns {','.join(ORIGIN)}, or neither")
 
 
-def _row(values: Mapping[str, Any], where: str, columns: int) -> TruthRow:
+def _row(values: Mapping[str, Any], where: str, columns: int, folder: Path) -> TruthRow:
     if None in values:  # the key under which csv.DictReader stores surplus fields
         surplus = len(values[None])  # type: ignore[index]
         raise BadInput(
             f"{where}: has {columns + surplus} fields for {columns} columns; quote fields that contain a comma"
         )
     plain = {name: str(text).strip() for name, text in values.items()}
+    exact = str(values["file"])
+    if Path(exact).name == exact and (folder / exact).is_file():
+        plain["file"] = exact  # the name of a file may begin with a space, or contain a backslash
+        return TruthRow(where, plain, _vectors(plain, where))
     name = plain["file"]
     if not name:
         raise BadInput(f"{where}: has no file name; give it, or delete the line")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -98,7 +97,7 @@ def run_command(**arguments: Any) -> int:
     from nrbench.running.runner import Options, execute
 
     plan, root = _make_plan(arguments)
-    with _live_progress(arguments["as_json"]) as progress, first_interrupt(_tell_interrupted) as stop:
+    with _show_steps(arguments["as_json"]) as progress, first_interrupt(_tell_interrupted) as stop:
         options = Options(
             jobs=arguments["jobs"] if arguments["jobs"] is not None else os.cpu_count() or 1,
             argv=["nrbench", *sys.argv[1:]],
@@ -116,32 +115,21 @@ def _tell_interrupted() -> None:
 
 
 @contextmanager
-def _live_progress(as_json: bool) -> Iterator[Callable[[Step], None]]:
-    """Show progress on standard error: a live bar on a terminal, plain lines elsewhere, JSON lines with ``--json``."""
+def _show_steps(as_json: bool) -> Iterator[Callable[[Step], None]]:
+    """Show the steps of a run on standard error: as JSON lines, or as :func:`~nrbench.cli.progress.live_progress`."""
+    from nrbench.cli.progress import live_progress
+
     if as_json:
         yield lambda step: print(json.dumps({"event": "cell", **step.as_dict()}), file=sys.stderr, flush=True)
         return
-    if not sys.stderr.isatty():
-        yield _print_step
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}", markup=False))
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=None)
-        yield lambda step: bar.update(task, completed=step.done, total=step.total, description=_describe_step(step))
-
-
-def _print_step(step: Step) -> None:
-    left = f", {step.remaining_text}" if step.remaining_text else ""
-    print(f"[{step.done}/{step.total}] {step.text}{left}", file=sys.stderr, flush=True)
+    with live_progress(estimate=False) as show:
+        yield lambda step: show(step.done, step.total, _describe_step(step))
 
 
 def _describe_step(step: Step) -> str:
-    """Return the counts that are not zero, the time left, and the last cell."""
+    """Return the cell, the counts of cached and failed cells that are not zero, and the time left."""
     counts = [f"{count} {word}" for count, word in ((step.cached, "cached"), (step.failed, "failed")) if count]
-    return ", ".join([*counts, *filter(None, [step.remaining_text]), step.text])
+    return "; ".join([step.text, *filter(None, [", ".join(counts), step.remaining_text])])
 
 
 @click.command("plan")

@@ -15,7 +15,7 @@ Image = NDArray[np.float32]
 MIN_SIDE = 8
 """px; the smallest side of an input."""
 Number = TypeVar("Number", np.float32, np.float64)
-_INTEGER_PEAK = {np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}
+_INTEGER_PEAK = {np.dtype(np.bool_): 1, np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}
 
 
 def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Image:
@@ -24,7 +24,8 @@ def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Imag
     Parameters
     ----------
     array
-        uint8, uint16 or float in [0, 1]; ``(H, W)``, ``(H, W, 1)`` or ``(H, W, 3)``.
+        bool, uint8, uint16 or float in [0, 1]; ``(H, W)``, ``(H, W, 1)`` or ``(H, W, 3)``, or with an alpha channel,
+        ``(H, W, 2)`` or ``(H, W, 4)``, that is opaque everywhere. Such a channel is left out.
     where
         The name of the input in error messages.
     smallest
@@ -38,7 +39,7 @@ def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Imag
     Raises
     ------
     BadInput
-        For any other dtype or shape, alpha, NaN or infinity, values outside [0, 1], or too small a side.
+        For any other dtype or shape, transparent pixels, NaN or infinity, values outside [0, 1], or too small a side.
 
     Examples
     --------
@@ -50,16 +51,28 @@ def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Imag
     pixels = np.asarray(array)
     pixels = pixels[..., np.newaxis] if pixels.ndim == 2 else pixels
     _check_shape(pixels, where, smallest)
+    if pixels.shape[2] in (2, 4):
+        _check_opaque(pixels[..., -1], where)
+        pixels = pixels[..., :-1]
     return _scale_to_unit(pixels, where)
 
 
 def _check_shape(pixels: NDArray[Any], where: str, smallest: int) -> None:
     if pixels.ndim != 3 or pixels.shape[2] not in (1, 2, 3, 4):
         raise BadInput(f"{where}: shape {pixels.shape} is no image; pass (H, W), (H, W, 1) or (H, W, 3)")
-    if pixels.shape[2] in (2, 4):
-        raise BadInput(f"{where}: has an alpha channel; flatten it onto a background first, e.g. image[..., :3]")
     if min(pixels.shape[:2]) < smallest:
         raise BadInput(f"{where}: {pixels.shape[1]}x{pixels.shape[0]} px; at least {smallest} px a side are needed")
+
+
+def _check_opaque(alpha: NDArray[Any], where: str) -> None:
+    """Raise BadInput if an alpha channel ``(H, W)`` is not full, to 8 bits, at every pixel."""
+    transparent = ~(alpha >= _INTEGER_PEAK.get(alpha.dtype, 1) * (1 - 0.5 / 255))
+    if transparent.any():
+        y, x = np.argwhere(transparent)[0]
+        raise BadInput(
+            f"{where}: has {np.count_nonzero(transparent)} transparent pixels, the first at ({x}, {y}); "
+            "flatten it onto a background first"
+        )
 
 
 def _scale_to_unit(pixels: NDArray[Any], where: str) -> Image:
@@ -78,7 +91,9 @@ def _scale_to_unit(pixels: NDArray[Any], where: str) -> Image:
 
 def to_bytes(image: Image) -> NDArray[np.uint8]:
     """Clip an image to [0, 1] and round it to uint8, as a PNG file stores it."""
-    return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    pixels = np.clip(image, 0, 1)
+    pixels *= 255  # in place: a large image leaves no room for a copy at each step
+    return np.rint(pixels, out=pixels).astype(np.uint8)
 
 
 def quantize(image: Image) -> Image:

@@ -17,8 +17,12 @@ from numpy.typing import NDArray
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import MIN_SIDE, Image, as_image, to_bytes
 
-_DIRECT = {"L", "RGB", "I;16"}
+ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
+"""Endings of picture files."""
+_DIRECT = {"L", "LA", "RGB", "RGBA", "I;16"}
 _VIA = {"1": "L", "P": "RGB", "CMYK": "RGB", "YCbCr": "RGB", "LAB": "RGB", "HSV": "RGB"}
+_VIA_ALPHA = dict.fromkeys(("1", "L", "LA"), "LA")
+"""Modes to which pictures with transparency are converted; the others become RGBA."""
 _TURNED = (5, 6, 7, 8)
 """EXIF orientations that exchange height and width."""
 
@@ -29,7 +33,8 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     Parameters
     ----------
     path
-        8-bit gray, color or palette, or 16-bit gray. An EXIF rotation is applied; a broken EXIF block is ignored.
+        Gray, color or palette of up to 16 bits a channel; 16-bit color is rounded to 8 bits. An EXIF rotation is
+        applied; a broken EXIF block is ignored. An alpha channel is left out if it is opaque everywhere.
     smallest
         Least number of px a side.
 
@@ -41,7 +46,7 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     Raises
     ------
     BadInput
-        If there is no such file, or it is no image, has transparency, or is smaller than ``smallest``.
+        If there is no such file, or it is no image, has transparent pixels, or is smaller than ``smallest``.
     """
     where = f"picture {path}"
     _check_file(Path(path), where)
@@ -55,6 +60,20 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
         raise BadInput(f"{where}: has too many pixels; crop it, or scale it down") from None
     except (OSError, SyntaxError, EOFError) as error:
         raise BadInput(f"{where}: cannot be read ({error}); it may be cut short: save it again as PNG") from None
+
+
+def list_pictures(folder: Path) -> list[Path]:
+    """Return the pictures of a folder by the endings of their names, sorted by name; hidden files are left out.
+
+    Raises
+    ------
+    BadInput
+        If there is no such folder.
+    """
+    if not folder.is_dir():
+        raise BadInput(f"directory {folder}: there is no such directory; check the path")
+    names = sorted(entry.name for entry in os.scandir(folder) if entry.is_file() and not entry.name.startswith("."))
+    return [folder / name for name in names if Path(name).suffix.lower() in ENDINGS]
 
 
 def read_shape(path: str | Path) -> tuple[int, int]:
@@ -88,22 +107,25 @@ def _check_file(path: Path, where: str) -> None:
 
 
 def _pixels(picture: PIL.Image.Image, where: str) -> NDArray[Any]:
+    if picture.mode.startswith("I"):
+        return _sixteen_bits(np.asarray(picture), picture.info.get("transparency"), where)
     if picture.has_transparency_data:
-        raise BadInput(f"{where}: has transparency (mode {picture.mode}); flatten it onto a background first")
-    if picture.mode in _VIA:
+        picture = picture.convert(_VIA_ALPHA.get(picture.mode, "RGBA"))
+    elif picture.mode in _VIA:
         picture = picture.convert(_VIA[picture.mode])
-    elif picture.mode.startswith("I"):
-        return _sixteen_bits(np.asarray(picture), where)
     if picture.mode not in _DIRECT:
         raise BadInput(f"{where}: has pixels of mode {picture.mode}; save it with 8 or 16 bits a channel")
     return np.asarray(picture)
 
 
-def _sixteen_bits(pixels: NDArray[Any], where: str) -> NDArray[np.uint16]:
-    """Return gray values of more than 8 bits, which some formats store in 32 bits."""
+def _sixteen_bits(pixels: NDArray[Any], transparent: int | None, where: str) -> NDArray[np.uint16]:
+    """Return gray values of more than 8 bits, which some formats store in 32 bits; with alpha if one is transparent."""
     if pixels.min() < 0 or pixels.max() > 65535:
         raise BadInput(f"{where}: has gray values outside 0 to 65535; save it with 8 or 16 bits a channel")
-    return pixels.astype(np.uint16)
+    values = pixels.astype(np.uint16)
+    if transparent is None:
+        return values
+    return np.stack([values, np.where(values == transparent, 0, 65535).astype(np.uint16)], -1)
 
 
 def write_image(path: str | Path, image: Image) -> Path:

@@ -35,6 +35,7 @@ def pictures(tmp_path: Path) -> Path:
     skimage.io.imsave("tiny.png", np.zeros((4, 4, 3), np.uint8), check_contrast=False)
     skimage.io.imsave("rgba.png", rng.integers(0, 255, (64, 64, 4)).astype(np.uint8), check_contrast=False)
     skimage.io.imsave("constant.png", np.full((64, 64, 3), 99, np.uint8), check_contrast=False)
+    skimage.io.imsave("tinted.png", np.full((64, 64, 3), (99, 120, 140), np.uint8), check_contrast=False)
     skimage.io.imsave("brick.png", brick)
     skimage.io.imsave("sixteen.png", brick.astype(np.uint16) * 257)
     PIL.Image.fromarray(brick).convert("P").save("palette.png")
@@ -69,7 +70,7 @@ BAD = {
     "synth brick.png -m oracle --size 64x64 -o o.png": "nrbench: ",
     "lattice brick.png -d gnc": "did you mean 'gncc'",
     "lattice text.png": "is no picture",
-    "score brick.png constant.png": "channels",
+    "score brick.png tinted.png": "channels",
     "run nosuch": "no suite, TOML file or directory of that name",
     "run brick.png": "is no TOML file",
     "run folder": "has no picture",
@@ -139,7 +140,8 @@ def test_lattice_prints_what_the_contract_says(capsys: pytest.CaptureFixture[str
     assert call("render hexagon:color=0.1 --sample 128x128 -o out") == 0
     capsys.readouterr()
     assert call("lattice out/hexagon.png --json -o overlay.png") == 0
-    assert set(json.loads(capsys.readouterr().out)) == {"t1", "t2", "detector", "confidence"}
+    ranking = {"probabilities", "role", "alternatives"}
+    assert set(json.loads(capsys.readouterr().out)) == {"t1", "t2", "detector", "confidence"} | ranking
     assert skimage.io.imread("overlay.png").shape == (128, 128, 3)
 
 

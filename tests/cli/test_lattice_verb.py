@@ -10,6 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import skimage.io
+from candidates import OTHERS, Ranked
 
 from nrbench import plugins
 from nrbench.api import synthesize, texture
@@ -47,6 +48,8 @@ def pictures() -> None:
         ("brick.png --lattice 20,0,40,0", "parallel"),
         ("brick.png --diagnostics d.jpg", "outputs are PNG"),
         ("brick.png --pick", "no window can be opened"),
+        ("brick.png -o ./brick.png", "is the picture itself"),
+        ("brick.png --diagnostics brick.png", "is the picture itself"),
     ],
 )
 def test_misuse(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -108,6 +111,7 @@ def test_all_detectors_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert [answer["detector"] for answer in answers] == plugins.names("detectors")
     for answer in answers:
         keys = {"t1", "t2", "confidence"} if "t1" in answer else {"lattice", "reason"}
+        keys |= {"probabilities", "role", "alternatives"} if "t1" in answer else set()
         keys |= {"origin"} if answer["detector"] == "frdft" else set()
         assert set(answer) == {"detector", "seconds", *keys} and answer["seconds"] > 0
 
@@ -116,7 +120,8 @@ def test_all_detectors_as_a_table_and_a_sheet(capsys: pytest.CaptureFixture[str]
     """`--all -o` prints a line a detector under a head, and writes a captioned picture of each."""
     assert call("lattice small.png --all -o sheet.png") == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split()[0] == "detector" and [line.split()[0] for line in lines[1:]] == plugins.names("detectors")
+    first = [line.split()[0] for line in lines[1:] if line[0] != " "]  # further candidates are indented
+    assert lines[0].split()[0] == "detector" and first == plugins.names("detectors")
     height, width = read_image("sheet.png").shape[:2]
     assert height > 40 and width > 180 * min(3, len(lines) - 1)
 
@@ -150,3 +155,119 @@ def test_diagnostics_of_nothing_are_not_written(tmp_path: Path, capsys: pytest.C
     """Where the detector left nothing to be drawn, no file is written, and a line says so."""
     assert call("lattice constant.png --diagnostics why.png") == 0
     assert "not written" in capsys.readouterr().err and not (tmp_path / "why.png").exists()
+
+
+@pytest.fixture
+def ranked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let `consensus` return a ranked list of candidates."""
+    monkeypatch.setattr("nrbench.detectors.consensus.Consensus.detect", lambda self, image: Ranked().detect(image))
+    skimage.io.imsave("bright.png", np.full((60, 80, 3), 204, np.uint8), check_contrast=False)
+
+
+def test_candidates_as_json(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--json` holds the chosen lattice, its probabilities, and all alternatives with evidence and relation."""
+    assert call("lattice bright.png --json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert {name: answer[name] for name in ("t1", "t2", "detector", "confidence", "role")} == {
+        "t1": [16, 0], "t2": [0, 12], "detector": "consensus", "confidence": pytest.approx(0.8), "role": "structure"
+    }  # fmt: skip
+    assert answer["probabilities"] == pytest.approx({"exact": 0.8, "sub_or_supercell": 0.1, "none": 0.1})
+    second = {"t1": [32, 0], "t2": [0, 12], "confidence": 0.2, "relation": "double along t1", "role": "color"}
+    assert answer["alternatives"][0] == {**second, "evidence": 0.31}
+    assert len(answer["alternatives"]) == len(OTHERS) == 3
+
+
+def test_candidates_as_text(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first line is the chosen lattice; the second and the third candidate follow, and no others."""
+    assert call("lattice bright.png") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert (
+        lines[0] == "t1 = (16.000, 0.000) px, t2 = (0.000, 12.000) px, consensus, confidence 0.800, structure lattice"
+    )
+    assert [line.partition(":")[0] for line in lines[1:]] == ["candidate 2", "candidate 3"]
+    assert "(32.000, 0.000)" in lines[1] and "double along t1, color lattice, confidence 0.200" in lines[1]
+
+
+def test_candidates_are_drawn_below_the_overlay(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
+    """The overlay keeps the pixels' coordinates, and the candidates are drawn below; the six numbers are printed."""
+    assert call("lattice bright.png -o over.png") == 0
+    over = read_image("over.png")
+    top = over[:60, :80]
+    assert (top[:, ::16] == top[0, 0]).all() and (top[::12] == top[0, 0]).all()
+    np.testing.assert_allclose(top[3:9, 4:12], 0.8, atol=1e-6)
+    assert over.shape[0] > 150 and (over[:60, 80:] == 1).all() and over[60:].min() < 0.2
+    assert capsys.readouterr().err.strip() == "for other verbs: --lattice 16.0,0.0,0.0,12.0,0.0,0.0"
+
+
+def test_candidates_in_a_comparison(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--all` lists and draws the first three candidates of a detector; its JSON has them all."""
+    skimage.io.imsave("bright.png", np.full((40, 48, 3), 204, np.uint8), check_contrast=False)
+    assert call("lattice bright.png --all -o sheet.png") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[1:5]] == ["consensus", "2", "3", "dominance"]
+    assert "double along t1, color lattice" in lines[2] and "half along t1" in lines[3]
+    sheet = read_image("sheet.png")
+    drawn = np.abs(sheet - (1, 0.1, 0.6)).max(-1) < 0.01
+    columns = [drawn[:200, left : left + 48].mean() for left in (8, 196, 384)]
+    assert columns[1] < columns[0] < columns[2]  # double has fewer lines, half has more
+
+
+def test_a_large_picture_is_compared_by_its_middle(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
+    """The sheet of a picture of more than 1024 px shows its middle, enlarged, and stays small."""
+    y, x = np.indices((40, 1100))
+    bright = np.where((x // 8 + y // 6) % 2, 204, 180).astype(np.uint8)
+    skimage.io.imsave("bright.png", bright, check_contrast=False)
+    assert call("lattice bright.png --all -o sheet.png") == 0
+    assert max(read_image("sheet.png").shape) < 2000
+
+
+def test_an_origin_at_zero_is_known(capsys: pytest.CaptureFixture[str]) -> None:
+    """Six numbers are a known origin, also (0, 0); four numbers are none."""
+    assert call("lattice brick.png --lattice 20,0,0,30,0,0 --json") == 0
+    assert json.loads(capsys.readouterr().out)["origin"] == [0, 0]
+    assert call("lattice brick.png --lattice 20,0,0,30,3,4 -o over.png") == 0
+    assert "origin = (3.000, 4.000) px" in capsys.readouterr().out
+    changed = (read_image("over.png") != read_image("brick.png")).any(-1)
+    assert changed[:, 3::20].all() and changed[4::30].all() and not changed[6:30, 5:20].any()
+
+
+def test_a_folder(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
+    """A folder gives truth.csv and sheets, whose paths are printed; a broken picture makes exit code 1."""
+    Path("walls").mkdir()
+    skimage.io.imsave("walls/bright.png", np.full((60, 80, 3), 204, np.uint8), check_contrast=False)
+    assert call("lattice walls") == 0
+    said = capsys.readouterr()
+    assert said.out.splitlines()[:3] == ["walls/truth.csv", "walls/lattices/page-1.png", "1 pictures: 1 with a lattice"]
+    assert said.err.splitlines() == ["[1/1] bright.png"]
+    Path("walls/text.png").write_text("no picture")
+    assert call("lattice walls") == 2
+    assert "--force" in capsys.readouterr().err
+    assert call("lattice walls --force --json --least 0.9") == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert [each["file"] for each in answer["pictures"]] == ["bright.png", "text.png"]
+    assert answer["pictures"][0]["lattice"] is None and answer["pictures"][0]["candidates"][1]["t1"] == [32, 0]
+    assert answer["pictures"][1]["failed"] and answer["truth"] == "walls/truth.csv"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("walls --all", "--all: needs one picture"),
+        ("walls --pick", "--pick: needs one picture"),
+        ("walls --lattice 20,0,0,20", "--lattice: needs one picture"),
+        ("walls --diagnostics d.png", "--diagnostics: needs one picture"),
+        ("walls --keep --force", "choose one"),
+        ("walls -o sheet.png", "give a directory"),
+        ("walls", "has no picture"),
+        ("brick.png --keep", "is for a folder"),
+        ("brick.png --least 0.3", "is for a folder"),
+        ("nowhere --force", "no such file"),
+    ],
+)
+def test_misuse_of_folders(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Options of one picture for a folder, and the reverse, are one line that says what to do; the exit code is 2."""
+    Path("walls").mkdir()
+    assert call(f"lattice {line}") == 2
+    shown = capsys.readouterr()
+    assert message in shown.err and not shown.out and len(shown.err.splitlines()) == 1
+    assert not list(Path("walls").iterdir())

@@ -1,12 +1,13 @@
-"""The Python functions: what they accept as a lattice."""
+"""The Python functions: what they accept as a lattice and as images."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
-from nrbench.api import as_lattice
+from nrbench.api import as_lattice, score
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
 
@@ -36,3 +37,23 @@ def test_what_is_no_lattice_is_refused(given: Any, message: str) -> None:
     """The error shows what was given and says what to give."""
     with pytest.raises(BadInput, match=message):
         as_lattice(given)
+
+
+@pytest.mark.parametrize("sample_form", ["gray", "alpha", "color"])
+@pytest.mark.parametrize("output_form", ["gray", "alpha", "color"])
+def test_score_takes_gray_in_any_form(monkeypatch: pytest.MonkeyPatch, sample_form: str, output_form: str) -> None:
+    """A gray picture may be stored with opaque alpha or in color: metrics see both images with the same channels."""
+    monkeypatch.setattr("nrbench.api.score_by_all_metrics", lambda observation: observation)
+    plane = np.random.default_rng(0).integers(0, 256, (16, 20), np.uint8)
+    forms = {"gray": plane, "alpha": np.dstack([plane, plane * 0 + 255]), "color": np.dstack([plane] * 3)}
+    seen: Any = score(forms[sample_form], forms[output_form])
+    channels = 3 if sample_form == output_form == "color" else 1
+    assert seen.sample.shape == seen.output.shape == (16, 20, channels)
+    np.testing.assert_array_equal(seen.sample, seen.output)
+
+
+def test_score_refuses_color_beside_gray() -> None:
+    """A picture in color is not compared with a gray one."""
+    plane = np.random.default_rng(0).integers(0, 256, (16, 20), np.uint8)
+    with pytest.raises(BadInput, match="has 3 channels, the sample 1"):
+        score(plane, np.dstack([plane, plane, 255 - plane]))

@@ -20,7 +20,8 @@ GRAY = np.random.default_rng(0).random((9, 12))
 REFUSED = {
     "NaN or infinite": np.where(GRAY > 0.9, np.nan, GRAY),
     "scale floats": GRAY * 255,
-    "alpha channel": np.ones((9, 9, 4)),
+    "81 transparent pixels, the first at .0, 0.; flatten": np.full((9, 9, 4), 0.99),
+    "1 transparent pixels": np.where(np.arange(9 * 12 * 2).reshape(9, 12, 2) == 7, 254, 255).astype(np.uint8),
     "at least 8 px": np.ones((4, 9)),
     "convert it to uint8": np.ones((9, 9), np.int64),
     "is no image": np.ones(9),
@@ -43,6 +44,21 @@ def test_every_form_is_the_same_image(peak: int | None) -> None:
     assert image.shape == (9, 12, 1) and image.dtype == np.float32
     np.testing.assert_allclose(image[..., 0] * 255, eight, atol=1e-4)
     assert match_ndim(image, held).shape == (9, 12)
+
+
+@pytest.mark.parametrize("peak", [255, 65535, 1.0])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_opaque_alpha_is_left_out(peak: float, channels: int) -> None:
+    """Alpha that is full everywhere, to 8 bits, changes nothing; the image has the channels of its colors."""
+    color = (np.random.default_rng(1).random((9, 12, channels)) * peak).astype(type(peak) if peak == 1 else np.uint16)
+    color = color.astype(np.uint8) if peak == 255 else color
+    opaque = np.concatenate([color, np.full((9, 12, 1), peak * (1 if peak == 255 else 0.999), color.dtype)], 2)
+    np.testing.assert_array_equal(as_image(opaque), as_image(color))
+
+
+def test_truth_values_are_black_and_white() -> None:
+    """An image of truth values is an image of 0 and 1."""
+    np.testing.assert_array_equal(as_image(GRAY > 0.5)[..., 0], GRAY > 0.5)
 
 
 def test_rounding_is_what_the_png_holds() -> None:

@@ -5,7 +5,78 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nrbench.imaging.drawing import contact_sheet
+from nrbench.imaging.convert import Image
+from nrbench.imaging.drawing import COLOR, contact_sheet, draw_lattice, overview, stack, zoom_panels
+from nrbench.lattice.geometry import Lattice
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_lines_pass_through_the_lattice(channels: int) -> None:
+    """Lines lie at their sub-pixel places: two neighbors share a line between them; pixels a px away are unchanged."""
+    image = np.full((300, 40, channels), 0.5, np.float32)
+    drawn = draw_lattice(image, Lattice((10.0, 0.0), (0.0, 400.0), (3.25, 350.0)))
+    assert drawn.shape == (300, 40, 3) and (image == 0.5).all()
+    share = (drawn[..., 0] - 0.5) / (COLOR[0] - 0.5)
+    np.testing.assert_allclose(
+        share[:, [2, 3, 4, 5, 13, 23]], np.tile([0, 0.75, 0.25, 0, 0.75, 0.75], (300, 1)), atol=1e-5
+    )
+
+
+def test_the_origin_moves_the_lines() -> None:
+    """A lattice point on a pixel is drawn in full color, and so are all others at whole pixels."""
+    drawn = draw_lattice(
+        np.zeros((60, 60, 3), np.float32), Lattice((12.0, 4.0), (-4.0, 16.0), (7.0, 5.0)), (0.0, 1.0, 0.0)
+    )
+    for x, y in Lattice((12.0, 4.0), (-4.0, 16.0), (7.0, 5.0)).points((60, 60)).astype(int):
+        np.testing.assert_allclose(drawn[y, x], (0, 1, 0), atol=1e-6)
+
+
+def line_columns(picture: Image) -> list[int]:
+    """Return the columns that are drawn in the full color of a lattice."""
+    return np.flatnonzero((np.abs(picture - COLOR).max(-1) < 0.02).all(0)).tolist()
+
+
+def test_panels_show_one_part_of_the_image() -> None:
+    """Each panel shows the same part from the middle, enlarged by a whole factor, with the lines at their places."""
+    image = np.zeros((90, 120, 1), np.float32)
+    image[:, 3::10] = 0.5  # a line of the image at x = 3 + 10 k
+    lattices = [Lattice((10.0, 0.0), (0.0, 10.0), (3.0, 0.0)), Lattice((20.0, 0.0), (0.0, 10.0), (3.0, 0.0))]
+    first, second = zoom_panels(image, lattices, 240)
+    factor, left = 4, (120 - 50) // 2  # five cells of 10 px
+    assert first.shape == second.shape == (200, 200, 3)
+    plain = zoom_panels(image, [Lattice((10.0, 0.0), (0.0, 10.0), (8.0, 5.0))], 240)[0]
+    at = np.flatnonzero(np.abs(plain[2, :, 1] - 0.5) < 0.01)
+    assert set((at // factor + left) % 10) == {3}
+    for panel, step in ((first, 10), (second, 20)):
+        drawn = np.flatnonzero(panel[12, :, 1] != np.where(np.isin(np.arange(200), at), 0.5, 0))
+        places = (drawn + 0.5) / factor - 0.5 + left
+        assert len(drawn) and np.abs((places - 3 + step / 2) % step - step / 2).max() < 0.5
+
+
+def test_a_coarse_candidate_widens_the_part() -> None:
+    """The part shows two cells of each candidate; without candidates there is no panel."""
+    image = np.zeros((300, 300, 3), np.float32)
+    lattices = [Lattice((10.0, 0.0), (0.0, 10.0)), Lattice((100.0, 0.0), (0.0, 10.0))]
+    wide = zoom_panels(image, lattices, 220)[1]
+    assert wide.shape == (220, 220, 3) and len(line_columns(wide)) == 2
+    assert zoom_panels(image, [], 220) == []
+
+
+def test_the_whole_image_is_scaled() -> None:
+    """A large image is shrunk and a small one enlarged; lines whose cells would be too small are left out."""
+    large = overview(np.full((500, 1000, 3), 0.5, np.float32), Lattice((100.0, 0.0), (0.0, 1000.0), (49.5, 600.0)), 200)
+    assert large.shape == (100, 200, 3) and np.abs(np.diff(line_columns(large)) - 20).max(initial=0) == 0
+    assert overview(np.full((30, 40, 1), 0.5, np.float32), None, 200).shape == (150, 200, 3)
+    fine = overview(np.full((1000, 1000, 3), 0.5, np.float32), Lattice((20.0, 0.0), (0.0, 20.0)), 200)
+    np.testing.assert_allclose(fine, 0.5, atol=0.003)
+
+
+def test_images_of_different_widths_are_stacked() -> None:
+    """The upper one keeps its coordinates; white fills the narrower one up."""
+    upper, lower = np.zeros((2, 3, 3), np.float32), np.full((1, 5, 3), 0.5, np.float32)
+    stacked = stack(upper, lower)
+    assert stacked.shape == (3, 5, 3) and (stacked[:2, :3] == 0).all() and (stacked[:2, 3:] == 1).all()
+    np.testing.assert_array_equal(stacked[2:], lower)
 
 
 def test_every_picture_is_there() -> None:

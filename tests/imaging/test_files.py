@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import PIL.Image
 import pytest
+import skimage.io
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
@@ -153,16 +154,51 @@ def test_png_says_srgb(tmp_path: Path) -> None:
         assert opened.info["srgb"] == 0
 
 
+@pytest.mark.parametrize(("mode", "name"), [("RGBA", "a.png"), ("LA", "a.png"), ("RGBA", "a.tif"), ("PA", "a.tif")])
+def test_opaque_alpha_is_left_out(tmp_path: Path, mode: str, name: str) -> None:
+    """A picture whose alpha is full everywhere reads as the picture without it."""
+    plain = PIL.Image.fromarray(RAMP).convert("L" if mode == "LA" else "P")
+    image = read_image(_saved(tmp_path, plain.convert(mode), name))
+    assert image.shape == (12, 16, 1 if mode == "LA" else 3)
+    np.testing.assert_allclose(image[..., 0], RAMP / 255, atol=1e-6)
+
+
 @pytest.mark.parametrize("mode", ["RGBA", "LA"])
-def test_alpha_is_refused(tmp_path: Path, mode: str) -> None:
-    """A picture with an alpha channel is refused: flatten it first."""
-    assert "flatten" in _refusal(_saved(tmp_path, PIL.Image.new(mode, (10, 10))))
+def test_transparent_pixels_are_refused(tmp_path: Path, mode: str) -> None:
+    """One transparent pixel is enough; the message says where it is and what to do."""
+    picture = PIL.Image.new(mode, (10, 12), (200,) * (len(mode) - 1) + (255,))
+    picture.putpixel((3, 7), (200,) * (len(mode) - 1) + (254,))
+    message = _refusal(_saved(tmp_path, picture))
+    assert "1 transparent pixels, the first at (3, 7)" in message and "flatten" in message
 
 
-def test_transparent_palette_is_refused(tmp_path: Path) -> None:
-    """So is a palette with a transparent color."""
-    picture = PIL.Image.new("P", (10, 10))
-    assert "transparency" in _refusal(_saved(tmp_path, picture, transparency=0))
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "I;16"])
+def test_transparent_color(tmp_path: Path, mode: str) -> None:
+    """A color that a PNG declares transparent is refused where a pixel has it, and does no harm otherwise."""
+    picture = PIL.Image.fromarray(RAMP.astype(np.uint16)) if mode == "I;16" else PIL.Image.fromarray(RAMP).convert(mode)
+    if mode == "1":
+        picture = PIL.Image.new("1", (16, 12), 1)
+    used, free = {"RGB": ((5, 5, 5), (9, 8, 7)), "1": (255, 0)}.get(mode, (5, 250))
+    assert "transparent" in _refusal(_saved(tmp_path, picture, "used.png", transparency=used))
+    without = read_image(_saved(tmp_path, picture, "without.png"))
+    np.testing.assert_array_equal(read_image(_saved(tmp_path, picture, "free.png", transparency=free)), without)
+
+
+def test_sixteen_bits_of_color(tmp_path: Path) -> None:
+    """A TIFF of 16 bits a channel, in color and with opaque alpha, is rounded to 8 bits."""
+    color = np.random.default_rng(0).integers(0, 65536, (12, 16, 3)).astype(np.uint16)
+    opaque = np.dstack([color, np.full((12, 16), 65535, np.uint16)])
+    for pixels in (color, opaque):
+        skimage.io.imsave(tmp_path / "a.tif", pixels)
+        np.testing.assert_allclose(read_image(tmp_path / "a.tif"), color / 65535, atol=1 / 255)
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_sixteen_bits_in_either_byte_order(tmp_path: Path, order: str) -> None:
+    """A 16-bit gray TIFF reads the same in either byte order."""
+    wide = np.linspace(0, 65535, 16 * 12).astype(f"{order}u2").reshape(12, 16)
+    image = read_image(_saved(tmp_path, PIL.Image.fromarray(wide), "a.tif"))
+    np.testing.assert_allclose(image[..., 0], wide / 65535, atol=1e-7)
 
 
 def test_files_that_are_no_picture(tmp_path: Path) -> None:

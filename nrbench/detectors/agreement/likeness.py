@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.imaging.convert import Image, crop_middle
@@ -77,8 +78,23 @@ def _slopes(image: Image) -> Values:
     smooth = ndimage.gaussian_filter(image.mean(2), FINE)
     pair = np.stack([ndimage.sobel(smooth, 1), ndimage.sobel(smooth, 0)], -1)
     power = (pair**2).sum(-1)
-    nearby = ndimage.gaussian_filter(power, NEIGHBORHOOD * min(power.shape), truncate=2)
+    nearby = _blur(power, NEIGHBORHOOD * min(power.shape))
     return np.asarray(pair / np.sqrt(nearby + 1e-3 * power.mean() + 1e-12)[..., np.newaxis], np.float32)
+
+
+def _blur(values: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
+    """Return ``ndimage.gaussian_filter(values, deviation, truncate=2)``, ``(H, W)``.
+
+    A symmetric filter on a mirrored image is a product of cosine transforms, which is much faster for a wide filter.
+    """
+    radius = int(2 * deviation + 0.5)
+    taps = np.arange(-radius, radius + 1)
+    window = np.exp(-0.5 * (taps / deviation) ** 2)
+    waves = scipy.fft.dctn(values)
+    for axis, length in enumerate(values.shape):
+        response = np.cos(np.pi / length * np.outer(np.arange(length), taps)) @ (window / window.sum())
+        waves *= np.expand_dims(response.astype(np.float32), 1 - axis)
+    return np.asarray(scipy.fft.idctn(waves), np.float32)
 
 
 class View(NamedTuple):
@@ -120,8 +136,10 @@ def shrink(image: Image, factor: int) -> Image:
     if factor == 1:
         return image
     height, width = (n // factor for n in image.shape[:2])
-    blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
-    return np.asarray(blocks.mean((1, 3)), np.float32)
+    whole = image[: height * factor, : width * factor]
+    # Whole rows are added first: a sum over both axes takes ten times as long.
+    columns = whole.reshape(height, factor, width * factor, -1).sum(1)
+    return np.asarray(columns.reshape(height, width, factor, -1).sum(2) / np.float32(factor**2))
 
 
 def max_factor(basis: Points) -> int:

@@ -1,0 +1,101 @@
+"""The consensus detector finds the lattice of an image of any size, depth and color."""
+
+from __future__ import annotations
+
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from nrbench import detect_lattice, texture
+from nrbench.detectors.agreement.likeness import _blur, views
+from nrbench.imaging.convert import Image, quantize, to_bytes
+from nrbench.lattice.comparison import lattice_error
+from nrbench.plugins.forms import Texture
+
+MODELS: dict[str, dict[str, Any]] = {
+    "squares": {"period": 23.7},
+    "hexagon": {"period": 23.3},
+    "brick": {"width": 23.0, "height": 24.0, "bond": "stack"},
+    "weave": {"warp": 12.1, "weft": 12.2},
+}
+
+
+def is_exact(found: Any, drawn: Texture, tolerance: float = 0.5) -> bool:
+    """Return whether the detected lattice of an array is the true one."""
+    assert drawn.lattice is not None
+    error = lattice_error(detect_lattice(found).lattice, drawn.lattice, drawn.image.shape[:2], tolerance)
+    return error.relation == "exact"
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("departures", [{}, {"color": 0.2, "noise": 0.02}], ids=["regular", "varied"])
+def test_two_periods_are_enough(model: str, departures: dict[str, Any]) -> None:
+    """A sample of 48 x 48 px that shows two periods each way has the true lattice."""
+    drawn = texture(model, (48, 48), 3, **MODELS[model], **departures)
+    assert is_exact(to_bytes(drawn.image), drawn)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("shape", [(60, 1000), (1000, 60)])
+def test_strips(model: str, shape: tuple[int, int]) -> None:
+    """A strip of 60 px, two to three periods wide, has the true lattice, either way up."""
+    drawn = texture(model, shape, 1, **MODELS[model], color=0.3, noise=0.03)
+    assert is_exact(to_bytes(drawn.image), drawn)
+
+
+@pytest.mark.parametrize("model", ["brick", "hexagon"])
+def test_depth_and_alpha_change_nothing(model: str) -> None:
+    """8 bits, 16 bits and floats, with opaque alpha or without, have the same lattice; gray has nearly the same."""
+    drawn = texture(model, (96, 96), 2, **MODELS[model], color=0.3)
+    eight = to_bytes(drawn.image)
+    sixteen = eight.astype(np.uint16) * 257
+    lattice = detect_lattice(eight).lattice
+    opaque = np.dstack([eight, np.full(eight.shape[:2], 255, np.uint8)])
+    for form in (sixteen, eight / 255, opaque, np.dstack([sixteen, np.full(eight.shape[:2], 65535, np.uint16)])):
+        assert detect_lattice(form).lattice.is_equivalent(lattice, 1e-3)
+    gray = eight.mean(2).astype(np.uint8)
+    for form in (gray, gray[..., np.newaxis], np.dstack([gray, np.full_like(gray, 255)])):
+        assert is_exact(form, drawn)
+
+
+def at_equal_luminance(image: Image, direction: tuple[float, float, float]) -> Image:
+    """Return an image whose colors vary along one direction of the color space only."""
+    plane = image.mean(2, keepdims=True) - image.mean()
+    return quantize(0.5 + 0.4 * plane / np.abs(plane).max() * np.array(direction, np.float32))
+
+
+@pytest.mark.parametrize("detector", ["consensus", "gncc", "dominance"])
+@pytest.mark.parametrize("model", ["squares", "hexagon", "brick"])
+@pytest.mark.parametrize("direction", [(1.0, -0.509, 0.0), (1.0, -1.0, 0.0)], ids=["luma", "mean"])
+def test_color_at_equal_luminance(detector: str, model: str, direction: tuple[float, float, float]) -> None:
+    """A texture that only its hues show, at equal luma or equal mean, has the true lattice, whatever the detector."""
+    drawn = texture(model, (96, 112), 1, **MODELS[model], color=0.2)
+    image = at_equal_luminance(drawn.image, direction)
+    weights = (0.299, 0.587, 0.114) if direction[1] > -1 else (1 / 3,) * 3
+    assert np.ptp(image @ np.array(weights, np.float32)) < 0.01 < np.ptp(image[..., 0])
+    error = lattice_error(detect_lattice(image, detector).lattice, drawn.lattice, (96, 112))  # type: ignore[arg-type]
+    assert error.relation == "exact"
+
+
+def test_views_need_little_memory() -> None:
+    """The views of a large image need less than a quarter of its memory at a time."""
+    image = np.zeros((3000, 4000, 3), np.float32)
+    tracemalloc.start()
+    try:
+        assert sum(view.image.size for view in views(image)) > 0
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < image.nbytes / 4
+
+
+@pytest.mark.parametrize("deviation", [3.0, 40.0, 111.0])
+def test_a_product_of_cosine_transforms_is_a_filter(deviation: float) -> None:
+    """Means under a Gaussian window are those of scipy, which mirrors the values at the borders."""
+    power = np.zeros((300, 340), np.float32)
+    power[40:60, 300:] = 1
+    expected = ndimage.gaussian_filter(power, deviation, truncate=2)
+    np.testing.assert_allclose(_blur(power, deviation), expected, atol=1e-6)

@@ -1,0 +1,265 @@
+"""A survey writes the lattices of a folder of pictures into truth.csv, and draws them on contact sheets."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pytest
+from candidates import CHOSEN, OTHERS, Ranked
+
+from nrbench import Lattice, plugins, texture
+from nrbench.errors import BadInput
+from nrbench.imaging.files import read_image, write_image
+from nrbench.suites.suite import load_suite
+from nrbench.suites.surveying import FIELDS, Survey, lattice_text, printable
+from nrbench.truth import TruthTable
+
+PICTURES = Path("pictures")
+
+
+@pytest.fixture(autouse=True)
+def ranked(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Make the detector known as ``ranked``, and an empty folder for pictures."""
+    PICTURES.mkdir()
+    build = plugins.build
+    monkeypatch.setattr(
+        plugins, "build", lambda kind, name, *rest: Ranked() if name == "ranked" else build(kind, name, *rest)
+    )
+    yield
+
+
+def add(name: str, brightness: float = 0.9, shape: tuple[int, int] = (40, 60)) -> None:
+    """Write a picture of one brightness."""
+    PIL.Image.fromarray(np.full(shape, round(255 * brightness), np.uint8)).save(PICTURES / name)
+
+
+def survey(detector: str = "ranked", **options: object) -> Survey:
+    """Run a survey of the folder."""
+    made = Survey(PICTURES, detector, **options)  # type: ignore[arg-type]
+    made.run(lambda done, total, name: None)
+    return made
+
+
+def rows(path: Path = PICTURES / "truth.csv") -> dict[str, dict[str, str]]:
+    """Return the lines of a table by file name."""
+    with path.open(newline="", encoding="utf-8") as lines:
+        return {row["file"]: row for row in csv.DictReader(lines)}
+
+
+def test_run_reads_what_the_survey_wrote() -> None:
+    """The detected lattices of models are those of `nrbench run FOLDER`; a noise has none, with the reason."""
+    drawn = {name: texture(name, (96, 112), 1) for name in ("brick", "hexagon", "noise")}
+    for name, each in drawn.items():
+        write_image(PICTURES / f"{name}.png", each.image)
+    survey("consensus")
+    suite = {row.name: row for row in load_suite(PICTURES).texture}
+    assert set(suite) == set(drawn)
+    for name in ("brick", "hexagon"):
+        found, truth = suite[name].parameters, drawn[name].lattice
+        assert truth is not None and Lattice(found["t1"], found["t2"]).is_equivalent(truth, 0.2)
+        assert 0.5 <= float(rows()[f"{name}.png"]["confidence"]) <= 1
+    assert "t1" not in suite["noise"].parameters and rows()["noise.png"]["reason"]
+
+
+def test_candidates_stand_in_the_table() -> None:
+    """A line holds the chosen lattice and lists the first three candidates in the form that can be copied."""
+    add("a.png")
+    survey()
+    row = rows()["a.png"]
+    assert tuple(row) == FIELDS
+    assert [row[name] for name in FIELDS[1:9]] == ["16.0", "0.0", "0.0", "12.0", "", "", "0.902", "ranked"]
+    listed = row["candidates"].split("; ")
+    assert listed[1:] == [
+        "32.0,0.0,0.0,12.0 (0.200, double along t1, color)",
+        "8.0,0.0,0.0,12.0 (0.100, half along t1)",
+    ]
+    assert listed[0] == "16.0,0.0,0.0,12.0 (0.902, structure)" and Lattice.parse(listed[0].split()[0]) == CHOSEN
+
+
+def test_a_low_confidence_is_for_people_to_decide() -> None:
+    """Vectors of a confidence below the limit are not written as known; the limit can be chosen."""
+    add("a.png", 0.4)
+    assert survey().findings[0].is_doubtful
+    row = rows()["a.png"]
+    assert not row["t1x"] and row["confidence"] == "0.400" and row["candidates"] and "choose" in row["reason"]
+    survey(existing="replace", least=0.3)
+    assert rows()["a.png"]["t1x"] == "16.0" and not rows()["a.png"]["reason"]
+
+
+def test_a_picture_without_a_lattice_is_a_line() -> None:
+    """Its vectors are empty, its reason is that of the detector, and the rejected lattice is listed as such."""
+    add("dark.png", 0.1)
+    finding = survey().findings[0]
+    assert not finding.failed and not finding.is_doubtful and finding.lattice is None
+    row = rows()["dark.png"]
+    assert row["reason"] == "the picture is dark" and "rejected" in row["candidates"] and not row["t1x"]
+
+
+def test_what_fails_is_a_line_and_stops_nothing() -> None:
+    """Text, a picture cut short, one pixel, transparency, and an error of the detector: the other pictures are done."""
+    (PICTURES / "text.png").write_text("no picture")
+    add("whole.png", shape=(64, 64))
+    (PICTURES / "cut.png").write_bytes((PICTURES / "whole.png").read_bytes()[:60])
+    add("one.png", shape=(1, 1))
+    add("raises.png", shape=(13, 64))
+    PIL.Image.new("RGBA", (20, 20)).save(PICTURES / "glass.png")
+    done = survey()
+    expected = {
+        "text.png": "no picture that can be read",
+        "cut.png": "cannot be read",
+        "one.png": "1x1 px; at least 8 px",
+        "raises.png": "failed: ArithmeticError: thirteen rows",
+        "glass.png": "transparent pixels",
+    }
+    for name, reason in expected.items():
+        assert reason in rows()[name]["reason"] and "pictures/" not in rows()[name]["reason"]
+    assert {finding.name for finding in done.findings if finding.failed} == set(expected)
+    assert rows()["whole.png"]["t1x"]
+
+
+def test_strange_names() -> None:
+    """Names with quotes, line ends, markup, spaces, a backslash and other scripts come back from the table."""
+    names = [
+        'a"b.png',
+        "c,d.png",
+        "line\nend.png",
+        "<b>[red].png",
+        " space.png",
+        "back\\slash.png",
+        "мир ☃.png",
+        "=1+1.png",
+    ]
+    for name in names:
+        add(name)
+    done = survey()
+    assert set(TruthTable.read(PICTURES).rows) == set(names) and not any(each.failed for each in done.findings)
+    found = {Path(row.parameters["path"]).name for row in load_suite(PICTURES).texture if "t1" in row.parameters}
+    assert found == set(names)
+    assert printable("line\nend\x1b.png") == "line\\nend\\x1b.png"
+
+
+def test_a_name_that_is_no_text() -> None:
+    """A name of another encoding cannot stand in the table: it is reported, and the others are written."""
+    add("a.png")
+    try:
+        (PICTURES / os.fsdecode(b"\xff.png")).write_bytes((PICTURES / "a.png").read_bytes())
+    except OSError:
+        pytest.skip("this file system takes Unicode names only")
+    failed = [finding for finding in survey().findings if finding.failed]
+    assert len(failed) == 1 and "rename" in failed[0].reason and set(rows()) == {"a.png"}
+
+
+def test_corrections_are_never_lost() -> None:
+    """A table that exists is refused before any work; `keep` adds missing pictures to it; `replace` starts again."""
+    add("a.png")
+    add("b.png", 0.4)
+    own = "file,note,t1x,t1y,t2x,t2y\na.png,mine,20,0,0,24\n"
+    table = PICTURES / "truth.csv"
+    table.write_text(own)
+    with pytest.raises(BadInput, match=r"truth.csv: exists.*--keep.*--force.*-o"):
+        Survey(PICTURES, "ranked")
+    assert table.read_text() == own and not (PICTURES / "lattices").exists()
+    kept = survey(existing="keep")
+    assert {name: rows()["a.png"][name] for name in ("note", "t1x", "t2y", "confidence")} == {
+        "note": "mine", "t1x": "20", "t2y": "24", "confidence": ""
+    }  # fmt: skip
+    assert rows()["b.png"]["confidence"] == "0.400"
+    assert kept.findings[0].lattice == Lattice((20, 0), (0, 24)) and kept.findings[0].kept
+    survey(existing="replace")
+    assert rows()["a.png"]["t1x"] == "16.0" and "note" not in rows()["a.png"]
+
+
+def test_nothing_new_leaves_the_table_alone() -> None:
+    """If no picture is missing, `keep` leaves every byte of the table, and draws the sheets from it."""
+    add("a.png")
+    own = "\ufefffile,t1x,t1y,t2x,t2y,originx,originy\r\na.png, 20,0 ,0,24,3,4\r\n"
+    (PICTURES / "truth.csv").write_bytes(own.encode())
+    done = survey(existing="keep")
+    assert (PICTURES / "truth.csv").read_bytes() == own.encode() and done.pages[0].is_file()
+    assert done.findings[0].lattice == Lattice((20, 0), (0, 24), (3, 4))
+
+
+def test_an_interruption_keeps_what_was_found() -> None:
+    """What was found before an interruption is in the table; `keep` then does the rest."""
+    for name in "abc":
+        add(f"{name}.png")
+
+    def interrupt(done: int, total: int, name: str) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Survey(PICTURES, "ranked").run(interrupt)
+    assert set(rows()) == {"a.png", "b.png"}
+    seen: list[str] = []
+    Survey(PICTURES, "ranked", existing="keep").run(lambda done, total, name: seen.append(name))
+    assert set(rows()) == {"a.png", "b.png", "c.png"} and seen == ["a.png", "b.png", "c.png"]
+
+
+def test_another_directory() -> None:
+    """With another output directory nothing is written beside the pictures."""
+    add("a.png")
+    done = survey(output=Path("out/deep"))
+    assert [path.name for path in PICTURES.iterdir()] == ["a.png"]
+    assert done.table == Path("out/deep/truth.csv") and done.pages == [Path("out/deep/lattices/page-1.png")]
+
+
+def test_what_cannot_be_written_is_said_first() -> None:
+    """A directory that cannot be made is refused before the first picture is read."""
+    add("a.png")
+    Path("file").write_text("")
+    seen: list[str] = []
+    with pytest.raises(BadInput, match="cannot be written"):
+        Survey(PICTURES, "ranked", Path("file/out")).run(lambda done, total, name: seen.append(name))
+    assert not seen
+
+
+@pytest.mark.parametrize("count", [8, 9])
+def test_pages_hold_eight_pictures(count: int) -> None:
+    """A page has a row of panels a picture; pages of an earlier, longer survey are removed, other files stay."""
+    for number in range(count):
+        add(f"{number}.png")
+    folder = PICTURES / "lattices"
+    folder.mkdir()
+    for name in ("page-2.png", "page-3.png", "page-x.png"):
+        (folder / name).write_bytes(b"old")
+    done = survey()
+    assert [path.name for path in done.pages] == [f"page-{k}.png" for k in range(1, 2 + (count > 8))]
+    assert {path.name for path in folder.iterdir()} == {*(path.name for path in done.pages), "page-x.png"}
+
+
+def test_the_sheet_shows_the_picture_and_three_candidates() -> None:
+    """Right of the picture there are three panels of one part of it, each with the lines of its candidate."""
+    write_image(PICTURES / "a.png", np.full((120, 120, 3), 0.9, np.float32))
+    sheet = read_image(survey().pages[0])
+    columns = [np.flatnonzero((np.abs(sheet[..., 1] - 0.1) < 0.02).any(0))]
+    panels = [columns[0][(columns[0] > 8 + 256 * k) & (columns[0] < 256 * (k + 1))] for k in range(4)]
+    assert all(len(panel) for panel in panels)
+    lines = [(np.abs(sheet[80:300, 8 + 256 * k : 256 * (k + 1), 1] - 0.1) < 0.05).mean() for k in range(4)]
+    assert lines[2] < lines[1] < lines[3]  # double has fewer lines than the chosen one, half has more
+    assert len(OTHERS) == 3
+
+
+def test_the_origin_is_written() -> None:
+    """A lattice with a known origin fills its columns, and its text has six numbers."""
+    text = lattice_text(Lattice((16, 0), (0, 12), (3.5, 4.25)))
+    assert text == "16.0,0.0,0.0,12.0,3.5,4.25" and lattice_text(CHOSEN) == "16.0,0.0,0.0,12.0"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({}, "has no picture"), ({"least": 1.5}, "give a probability"), ({"detector": "gnc"}, "gnc")],
+)
+def test_misuse(options: dict[str, object], message: str) -> None:
+    """A folder without pictures, a limit that is no probability and an unknown detector are refused."""
+    if options:
+        add("a.png")
+    else:
+        (PICTURES / "notes.txt").write_text("no picture")
+    with pytest.raises(BadInput, match=message):
+        survey(**options)  # type: ignore[arg-type]
