@@ -6,10 +6,12 @@ from .api import synthesize as synthesize
 from .api import texture as texture
 from .errors import BadInput as BadInput
 from .lattice.geometry import Lattice as Lattice
+from .plugins.forms import Alternative as Alternative
 from .plugins.forms import Column as Column
 from .plugins.forms import Detection as Detection
 from .plugins.forms import NoLatticeFound as NoLatticeFound
 from .plugins.forms import Observation as Observation
+from .plugins.forms import Probabilities as Probabilities
 from .plugins.forms import Refused as Refused
 from .plugins.forms import Score as Score
 from .plugins.forms import Synthesis as Synthesis

@@ -1,20 +1,23 @@
-"""Compare an estimated lattice with the true one."""
+"""Compare an estimated lattice with the true one, and say how two lattices are related."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.geometry import Integers, Lattice, Points
 
 Relation = Literal["exact", "supercell", "subcell", "wrong"]
 
 CHANCE_RADIUS = 0.1
 """A vector matches a lattice point only within this distance, in s. Otherwise a fine lattice, of which any vector is
 nearly a multiple, would match by chance. For two random vectors the probability is below 0.2 %."""
+MOST_CELLS = 64
+"""Largest number of cells in a cell for which two lattices count as related."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,117 @@ def lattice_error(
     ratio = estimate.area / truth.area
     error, angle = _longest(vectors - true_vectors), _angle(vectors, true_vectors)
     return LatticeError(_relation(k, ratio), k, error, angle, ratio, _drift(matched, true, shape))
+
+
+class BasisChange(NamedTuple):
+    """How a basis of one lattice is made of the basis of another one: ``numerators @ reference / divisor``.
+
+    Parameters
+    ----------
+    numerators
+        ``((a, b), (0, d))``, integers: the Hermite normal form, which depends on the lattices and on the basis of the
+        reference, and not on the basis of the other lattice.
+    divisor
+        1 for a supercell of the reference.
+    """
+
+    numerators: tuple[tuple[int, int], tuple[int, int]]
+    divisor: int
+
+    @property
+    def index(self) -> float:
+        """Number of cells of the reference in a cell of the lattice: 1 if both are the same lattice."""
+        (a, _), (_, d) = self.numerators
+        return a * d / self.divisor**2
+
+    @property
+    def name(self) -> str:
+        """The relation in words.
+
+        ``"the same"``; ``"double along t1"``, ``"half along t2"``, ``"x 3 along t2"``, ``"1/3 along t1 and t2"`` if
+        only lengths differ; else ``"supercell x 2"`` or ``"subcell 1/2"``, with the number of cells in a cell, as for a
+        checkerboard; ``"commensurate"`` if neither lattice contains the other.
+        """
+        (a, b), (_, d) = self.numerators
+        if b == 0:
+            first, second = (_name_factor(number, self.divisor) for number in (a, d))
+            if first == second:
+                return f"{first} along t1 and t2" if first else "the same"
+            steps = [f"{name} along {axis}" for name, axis in ((first, "t1"), (second, "t2")) if name]
+            return ", ".join(steps)
+        if self.divisor == 1:
+            return f"supercell x {a * d}"
+        cells = self.divisor**2 / (a * d)
+        return f"subcell 1/{round(cells)}" if self._is_finer else "commensurate"
+
+    @property
+    def _is_finer(self) -> bool:
+        """Whether the lattice contains the reference: ``divisor`` times the inverse of ``numerators`` is whole."""
+        (a, b), (_, d) = self.numerators
+        return all(self.divisor * number % (a * d) == 0 for number in (a, b, d))
+
+
+def relate(lattice: Lattice, reference: Lattice, tolerance: float = 1.0, share: float = 0.04) -> BasisChange | None:
+    """Return how a lattice is made of the vectors of another one; None if it is not.
+
+    Parameters
+    ----------
+    lattice, reference
+        The two lattices. The result depends on the basis of ``reference``, whose vectors :attr:`BasisChange.name`
+        calls t1 and t2. Origins are ignored.
+    tolerance, share
+        As for :func:`lattice_error`: largest error of the reduced vectors of the finer lattice, in px and in s.
+
+    Notes
+    -----
+    Either lattice may contain the other, up to :data:`MOST_CELLS` cells in a cell. Else each vector may be doubled or
+    halved.
+
+    Examples
+    --------
+    >>> from nrbench.lattice.comparison import relate
+    >>> from nrbench.lattice.geometry import Lattice
+    >>> wall = Lattice((40.0, 0.0), (0.0, 12.0))
+    >>> relate(Lattice((20.0, 0.0), (0.0, 36.0)), wall).name
+    'half along t1, x 3 along t2'
+    >>> relate(Lattice((40.0, 12.0), (40.0, -12.0)), wall).name
+    'supercell x 2'
+    """
+    allowed = max(tolerance, share * min(lattice.s, reference.s))
+    basis, true = lattice.canonical().matrix, reference.canonical().matrix
+    nested = _match_nested(basis, true, allowed)
+    if nested is not None:
+        k, finer = nested[0], lattice.area < reference.area
+        if k > MOST_CELLS:
+            return None
+        divisor = k if finer else 1
+        return _reduce_change(np.rint(divisor * basis @ np.linalg.inv(reference.matrix)).astype(np.int64), divisor)
+    # Twice the one lattice lies within the other, and not farther apart than a chance match may be.
+    double = Lattice.from_basis(2 * basis)
+    common = _match_nested(double.matrix, true, allowed)
+    if common is None or double.area < reference.area or common[0] > MOST_CELLS:
+        return None
+    return _reduce_change(np.rint(double.matrix @ np.linalg.inv(reference.matrix)).astype(np.int64), 2)
+
+
+def _reduce_change(numerators: Integers, divisor: int) -> BasisChange:
+    """Return the change in lowest terms and in Hermite normal form."""
+    (a, b), (c, d) = numerators.tolist()
+    while c:
+        steps = a // c
+        a, b, c, d = c, d, a - steps * c, b - steps * d
+    a, b, d = (a, b, abs(d)) if a > 0 else (-a, -b, abs(d))
+    b %= d
+    common = math.gcd(a, b, d, divisor)
+    return BasisChange(((a // common, b // common), (0, d // common)), divisor // common)
+
+
+def _name_factor(numerator: int, divisor: int) -> str:
+    """Return a ratio of lengths in words; empty for 1."""
+    common = math.gcd(numerator, divisor)
+    up, down = numerator // common, divisor // common
+    names = {(1, 1): "", (2, 1): "double", (1, 2): "half"}
+    return names.get((up, down), f"x {up}" if down == 1 else f"{up}/{down}")
 
 
 def _relation(k: int, ratio: float) -> Relation:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,6 +132,62 @@ class Curve:
     label: str = ""
 
 
+Role = Literal["", "structure", "color"]
+"""What repeats by a lattice, where two lattices of an image differ by it. ``"structure"``: the lattice of the shapes,
+by which the elements repeat if their colors are ignored. ``"color"``: the coarser lattice by which the colors repeat as
+well. ``""``: there is no such difference."""
+
+
+class Probabilities(NamedTuple):
+    """The probabilities, in [0, 1] with the sum 1, of what a lattice is.
+
+    Parameters
+    ----------
+    exact
+        It is the smallest lattice by which the image repeats.
+    sub_or_supercell
+        It contains that lattice, or is contained in it: a cell holds several tiles, or a share of one.
+    none
+        The image has another lattice or none.
+    """
+
+    exact: float
+    sub_or_supercell: float
+    none: float
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A lattice that a detector did not choose.
+
+    Parameters
+    ----------
+    lattice
+        The lattice; its origin is (0, 0) if the detector estimates no phase.
+    confidence
+        Probability, in [0, 1], that this is the exact lattice. With the detection's own confidence the sum over all
+        alternatives is at most 1.
+    relation
+        How the lattice relates to the chosen one, whose vectors are t1 and t2: ``"half along t1"``,
+        ``"double along t2"``, ``"x 3 along t2"``, ``"supercell x 4"``, ``"subcell 1/2"``, ``"unrelated"``
+        (:class:`nrbench.lattice.comparison.BasisChange`).
+    evidence
+        The rating by which the detector orders lattices; its docstring says which. None if it has none.
+    role
+        Whether this is the lattice of the structure or of the colors.
+    """
+
+    lattice: Lattice
+    confidence: float
+    relation: str
+    evidence: float | None = None
+    role: Role = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a mapping that can be written as JSON."""
+        return {**vars(self), "lattice": self.lattice.as_dict()}
+
+
 @dataclass(frozen=True)
 class Detection:
     """A lattice found in an image.
@@ -144,11 +200,20 @@ class Detection:
         In [0, 1]; the docstring of each detector defines it.
     diagnostics
         Intermediate results by name; each :class:`Surface` and :class:`Curve` can be drawn.
+    alternatives
+        Lattices that were not chosen, the most probable first; empty if the detector gives none.
+    probabilities
+        What the lattice is; ``confidence`` equals ``probabilities.exact``. None if the detector does not estimate it.
+    role
+        Whether this is the lattice of the structure or of the colors. If so, the other one is among ``alternatives``.
     """
 
     lattice: Lattice
     confidence: float
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    alternatives: tuple[Alternative, ...] = ()
+    probabilities: Probabilities | None = None
+    role: Role = ""
 
 
 class NoLatticeFound(Exception):

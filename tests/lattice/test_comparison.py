@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.lattice.comparison import lattice_error
+from nrbench.lattice.comparison import lattice_error, relate
 from nrbench.lattice.geometry import Lattice
 
 TRUTH = Lattice((27.3, 0.0), (13.65, 12.2), (4.0, 1.0))
@@ -156,3 +156,48 @@ def test_a_share_of_s_counts_where_it_is_more(off: float, share: float, label: s
     assert lattice_error(Lattice((50.0 + off, 0.0), (0.0, 50.0)), large, SHAPE, 1.5, share).label == label
     small = Lattice((20.0, 0.0), (0.0, 20.0))
     assert lattice_error(Lattice((21.4, 0.0), (0.0, 20.0)), small, SHAPE, 1.5, share).label == "exact"
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "index"),
+    [
+        ([[1, 0], [0, 1]], "the same", 1),
+        ([[2, 0], [0, 1]], "double along t1", 2),
+        ([[1, 0], [0, 0.5]], "half along t2", 0.5),
+        ([[1, 0], [0, 3]], "x 3 along t2", 3),
+        ([[1 / 3, 0], [0, 1 / 3]], "1/3 along t1 and t2", 1 / 9),
+        ([[2, 0], [0, 2]], "double along t1 and t2", 4),
+        ([[1, 1], [1, -1]], "supercell x 2", 2),
+        ([[0.5, 0.5], [0.5, -0.5]], "subcell 1/2", 0.5),
+        ([[0.5, 0], [0, 2]], "half along t1, double along t2", 1),
+        ([[1.5, 0], [0, 1]], "3/2 along t1", 1.5),
+        ([[0.5, 0.5], [0, 3]], "commensurate", 1.5),
+    ],
+)
+@pytest.mark.parametrize("shear", [[[1, 0], [0, 1]], [[1, 2], [0, 1]], [[0, 1], [1, 3]]])
+def test_the_relation_of_two_lattices_has_a_name(change: object, name: str, index: float, shear: object) -> None:
+    """The name and the index depend on the lattice and not on its basis, and small errors do not matter."""
+    found = relate(times(np.array(shear) @ change, [[0.02, 0.01], [-0.01, 0.02]]), TRUTH)
+    assert found is not None
+    assert (found.name, found.index) == (name, pytest.approx(index))
+
+
+@given(st.integers(1, 5), st.integers(0, 4), st.integers(1, 5), SHEAR, SHEAR)
+def test_a_relation_gives_the_lattice_back(a: int, b: int, d: int, i: int, j: int) -> None:
+    """Numerators times the reference over the divisor generate the lattice, for supercells and for subcells."""
+    shear = np.array([[1, i], [0, 1]]) @ [[1, 0], [j, 1]]
+    for change in (np.array([[a, b], [0, d]]), np.array([[a, b], [0, d]]) / (a * d)):
+        lattice = times(shear @ change)
+        found = relate(lattice, TRUTH)
+        assert found is not None
+        basis = np.array(found.numerators) @ TRUTH.matrix / found.divisor
+        assert Lattice.from_basis(basis).is_equivalent(lattice, 1e-6)
+
+
+def test_unrelated_lattices_have_no_relation() -> None:
+    """A lattice turned by 20 degrees, and one 7 % longer, are not made of the other's vectors."""
+    turn = math.radians(20)
+    rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    t1, t2 = (TRUTH.matrix @ rotation).tolist()
+    assert relate(Lattice(tuple(t1), tuple(t2)), TRUTH) is None
+    assert relate(times([[1.07, 0], [0, 1]]), TRUTH) is None
