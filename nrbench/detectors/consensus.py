@@ -58,7 +58,7 @@ LISTED = 6
 COLOR_LOSS = 0.2
 """The colors repeat by a coarser lattice than the structure if their correlation at the vectors that the structure's
 lattice adds is lower by this share."""
-COLOR_SPLIT = 0.4
+COLOR_SPLIT = 0.2
 """The colors need a coarser lattice than the chosen one if their correlation at its multiples exceeds that at the other
 vectors by this share."""
 COLOR_CELLS = (2, 3, 4, 6, 8)
@@ -80,13 +80,21 @@ class Consensus:
     1. Slow lighting is removed from the image. Its colors, slopes and edges are correlated with their shifted copies;
        the mean of the three correlations is the likeness of the image to its shifted self
        (:mod:`nrbench.detectors.agreement.likeness`).
-    2. Pairs of its most prominent peaks propose lattices. Each lattice is fitted to sub-pixel precision at all its
+    2. Pairs of its most prominent peaks propose lattices, and so do the detectors ``gncc``, ``frdft`` and
+       ``dominance``, without their tests against chance. Each lattice is fitted to sub-pixel precision at all its
        multiples at once (:class:`nrbench.detectors.agreement.evidence.Evidence`). Its merit is the share of the
        variance that is explained if each tile is predicted from all others. Supercells have a low merit because they
        have few tiles; wrong vectors have a low merit because their tiles differ.
     3. The best lattices are replaced by finer ones as long as the vectors that these add agree as well. A lattice that
        lies on a ridge is discarded (:mod:`nrbench.detectors.agreement.search`).
-    4. Of the remaining lattices the one of the highest merit is returned.
+    4. The remaining lattices, their coarser and finer neighbors, and the proposals of the other detectors make a short
+       list. A regression tells from the traits of each lattice how probable it is that it is exact, a sub- or
+       supercell, or neither (:mod:`nrbench.detectors.agreement.short_list`). The stable lattice of the highest merit is
+       returned, unless another one is much more probable.
+
+    The alternatives are the rest of the short list, the most probable first; their ``evidence`` is the merit. If the
+    colors repeat by a coarser lattice than slopes and edges, one of the two has the role ``"structure"``, the other one
+    the role ``"color"``. People measure either one, so the probability is divided between them.
 
     Images of more than 640 px a side are analyzed in several views, from the middle at full detail to the whole image
     at low detail. The views propose lattices; the choice is made at full detail, on the middle 2048 px. Time grows as
@@ -140,7 +148,7 @@ class Consensus:
     surrogates: int = 12
     false_alarms: float = 0.02
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
 
     def __post_init__(self) -> None:
         for name in ("max_loss", "relief", "least"):
@@ -157,11 +165,13 @@ class Consensus:
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``. Its origin is (0, 0) because the detector does not find the phase.
 
-        The confidence is the probability that the lattice is exact; see :func:`confidence`. Diagnostics: ``likeness``
-        (the correlation, right half, with the candidates and the pair), ``explained`` (the share of the variance),
-        ``between`` (the highest correlation that a finer lattice adds), ``relief``, ``tiles``, ``sigmas``; with
-        ``"surrogate"`` also ``tested`` (the contrast in the part that is tested), ``chance`` (the contrasts of the
-        phase-randomized copies) and ``limit``.
+        The confidence is the probability that the lattice is exact, as measured on texture models and on textures that
+        the models lack (``benchmarks/consensus_calibration.py``).
+
+        Diagnostics: ``likeness`` (the correlation, right half, with the candidates and the pair), ``explained`` (the
+        share of the variance), ``between`` (the highest correlation that a finer lattice adds), ``relief``, ``tiles``,
+        ``sigmas``, ``traits`` (what the regression reads); with ``"surrogate"`` also ``tested`` (the contrast in the
+        part that is tested), ``chance`` (the contrasts of the phase-randomized copies) and ``limit``.
 
         Raises
         ------
@@ -393,13 +403,14 @@ class _Search:
             "sigmas": self.pooled.sigmas(basis),
             "traits": rivals[0].traits,
         }
-        shared = share_certainty(rivals)
+        probabilities, certainties = share_certainty(rivals)
         alternatives = [
-            _make_alternative(rival, certainty.exact, lattice)
-            for rival, certainty in zip(rivals[1:], shared[1:], strict=True)
+            _make_alternative(rival, certainty, lattice)
+            for rival, certainty in zip(rivals[1:], certainties, strict=True)
         ]
         alternatives.sort(key=lambda one: -one.confidence)
-        return Detection(lattice, shared[0].exact, diagnostics, tuple(alternatives[:LISTED]), shared[0], rivals[0].role)
+        listed = tuple(alternatives[:LISTED])
+        return Detection(lattice, probabilities.exact, diagnostics, listed, probabilities, rivals[0].role)
 
     def _is_striped(self, basis: Points) -> bool:
         """Return whether the lattice lies on a ridge of the colors' correlation, if the colors repeat as well.

@@ -12,7 +12,7 @@ import numpy as np
 from nrbench.detectors.agreement.evidence import Evidence
 from nrbench.detectors.agreement.evidence_kernels import reduce_all
 from nrbench.detectors.agreement.search import SHORTEST, finer_bases, highest_added
-from nrbench.detectors.agreement.weights import WEIGHTS
+from nrbench.detectors.agreement.weights import CHOSEN, WEIGHTS
 from nrbench.lattice.comparison import count_cells
 from nrbench.lattice.geometry import Points, hermite_matrices
 from nrbench.plugins.forms import Probabilities, Role
@@ -200,32 +200,51 @@ def is_same(basis: Points, other: Points) -> bool:
 
 
 def classify(traits: Traits) -> Probabilities:
-    """Return the probabilities of a multinomial logistic regression (:mod:`.weights`).
+    """Return the probabilities of any lattice of the short list, by :data:`~.weights.WEIGHTS`."""
+    return _apply(WEIGHTS, [1.0, *traits])
 
-    ``benchmarks/consensus_calibration.py`` fits it.
+
+def reclassify(probabilities: Probabilities) -> Probabilities:
+    """Return the probabilities of the chosen lattice, by :data:`~.weights.CHOSEN`.
+
+    It was chosen because it is the most probable. The best of several estimates is too high on some lists, and too low
+    on others where a single lattice stands out.
     """
-    terms = np.array([1.0, *traits])
-    scores = [0.0 if name == "none" else float(np.dot(WEIGHTS[name], terms)) for name in Probabilities._fields]
+    return _apply(CHOSEN, [1.0, *compare_logarithms(probabilities)])
+
+
+def compare_logarithms(probabilities: Probabilities) -> tuple[float, float]:
+    """Return the logarithms of the first two probabilities over the third, within +-8."""
+    exact, nested, none = (math.log(max(share, 1e-6)) for share in probabilities)
+    return min(max(exact - none, -8.0), 8.0), min(max(nested - none, -8.0), 8.0)
+
+
+def _apply(weights: Mapping[str, Sequence[float]], terms: Sequence[float]) -> Probabilities:
+    """Return the probabilities of a multinomial logistic regression; the score of ``none`` is 0."""
+    scores = [float(np.dot(weights[name], terms)) if name in weights else 0.0 for name in Probabilities._fields]
     shares = np.exp(np.array(scores) - max(scores))
     return Probabilities(*(shares / shares.sum()).tolist())
 
 
-def share_certainty(rivals: Sequence[Rival]) -> list[Probabilities]:
-    """Return the probabilities of all rivals together: at most one of them is exact.
+def share_certainty(rivals: Sequence[Rival]) -> tuple[Probabilities, list[float]]:
+    """Return the probabilities of the chosen lattice, and those of the others to be exact: at most one is exact.
 
-    Where the colors repeat by another lattice than the structure, either may be meant. The larger of their two
-    probabilities is divided equally. If the probabilities of being exact then add up to more than 1, each is divided by
-    the sum. The other two probabilities of each rival rise in proportion; those of a pair rise by ``sub_or_supercell``.
+    Where the colors repeat by another lattice than the structure, either may be meant. The probability of the chosen
+    one is divided equally between the two. The probabilities of the others are lowered if all add up to more than 1.
+
+    Parameters
+    ----------
+    rivals
+        The chosen lattice, then the others.
     """
-    pair = [number for number, rival in enumerate(rivals) if rival.role]
-    shares = [list(rival.probabilities) for rival in rivals]
-    for number in pair:
-        highest = max(rivals[other].probabilities.exact for other in pair)
-        none = rivals[number].probabilities.none * (1 - highest) / max(1 - rivals[number].probabilities.exact, 1e-12)
-        shares[number] = [highest / len(pair), 1 - highest / len(pair) - none, none]
-    total = max(1.0, sum(exact for exact, _, _ in shares))
-    shared = []
-    for exact, nested, none in shares:
-        rest = (1 - exact / total) / max(nested + none, 1e-12)
-        shared.append(Probabilities(exact / total, nested * rest, none * rest))
-    return shared
+    exact, nested, none = reclassify(rivals[0].probabilities)
+    partners = [bool(rivals[0].role and rival.role) for rival in rivals[1:]]
+    if any(partners):
+        exact, nested = exact / 2, nested + exact / 2
+    free = 1 - exact * (1 + any(partners))
+    total = sum(rival.probabilities.exact for rival, pair in zip(rivals[1:], partners, strict=True) if not pair)
+    scale = min(1.0, free / total) if total > 0 else 1.0
+    others = [
+        exact if pair else scale * rival.probabilities.exact for rival, pair in zip(rivals[1:], partners, strict=True)
+    ]
+    return Probabilities(exact, nested, none), others

@@ -1,4 +1,4 @@
-"""Weights of the multinomial logistic regression that ``benchmarks/consensus_calibration.py`` fits and prints."""
+"""Weights of two multinomial logistic regressions that ``benchmarks/consensus_calibration.py`` fits and prints."""
 
 WEIGHTS: dict[str, list[float]] = {
     "exact": [
@@ -37,3 +37,9 @@ WEIGHTS: dict[str, list[float]] = {
     ],
 }
 """For each class but ``none``: a constant, then one weight for each trait."""
+
+CHOSEN: dict[str, list[float]] = {
+    "exact": [0.0, 1.0, 0.0],
+    "sub_or_supercell": [0.0, 0.0, 1.0],
+}
+"""For the chosen lattice: a constant, then weights of the logarithms of the first two probabilities over the third."""
