@@ -1,130 +1,264 @@
-"""What the consensus detector's confidence is worth: fitted on one set of draws, reported on another.
+"""What the confidence of the consensus detector is worth: fitted on some draws, reported on others.
 
-Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/consensus_calibration.py [--count 10]``. Draws of 25 models
-at random departures, from none to beyond recognition, 64 to 256 px a side, and of noise of five spectra, which has no
-lattice. It prints the weights of the logistic regression, and how often answers of each confidence were right on draws
-that it was not fitted to; and the same for the weights that stand in ``nrbench/lattice/confidence.py``.
+Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/consensus_calibration.py [--count 4] [--kinds 1]``.
+
+The draws are of 25 models at random departures, from none to beyond recognition, 64 to 256 px a side, of noise, and of
+kinds of texture that the models lack (``benchmarks/texture_kinds.py``). A multinomial logistic regression tells from
+the traits of a lattice (:class:`nrbench.detectors.agreement.short_list.Traits`) whether it is exact, a sub- or
+supercell, or neither. The script prints the weights that belong into ``nrbench/detectors/agreement/weights.py``, and
+for the chosen lattices: how often answers of each confidence were right, the expected calibration error, the mean
+confidence of wrong answers, and how often the right lattice was among the first three. It does so for
+
+- the weights as shipped, on draws that were not used for the fit;
+- weights that are fitted without the family of the texture (leave one family out), and without its kind.
+
+Where the colors repeat by a coarser lattice than the structure, people measure either lattice. Such a texture counts
+half for each of the two.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+import itertools
+import pickle
+import pprint
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from texture_kinds import Case, draw_kinds, draw_models
 
-from nrbench import plugins
-from nrbench.detectors.consensus import WEIGHTS, Consensus
+from nrbench.detectors.agreement import short_list, weights
+from nrbench.detectors.agreement.short_list import Rival, Traits, classify
+from nrbench.detectors.consensus import Consensus
 from nrbench.imaging.convert import quantize
+from nrbench.jit import load_kernels
 from nrbench.lattice.comparison import lattice_error
-from nrbench.plugins.forms import NoLatticeFound, Texture
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import NoLatticeFound, Probabilities
 
-MODELS = (
-    *(
-        "wallpaper",
-        "jigsaw",
-        "pavement",
-        "card",
-        "plate",
-        "ceramic",
-        "scales",
-        "squares",
-        "cans",
-        "swirl",
-        "mat",
-        "pie",
-    ),
-    *("toothpaste", "windows", "mosaic", "cracker", "carpet", "rug", "corduroy", "knit", "plaid", "basket"),
-    *("brick", "weave", "hexagon"),
-)
-SPECTRA = ("white", "pink", "brown", "blobs", "grass")
-PENALTY = 0.05
+PENALTY = 0.3
+FOLDS = 6
+"""Parts into which the families are divided to leave one out."""
+CLASSES = Probabilities._fields
 
 
-class Answer(NamedTuple):
-    """What was found: the logarithms that the regression reads, with a leading 1, whether it is exact, and of noise."""
+class Rated(NamedTuple):
+    """One texture and what the detector, without rejection, makes of it.
 
-    terms: tuple[float, ...]
-    exact: bool
-    stochastic: bool
+    Parameters
+    ----------
+    case
+        The texture without its image.
+    rivals
+        The lattices that were rated, the best stable one first.
+    truths
+        For each lattice that a person may measure (at least one; None for no lattice), the class of each rival.
+    """
 
-
-def departures(rng: np.random.Generator) -> dict[str, Any]:
-    """Return random departures, from none to beyond recognition."""
-    drawn: dict[str, Any] = {
-        "color": rng.choice([0, 0.15, 0.3, 0.5, 0.8]),
-        "noise": rng.choice([0, 0.03, 0.06, 0.1, 0.2]),
-    }
-    drawn["rotation"] = rng.uniform(0, 90) * (rng.random() < 0.5)
-    choices = {"jitter": ([0.1, 0.2, 0.5], 0.25), "light": ([0.5], 0.25), "damage": ([0.15], 0.2)}
-    drawn |= {name: rng.choice(values) for name, (values, odds) in choices.items() if rng.random() < odds}
-    return {name: float(value) for name, value in drawn.items()}
+    case: Case
+    rivals: list[Rival]
+    truths: list[list[str]]
 
 
-def textures(seed: int, count: int) -> Iterator[Texture]:
-    """Yield ``count`` draws of each model and each noise."""
-    rng = np.random.default_rng(seed)
-    for _ in range(count):
-        for model in MODELS:
-            side = int(rng.choice([64, 96, 128, 192, 256]))
-            yield plugins.build("datasets", model, departures(rng)).render((side, side), rng)
-        for spectrum in SPECTRA:
-            side, scale = int(rng.choice([96, 128, 192, 256])), float(rng.choice([5, 12, 20, 30]))
-            yield plugins.build("datasets", "noise", {"spectrum": spectrum, "scale": scale}).render((side, side), rng)
-
-
-def answers(seed: int, count: int) -> Iterator[Answer]:
-    """Yield what the detector, without rejection, answers on each draw."""
-    for texture in textures(seed, count):
+def rate(cases: Iterable[Case]) -> Iterator[Rated]:
+    """Yield the rated lattices of each texture that has any."""
+    detector = Consensus(reject="none")
+    for case in cases:
+        image = quantize(case.image)
         try:
-            found = Consensus(reject="none").detect(quantize(texture.image))
+            rivals = detector.list_rivals(image)
         except NoLatticeFound:
             continue
-        told, truth = found.diagnostics, texture.lattice
-        exact = truth is not None and lattice_error(found.lattice, truth, texture.image.shape[:2]).relation == "exact"
-        terms = (max(told["sigmas"], 1e-3), max(told["relief"], 1e-2), max(told["tiles"], 1.0))
-        yield Answer((1.0, *np.log(terms)), exact, truth is None)
+        truths = [[_class_of(rival, truth, image.shape[:2]) for rival in rivals] for truth in case.lattices or [None]]
+        yield Rated(case._replace(image=image[:1, :1]), rivals, truths)
 
 
-def fitted(terms: NDArray[np.float64], signs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights of a logistic regression."""
-
-    def loss(weights: NDArray[np.float64]) -> float:
-        return float(np.logaddexp(0, -signs * (terms @ weights)).sum() + PENALTY * (weights[1:] ** 2).sum())
-
-    return np.asarray(minimize(loss, np.zeros(terms.shape[1])).x)
+def _class_of(rival: Rival, truth: Lattice | None, shape: tuple[int, int]) -> str:
+    if truth is None:
+        return "none"
+    relation = lattice_error(Lattice.from_basis(rival.basis), truth, shape, share=0.04).relation
+    return {"exact": "exact", "wrong": "none"}.get(relation, "sub_or_supercell")
 
 
-def report(title: str, probabilities: NDArray[np.float64], exact: NDArray[np.bool_]) -> None:
-    """Print how often answers of each confidence were right."""
-    bins = np.clip((probabilities * 5).astype(int), 0, 4)
-    print(f"{title}: n = {len(exact)}")
-    gap = 0.0
-    for number in np.unique(bins):
-        there = bins == number
-        said, right = probabilities[there].mean(), exact[there].mean()
-        gap += abs(said - right) * there.mean()
-        print(f"  said {said:.2f}   right {right:.2f}   n {there.sum()}")
-    print(f"  expected calibration error {gap:.3f}")
+Weights = dict[str, list[float]]
+
+
+def fit(rated: Sequence[Rated]) -> tuple[Weights, Weights]:
+    """Return the weights for all rivals, and those for the chosen lattice.
+
+    The latter are fitted to what the former say of families that they were not fitted to.
+    """
+    return _fit_rivals(rated), _fit_chosen(rated)
+
+
+def _fit_rivals(rated: Sequence[Rated]) -> Weights:
+    rows = [
+        ([1.0, *rival.traits], name, 1 / len(one.truths))
+        for one in rated
+        for truth in one.truths
+        for rival, name in zip(one.rivals, truth, strict=True)
+    ]
+    return _regress(rows, PENALTY)
+
+
+def _fit_chosen(rated: Sequence[Rated]) -> Weights:
+    rows = []
+    families = sorted({one.case.family for one in rated})
+    for start in range(FOLDS):
+        out = families[start::FOLDS]
+        found = _fit_rivals([one for one in rated if one.case.family not in out])
+        for one in rated:
+            if one.case.family in out:
+                order, truths = _choose(one, found)
+                if not order[0].role:
+                    terms = [1.0, *short_list.compare_logarithms(order[0].probabilities)]
+                    rows += [(terms, truth[0], 1 / len(truths)) for truth in truths]
+    return _regress(rows, PENALTY / 10)
+
+
+def _choose(one: Rated, used: Weights) -> tuple[list[Rival], list[list[str]]]:
+    """Return the rivals with the given weights, the chosen one first, and the classes in the same order."""
+    with _replaced(weights.WEIGHTS, used):
+        rivals = [rival._replace(probabilities=classify(rival.traits)) for rival in one.rivals]
+    order = Consensus().order(rivals)
+    numbers = [next(n for n, rival in enumerate(rivals) if rival.basis is chosen.basis) for chosen in order]
+    return order, [[truth[number] for number in numbers] for truth in one.truths]
+
+
+@contextmanager
+def _replaced(shipped: Weights, used: Weights) -> Iterator[None]:
+    """Replace the weights that the detector uses for a while."""
+    kept = dict(shipped)
+    shipped.update(used)
+    try:
+        yield
+    finally:
+        shipped.update(kept)
+
+
+def _regress(rows: Sequence[tuple[list[float], str, float]], penalty: float) -> Weights:
+    """Return the weights of a multinomial logistic regression on (terms, class, share)."""
+    terms = np.array([row for row, _, _ in rows])
+    known = np.eye(3)[[CLASSES.index(name) for _, name, _ in rows]]
+    parts = np.array([share for _, _, share in rows])[:, np.newaxis]
+    scale = np.append(1.0, terms[:, 1:].std(0) + 1e-6)
+    terms = terms / scale
+
+    def loss(flat: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        trained = flat.reshape(2, -1)
+        scores = np.column_stack([terms @ trained.T, np.zeros(len(terms))])
+        scores -= scores.max(1, keepdims=True)
+        logs = scores - np.log(np.exp(scores).sum(1, keepdims=True))
+        slope = ((np.exp(logs) - known) * parts)[:, :2].T @ terms
+        slope[:, 1:] += 2 * penalty * trained[:, 1:]
+        return float(-(parts * known * logs).sum() + penalty * (trained[:, 1:] ** 2).sum()), slope.ravel()
+
+    found = minimize(loss, np.zeros(2 * terms.shape[1]), jac=True, method="L-BFGS-B", options={"maxiter": 2000}).x
+    found = found.reshape(2, -1) / scale
+    return {name: [round(float(weight), 3) for weight in row] for name, row in zip(CLASSES, found, strict=False)}
+
+
+class Outcome(NamedTuple):
+    """The chosen lattice of a texture: its kind and family, what was said, what was true, and the share it counts."""
+
+    kind: str
+    family: str
+    said: Probabilities
+    truth: str
+    listed: bool
+    share: float
+
+
+def judge(rated: Sequence[Rated], used: tuple[Weights, Weights]) -> Iterator[Outcome]:
+    """Yield what the detector says of each texture with the given weights."""
+    for one in rated:
+        order, truths = _choose(one, used[0])
+        with _replaced(weights.CHOSEN, used[1]):
+            said, certainties = short_list.share_certainty(order)
+        first = sorted(range(len(certainties)), key=lambda number: -certainties[number])[:2]
+        for truth in truths:
+            listed = "exact" in [truth[0], *(truth[1 + number] for number in first)]
+            yield Outcome(one.case.kind, one.case.family, said, truth[0], listed, 1 / len(truths))
+
+
+def report(title: str, outcomes: Sequence[Outcome]) -> None:
+    """Print reliability, calibration error and ranks."""
+    shares = np.array([one.share for one in outcomes])
+    print(f"{title}: {shares.sum():.0f} textures")
+    for name in CLASSES:
+        said = np.array([getattr(one.said, name) for one in outcomes])
+        true = np.array([one.truth == name for one in outcomes])
+        bins = np.clip((said * 10).astype(int), 0, 9)
+        gap, parts = 0.0, []
+        for number in np.unique(bins):
+            there = bins == number
+            weight = shares[there].sum()
+            mean, right = (float(np.average(values[there], weights=shares[there])) for values in (said, true))
+            gap += abs(mean - right) * weight / shares.sum()
+            parts.append(f"{mean:.2f}/{right:.2f} ({weight:.0f})")
+        print(f"  {name:17} expected calibration error {gap:.3f}; said/true (n): {'  '.join(parts)}")
+    for kind, some in itertools.groupby(sorted(outcomes, key=lambda one: one.kind), key=lambda one: one.kind):
+        group = list(some)
+        n = sum(one.share for one in group)
+        exact, listed = (sum(one.share for one in group if test(one)) for test in (_is_exact, lambda one: one.listed))
+        wrong = [one.said.exact for one in group if not _is_exact(one)]
+        print(
+            f"  {kind:15} exact {exact:5.1f} of {n:5.1f}, among the first three {listed:5.1f}"
+            f", confidence of wrong answers {np.mean(wrong) if wrong else 0:.2f} ({len(wrong)})"
+        )
+
+
+def _is_exact(outcome: Outcome) -> bool:
+    return outcome.truth == "exact"
+
+
+def leave_out(rated: Sequence[Rated], field: str) -> list[Outcome]:
+    """Return the outcomes of each group with weights that are fitted to the other groups."""
+    outcomes = []
+    groups = sorted({getattr(one.case, field) for one in rated})
+    for some in (groups[start::FOLDS] for start in range(FOLDS)) if field == "family" else ([k] for k in groups):
+        inside = [one for one in rated if getattr(one.case, field) in some]
+        outside = [one for one in rated if getattr(one.case, field) not in some]
+        outcomes += list(judge(inside, fit(outside)))
+    return outcomes
+
+
+def load(path: Path | None, seed: int, count: int, kinds: int) -> list[Rated]:
+    """Return rated draws; they are kept in a file if its path is given."""
+    if path is not None and path.exists():
+        return list(pickle.loads(path.read_bytes()))
+    rng = np.random.default_rng(seed)
+    rated = list(rate(itertools.chain(draw_models(rng, count), draw_kinds(rng, kinds))))
+    if path is not None:
+        path.write_bytes(pickle.dumps(rated))
+    return rated
 
 
 def main() -> None:
     """Fit on the first draws, report on the second."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--count", type=int, default=10)
-    count = parser.parse_args().count
-    first, second = (list(answers(seed, count)) for seed in (11, 12))
-    noise = [np.exp(one.terms[1]) for one in first + second if one.stochastic]
-    print(f"noise: the best lattice reaches {max(noise, default=0):.1f} sigmas in {2 * count * len(SPECTRA)} draws")
-    terms, exact = (np.array([getattr(one, name) for one in first]) for name in ("terms", "exact"))
-    weights = fitted(terms, 2.0 * exact - 1)
-    print("weights", dict(zip(WEIGHTS, weights.round(2).tolist(), strict=True)))
-    terms, exact = (np.array([getattr(one, name) for one in second]) for name in ("terms", "exact"))
-    for title, used in (("fitted now", weights), ("as shipped", np.array(list(WEIGHTS.values())))):
-        report(title, 1 / (1 + np.exp(-terms @ used)), exact)
+    parser.add_argument("--count", type=int, default=4, help="Draws of each model.")
+    parser.add_argument("--kinds", type=int, default=1, help="Draws of each further kind.")
+    parser.add_argument("--keep", type=Path, help="Folder in which rated draws are kept.")
+    options = parser.parse_args()
+    load_kernels()
+    first, second = (
+        load(options.keep and options.keep / f"{seed}.pickle", seed, options.count, options.kinds) for seed in (11, 12)
+    )
+    noise = [np.exp(one.rivals[0].traits.sigmas) for one in first + second if one.case.family == "noise"]
+    print(f"noise: the best lattice reaches {max(noise, default=0):.1f} sigmas in {len(noise)} draws")
+    print("weights:", Traits._fields)
+    found = fit(first)
+    pprint.pp(found, width=120, compact=True)
+    report("fitted on the first draws, on the second", list(judge(second, found)))
+    report("as shipped, on the second draws", list(judge(second, (weights.WEIGHTS, weights.CHOSEN))))
+    report("fitted without the family", leave_out(first + second, "family"))
+    report("fitted without the kind", leave_out(first + second, "kind"))
 
 
 if __name__ == "__main__":

@@ -4,18 +4,34 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nrbench.detectors.agreement.evidence import Evidence
-from nrbench.detectors.agreement.likeness import SIDE, compute_likeness, make_view, max_factor, views
-from nrbench.detectors.agreement.search import StableLattice, SublatticeSearch, highest_between, propose_lattices
+from nrbench.detectors.agreement.evidence_kernels import reduce_all
+from nrbench.detectors.agreement.likeness import SIDE, Likeness, compute_likeness, make_view, max_factor, views
+from nrbench.detectors.agreement.search import StableLattice, SublatticeSearch, highest_added, propose_lattices
+from nrbench.detectors.agreement.short_list import (
+    SHARE,
+    TOLERANCE,
+    Rival,
+    ShortList,
+    is_same,
+    relate_bases,
+    share_certainty,
+)
 from nrbench.detectors.autocorrelation.surrogates import measure_surrogates
+from nrbench.detectors.dominance import Dominance
+from nrbench.detectors.frdft import Frdft
+from nrbench.detectors.gncc import Gncc
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image, crop_middle
-from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
+from nrbench.lattice.comparison import relate
+from nrbench.lattice.geometry import Lattice, Points, hermite_matrices, reduced_basis
+from nrbench.plugins.forms import Alternative, Detection, NoLatticeFound, Role, Surface
 
 TESTED = 256
 """px; side of the image that is compared with surrogates: the middle, shrunk as far as the lattice allows."""
@@ -27,10 +43,29 @@ VOTES = 3
 """Number of the best lattices that each view of a large image contributes."""
 COMPARED = 6
 """Number of the best pairs that are fitted in a phase-randomized copy."""
-WEIGHTS = {"constant": -5.44, "sigmas": 3.75, "relief": 1.21, "tiles": -1.0}
-"""Weights of a logistic regression on logarithms, fitted by ``benchmarks/consensus_calibration.py``."""
-MAX_SIGMAS = 60.0
-"""Standard deviations above which the confidence does not rise: few lattices of the fit had more."""
+WAVES = 12
+"""Number of the strongest waves from which ``frdft`` proposes a lattice."""
+SPECTRUM = 256
+"""px; side of the middle of the image whose waves are searched."""
+LONGEST = 0.8
+"""Proposals with a vector above this share of the image's sides are left out, and ..."""
+MIN_AREA = 8.0
+"""... proposals with a smaller cell, px^2."""
+REPLACE = 2.5
+"""The best stable lattice is replaced by a rival that is more probable by this factor."""
+LISTED = 6
+"""Largest number of alternatives."""
+COLOR_LOSS = 0.2
+"""The colors repeat by a coarser lattice than the structure if their correlation at the vectors that the structure's
+lattice adds is lower by this share."""
+COLOR_SPLIT = 0.2
+"""The colors need a coarser lattice than the chosen one if their correlation at its multiples exceeds that at the other
+vectors by this share."""
+COLOR_CELLS = (2, 3, 4, 6, 8)
+"""Indices of the coarser lattices that are tried for the colors."""
+FEWEST = 8
+"""Least number of vectors and of tiles from which two lattices are told apart by color."""
+_OTHER: dict[Role, Role] = {"structure": "color", "color": "structure", "": ""}
 
 _check = checker("consensus")
 
@@ -45,13 +80,21 @@ class Consensus:
     1. Slow lighting is removed from the image. Its colors, slopes and edges are correlated with their shifted copies;
        the mean of the three correlations is the likeness of the image to its shifted self
        (:mod:`nrbench.detectors.agreement.likeness`).
-    2. Pairs of its most prominent peaks propose lattices. Each lattice is fitted to sub-pixel precision at all its
+    2. Pairs of its most prominent peaks propose lattices, and so do the detectors ``gncc``, ``frdft`` and
+       ``dominance``, without their tests against chance. Each lattice is fitted to sub-pixel precision at all its
        multiples at once (:class:`nrbench.detectors.agreement.evidence.Evidence`). Its merit is the share of the
        variance that is explained if each tile is predicted from all others. Supercells have a low merit because they
        have few tiles; wrong vectors have a low merit because their tiles differ.
     3. The best lattices are replaced by finer ones as long as the vectors that these add agree as well. A lattice that
        lies on a ridge is discarded (:mod:`nrbench.detectors.agreement.search`).
-    4. Of the remaining lattices the one of the highest merit is returned.
+    4. The remaining lattices, their coarser and finer neighbors, and the proposals of the other detectors make a short
+       list. A regression tells from the traits of each lattice how probable it is that it is exact, a sub- or
+       supercell, or neither (:mod:`nrbench.detectors.agreement.short_list`). The stable lattice of the highest merit is
+       returned, unless another one is much more probable.
+
+    The alternatives are the rest of the short list, the most probable first; their ``evidence`` is the merit. If the
+    colors repeat by a coarser lattice than slopes and edges, one of the two has the role ``"structure"``, the other one
+    the role ``"color"``. People measure either one, so the probability is divided between them.
 
     Images of more than 640 px a side are analyzed in several views, from the middle at full detail to the whole image
     at low detail. The views propose lattices; the choice is made at full detail, on the middle 2048 px. Time grows as
@@ -105,7 +148,7 @@ class Consensus:
     surrogates: int = 12
     false_alarms: float = 0.02
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
 
     def __post_init__(self) -> None:
         for name in ("max_loss", "relief", "least"):
@@ -122,11 +165,13 @@ class Consensus:
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``. Its origin is (0, 0) because the detector does not find the phase.
 
-        The confidence is the probability that the lattice is exact; see :func:`confidence`. Diagnostics: ``likeness``
-        (the correlation, right half, with the candidates and the pair), ``explained`` (the share of the variance),
-        ``between`` (the highest correlation that a finer lattice adds), ``relief``, ``tiles``, ``sigmas``; with
-        ``"surrogate"`` also ``tested`` (the contrast in the part that is tested), ``chance`` (the contrasts of the
-        phase-randomized copies) and ``limit``.
+        The confidence is the probability that the lattice is exact, as measured on texture models and on textures that
+        the models lack (``benchmarks/consensus_calibration.py``).
+
+        Diagnostics: ``likeness`` (the correlation, right half, with the candidates and the pair), ``explained`` (the
+        share of the variance), ``between`` (the highest correlation that a finer lattice adds), ``relief``, ``tiles``,
+        ``sigmas``, ``traits`` (what the regression reads); with ``"surrogate"`` also ``tested`` (the contrast in the
+        part that is tested), ``chance`` (the contrasts of the phase-randomized copies) and ``limit``.
 
         Raises
         ------
@@ -136,70 +181,85 @@ class Consensus:
         """
         if np.ptp(image, (0, 1)).max() == 0:
             raise NoLatticeFound("the image is constant: it has no texture")
-        likeness = compute_likeness(crop_middle(image, PRECISE))
-        evidence = Evidence(likeness.pooled)
-        candidates = self._candidates(image, evidence)
-        detection = self._choose(evidence, Evidence(likeness.colors), candidates)
+        search, proposals = self._prepare(image)
+        detection = search.detect(proposals)
         if self.reject == "surrogate":
             detection = self._compare_with_surrogates(image, detection)
         return detection if self.reject == "none" else self._check_strength(detection)
 
-    def _candidates(self, image: Image, evidence: Evidence) -> list[Points]:
-        """Return the best lattices of all views, in the image's pixels; ``evidence`` is that of a small image."""
+    def list_rivals(self, image: Image) -> list[Rival]:
+        """Return the lattices among which the detector chooses, the best stable one first; without any test.
+
+        Raises
+        ------
+        NoLatticeFound
+            If no lattice is stable.
+        """
+        search, proposals = self._prepare(image)
+        return search.rate(proposals)[0]
+
+    def order(self, rivals: list[Rival]) -> list[Rival]:
+        """Return the chosen one of :meth:`list_rivals`, then the others, the most probable first.
+
+        The best stable lattice is replaced only by a much more probable one (:data:`REPLACE`) that lies on no ridge.
+        """
+        ordered = sorted(rivals, key=lambda rival: -rival.probabilities.exact)
+        least = math.log(max(self.relief, 0.02))
+        first = next(rival for rival in rivals if rival.traits.best)
+        for rival in ordered:
+            if rival.traits.relief >= least and rival.probabilities.exact > REPLACE * first.probabilities.exact:
+                first = rival
+                break
+        others = [rival for rival in ordered if rival is not first]
+        if not first.role:
+            others = [rival._replace(role="") for rival in others]
+        return [first, *others]
+
+    def _prepare(self, image: Image) -> tuple[_Search, dict[str, list[Points]]]:
+        """Return the search at full detail, and the proposals of all detectors."""
+        likeness = compute_likeness(crop_middle(image, PRECISE))
+        search = _Search(self, Evidence(likeness.pooled), Evidence(likeness.colors), Evidence(likeness.structure))
+        return search, self._propose(image, likeness, search.pooled)
+
+    def _propose(self, image: Image, likeness: Likeness, evidence: Evidence) -> dict[str, list[Points]]:
+        """Return the bases that each detector proposes, in the image's pixels; its own are named ``consensus``.
+
+        Parameters
+        ----------
+        image
+            The image.
+        likeness, evidence
+            Those of the middle of the image, which are used if it is the whole image.
+        """
         if max(image.shape[:2]) <= SIDE:
-            return self._best_proposals(evidence)
-        view_evidence = [(view.factor, Evidence(compute_likeness(view.image).pooled)) for view in views(image)]
-        return [
-            stable.basis * factor
-            for factor, evidence in view_evidence
-            for stable in self._stable_lattices(evidence, self._best_proposals(evidence))[:VOTES]
-        ]
+            return {"consensus": self._best_proposals(evidence), **_ask_others(image, likeness)}
+        proposals: dict[str, list[Points]] = {}
+        for view in views(image):
+            likeness = compute_likeness(view.image)
+            evidence = Evidence(likeness.pooled)
+            stable = self.find_stable(evidence, self._best_proposals(evidence))[:VOTES]
+            own = {"consensus": [lattice.basis for lattice in stable]}
+            for name, bases in (own | _ask_others(view.image, likeness)).items():
+                proposals.setdefault(name, []).extend(basis * view.factor for basis in bases)
+        return proposals
 
     def _best_proposals(self, evidence: Evidence) -> list[Points]:
         bases = propose_lattices(evidence, self.peaks, self.proposals)
-        return sorted(bases, key=lambda basis: -self._merit(evidence, basis))[:STARTS]
+        return sorted(bases, key=lambda basis: -self.merit(evidence, basis))[:STARTS]
 
-    def _stable_lattices(self, evidence: Evidence, bases: list[Points]) -> list[StableLattice]:
+    def find_stable(self, evidence: Evidence, bases: list[Points]) -> list[StableLattice]:
         """Return the stable lattices that are reached from the given ones, by merit."""
-        search = SublatticeSearch(evidence, self.max_loss, self.tile_allowance, self.scatter, self.relief)
-        stable = [search.find_finest(basis) for basis in bases if self._merit(evidence, basis) > 0]
-        return sorted(filter(None, stable), key=lambda lattice: -self._merit(evidence, lattice.basis))
+        search = self.make_search(evidence)
+        stable = [search.find_finest(basis) for basis in bases if self.merit(evidence, basis) > 0]
+        return sorted(filter(None, stable), key=lambda lattice: -self.merit(evidence, lattice.basis))
 
-    def _merit(self, evidence: Evidence, basis: Points) -> float:
+    def make_search(self, evidence: Evidence) -> SublatticeSearch:
+        """Return the search for finer lattices with the parameters of this detector."""
+        return SublatticeSearch(evidence, self.max_loss, self.tile_allowance, self.scatter, self.relief)
+
+    def merit(self, evidence: Evidence, basis: Points) -> float:
+        """Return the share of the variance that is explained, times the number of tiles ** size_exponent."""
         return float(evidence.explained_variance_loo(basis) * evidence.tiles(basis) ** self.size_exponent)
-
-    def _choose(self, evidence: Evidence, colors: Evidence, candidates: list[Points]) -> Detection:
-        """Return the stable lattice of the highest merit at full detail, with its diagnostics."""
-        lattices = self._stable_lattices(evidence, candidates)
-        if not lattices:
-            raise NoLatticeFound("no two peaks of the correlation generate a lattice by which the image repeats")
-        best = lattices[0]
-        basis = best.basis
-        sigmas, tiles, explained = evidence.sigmas(basis), evidence.tiles(basis), evidence.explained_variance_loo(basis)
-        diagnostics: dict[str, Any] = {
-            "likeness": Surface(evidence.gamma, (0, evidence.shape[0] - 1), np.concatenate(candidates), basis),
-            "explained": explained,
-            "between": best.between,
-            "relief": best.relief,
-            "tiles": tiles,
-            "sigmas": sigmas,
-        }
-        lattice = Lattice.from_basis(basis).reduced()
-        detection = Detection(lattice, confidence(sigmas, best.relief, tiles), diagnostics)
-        if self._is_striped(colors, basis, best.repeated):
-            raise NoLatticeFound(
-                "the image repeats along one direction by any vector: stripes, not a lattice", detection
-            )
-        return detection
-
-    def _is_striped(self, colors: Evidence, basis: Points, repeated: float) -> bool:
-        """Return whether the lattice lies on a ridge of the colors' correlation, if the colors repeat as well.
-
-        Edges are not a linear function of the pixels. The edges of fine stripes interfere with the pixel grid, which
-        produces a lattice that the colors do not have.
-        """
-        own = colors.repeated(basis)
-        return own > repeated / 2 and own - highest_between(colors, basis) < self.relief * own
 
     def _compare_with_surrogates(self, image: Image, detection: Detection) -> Detection:
         """Return the detection with the contrasts of phase-randomized copies; raise if its own is not higher."""
@@ -230,7 +290,7 @@ class Consensus:
 
     def _contrast(self, evidence: Evidence, basis: Points) -> float:
         """Return the correlation of a lattice minus the highest that a finer one adds, times tiles ** size_exponent."""
-        contrast = evidence.repeated(basis) - highest_between(evidence, basis)
+        contrast = evidence.repeated(basis) - highest_added(evidence, basis)
         return float(max(contrast, 0.0) * evidence.tiles(basis) ** self.size_exponent)
 
     def _best_contrast(self, image: Image) -> float:
@@ -240,23 +300,130 @@ class Consensus:
         return max((self._contrast(evidence, basis) for basis in bases), default=0.0)
 
 
-def confidence(sigmas: float, relief: float, tiles: float) -> float:
-    """Return the probability that a lattice is exact: not a supercell, a subcell, wrong, or found by chance.
+def _ask_others(image: Image, likeness: Likeness) -> dict[str, list[Points]]:
+    """Return the lattices that the other detectors propose, without their tests against chance."""
+    proposals = {
+        "gncc": Gncc().propose(likeness.colors),
+        "frdft": Frdft(waves=WAVES).propose(_main_color(crop_middle(image, SPECTRUM))),
+        "dominance": Dominance().propose(likeness.colors),
+    }
+    return {name: [basis for basis in bases if _fits(basis, image)] for name, bases in proposals.items()}
 
-    Parameters
-    ----------
-    sigmas
-        How far the correlation at its multiples lies above chance, in standard deviations.
-    relief
-        The share of this correlation by which the correlation at the further vectors of any finer lattice is lower.
-    tiles
-        The image's area in cells. At the same significance many small cells are more often subcells.
 
-    Notes
-    -----
-    A logistic regression on the logarithms of the three. It is fitted to draws of 25 models and of noise, with
-    departures from none to very strong ones, and predicts how often such a lattice was exact.
-    """
-    logit = WEIGHTS["constant"] + WEIGHTS["sigmas"] * math.log(min(max(sigmas, 1e-3), MAX_SIGMAS))
-    logit += WEIGHTS["relief"] * math.log(max(relief, 1e-2)) + WEIGHTS["tiles"] * math.log(max(tiles, 1.0))
-    return 1 / (1 + math.exp(-logit)) if logit > -700 else 0.0
+def _main_color(image: Image) -> NDArray[np.float32]:
+    """Return the image along the axis of color on which it varies most, ``(H, W, 1)``."""
+    if image.shape[2] == 1:
+        return image
+    axis = np.linalg.eigh(np.cov(image.reshape(-1, image.shape[2]).T.astype(np.float64)))[1][:, -1]
+    return np.asarray(image @ (axis * np.sign(axis.sum() or 1.0))[:, np.newaxis], np.float32)
+
+
+def _fits(basis: Points, image: Image) -> bool:
+    """Return whether the image holds more than two cells of a lattice, none of them thin."""
+    height, width = image.shape[:2]
+    area, lengths = abs(float(np.linalg.det(basis))), np.hypot(*basis.T)
+    fits = bool((np.abs(basis) <= LONGEST * np.array([width, height])).all())
+    return fits and MIN_AREA <= area < height * width / 2 and area > 0.1 * float(lengths.prod())
+
+
+@dataclass
+class _Search:
+    """The choice among all proposals for one image."""
+
+    detector: Consensus
+    pooled: Evidence
+    colors: Evidence
+    structure: Evidence
+
+    def detect(self, proposals: dict[str, list[Points]]) -> Detection:
+        """Return the lattice with its alternatives and diagnostics."""
+        rivals, candidates = self.rate(proposals)
+        rivals = self.detector.order(rivals)
+        detection = self._describe(rivals, candidates)
+        if self._is_striped(rivals[0].basis):
+            raise NoLatticeFound(
+                "the image repeats along one direction by any vector: stripes, not a lattice", detection
+            )
+        return detection
+
+    def rate(self, proposals: dict[str, list[Points]]) -> tuple[list[Rival], list[Points]]:
+        """Return the best stable lattice and its rivals, and all candidates."""
+        fitted = {
+            name: bases if name == "consensus" else [self.pooled.fit(reduced_basis(basis)) for basis in bases]
+            for name, bases in proposals.items()
+        }
+        candidates = [basis for bases in fitted.values() for basis in bases]
+        stable = [lattice.basis for lattice in self.detector.find_stable(self.pooled, candidates)]
+        if not stable:
+            raise NoLatticeFound("no two peaks of the correlation generate a lattice by which the image repeats")
+        role, partner = self._find_partner(stable[0])
+        fitted["consensus"] = [] if partner is None else [partner]
+        short_list = ShortList(self.pooled, self.structure, partial(self.detector.merit, self.pooled))
+        rivals = short_list.rate(stable, fitted)
+        if partner is None or not any(is_same(rival.basis, partner) for rival in rivals[1:]):
+            return rivals, candidates
+        first = rivals[0]._replace(role=role)
+        others = [rival._replace(role=_OTHER[role]) if is_same(rival.basis, partner) else rival for rival in rivals[1:]]
+        return [first, *others], candidates
+
+    def _find_partner(self, basis: Points) -> tuple[Role, Points | None]:
+        """Return whether a lattice is that of the structure or of the colors, and the other one of the two."""
+        finer = self.detector.make_search(self.structure).find_finest(basis)
+        if finer is not None and relate_bases(basis, finer.basis) > 1:
+            own, added = self.colors.repeated(basis), self.colors.agreement(finer.basis, basis).mean
+            if own > 0 and added < (1 - COLOR_LOSS) * own:
+                return "color", finer.basis
+        for index in COLOR_CELLS:
+            for coarser in reduce_all(hermite_matrices(index) @ basis):
+                if self._colors_need(coarser, basis):
+                    return "structure", coarser
+        return "", None
+
+    def _colors_need(self, coarser: Points, basis: Points) -> bool:
+        """Return whether the colors repeat by a coarser lattice, clearly better than by the other vectors."""
+        own, others = self.colors.agreement(coarser), self.colors.agreement(basis, coarser)
+        if min(own.lags, others.lags) < FEWEST or self.pooled.tiles(coarser) < FEWEST or own.mean <= 0:
+            return False
+        spread = math.sqrt(own.variance + others.variance)
+        split = own.mean - others.mean
+        return split > COLOR_SPLIT * own.mean and split > self.detector.scatter / 2 * spread
+
+    def _describe(self, rivals: list[Rival], candidates: list[Points]) -> Detection:
+        """Return the detection of the first rival, with the others as alternatives."""
+        basis = rivals[0].basis
+        lattice = Lattice.from_basis(basis).reduced()
+        between, repeated = highest_added(self.pooled, basis), self.pooled.repeated(basis)
+        peaks = np.concatenate([basis, *candidates])
+        diagnostics: dict[str, Any] = {
+            "likeness": Surface(self.pooled.gamma, (0, self.pooled.shape[0] - 1), peaks, basis),
+            "explained": self.pooled.explained_variance_loo(basis),
+            "between": between,
+            "relief": 1 - between / repeated if repeated else 0.0,
+            "tiles": self.pooled.tiles(basis),
+            "sigmas": self.pooled.sigmas(basis),
+            "traits": rivals[0].traits,
+        }
+        probabilities, certainties = share_certainty(rivals)
+        alternatives = [
+            _make_alternative(rival, certainty, lattice)
+            for rival, certainty in zip(rivals[1:], certainties, strict=True)
+        ]
+        alternatives.sort(key=lambda one: -one.confidence)
+        listed = tuple(alternatives[:LISTED])
+        return Detection(lattice, probabilities.exact, diagnostics, listed, probabilities, rivals[0].role)
+
+    def _is_striped(self, basis: Points) -> bool:
+        """Return whether the lattice lies on a ridge of the colors' correlation, if the colors repeat as well.
+
+        Edges are not a linear function of the pixels. The edges of fine stripes interfere with the pixel grid, which
+        produces a lattice that the colors do not have.
+        """
+        own = self.colors.repeated(basis)
+        striped = own > self.pooled.repeated(basis) / 2
+        return striped and own - highest_added(self.colors, basis) < self.detector.relief * own
+
+
+def _make_alternative(rival: Rival, certainty: float, chosen: Lattice) -> Alternative:
+    lattice = Lattice.from_basis(rival.basis).reduced()
+    change = relate(lattice, chosen, TOLERANCE, SHARE)
+    return Alternative(lattice, certainty, change.name if change else "unrelated", rival.merit, rival.role)

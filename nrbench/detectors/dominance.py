@@ -11,7 +11,7 @@ import scipy.special
 from numpy.typing import NDArray
 
 from nrbench.detectors.agreement.evidence import Evidence
-from nrbench.detectors.agreement.search import highest_between
+from nrbench.detectors.agreement.search import highest_added
 from nrbench.detectors.autocorrelation.pair_kernels import count_hits
 from nrbench.detectors.autocorrelation.peak_kernels import region_radii
 from nrbench.detectors.autocorrelation.peaks import UNIT, find_peaks, fit_multiples, fit_pair, subpixel
@@ -179,6 +179,20 @@ class Dominance:
             raise NoLatticeFound("the peaks are one ridge: stripes, which repeat by any vector along them", detection)
         return detection
 
+    def propose(self, gamma: Correlation) -> list[Points]:
+        """Return the bases that explain the dominant peaks at any threshold of prominence, without a test for chance.
+
+        They are not yet fitted, ``(2, 2)`` each. If no pair explains the peaks, it is the most evident one.
+
+        Parameters
+        ----------
+        gamma
+            The right half of an autocorrelation, ``(2H-1, W)``.
+        """
+        chosen, most_evident = self._choose_by_level(gamma)
+        best = chosen or ([most_evident] if most_evident else [])
+        return [choice.pairs.vectors[choice.row] for choice in best]
+
     def _rank_peaks_by_level(self, gamma: Correlation, reach: tuple[int, int]) -> list[Ranking]:
         """Return the peaks at each threshold of prominence, by their regions of dominance, the highest first."""
         peaks = find_peaks(gamma, reach)
@@ -198,13 +212,17 @@ class Dominance:
 
     def _find_pair(self, gamma: Correlation) -> Choice | None:
         """Return the pair of the smallest cell that explains the dominant peaks; if none does, the most evident one."""
+        chosen, most_evident = self._choose_by_level(gamma)
+        lowest = max((choice.get("low") for choice in chosen), default=0.0)
+        return next((choice for choice in chosen if choice.get("high") >= lowest), most_evident)
+
+    def _choose_by_level(self, gamma: Correlation) -> tuple[list[Choice], Choice | None]:
+        """Return the explaining pair of the smallest cell at each threshold, and the most evident pair of all."""
         reach = _find_reach(gamma)
         levels = [self._rate_pairs(ranking, reach) for ranking in self._rank_peaks_by_level(gamma, reach)]
         needed = np.log(max(sum(len(pairs.areas) for pairs in levels), 1) / self.false_alarms)
         chosen = [choice for pairs in levels if (choice := _select_smallest_cell(pairs, needed))]
-        lowest = max((choice.get("low") for choice in chosen), default=0.0)
-        explaining = next((choice for choice in chosen if choice.get("high") >= lowest), None)
-        return explaining or _select_most_evident(levels)
+        return chosen, _select_most_evident(levels)
 
     def _rate_pairs(self, ranking: Ranking, reach: tuple[int, int]) -> Pairs:
         """Return every pair of candidates with its hits. Its own two vectors, which are peaks, are not counted."""
@@ -319,4 +337,4 @@ def _is_striped(detection: Detection) -> bool:
     """Return whether the vectors of a finer lattice correlate nearly as well, so that the peaks lie on a ridge."""
     evidence, basis = Evidence(detection.diagnostics["correlation"].values), detection.lattice.matrix
     repeated = evidence.repeated(basis)
-    return repeated - highest_between(evidence, basis) < STRIPES * repeated
+    return repeated - highest_added(evidence, basis) < STRIPES * repeated

@@ -156,6 +156,22 @@ class Frdft:
         detection = _fit_lattice(candidate, (left, top))
         return detection if self.reject == "none" else self._test(image, detection)
 
+    def propose(self, image: NDArray[np.float32]) -> list[Points]:
+        """Return the basis that the strongest waves of an image explain, ``(2, 2)``; nothing if there is none.
+
+        This is the search of the test against chance: few waves, in one pass, no joint fit at the end.
+
+        Parameters
+        ----------
+        image
+            ``(H, W, C)``.
+        """
+        candidate = self._search(image, min(self.waves, STRONGEST), QUICK, SHORTLIST)
+        if isinstance(candidate, str) or not abs(np.linalg.det(candidate.basis.vectors)):
+            return []
+        frequencies = candidate.basis.vectors / candidate.detection.waves.spectrum.size
+        return [np.asarray(np.linalg.inv(frequencies).T)]
+
     def _read_lowest(self, image: Image) -> Detection:
         """Return the upright tile of an image by equation 7 of the paper."""
         planes = rgb2ypbpr(image.astype(np.float64)) if image.shape[2] == 3 else image.astype(np.float64)

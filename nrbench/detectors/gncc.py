@@ -157,6 +157,17 @@ class Gncc:
         detection = self._detection(gamma, best)
         return detection if self.reject == "none" else self._compare_with_surrogates(image, detection, best)
 
+    def propose(self, gamma: Correlation) -> list[Points]:
+        """Return the basis of the best pair, not yet fitted, ``(2, 2)``, without any test; nothing if there is none.
+
+        Parameters
+        ----------
+        gamma
+            The right half of an autocorrelation, ``(2H-1, W)``.
+        """
+        best = self._search(gamma)
+        return [best.vectors] if best else []
+
     def _reach(self, gamma: Correlation) -> tuple[int, int]:
         """Return the largest lags at which a vector can itself be a valid multiple, whatever its tile."""
         width, height = gamma.shape[1], gamma.shape[0] // 2 + 1

@@ -237,6 +237,31 @@ def _match_nested(basis: Points, true: Points, tolerance: float) -> tuple[int, P
     return k, np.asarray(change @ basis if finer else np.linalg.solve(change, basis), np.float64)
 
 
+def count_cells(basis: Points, other: Points, tolerance: float) -> float:
+    """Return the number of cells of one lattice in a cell of another: 1, k or 1/k; 0 if neither contains the other.
+
+    A fast form of :func:`lattice_error` for reduced bases.
+
+    Parameters
+    ----------
+    basis, other
+        ``(2, 2)``, reduced, rows (x, y) px: the lattice of the large cell, and that of the cells that are counted.
+    tolerance
+        Largest error, px, of the vectors of the finer lattice.
+    """
+    finer = abs(np.linalg.det(basis)) < abs(np.linalg.det(other))
+    fine, coarse = (basis, other) if finer else (other, basis)
+    change = np.rint(coarse @ np.linalg.inv(fine))
+    k = round(abs(float(np.linalg.det(change))))
+    off = coarse - change @ fine
+    apart = _longest(off)
+    if k == 0 or apart > CHANCE_RADIUS * min(np.hypot(*fine[0]), np.hypot(*coarse[0])):
+        return 0.0
+    if max(_longest(np.linalg.solve(change, off)), apart if k == 1 else 0.0) > tolerance:
+        return 0.0
+    return 1 / k if finer else float(k)
+
+
 def _shortest_combinations(basis: Points) -> Points:
     """Return the combinations of a canonical basis that are as short as its vectors: ``(2, 2)`` or ``(3, 2)``."""
     a, b = basis

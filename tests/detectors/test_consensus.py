@@ -10,12 +10,14 @@ from scipy import ndimage
 
 from nrbench import texture
 from nrbench.detectors.agreement.likeness import shrink, views
+from nrbench.detectors.agreement.search import propose_lattices
+from nrbench.detectors.agreement.short_list import Rival, Traits, classify, reclassify, share_certainty
 from nrbench.detectors.consensus import Consensus
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
-from nrbench.lattice.comparison import lattice_error
+from nrbench.lattice.comparison import lattice_error, relate
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Detection, NoLatticeFound
+from nrbench.plugins.forms import Detection, NoLatticeFound, Probabilities
 
 
 def is_exact(detection: Detection, truth: Lattice | None, image: Image, tolerance: float = 1.0) -> bool:
@@ -206,3 +208,100 @@ def test_bad_parameters_are_refused(parameters: dict[str, Any], message: str) ->
     """Each parameter out of its range is refused, and the message says what to give."""
     with pytest.raises(BadInput, match=message):
         Consensus(**parameters)
+
+
+def test_alternatives_are_ranked_and_related() -> None:
+    """The alternatives come by confidence, differ from the lattice, and say how; confidences add up to at most 1."""
+    drawn = texture("brick", (128, 128), 1, color=0.3, noise=0.05)
+    found = Consensus().detect(quantize(drawn.image))
+    assert found.probabilities is not None
+    assert found.confidence == found.probabilities.exact
+    assert sum(found.probabilities) == pytest.approx(1)
+    confidences = [other.confidence for other in found.alternatives]
+    assert confidences == sorted(confidences, reverse=True)
+    assert found.confidence + sum(confidences) <= 1 + 1e-9
+    assert len(found.alternatives) >= 3
+    for other in found.alternatives:
+        change = relate(other.lattice, found.lattice)
+        assert other.relation == (change.name if change else "unrelated") != "the same"
+
+
+def halves(difference: float, seed: int) -> Image:
+    """Return tiles of 15 x 19 px that alternate along x between two motifs, ``(150, 150, 3)``."""
+    rng = np.random.default_rng(seed)
+    first, other = (ndimage.gaussian_filter(rng.normal(size=(19, 15, 3)), (1.5, 1.5, 0), mode="wrap") for _ in "ab")
+    cell = np.concatenate([first, first + difference * other], 1)
+    image = 0.5 + 0.7 * np.tile(cell, (8, 5, 1))[:150, :150] + rng.normal(0, 0.03, (150, 150, 1))
+    return quantize(np.clip(image, 0, 1).astype(np.float32))
+
+
+@pytest.mark.parametrize("difference", [0.25, 0.4, 0.6])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_cell_of_similar_halves_is_among_the_first_three(difference: float, seed: int) -> None:
+    """Whether two similar halves are told apart or not, the whole cell is among the first three lattices."""
+    found = Consensus().detect(halves(difference, seed))
+    listed = [found.lattice, *(other.lattice for other in found.alternatives[:2])]
+    assert any(lattice.is_equivalent(Lattice((30, 0), (0, 19)), 0.2) for lattice in listed)
+
+
+def two_colored(contrast: float) -> Image:
+    """Return nested squares, 24 px apart, of which every second column has another color, ``(168, 168, 3)``."""
+    y, x = np.indices((168, 168))
+    size = np.maximum(abs(x % 24 - 12), abs(y % 24 - 12))
+    shade = np.where(size < 4, 0.25, np.where(size < 9, 0.55, 0.4))[..., np.newaxis]
+    tint = np.where(x // 24 % 2 == 0, contrast, -contrast)[..., np.newaxis] * [1.0, -0.5, -0.5]
+    square = (size < 9)[..., np.newaxis]
+    noise = np.random.default_rng(0).normal(0, 0.03, (168, 168, 3))
+    return quantize(np.clip(shade + square * tint + noise, 0, 1).astype(np.float32))
+
+
+def test_structure_and_color_are_both_told() -> None:
+    """Squares in columns of two colors have two lattices, each with its role and with the same confidence."""
+    found = Consensus().detect(two_colored(0.15))
+    lattices = {found.role: found.lattice} | {other.role: other.lattice for other in found.alternatives if other.role}
+    assert lattices["structure"].is_equivalent(Lattice((24, 0), (0, 24)), 0.1)
+    assert lattices["color"].is_equivalent(Lattice((48, 0), (0, 24)), 0.1)
+    assert found.confidence <= 0.5
+    partner = next(other for other in found.alternatives if other.role)
+    assert partner in found.alternatives[:2] and partner.confidence == pytest.approx(found.confidence)
+
+
+@pytest.mark.parametrize("model", ["weave", "squares", "hexagon"])
+def test_random_colors_have_no_roles(model: str) -> None:
+    """Elements whose colors vary at random do not repeat by a coarser lattice."""
+    drawn = texture(model, (160, 160), 2, color=0.5, noise=0.04)
+    found = Consensus().detect(quantize(drawn.image))
+    assert found.role == "" and not any(other.role for other in found.alternatives)
+
+
+def test_proposals_of_other_detectors_are_rated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lattice that only another detector proposes is found."""
+    drawn = texture("brick", (128, 128), 1, color=0.2)
+    image = quantize(drawn.image)
+    assert drawn.lattice is not None
+    own = propose_lattices
+    monkeypatch.setattr("nrbench.detectors.consensus.propose_lattices", lambda *given: own(*given)[:0])
+    assert is_exact(Consensus().detect(image), drawn.lattice, image)
+
+
+def test_certainty_is_shared() -> None:
+    """Of several lattices at most one is exact; a pair of structure and color divides the larger probability."""
+    traits = Traits(*np.zeros(len(Traits._fields)))
+    basis = np.eye(2) * 20
+    sure = Rival(basis, 1.0, traits, Probabilities(0.9, 0.08, 0.02))
+    likely = Rival(basis * 2, 0.9, traits, Probabilities(0.6, 0.2, 0.2))
+    chosen, (other,) = share_certainty([sure, likely])
+    assert sum(chosen) == pytest.approx(1) and chosen.exact == reclassify(sure.probabilities).exact
+    assert 0 < other <= 1 - chosen.exact + 1e-12
+    pair, (partner,) = share_certainty([sure._replace(role="color"), likely._replace(role="structure")])
+    assert sum(pair) == pytest.approx(1) and pair.none == pytest.approx(chosen.none)
+    assert pair.exact == partner == pytest.approx(chosen.exact / 2)
+
+
+def test_probabilities_follow_the_traits() -> None:
+    """A strong lattice that three detectors propose is exact; one whose supercells correlate better is a subcell."""
+    strong = Traits(4.0, 4.6, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
+    assert classify(strong).exact > 0.9
+    alone = strong._replace(structure_split=1.0, split_2=1.0, gncc=0.0, frdft=0.0, dominance=0.0, coarser=3.0)
+    assert classify(alone).exact < 0.3
+    assert sum(classify(alone)) == pytest.approx(1)

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.detectors.agreement.evidence import PAD, REACH, Evidence
-from nrbench.detectors.agreement.evidence_kernels import between
+from nrbench.detectors.agreement.evidence_kernels import between, reduce_all
+from nrbench.detectors.agreement.search import finer_bases
 from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
 from nrbench.imaging.correlation import half_autocorrelation
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, reduced_basis
 
 
 def waves(shape: tuple[int, int], basis: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -141,3 +142,14 @@ def test_pairs_are_rated_by_their_multiples(rng: np.random.Generator) -> None:
     lags = np.where(lags[:, :1] < 0, -lags, lags)
     weights = (50 - lags[:, 0]) * (40 - np.abs(lags[:, 1]))
     assert rated == pytest.approx(np.average(surface[39 + lags[:, 1], lags[:, 0]], weights=weights) / 1000)
+
+
+def test_many_lattices_at_once(evidence: Evidence, rng: np.random.Generator) -> None:
+    """Agreements and reduced bases of many lattices equal those of each."""
+    bases = rng.normal(size=(50, 2, 2)) * 20
+    expected = [Lattice.from_basis(basis).reduced().matrix for basis in bases]
+    np.testing.assert_array_equal(reduce_all(bases), expected)
+    np.testing.assert_array_equal([reduced_basis(basis) for basis in bases], expected)
+    finer = finer_bases(BASIS)
+    one_by_one = [evidence.agreement(basis, BASIS) for basis in finer]
+    assert evidence.agreements(finer, BASIS) == one_by_one

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.detectors.agreement.evidence_kernels import between, jets
+from nrbench.detectors.agreement.evidence_kernels import between, between_many, jets, newton_sums
 from nrbench.imaging.correlation import Correlation
-from nrbench.lattice.geometry import Lattice, Points, integers_within
+from nrbench.lattice.geometry import Points, integers_within, reduced_basis
 
 REACH = 0.75
 """Lags up to this share of the image's sides are compared. At larger lags the overlap is too small."""
@@ -24,6 +24,8 @@ GROWTH = 1.7
 """Factor by which the radius of a fit grows at each step."""
 STEPS = 14
 """Steps of a fit: enough to cross a hundred cells and to converge."""
+_HESSIAN = np.array([(0, 1, 3, 4), (1, 2, 4, 5), (3, 4, 6, 7), (4, 5, 7, 8)])
+"""Where the second derivatives by x1, x2, y1, y2 lie in the sums of the compiled loop."""
 MAX_SHIFT = 0.2
 """A fit that moves a vector by more than this share of the shorter vector is rejected: it has followed other peaks."""
 
@@ -52,6 +54,11 @@ class Evidence:
     def shape(self) -> tuple[int, int]:
         """(height, width) of the image."""
         return (self.gamma.shape[0] + 1) // 2, self.gamma.shape[1]
+
+    @cached_property
+    def _end(self) -> NDArray[np.float64]:
+        height, width = self.shape
+        return REACH * np.array([width - 1.0, height - 1.0])
 
     @cached_property
     def _spline(self) -> NDArray[np.float64]:
@@ -91,11 +98,15 @@ class Evidence:
         coarser
             The basis of a coarser lattice, whose points are left out.
         """
-        height, width = self.shape
-        end = REACH * np.array([width - 1.0, height - 1.0])
         cells = np.zeros((2, 2)) if coarser is None else np.asarray(np.linalg.inv(coarser), np.float64)
-        mean, variance, count = between(self._spline, np.ascontiguousarray(basis), cells, end, PAD)
+        mean, variance, count = between(self._spline, np.ascontiguousarray(basis), cells, self._end, PAD)
         return Agreement(mean, variance, int(count))
+
+    def agreements(self, bases: Points, coarser: Points) -> list[Agreement]:
+        """Return :meth:`agreement` for many lattices ``(n, 2, 2)``, each without the points of the coarser one."""
+        cells = np.asarray(np.linalg.inv(coarser), np.float64)
+        rows = between_many(self._spline, np.ascontiguousarray(bases), cells, self._end, PAD)
+        return [Agreement(mean, variance, int(count)) for mean, variance, count in rows.tolist()]
 
     def repeated(self, basis: Points) -> float:
         """Return the mean correlation at all multiples of a basis: the share of the variance that repeats."""
@@ -152,29 +163,19 @@ class Evidence:
             if radius >= far and np.abs(step).max() * len(numbers) ** 0.5 < 1e-3:
                 break
         too_far = np.hypot(*(fitted - basis).T).max() > MAX_SHIFT * np.hypot(*basis.T).min()
-        return reduce_basis(basis if too_far else fitted)
+        return reduced_basis(basis if too_far else fitted)
 
     def _newton_step(self, numbers: NDArray[np.int64], basis: Points, radius: float) -> Points:
-        """Return Newton's step for the basis, ``(2, 2)``; no multiple in use moves by more than a pixel."""
+        """Return Newton's step for the basis, ``(2, 2)``; no multiple moves by more than a pixel along x or y."""
         height, width = self.shape
-        lags = numbers @ basis
-        near = np.hypot(*lags.T) <= radius
-        near &= (np.abs(lags) <= (REACH + 0.02) * np.array([width - 1, height - 1])).all(1)
-        n, lags = numbers[near].astype(np.float64), lags[near]
-        if len(n) < 2:
+        end = (REACH + 0.02) * np.array([width - 1.0, height - 1.0])
+        sums = newton_sums(self._spline, numbers, basis, radius, end, PAD)
+        if sums[0] < 2:
             return np.zeros((2, 2))
-        weights, (_, x, y, xx, yy, xy) = self.overlaps(lags), self.jets(lags).T
-        slope = np.concatenate([n.T @ (weights * x), n.T @ (weights * y)])
-        along_x, mixed, along_y = ((n.T * (weights * bend)) @ n for bend in (xx, xy, yy))
-        hessian = np.concatenate([np.concatenate([along_x, mixed], 1), np.concatenate([mixed, along_y], 1)])
+        slope, hessian = sums[3:7], sums[7:][_HESSIAN]
         bends, axes = np.linalg.eigh(-hessian)
         if bends[-1] <= 0:
             return np.zeros((2, 2))
         move = axes @ ((axes.T @ slope) / np.maximum(bends, 1e-3 * bends[-1]))
         step = move.reshape(2, 2).T
-        return np.asarray(step / max(1.0, float(np.abs(n @ step).max())))
-
-
-def reduce_basis(basis: Points) -> Points:
-    """Return the Lagrange-Gauss basis of the same lattice, rows (x, y) px."""
-    return Lattice.from_basis(basis).reduced().matrix
+        return np.asarray(step / max(1.0, float(np.abs(sums[1:3] @ np.abs(step)).max())))

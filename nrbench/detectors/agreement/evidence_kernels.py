@@ -133,3 +133,105 @@ def between(
         return np.array((-1.0, 0.0, 0.0))
     mean = total / weights
     return np.array((mean, max(squares / weights - mean * mean, 0.0), float(count)))
+
+
+@kernel("float64[:, ::1](float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[::1], int64)")
+def between_many(
+    spline: NDArray[np.float64],
+    finer: NDArray[np.float64],
+    coarser: NDArray[np.float64],
+    end: NDArray[np.float64],
+    pad: int,
+) -> NDArray[np.float64]:
+    """Return :func:`between` for many lattices ``(n, 2, 2)``, as ``(n, 3)``."""
+    out = np.zeros((finer.shape[0], 3))
+    for i in range(finer.shape[0]):
+        out[i] = between(spline, finer[i], coarser, end, pad)
+    return out
+
+
+@kernel("float64[::1](float64[:, ::1], int64[:, ::1], float64[:, ::1], float64, float64[::1], int64)")
+def newton_sums(
+    spline: NDArray[np.float64],
+    numbers: NDArray[np.int64],
+    basis: NDArray[np.float64],
+    radius: float,
+    end: NDArray[np.float64],
+    pad: int,
+) -> NDArray[np.float64]:
+    """Return the sums that Newton's method needs to fit a basis to the peaks at its multiples.
+
+    Parameters
+    ----------
+    spline, end, pad
+        As for :func:`between`.
+    numbers
+        ``(n, 2)``: the integers (a, b) of the multiples.
+    basis
+        ``(2, 2)``, rows (x, y) px.
+    radius
+        px; multiples that lie further from lag 0 are left out.
+
+    Returns
+    -------
+    NDArray
+        ``(16,)``: the number of multiples in use; the largest abs(a) and abs(b) among them; the slope by x1, x2, y1,
+        y2; and the second derivatives by x1 x1, x1 x2, x2 x2, by x1 y1, x1 y2, x2 y2, and by y1 y1, y1 y2, y2 y2. Each
+        multiple is weighted by the area in which the image overlaps its shifted copy.
+    """
+    height, width = (spline.shape[0] + 1) // 2, spline.shape[1] - pad
+    at, out = np.zeros((numbers.shape[0], 2)), np.zeros(16)
+    weights, signs = np.zeros(numbers.shape[0]), np.zeros(numbers.shape[0])
+    chosen = np.zeros((numbers.shape[0], 2))
+    count = 0
+    for i in range(numbers.shape[0]):
+        a, b = float(numbers[i, 0]), float(numbers[i, 1])
+        x, y = a * basis[0, 0] + b * basis[1, 0], a * basis[0, 1] + b * basis[1, 1]
+        if x * x + y * y > radius * radius or abs(x) > end[0] or abs(y) > end[1]:
+            continue
+        sign = -1.0 if x < 0 else 1.0
+        at[count, 0], at[count, 1] = sign * x + pad, sign * y + height - 1
+        weights[count], signs[count] = (height - abs(y)) * (width - abs(x)), sign
+        chosen[count, 0], chosen[count, 1] = a, b
+        count += 1
+    surface = jets(spline, at[:count])
+    for i in range(count):
+        a, b, weight = chosen[i, 0], chosen[i, 1], weights[i]
+        out[1], out[2] = max(out[1], abs(a)), max(out[2], abs(b))
+        for axis in range(2):
+            slope = weight * signs[i] * surface[i, 1 + axis]
+            out[3 + 2 * axis] += a * slope
+            out[4 + 2 * axis] += b * slope
+        for kind, column in enumerate((3, 5, 4)):
+            bend = weight * surface[i, column]
+            out[7 + 3 * kind] += a * a * bend
+            out[8 + 3 * kind] += a * b * bend
+            out[9 + 3 * kind] += b * b * bend
+    out[0] = count
+    return out
+
+
+@kernel("float64[:, :, ::1](float64[:, :, ::1])")
+def reduce_all(bases: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the reduced bases of many lattices, ``(n, 2, 2)``, as :func:`nrbench.lattice.geometry.reduced_basis`."""
+    out = np.zeros_like(bases)
+    for i in range(bases.shape[0]):
+        ax, ay, bx, by = bases[i, 0, 0], bases[i, 0, 1], bases[i, 1, 0], bases[i, 1, 1]
+        if ax * ax + ay * ay > bx * bx + by * by:
+            ax, ay, bx, by = bx, by, ax, ay
+        while True:
+            square = ax * ax + ay * ay
+            steps = np.rint((ax * bx + ay * by) / square)
+            bx, by = bx - steps * ax, by - steps * ay
+            if bx * bx + by * by >= square * (1 - 1e-12):
+                break
+            ax, ay, bx, by = bx, by, ax, ay
+        if ax < 0 or (ax == 0 and ay <= 0):
+            ax, ay = -ax, -ay
+        if bx < 0 or (bx == 0 and by <= 0):
+            bx, by = -bx, -by
+        dot = ax * bx + ay * by
+        if dot < 0 and abs(dot) >= 1e-9 * (ax * ax + ay * ay):
+            bx, by = -bx, -by
+        out[i, 0, 0], out[i, 0, 1], out[i, 1, 0], out[i, 1, 1] = ax, ay, bx, by
+    return out

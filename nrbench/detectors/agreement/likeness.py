@@ -38,10 +38,13 @@ class Likeness(NamedTuple):
         The mean of the autocorrelations of colors, slopes and edges.
     colors
         The autocorrelation of the colors alone. Only the colors are linear in the pixels.
+    structure
+        The mean of the autocorrelations of slopes and edges.
     """
 
     pooled: Correlation
     colors: Correlation
+    structure: Correlation
 
 
 def compute_likeness(image: Image) -> Likeness:
@@ -58,7 +61,8 @@ def compute_likeness(image: Image) -> Likeness:
     slopes = _slopes(image)
     edges = _without_lighting(np.sqrt(np.hypot(slopes[..., :1], slopes[..., 1:])))
     surfaces = [half_autocorrelation(values) for values in (_without_lighting(image), slopes, edges)]
-    return Likeness(np.asarray(np.mean(surfaces, 0), np.float32), surfaces[0])
+    structure = (surfaces[1] + surfaces[2]) / 2
+    return Likeness(np.asarray(np.mean(surfaces, 0), np.float32), surfaces[0], structure)
 
 
 def _without_lighting(values: Values) -> Values:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from nrbench.detectors.agreement.evidence import Agreement, Evidence, reduce_basis
+from nrbench.detectors.agreement.evidence import Agreement, Evidence
+from nrbench.detectors.agreement.evidence_kernels import reduce_all
 from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
 from nrbench.detectors.autocorrelation.peaks import (
     UNIT,
@@ -17,7 +19,7 @@ from nrbench.detectors.autocorrelation.peaks import (
     quantize_correlation,
     subpixel,
 )
-from nrbench.lattice.geometry import Points, hermite_matrices
+from nrbench.lattice.geometry import Points, hermite_matrices, reduced_basis
 
 FURTHEST = 0.55
 """Candidates lie within this share of the image's sides. Longer vectors have no multiple within the image."""
@@ -69,7 +71,7 @@ def propose_lattices(evidence: Evidence, peaks: int, count: int) -> list[Points]
     for number in np.argsort(-explained, kind="stable"):
         if explained[number] <= 0 or len(bases) == count:
             break
-        basis = reduce_basis(pairs[number])
+        basis = reduced_basis(pairs[number])
         if _key(basis, 1.0) not in seen:
             seen.add(_key(basis, 1.0))
             fitted = evidence.fit(basis)
@@ -95,14 +97,19 @@ def _key(basis: Points, grain: float) -> bytes:
     return np.rint(basis / grain).astype(np.int64).tobytes()
 
 
-def finer_bases(basis: Points) -> list[Points]:
-    """Return the reduced bases of all finer lattices of :data:`INDICES`, in that order."""
-    return [reduce_basis(matrix @ basis / index) for index in INDICES for matrix in hermite_matrices(index)]
+def finer_bases(basis: Points, indices: tuple[int, ...] = INDICES) -> Points:
+    """Return the reduced bases of all finer lattices of these indices, ``(n, 2, 2)``, in that order."""
+    return reduce_all(_finer_changes(indices) @ basis)
 
 
-def highest_between(evidence: Evidence, basis: Points) -> float:
-    """Return the highest mean correlation at the vectors that a finer lattice of :data:`INDICES` would add."""
-    return max(evidence.agreement(finer, basis).mean for finer in finer_bases(basis))
+@cache
+def _finer_changes(indices: tuple[int, ...]) -> Points:
+    return np.concatenate([hermite_matrices(index) / index for index in indices])
+
+
+def highest_added(evidence: Evidence, basis: Points, indices: tuple[int, ...] = INDICES) -> float:
+    """Return the highest mean correlation at the vectors that a finer lattice of these indices would add."""
+    return max(added.mean for added in evidence.agreements(finer_bases(basis, indices), basis))
 
 
 class StableLattice(NamedTuple):
@@ -187,14 +194,14 @@ class SublatticeSearch:
         if own.mean <= 0 or own.mean - highest < self.relief * own.mean:
             return None
         fitted = self.evidence.fit(basis)
-        return StableLattice(fitted, self.evidence.repeated(fitted), highest_between(self.evidence, fitted))
+        return StableLattice(fitted, self.evidence.repeated(fitted), highest_added(self.evidence, fitted))
 
     def _rate_finer(self, basis: Points, own: Agreement) -> list[Finer]:
         """Return all finer lattices. Those that reach the limit, or miss it by little, are fitted."""
         limit = self._limit(basis, own) - NEARLY
         rated = []
-        for candidate in finer_bases(basis):
-            added = self.evidence.agreement(candidate, basis)
+        bases = finer_bases(basis)
+        for candidate, added in zip(bases, self.evidence.agreements(bases, basis), strict=True):
             if added.mean >= limit and np.hypot(*candidate[0]) >= SHORTEST:
                 fitted = self.evidence.fit(candidate)
                 better = self.evidence.agreement(fitted, basis)

@@ -1,0 +1,244 @@
+"""Textures of kinds that the models of ``datasets_procedural`` lack, for benchmarks of lattice detectors.
+
+Cloth whose colors repeat over a larger cell than its threads, cells with two similar halves, textures on curved and
+tilted surfaces, photographs in other colors, and stones without a lattice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import skimage.data
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from nrbench import plugins
+from nrbench.imaging.convert import Image, as_image
+from nrbench.lattice.geometry import Lattice
+
+MODELS = (
+    *("wallpaper", "jigsaw", "pavement", "card", "plate", "ceramic", "scales", "squares", "cans", "swirl", "mat"),
+    *("pie", "toothpaste", "windows", "mosaic", "cracker", "carpet", "rug", "corduroy", "knit", "plaid", "basket"),
+    *("brick", "weave", "hexagon"),
+)
+SPECTRA = ("white", "pink", "brown", "blobs", "grass")
+SIDES = (64, 96, 128, 192, 256)
+
+
+class Case(NamedTuple):
+    """An image and its lattice.
+
+    Parameters
+    ----------
+    kind
+        ``"model"``, or how the image differs from a model.
+    family
+        The model.
+    image
+        The pixels.
+    lattice
+        The smallest lattice; None if there is none.
+    structure
+        The lattice of the elements if their colors are ignored, where it is a finer one.
+    """
+
+    kind: str
+    family: str
+    image: Image
+    lattice: Lattice | None
+    structure: Lattice | None = None
+
+    @property
+    def lattices(self) -> list[Lattice]:
+        """The lattices that a person may measure."""
+        return [lattice for lattice in (self.lattice, self.structure) if lattice is not None]
+
+
+def draw_departures(rng: np.random.Generator) -> dict[str, Any]:
+    """Return random departures, from none to beyond recognition."""
+    drawn: dict[str, Any] = {
+        "color": rng.choice([0, 0.15, 0.3, 0.5, 0.8]),
+        "noise": rng.choice([0, 0.03, 0.06, 0.1, 0.2]),
+    }
+    drawn["rotation"] = rng.uniform(0, 90) * (rng.random() < 0.5)
+    choices = {"jitter": ([0.1, 0.2, 0.5], 0.25), "light": ([0.5], 0.25), "damage": ([0.15], 0.2)}
+    drawn |= {name: rng.choice(values) for name, (values, odds) in choices.items() if rng.random() < odds}
+    return {name: float(value) for name, value in drawn.items()}
+
+
+def draw_models(rng: np.random.Generator, count: int) -> Iterator[Case]:
+    """Yield ``count`` draws of each model, and of noise of each spectrum, which has no lattice."""
+    for _ in range(count):
+        for model in MODELS:
+            yield _draw_model(rng, model, int(rng.choice(SIDES)))
+        for spectrum in SPECTRA:
+            side, scale = int(rng.choice(SIDES[1:])), float(rng.choice([5, 12, 20, 30]))
+            noise = plugins.build("datasets", "noise", {"spectrum": spectrum, "scale": scale})
+            yield Case("model", "noise", noise.render((side, side), rng).image, None)
+
+
+def _draw_model(rng: np.random.Generator, model: str, side: int, **fixed: float) -> Case:
+    texture = plugins.build("datasets", model, {**draw_departures(rng), **fixed}).render((side, side), rng)
+    return Case("model", model, texture.image, texture.lattice)
+
+
+def draw_kinds(rng: np.random.Generator, count: int) -> Iterator[Case]:
+    """Yield ``count`` textures of each further kind for each of some models."""
+    for _ in range(count):
+        for model in MODELS:
+            side = int(rng.choice(SIDES[2:]))
+            bend = float(rng.choice([0.25, 0.5, 0.75]))
+            yield _draw_model(rng, model, side, bend=bend, jitter=0.0)._replace(kind="bent")
+            yield _warp(_draw_model(rng, model, side + 64), rng)
+            yield _recolor(_draw_model(rng, model, side), rng)
+        for _ in range(6):
+            yield _dye(rng)
+            yield _halve(rng)
+            yield Case("stones", "stones", _draw_stones(rng), None)
+        for name in ("grass", "gravel"):
+            whole, side = as_image(getattr(skimage.data, name)()), int(rng.choice(SIDES[2:]))
+            y, x = (int(rng.integers(0, n - side)) for n in whole.shape[:2])
+            yield Case("photograph", name, whole[y : y + side, x : x + side], None)
+
+
+def _sample(image: Image, x: NDArray[np.float64], y: NDArray[np.float64]) -> Image:
+    """Return the image at real-valued positions, by splines."""
+    channels = [ndimage.map_coordinates(plane, [y, x], order=3, mode="mirror") for plane in np.moveaxis(image, 2, 0)]
+    return np.clip(np.stack(channels, -1), 0, 1).astype(np.float32)
+
+
+def _warp(case: Case, rng: np.random.Generator) -> Case:
+    """Return the image on a curved or tilted surface; its lattice is the one in the middle."""
+    side = case.image.shape[0] - 64
+    assert case.lattice is not None
+    along, down = np.meshgrid(*2 * [np.linspace(-0.5, 0.5, side)])
+    angle, s = rng.uniform(0, 2 * np.pi), case.lattice.s
+    u = along * np.cos(angle) + down * np.sin(angle)
+    way = rng.choice(["bow", "shrink", "tilt"])
+    if way == "bow":
+        amount = rng.uniform(0.2, 0.8) * s * 4 * (u**2 - 1 / 12)
+        x, y = side * along - amount * np.sin(angle), side * down + amount * np.cos(angle)
+    elif way == "shrink":
+        scale = rng.uniform(0.03, 0.12) * u / 2
+        x, y = side * (along + scale * u * np.cos(angle)), side * (down + scale * u * np.sin(angle))
+    else:
+        depth = 1 + rng.uniform(0.03, 0.12) * u
+        x, y = side * along / depth, side * down / depth
+    middle = (case.image.shape[0] - 1) / 2
+    return case._replace(kind=f"warped: {way}", image=_sample(case.image, x + middle, y + middle))
+
+
+def _recolor(case: Case, rng: np.random.Generator) -> Case:
+    """Return the image as another camera would show it: other colors, contrast and sharpness, and coding errors."""
+    image = case.image
+    mix = np.abs(rng.normal(size=(3, 3))) + 0.2
+    image = (image if image.shape[2] == 3 else np.repeat(image, 3, 2)) @ (mix / mix.sum(0))
+    image = image ** rng.uniform(0.5, 2)
+    if rng.random() < 0.4:
+        image = 1 - image
+    if rng.random() < 0.4:
+        image = image.mean(2, keepdims=True)
+    image = ndimage.gaussian_filter(image, (*2 * [rng.uniform(0, 1.5)], 0))
+    image = image + rng.normal(0, rng.uniform(0, 0.04), image.shape)
+    return case._replace(kind="recolored", image=np.clip(image, 0, 1).astype(np.float32))
+
+
+def _every(number: int) -> Callable[..., NDArray[np.int64]]:
+    return lambda *index: np.asarray(index[0] % number)
+
+
+_DYES: tuple[tuple[str, str, Callable[..., NDArray[np.int64]], Any], ...] = (
+    ("squares", "", lambda i, j: (i + j) % 2, ((1, 1), (1, -1))),
+    ("squares", "", _every(2), ((2, 0), (0, 1))),
+    ("squares", "", _every(3), ((3, 0), (0, 1))),
+    ("weave", "warp", _every(2), ((1, 1), (1, -1))),
+    ("weave", "warp", _every(4), ((2, 2), (1, -1))),
+    ("basket", "", _every(2), None),
+)
+"""The model, the layer that is dyed (all if empty), the number of the dye by the index of the element, and the color
+lattice in vectors of the structure."""
+
+
+def _dye(rng: np.random.Generator) -> Case:
+    """Return cloth or tiles in two colors, whose colors repeat by a supercell."""
+    model, layer, number, change = _DYES[int(rng.integers(len(_DYES) - 1))]
+    drawn = draw_departures(rng)
+    drawn |= {"color": min(drawn["color"], 0.3), "noise": min(drawn["noise"], 0.1), "jitter": 0.0}
+    plain = plugins.build("datasets", model, drawn)
+    contrast = rng.uniform(0.1, 0.5)
+    tint = 1 + contrast * rng.uniform(-1, 1, 3)
+
+    class Dyed(type(plain)):  # type: ignore[misc]
+        """The model, with dyed elements."""
+
+        def pattern(self, x: Any, y: Any) -> Any:
+            """Return the pattern with a second color for some elements."""
+            pattern = super().pattern(x, y)
+            layers = tuple(
+                part
+                if layer not in ("", part.name)
+                else part.__class__(
+                    part.name,
+                    part.index,
+                    part.coverage,
+                    np.where((number(*part.index) == 0)[..., np.newaxis], 1.0, tint) * np.asarray(part.color),
+                    part.shade,
+                )
+                for part in pattern.layers
+            )
+            return pattern.__class__(pattern.ground, layers)
+
+    side = int(rng.choice(SIDES[2:]))
+    texture = Dyed(**drawn).render((side, side), rng)
+    assert texture.lattice is not None
+    basis = np.array(change) @ Lattice(*plain.vectors).matrix
+    turn = np.linalg.solve(Lattice(*plain.vectors).matrix, texture.lattice.matrix)
+    assert np.isfinite(turn).all()
+    color = Lattice.from_basis(np.array(change) @ texture.lattice.matrix) if len(basis) else None
+    return Case("dyed", model, texture.image, color, texture.lattice)
+
+
+def _motif(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float64]:
+    return np.asarray(ndimage.gaussian_filter(rng.normal(size=(*shape, 3)), (1.5, 1.5, 0), mode="wrap"))
+
+
+def _halve(rng: np.random.Generator) -> Case:
+    """Return a texture whose cell has two similar halves."""
+    height, width = (int(n) for n in rng.integers(10, 28, 2))
+    first = _motif(rng, (height, width))
+    second = first + rng.uniform(0.35, 0.9) * _motif(rng, (height, width))
+    bands = 0.15 * np.sin(2 * np.pi * np.arange(2 * width) / width)[:, np.newaxis] * (rng.random() < 0.5)
+    cell = np.concatenate([first, second], 1) + bands
+    side = int(rng.choice(SIDES[2:]))
+    image = 0.5 + np.tile(cell, (side // height + 2, side // (2 * width) + 2, 1))
+    y, x = np.indices((side, side))
+    turn = rng.uniform(0, 0.4) * (rng.random() < 0.5)
+    c, s, scale = np.cos(turn), np.sin(turn), 1.0
+    rows, columns = np.mod(-s * x + c * y, scale * height), np.mod(c * x + s * y, scale * 2 * width)
+    channels = [
+        ndimage.map_coordinates(plane, [rows, columns], order=1, mode="wrap") for plane in np.moveaxis(image, 2, 0)
+    ]
+    image = np.stack(channels, -1) + rng.normal(0, rng.uniform(0, 0.1), (side, side, 1))
+    lattice = Lattice((2 * width * c, 2 * width * s), (-height * s, height * c))
+    return Case("halves", "halves", np.clip(image, 0, 1).astype(np.float32), lattice)
+
+
+def _draw_stones(rng: np.random.Generator) -> Image:
+    """Return stones of similar size in mortar, at places without any order beyond their distance."""
+    side, size = int(rng.choice(SIDES[2:])), rng.uniform(8, 24)
+    places = rng.uniform(-size, side + size, (6000, 2))
+    taken = np.zeros(len(places), bool)
+    for number, place in enumerate(places):
+        taken[number] = (
+            not (np.abs(places[:number][taken[:number]] - place) ** 2).sum(1).min(initial=np.inf) < (0.8 * size) ** 2
+        )
+    places = places[taken]
+    y, x = np.indices((side, side))
+    distances, nearest = cKDTree(places).query(np.stack([x, y], -1), 2)
+    joint = np.clip((distances[..., 1] - distances[..., 0]) / 3, 0, 1)[..., np.newaxis]
+    stone = 0.5 + rng.uniform(0.02, 0.12) * rng.normal(size=(len(places), 3))
+    image = 0.3 + joint * (stone[nearest[..., 0]] - 0.3) + rng.normal(0, 0.03, (side, side, 1))
+    return np.clip(image, 0, 1).astype(np.float32)

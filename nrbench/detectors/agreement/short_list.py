@@ -1,0 +1,250 @@
+"""The short list: the lattices that an image may have, what tells them apart, and how probable each of them is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from nrbench.detectors.agreement.evidence import Evidence
+from nrbench.detectors.agreement.evidence_kernels import reduce_all
+from nrbench.detectors.agreement.search import SHORTEST, finer_bases, highest_added
+from nrbench.detectors.agreement.weights import CHOSEN, WEIGHTS
+from nrbench.lattice.comparison import count_cells
+from nrbench.lattice.geometry import Points, hermite_matrices
+from nrbench.plugins.forms import Probabilities, Role
+
+NEIGHBORS = (2, 3, 4)
+"""Lattices coarser and finer than the best one by these indices are rated."""
+SPLITS = (2, 3)
+"""A lattice is compared with coarser lattices of these indices."""
+RELIEFS = (2, 3, 5)
+"""A lattice is compared with finer lattices of these indices."""
+FIRST = 5
+"""Number of the best stable lattices that are rated."""
+MAX_SIGMAS = 60.0
+"""Standard deviations above which the probability does not rise: few lattices of the fit had more."""
+TOLERANCE = 1.0
+"""px; two lattices are the same if their reduced vectors differ by no more than this, or than ..."""
+SHARE = 0.04
+"""... this share of s."""
+DETECTORS = ("gncc", "frdft", "dominance")
+"""The detectors whose proposals count as votes."""
+
+
+class Traits(NamedTuple):
+    """What tells an exact lattice from a supercell, a subcell and a chance match.
+
+    Parameters
+    ----------
+    sigmas
+        Logarithm of how far the correlation at its multiples lies above chance, in standard deviations.
+    tiles
+        Logarithm of the image's area in cells.
+    relief
+        Logarithm of the share of its correlation by which that at the vectors of any finer lattice is lower.
+    structure_relief
+        The same for slopes and edges alone, not as a logarithm. It is small if only the colors tell tiles apart.
+    split_2, split_3
+        The share of its correlation by which the correlation at a supercell of this index exceeds that at all its
+        other vectors. It is large if the lattice is too fine.
+    structure_split
+        The largest of these for slopes and edges alone.
+    merit
+        Its merit over that of the best stable lattice.
+    best
+        1 for the best stable lattice, else 0.
+    gncc, frdft, dominance
+        1 if the detector proposes this lattice, else 0.
+    finer, coarser
+        Number of detectors that propose a subcell, and a supercell.
+    """
+
+    sigmas: float
+    tiles: float
+    relief: float
+    structure_relief: float
+    split_2: float
+    split_3: float
+    structure_split: float
+    merit: float
+    best: float
+    gncc: float
+    frdft: float
+    dominance: float
+    finer: float
+    coarser: float
+
+
+class Rival(NamedTuple):
+    """One lattice of the short list.
+
+    Parameters
+    ----------
+    basis
+        Rows (x, y) px, reduced.
+    merit
+        Its merit, by which stable lattices are ordered.
+    traits
+        What tells it from its rivals.
+    probabilities
+        What it is, by itself; the sum of ``exact`` over all rivals may exceed 1.
+    role
+        Whether this is the lattice of the structure or of the colors; the other one is among the rivals then.
+    """
+
+    basis: Points
+    merit: float
+    traits: Traits
+    probabilities: Probabilities
+    role: Role = ""
+
+
+@dataclass(frozen=True)
+class ShortList:
+    """Rates the lattices that an image may have.
+
+    Parameters
+    ----------
+    pooled
+        The evidence of colors, slopes and edges.
+    structure
+        The evidence of slopes and edges.
+    merit
+        The function that rates a basis.
+    """
+
+    pooled: Evidence
+    structure: Evidence
+    merit: Callable[[Points], float]
+
+    def rate(self, stable: Sequence[Points], proposals: Mapping[str, Sequence[Points]]) -> list[Rival]:
+        """Return the best stable lattice, its neighbors, and the lattices that any detector proposes; each once.
+
+        Parameters
+        ----------
+        stable
+            The stable lattices, the best first, at least one.
+        proposals
+            The fitted bases of each detector of :data:`DETECTORS`. Others are rated and are no votes.
+        """
+        bases: list[Points] = []
+        everything = (*stable[:FIRST], *(basis for part in proposals.values() for basis in part))
+        for basis in (*everything, *self._neighbors(stable[0])):
+            if self._is_possible(basis) and not any(is_same(basis, other) for other in bases):
+                bases.append(basis)
+        best = max(self.merit(stable[0]), 1e-3)
+        rivals = []
+        for number, basis in enumerate(bases):
+            traits = self._measure(basis, best, number == 0, proposals)
+            rivals.append(Rival(basis, self.merit(basis), traits, classify(traits)))
+        return rivals
+
+    def _is_possible(self, basis: Points) -> bool:
+        return self.pooled.tiles(basis) > 2 and np.hypot(*basis[0]) >= SHORTEST and self.pooled.repeated(basis) > 0
+
+    def _neighbors(self, basis: Points) -> Iterator[Points]:
+        """Yield the coarser lattice of each index that splits the given one most, and the best finer one, fitted."""
+        for index in NEIGHBORS:
+            splits, bases = self._split(self.pooled, basis, index)
+            yield bases[int(np.argmax(splits))]
+        for index in NEIGHBORS:
+            bases = finer_bases(basis, (index,))
+            added = self.pooled.agreements(bases, basis)
+            yield self.pooled.fit(bases[int(np.argmax([one.mean for one in added]))])
+
+    def _split(self, evidence: Evidence, basis: Points, index: int) -> tuple[list[float], Points]:
+        """Return by how much the correlation at each supercell of an index exceeds that at all other vectors."""
+        bases = reduce_all(hermite_matrices(index) @ basis)
+        splits = []
+        for coarser in bases:
+            own, others = evidence.agreement(coarser), evidence.agreement(basis, coarser)
+            splits.append(own.mean - others.mean if min(own.lags, others.lags) > 0 else -1.0)
+        return splits, bases
+
+    def _measure(self, basis: Points, best: float, first: bool, proposals: Mapping[str, Sequence[Points]]) -> Traits:
+        pooled, structure = (max(one.repeated(basis), 1e-3) for one in (self.pooled, self.structure))
+        finer = highest_added(self.pooled, basis, RELIEFS)
+        split_2, split_3 = (max(self._split(self.pooled, basis, index)[0]) / pooled for index in SPLITS)
+        structure_split = max(max(self._split(self.structure, basis, index)[0]) for index in SPLITS) / structure
+        cells = {name: [relate_bases(other, basis) for other in part] for name, part in proposals.items()}
+        votes = [cells.get(name, []) for name in DETECTORS]
+        return Traits(
+            math.log(min(max(self.pooled.sigmas(basis), 0.1), MAX_SIGMAS)),
+            math.log(max(self.pooled.tiles(basis), 1.0)),
+            math.log(min(max(1 - finer / pooled, 0.02), 2.0)),
+            min(max(1 - highest_added(self.structure, basis, SPLITS) / structure, 0.0), 2.0),
+            min(max(split_2, -0.5), 1.5),
+            min(max(split_3, -0.5), 1.5),
+            min(max(structure_split, -0.5), 1.5),
+            min(max(self.merit(basis) / best, -1.0), 1.2),
+            float(first),
+            *(float(1 in vote) for vote in votes),
+            float(sum(any(0 < ratio < 1 for ratio in vote) for vote in votes)),
+            float(sum(any(ratio > 1 for ratio in vote) for vote in votes)),
+        )
+
+
+def relate_bases(basis: Points, other: Points) -> float:
+    """Return the number of cells of ``other`` in a cell of ``basis``, both reduced; 0 if they are not nested."""
+    tolerance = max(TOLERANCE, SHARE * min(np.hypot(*basis[0]), np.hypot(*other[0])))
+    return count_cells(basis, other, tolerance)
+
+
+def is_same(basis: Points, other: Points) -> bool:
+    """Return whether two reduced bases are the same lattice, within :data:`TOLERANCE` and :data:`SHARE`."""
+    return relate_bases(basis, other) == 1
+
+
+def classify(traits: Traits) -> Probabilities:
+    """Return the probabilities of any lattice of the short list, by :data:`~.weights.WEIGHTS`."""
+    return _apply(WEIGHTS, [1.0, *traits])
+
+
+def reclassify(probabilities: Probabilities) -> Probabilities:
+    """Return the probabilities of the chosen lattice, by :data:`~.weights.CHOSEN`.
+
+    It was chosen because it is the most probable. The best of several estimates is too high on some lists, and too low
+    on others where a single lattice stands out.
+    """
+    return _apply(CHOSEN, [1.0, *compare_logarithms(probabilities)])
+
+
+def compare_logarithms(probabilities: Probabilities) -> tuple[float, float]:
+    """Return the logarithms of the first two probabilities over the third, within +-8."""
+    exact, nested, none = (math.log(max(share, 1e-6)) for share in probabilities)
+    return min(max(exact - none, -8.0), 8.0), min(max(nested - none, -8.0), 8.0)
+
+
+def _apply(weights: Mapping[str, Sequence[float]], terms: Sequence[float]) -> Probabilities:
+    """Return the probabilities of a multinomial logistic regression; the score of ``none`` is 0."""
+    scores = [float(np.dot(weights[name], terms)) if name in weights else 0.0 for name in Probabilities._fields]
+    shares = np.exp(np.array(scores) - max(scores))
+    return Probabilities(*(shares / shares.sum()).tolist())
+
+
+def share_certainty(rivals: Sequence[Rival]) -> tuple[Probabilities, list[float]]:
+    """Return the probabilities of the chosen lattice, and those of the others to be exact: at most one is exact.
+
+    Where the colors repeat by another lattice than the structure, either may be meant. The probability of the chosen
+    one is divided equally between the two. The probabilities of the others are lowered if all add up to more than 1.
+
+    Parameters
+    ----------
+    rivals
+        The chosen lattice, then the others.
+    """
+    exact, nested, none = reclassify(rivals[0].probabilities)
+    partners = [bool(rivals[0].role and rival.role) for rival in rivals[1:]]
+    if any(partners):
+        exact, nested = exact / 2, nested + exact / 2
+    free = 1 - exact * (1 + any(partners))
+    total = sum(rival.probabilities.exact for rival, pair in zip(rivals[1:], partners, strict=True) if not pair)
+    scale = min(1.0, free / total) if total > 0 else 1.0
+    others = [
+        exact if pair else scale * rival.probabilities.exact for rival, pair in zip(rivals[1:], partners, strict=True)
+    ]
+    return Probabilities(exact, nested, none), others
