@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import uuid
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +17,7 @@ import PIL.ImageOps
 import PIL.PngImagePlugin
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, strip_control
 from nrbench.imaging.convert import MIN_SIDE, Image, as_image, to_bytes
 
 ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
@@ -23,12 +26,16 @@ _DIRECT = {"L", "LA", "RGB", "RGBA", "I;16"}
 _VIA = {"1": "L", "P": "RGB", "CMYK": "RGB", "YCbCr": "RGB", "LAB": "RGB", "HSV": "RGB"}
 _VIA_ALPHA = dict.fromkeys(("1", "L", "LA"), "LA")
 """Modes to which pictures with transparency are converted; the others become RGBA."""
+FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000")
+"""The formats of Pillow that are read; others start programs, such as Ghostscript for EPS, or are no pictures."""
+MOST_PIXELS = 1 << 26
+"""Most pixels of a picture that is read, 8192 x 8192: as floats of three colors they take 0.8 GB."""
 _TURNED = (5, 6, 7, 8)
 """EXIF orientations that exchange height and width."""
 
 
 def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
-    """Read an image file: PNG, JPEG, TIFF or any other format of Pillow; the first frame if there are several.
+    """Read an image file: PNG, JPEG, TIFF or another of :data:`FORMATS`; the first frame if there are several.
 
     Parameters
     ----------
@@ -46,20 +53,45 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     Raises
     ------
     BadInput
-        If there is no such file, or it is no image, has transparent pixels, or is smaller than ``smallest``.
+        If there is no such file, or it is no image, has transparent pixels or more than :data:`MOST_PIXELS`, or is
+        smaller than ``smallest``.
     """
     where = f"picture {path}"
+    with _opened(path, where) as picture:
+        pixels = _pixels(PIL.ImageOps.exif_transpose(picture), where)
+    return as_image(pixels, where, smallest)
+
+
+@contextmanager
+def _opened(path: str | Path, where: str) -> Iterator[PIL.Image.Image]:
+    """Yield an opened picture of one of :data:`FORMATS`; turn every error of Pillow into BadInput.
+
+    Crafted files make Pillow raise errors of many types. The file is opened here because Pillow maps some TIFF files
+    that it opens itself and garbles the rotated ones.
+    """
     _check_file(Path(path), where)
     try:
-        # The file is opened here because Pillow maps some TIFF files that it opens itself and garbles the rotated ones.
-        with warnings.catch_warnings(action="ignore"), Path(path).open("rb") as file, PIL.Image.open(file) as opened:
-            return as_image(_pixels(PIL.ImageOps.exif_transpose(opened), where), where, smallest)
+        with (
+            warnings.catch_warnings(action="ignore"),
+            Path(path).open("rb") as file,
+            PIL.Image.open(file, formats=FORMATS) as picture,
+        ):
+            width, height = picture.size
+            if width * height > MOST_PIXELS:
+                most = f"at most {MOST_PIXELS} px in all are read"
+                raise BadInput(f"{where}: {width}x{height} px; {most}: crop it, or scale it down")
+            yield picture
+    except BadInput:
+        raise
     except PIL.UnidentifiedImageError:
         raise BadInput(f"{where}: is no picture that can be read; pass a PNG, JPEG or TIFF file") from None
     except PIL.Image.DecompressionBombError:
-        raise BadInput(f"{where}: has too many pixels; crop it, or scale it down") from None
-    except (OSError, SyntaxError, EOFError) as error:
-        raise BadInput(f"{where}: cannot be read ({error}); it may be cut short: save it again as PNG") from None
+        raise BadInput(f"{where}: has more than {MOST_PIXELS} px; crop it, or scale it down") from None
+    except MemoryError:
+        raise BadInput(f"{where}: needs more memory than there is; crop it, or scale it down") from None
+    except Exception as error:
+        why = strip_control(str(error))[:200]
+        raise BadInput(f"{where}: cannot be read ({why}); it may be cut short: save it again as PNG") from None
 
 
 def list_pictures(folder: Path) -> list[Path]:
@@ -84,16 +116,9 @@ def read_shape(path: str | Path) -> tuple[int, int]:
     BadInput
         If there is no such file, or it is no image.
     """
-    where = f"picture {path}"
-    _check_file(Path(path), where)
-    try:
-        with warnings.catch_warnings(action="ignore"), Path(path).open("rb") as file, PIL.Image.open(file) as opened:
-            width, height = opened.size
-            turned = opened.getexif().get(PIL.ExifTags.Base.Orientation, 1) in _TURNED
-    except PIL.Image.DecompressionBombError:
-        raise BadInput(f"{where}: has too many pixels; crop it, or scale it down") from None
-    except (OSError, SyntaxError, EOFError):
-        raise BadInput(f"{where}: is no picture that can be read; pass a PNG, JPEG or TIFF file") from None
+    with _opened(path, f"picture {path}") as picture:
+        width, height = picture.size
+        turned = picture.getexif().get(PIL.ExifTags.Base.Orientation, 1) in _TURNED
     return (width, height) if turned else (height, width)
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import io
+import struct
 import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
 import PIL.Image
 import pytest
 import skimage.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
-from nrbench.imaging.files import read_image, write_image
+from nrbench.imaging.files import read_image, read_shape, write_image
 
 RAMP = np.arange(16 * 12, dtype=np.uint8).reshape(12, 16)
 
@@ -228,3 +233,75 @@ def test_too_small(tmp_path: Path) -> None:
 def test_float_pixels_are_refused(tmp_path: Path) -> None:
     """A TIFF of floating-point pixels, whose range nobody knows, is refused."""
     assert "8 or 16 bits" in _refusal(_saved(tmp_path, PIL.Image.new("F", (10, 10)), "picture.tiff"))
+
+
+def _png(width: int, height: int, *chunks: tuple[bytes, bytes]) -> bytes:
+    """Return a gray PNG file of zeros with some chunks before its pixels."""
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    pixels = zlib.compressobj()
+    rows = b"".join(pixels.compress(bytes(width + 1)) for _ in range(height)) + pixels.flush()
+    parts = ((b"IHDR", header), *chunks, (b"IDAT", rows), (b"IEND", b""))
+    framed = (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(framed)
+
+
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    """A small file of 100 million pixels is refused by its header; the message names the limit."""
+    path = tmp_path / "bomb.png"
+    path.write_bytes(_png(10_000, 10_000))
+    assert path.stat().st_size < 200_000
+    for read in (read_image, read_shape):
+        with pytest.raises(BadInput, match=r"10000x10000 px; at most 67108864 px in all"):
+            read(path)
+
+
+@pytest.mark.parametrize(
+    "kind", [b"acTL", b"fcTL", b"cHRM", b"pHYs", b"gAMA", b"iCCP", b"zTXt", b"iTXt", b"tRNS", b"PLTE"]
+)
+def test_crafted_chunks_are_bad_input_or_ignored(tmp_path: Path, kind: bytes) -> None:
+    """A chunk that is too short, too long or a bomb of text gives a picture or one clear line, nothing else."""
+    bomb = b"a\0\0" + zlib.compress(bytes(200 << 20))
+    for number, data in enumerate((b"", b"\0", b"\xff" * 7, bomb)):
+        path = tmp_path / f"{number}.png"
+        path.write_bytes(_png(16, 16, (kind, data)))
+        try:
+            assert read_image(path).shape == (16, 16, 1)
+        except BadInput as error:
+            assert str(path) in str(error) and "\n" not in str(error)
+
+
+def test_a_program_in_a_picture_is_not_run(tmp_path: Path) -> None:
+    """PostScript under the name of a picture is no picture; no interpreter is looked for."""
+    path = tmp_path / "page.png"
+    path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 32 32\n%%EndComments\nshowpage\n")
+    assert "is no picture" in _refusal(path)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.data())
+def test_garbled_files_are_bad_input_or_pictures(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    """Whatever bytes of a PNG, JPEG, TIFF or BMP file are changed, it is a picture or one clear line."""
+    content = bytearray(_EXAMPLES[data.draw(st.sampled_from(sorted(_EXAMPLES)))])
+    for _ in range(data.draw(st.integers(1, 6))):
+        at = data.draw(st.integers(0, min(len(content), 600) - 1))
+        content[at] = data.draw(st.integers(0, 255))
+    path = tmp_path_factory.getbasetemp() / "garbled.png"
+    path.write_bytes(content)
+    try:
+        assert read_image(path).ndim == 3
+    except BadInput as error:
+        assert "\n" not in str(error)
+
+
+def _examples() -> dict[str, bytes]:
+    picture, made = PIL.Image.fromarray(np.repeat(RAMP[..., None], 3, axis=2)), {}
+    for kind in ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "GIF"):
+        file = io.BytesIO()
+        picture.save(file, kind)
+        made[kind] = file.getvalue()
+    return made
+
+
+_EXAMPLES = _examples()
