@@ -75,7 +75,7 @@ def test_bad_grids(grid: Any, message: str) -> None:
     ("name", "content"),
     [
         ("core", "780b36770bccd8c9"),
-        ("default", "4355f79975da985f"),
+        ("default", "117e3501a8740179"),
         ("frontier", "79c6c29e9724c398"),
         ("integer", "1bf655853a8029fd"),
         ("spectrum", "59af64198089eccf"),
