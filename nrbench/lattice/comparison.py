@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -104,7 +104,8 @@ def lattice_error(
     return LatticeError(_relation(k, ratio), k, error, angle, ratio, _drift(matched, true, shape))
 
 
-class BasisChange(NamedTuple):
+@dataclass(frozen=True)
+class BasisChange:
     """How a basis of one lattice is made of the basis of another one: ``numerators @ reference / divisor``.
 
     Parameters
@@ -257,7 +258,8 @@ def count_cells(basis: Points, other: Points, tolerance: float) -> float:
     apart = _longest(off)
     if k == 0 or apart > CHANCE_RADIUS * min(np.hypot(*fine[0]), np.hypot(*coarse[0])):
         return 0.0
-    if max(_longest(np.linalg.solve(change, off)), apart if k == 1 else 0.0) > tolerance:
+    error = _longest(np.asarray(np.linalg.solve(change, off), np.float64))
+    if max(error, apart if k == 1 else 0.0) > tolerance:
         return 0.0
     return 1 / k if finer else float(k)
 

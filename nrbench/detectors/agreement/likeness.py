@@ -61,7 +61,7 @@ def compute_likeness(image: Image) -> Likeness:
     slopes = _slopes(image)
     edges = _without_lighting(np.sqrt(np.hypot(slopes[..., :1], slopes[..., 1:])))
     surfaces = [half_autocorrelation(values) for values in (_without_lighting(image), slopes, edges)]
-    structure = (surfaces[1] + surfaces[2]) / 2
+    structure = np.asarray((surfaces[1] + surfaces[2]) / 2, np.float32)
     return Likeness(np.asarray(np.mean(surfaces, 0), np.float32), surfaces[0], structure)
 
 

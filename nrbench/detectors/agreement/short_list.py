@@ -182,7 +182,9 @@ class ShortList:
             min(max(structure_split, -0.5), 1.5),
             min(max(self.merit(basis) / best, -1.0), 1.2),
             float(first),
-            *(float(1 in vote) for vote in votes),
+            float(1 in votes[0]),
+            float(1 in votes[1]),
+            float(1 in votes[2]),
             float(sum(any(0 < ratio < 1 for ratio in vote) for vote in votes)),
             float(sum(any(ratio > 1 for ratio in vote) for vote in votes)),
         )

@@ -2,44 +2,17 @@
 
 WEIGHTS: dict[str, list[float]] = {
     "exact": [
-        -6.048,
-        1.597,
-        0.009,
-        1.179,
-        -0.475,
-        -1.438,
-        0.717,
-        -1.871,
-        -0.227,
-        2.036,
-        0.924,
-        1.859,
-        1.216,
-        1.383,
-        0.464,
+        *(-6.863, 1.734, -0.027, 1.203, -1.021, -2.054, 0.545, -1.17),
+        *(0.135, 2.24, 0.991, 1.438, 1.419, 1.559, 0.578),
     ],
     "sub_or_supercell": [
-        -6.212,
-        1.714,
-        -0.149,
-        -0.109,
-        -0.171,
-        -1.087,
-        -1.188,
-        1.958,
-        -0.339,
-        -0.598,
-        0.527,
-        0.997,
-        0.918,
-        1.562,
-        1.517,
+        *(-6.427, 1.831, -0.225, -0.147, -0.05, -1.097, -1.262, 2.234),
+        *(-0.47, -0.643, 0.552, 1.222, 0.941, 1.528, 1.501),
     ],
 }
-"""For each class but ``none``: a constant, then one weight for each trait."""
-
+"""For any lattice, for each class but ``none``: a constant, then one weight for each trait."""
 CHOSEN: dict[str, list[float]] = {
-    "exact": [0.0, 1.0, 0.0],
-    "sub_or_supercell": [0.0, 0.0, 1.0],
+    "exact": [0.3, 0.861, 0.267],
+    "sub_or_supercell": [-0.291, 0.186, 0.65],
 }
 """For the chosen lattice: a constant, then weights of the logarithms of the first two probabilities over the third."""
