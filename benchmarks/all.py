@@ -68,7 +68,11 @@ BENCHMARKS = (
         "How often detectors find the lattice, and find one where there is none",
         "detector_accuracy.py",
     ),
-    Benchmark("consensus_calibration.py --count 1", "What consensus's confidence is worth", "consensus_calibration.py"),
+    Benchmark(
+        "consensus_calibration.py --count 1 --kinds 0",
+        "What consensus's confidence is worth",
+        "consensus_calibration.py",
+    ),
     Benchmark("drift.py 256", "How far methods are off a fractional lattice", "drift.py 256 1024"),
     Benchmark("two_lattices.py 1", "Which methods keep both lattices of a texture", "two_lattices.py 1 2 3"),
     Benchmark(
