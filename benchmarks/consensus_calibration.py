@@ -258,7 +258,8 @@ def main() -> None:
     report("fitted on the first draws, on the second", list(judge(second, found)))
     report("as shipped, on the second draws", list(judge(second, (weights.WEIGHTS, weights.CHOSEN))))
     report("fitted without the family", leave_out(first + second, "family"))
-    report("fitted without the kind", leave_out(first + second, "kind"))
+    if options.kinds:
+        report("fitted without the kind", leave_out(first + second, "kind"))
 
 
 if __name__ == "__main__":
