@@ -68,6 +68,11 @@ BENCHMARKS = (
         "How often detectors find the lattice, and find one where there is none",
         "detector_accuracy.py",
     ),
+    Benchmark(
+        "bent_lattices.py bent --count 1 --bends 0.5 --tilts 20",
+        "How often the lattice of a bent picture is found, and a straight one counts as bent",
+        "bent_lattices.py",
+    ),
     Benchmark("consensus_calibration.py --count 1", "What consensus's confidence is worth", "consensus_calibration.py"),
     Benchmark("drift.py 256", "How far methods are off a fractional lattice", "drift.py 256 1024"),
     Benchmark("two_lattices.py 1", "Which methods keep both lattices of a texture", "two_lattices.py 1 2 3"),

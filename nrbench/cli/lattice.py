@@ -31,6 +31,12 @@ if TYPE_CHECKING:
     metavar="OUT.png",
     help="Draw how the detector found the lattice.",
 )
+@click.option(
+    "--straighten",
+    type=click.Path(path_type=Path),
+    metavar="OUT.png",
+    help="Follow the lattice through a bent image, and write the image with its deformation undone.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def lattice_command(
     image: Path,
@@ -40,6 +46,7 @@ def lattice_command(
     lattice: str | None,
     output: Path | None,
     diagnostics: Path | None,
+    straighten: Path | None,
     as_json: bool,
 ) -> int:
     """Detect the lattice of IMAGE.
@@ -56,9 +63,16 @@ def lattice_command(
         raise BadInput(f"{' and '.join(chosen)}: choose one of them")
     if diagnostics is not None and chosen not in ([], ["-d"]):
         raise BadInput(f"--diagnostics: draws how one detector works; leave {chosen[0]} out")
-    for path in filter(None, (output, diagnostics)):
+    if straighten is not None and (every or pick or diagnostics is not None):
+        raise BadInput("--straighten: follows one lattice; leave --all, --pick and --diagnostics out")
+    for path in filter(None, (output, diagnostics, straighten)):
         check_output(path)
     picture = read_image(image)
+    if straighten is not None:
+        from nrbench.cli.straightening import straighten_picture
+
+        straighten_picture(picture, detector or "consensus", lattice, output, straighten, as_json)
+        return 0
     if every:
         return _compare_detectors(picture, output, as_json)
     if pick or lattice is not None:

@@ -34,12 +34,25 @@ def draw_lattice(image: Image, lattice: Lattice) -> Image:
     lattice
         In the image's coordinates. The cells of its reduced basis are drawn.
     """
-    canvas = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image.copy()
     basis = lattice.reduced()
     corners = basis.points((image.shape[0], image.shape[1]), margin=2 * float(np.abs(basis.matrix).max()))
-    for vector in basis.matrix:
-        for start in corners:
-            _draw_line(canvas, start, start + vector)
+    starts = np.concatenate([corners, corners])
+    return draw_segments(image, starts, starts + np.repeat(basis.matrix, len(corners), 0))
+
+
+def draw_segments(image: Image, starts: Points, ends: Points) -> Image:
+    """Return the image in color with anti-aliased segments one pixel wide drawn over it.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    starts, ends
+        ``(n, 2)`` each: (x, y) px.
+    """
+    canvas = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image.copy()
+    for start, end in zip(starts, ends, strict=True):
+        _draw_line(canvas, start, end)
     return canvas
 
 
