@@ -17,7 +17,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.growth import Knots, Start, grow_from
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
-__all__ = ["follow_lattice", "follow_on", "merit", "probe", "score", "straighten_pixels"]
+__all__ = ["follow_lattice", "follow_on", "merit", "probe", "score", "shrink_image", "straighten_pixels"]
 
 _FINEST: Final = 14.0
 """px; an image is shrunk as far as its s stays above this. Time then does not grow with s."""
@@ -156,16 +156,24 @@ def merit(image: Image, knots: Knots) -> float:
     return float(explained * covered * tiles**_SIZE_EXPONENT)
 
 
+def shrink_image(image: Image, factor: int) -> Image:
+    """Return the means of blocks of ``factor`` x ``factor`` px; incomplete blocks at the borders are dropped."""
+    if factor == 1:
+        return image
+    height, width = (n // factor * factor for n in image.shape[:2])
+    small = block_reduce(image[:height, :width], (factor, factor, 1), np.mean)  # type: ignore[no-untyped-call]
+    return np.asarray(small, np.float32)
+
+
 def _factor(lattice: Lattice) -> int:
     return max(1, int(lattice.s / _FINEST))
 
 
 def _shrink(image: Image, lattice: Lattice, factor: int) -> tuple[Values, Lattice]:
     """Return the image shrunk by a factor and smoothed, and the lattice in its pixels."""
-    height, width = (n // factor * factor for n in image.shape[:2])
-    small = block_reduce(image[:height, :width], (factor, factor, 1), np.mean) if factor > 1 else image  # type: ignore[no-untyped-call]
+    small = shrink_image(image, factor)
     sigma = _SMOOTH * lattice.s / factor
-    smooth = ndimage.gaussian_filter(np.asarray(small, np.float32), (sigma, sigma, 0))
+    smooth = ndimage.gaussian_filter(small, (sigma, sigma, 0))
     return smooth, Lattice.from_basis(lattice.matrix / factor)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -13,7 +13,7 @@ from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
 from nrbench.tracking.deformation import LEAST_AMPLITUDE, Deformation
-from nrbench.tracking.following import follow_lattice, follow_on, merit, probe, score
+from nrbench.tracking.following import follow_lattice, follow_on, merit, probe, score, shrink_image
 from nrbench.tracking.growth import Knots
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
@@ -21,6 +21,8 @@ __all__ = ["find_deformation"]
 
 LARGEST_VIEW: Final = 512
 """px; largest side of a view other than the whole image."""
+_DETAIL: Final = 12.0
+"""px; least s of the image that the detector sees."""
 LEAST_VIEW: Final = 48
 """px; smallest side of a view."""
 _PLACES = ((1, 1), (0, 0), (2, 2), (0, 2), (2, 0), (1, 0), (1, 2), (0, 1), (2, 1))
@@ -48,7 +50,8 @@ _SAME = 0.04
 def find_deformation(image: Image, detector: Detector, quick: Detector, lattice: Lattice | None = None) -> Deformation:
     """Return the lattice of an image, and its deformation.
 
-    The detector looks at the whole image. If the lattice that it finds lies in the image without deformation, this is
+    The detector looks at the whole image; fine detail of large elements is left out, because the lattice is measured
+    when it is followed. If the lattice that it finds lies in the image without deformation, this is
     the answer. Otherwise lattices of the whole image and of overlapping views, from half the image's size down, are
     followed through the image (:func:`~nrbench.tracking.following.follow_lattice`), and the straightened image is shown
     to the detector again. The answer is the first one that the detector confirms, or the one of the highest confidence
@@ -73,6 +76,7 @@ def find_deformation(image: Image, detector: Detector, quick: Detector, lattice:
     """
     if lattice is not None:
         return _follow_given(image, lattice)
+    detector = _Shrinking(detector, _detail_factor(image, quick))
     first, reason = _look(detector, image)
     if first is not None:
         still = _still(image, first.lattice, first.confidence)
@@ -91,6 +95,34 @@ def find_deformation(image: Image, detector: Detector, quick: Detector, lattice:
     if first is not None:
         return _unmeasured(image, first)
     raise NoLatticeFound(reason or "no view has a lattice that can be followed through the image")
+
+
+@dataclass(frozen=True)
+class _Shrinking:
+    """A detector that looks at an image shrunk by a factor."""
+
+    detector: Detector
+    factor: int
+
+    def detect(self, image: Image) -> Detection:
+        try:
+            return self._enlarged(self.detector.detect(shrink_image(image, self.factor)))
+        except NoLatticeFound as none:
+            raise NoLatticeFound(none.reason, none.best and self._enlarged(none.best)) from None
+
+    def _enlarged(self, detection: Detection) -> Detection:
+        x, y = detection.lattice.origin
+        origin = (self.factor * x + (self.factor - 1) / 2, self.factor * y + (self.factor - 1) / 2)
+        return replace(detection, lattice=Lattice.from_basis(self.factor * detection.lattice.matrix, origin))
+
+
+def _detail_factor(image: Image, quick: Detector) -> int:
+    """Return the factor by which an image may be shrunk: few lattices of views then have an s under 12 px.
+
+    Some are subcells, so their lower quartile counts.
+    """
+    periods = [lattice.s for lattice, _ in _look_at_views(image, quick)]
+    return max(1, int(float(np.quantile(periods, 0.25)) / _DETAIL)) if periods else 1
 
 
 @dataclass(frozen=True)
@@ -158,7 +190,8 @@ def _look_at_views(image: Image, detector: Detector) -> Iterator[tuple[Lattice, 
     """Yield the lattice of each view, from large views to small ones, and the middle (x, y) px of the view."""
     height, width = image.shape[:2]
     scale = 2
-    while min(height, width) // scale >= LEAST_VIEW:
+    factor = detector.factor if isinstance(detector, _Shrinking) else 1
+    while min(height, width) // scale >= LEAST_VIEW * factor:
         rows, columns = (min(side // scale, LARGEST_VIEW) for side in (height, width))
         for row, column in _PLACES:
             # Views of half the image's size overlap by half. Smaller ones are spread as far.
@@ -199,7 +232,7 @@ def _confirm(image: Image, detector: Detector, knots: Knots) -> tuple[_Answer | 
     """
     deformation = Deformation.of(image, knots)
     straight, lattice = deformation.rectify()
-    if min(straight.shape[:2]) < LEAST_VIEW // 2:
+    if min(straight.shape[:2]) < LEAST_VIEW:
         return None, None
     detection, _ = _look(detector, straight)
     if detection is None:
