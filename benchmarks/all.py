@@ -76,6 +76,11 @@ BENCHMARKS = (
     Benchmark(
         "large_images.py 2000", "What detection costs on large images", "large_images.py 500 1000 2000 4000 8000"
     ),
+    Benchmark(
+        "bent_lattices.py bent --count 1 --bends 0.5 --tilts 20",
+        "How often the lattice of a bent picture is found, and a straight one counts as bent",
+        "bent_lattices.py",
+    ),
     Benchmark("drift.py 256", "How far methods are off a fractional lattice", "drift.py 256 1024"),
     Benchmark("two_lattices.py 1", "Which methods keep both lattices of a texture", "two_lattices.py 1 2 3"),
     Benchmark(

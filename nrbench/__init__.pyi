@@ -4,6 +4,7 @@ from .api import run as run
 from .api import score as score
 from .api import synthesize as synthesize
 from .api import texture as texture
+from .api import track_lattice as track_lattice
 from .errors import BadInput as BadInput
 from .lattice.geometry import Lattice as Lattice
 from .plugins.forms import Alternative as Alternative
@@ -19,3 +20,4 @@ from .plugins.forms import Task as Task
 from .plugins.forms import Texture as Texture
 from .running.runner import Options as Options
 from .runs.records import Run as Run
+from .tracking.deformation import Deformation as Deformation

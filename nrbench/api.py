@@ -25,6 +25,8 @@ from nrbench.running.runner import Options, execute, working_metrics
 from nrbench.runs.records import Run
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
+from nrbench.tracking.deformation import Deformation
+from nrbench.views.deformed import find_deformation
 
 Latticelike = Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None
 """A lattice; its two vectors, and its origin; ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``. None: no lattice is given."""
@@ -81,6 +83,45 @@ def detect_lattice(image: Any, detector: str = "consensus", **parameters: Any) -
     """
     detection: Detection = plugins.build("detectors", detector, parameters).detect(as_image(image))
     return detection
+
+
+def track_lattice(
+    image: Any, lattice: Latticelike = None, detector: str = "consensus", **parameters: Any
+) -> Deformation:
+    """Find the lattice of an image that may be bent: rows that bow, periods that shrink, a plane in perspective.
+
+    The result holds the mean lattice, the displacement of each point from it, their amplitude, whether the image is
+    bent at all, and the homography if the deformation is one. ``straighten()`` undoes the deformation.
+
+    Parameters
+    ----------
+    image
+        uint8, uint16 or float in [0, 1], with or without a channel axis.
+    lattice
+        The lattice, about as it is on average or somewhere in the image; its origin does not matter. If None, it is
+        detected, in the whole image and in overlapping views.
+    detector
+        Name of the detector that finds the lattice and confirms it on the straightened image.
+    parameters
+        The detector's parameters.
+
+    Raises
+    ------
+    NoLatticeFound
+        If no lattice is found that can be followed through the image.
+    BadInput
+        For a bad image, lattice, detector or parameter.
+
+    Examples
+    --------
+    >>> bent = track_lattice(texture("weave", shape=(128, 128), seed=1, bend=0.5).image)
+    >>> bent.bent, bent.homography is None
+    (True, True)
+    >>> straight, mean = bent.straighten()
+    """
+    thorough = plugins.build("detectors", detector, parameters)
+    quick = plugins.build("detectors", "dominance", {"reject": "none"})
+    return find_deformation(as_image(image), thorough, quick, as_lattice(lattice))
 
 
 def as_lattice(lattice: Latticelike) -> Lattice | None:

@@ -50,6 +50,12 @@ ZOOM = 480
 )
 @click.option("--keep", is_flag=True, help="For a folder: keep the lines of truth.csv, and add the missing pictures.")
 @click.option("--force", is_flag=True, help="For a folder: replace truth.csv.")
+@click.option(
+    "--straighten",
+    type=click.Path(path_type=Path),
+    metavar="OUT.png",
+    help="Follow the lattice through a bent image, and write the image with its deformation undone.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def lattice_command(
     image: Path,
@@ -62,6 +68,7 @@ def lattice_command(
     least: float | None,
     keep: bool,
     force: bool,
+    straighten: Path | None,
     as_json: bool,
 ) -> int:
     """Detect the lattice of IMAGE, or those of all pictures in FOLDER.
@@ -81,7 +88,8 @@ def lattice_command(
         name for name, given in (("--least", least is not None), ("--keep", keep), ("--force", force)) if given
     ]
     if image.is_dir():
-        wrong = [*(name for name in chosen if name != "-d"), *(["--diagnostics"] if diagnostics else [])]
+        of_one = (("--diagnostics", diagnostics), ("--straighten", straighten))
+        wrong = [*(name for name in chosen if name != "-d"), *(name for name, given in of_one if given is not None)]
         if wrong:
             raise BadInput(f"{wrong[0]}: needs one picture, and {image} is a folder; pass a picture in it")
         if keep and force:
@@ -92,11 +100,18 @@ def lattice_command(
         raise BadInput(f"{of_folders[0]}: is for a folder of pictures, and {image} is none; leave it out")
     if diagnostics is not None and chosen not in ([], ["-d"]):
         raise BadInput(f"--diagnostics: draws how one detector works; leave {chosen[0]} out")
-    for path in filter(None, (output, diagnostics)):
+    if straighten is not None and (every or pick or diagnostics is not None):
+        raise BadInput("--straighten: follows one lattice; leave --all, --pick and --diagnostics out")
+    for path in filter(None, (output, diagnostics, straighten)):
         check_output(path)
         if path.resolve() == image.resolve():
             raise BadInput(f"{path}: is the picture itself, which would be lost; choose another name")
     picture = read_image(image)
+    if straighten is not None:
+        from nrbench.cli.straightening import straighten_picture
+
+        straighten_picture(picture, detector or "consensus", lattice, output, straighten, as_json)
+        return 0
     if every:
         return _compare_detectors(picture, output, as_json)
     if pick or lattice is not None:

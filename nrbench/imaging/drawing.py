@@ -9,9 +9,10 @@ import numpy as np
 import PIL.Image
 import PIL.ImageDraw
 import PIL.ImageFont
+from skimage.draw import line_aa
 
 from nrbench.imaging.convert import Image, to_bytes
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 
 COLOR = (1.0, 0.1, 0.6)
 """sRGB color of lattices; rare in brick, cloth and tile."""
@@ -68,6 +69,30 @@ def draw_lattice(image: Image, lattice: Lattice, color: tuple[float, float, floa
         weight = (1 - near[lines]).astype(np.float32)[:, np.newaxis]
         rows[lines] += weight * (np.array(color, np.float32) - rows[lines])
     return canvas
+
+
+def draw_segments(image: Image, starts: Points, ends: Points) -> Image:
+    """Return the image in color with anti-aliased segments one pixel wide drawn over it.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    starts, ends
+        ``(n, 2)`` each: (x, y) px.
+    """
+    canvas = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image.copy()
+    for start, end in zip(starts, ends, strict=True):
+        _draw_line(canvas, start, end)
+    return canvas
+
+
+def _draw_line(canvas: Image, start: Points, end: Points) -> None:
+    x0, y0, x1, y1 = np.rint([*start, *end]).astype(int)
+    rows, columns, weight = line_aa(y0, x0, y1, x1)  # type: ignore[no-untyped-call]
+    inside = (rows >= 0) & (rows < canvas.shape[0]) & (columns >= 0) & (columns < canvas.shape[1])
+    rows, columns, weight = rows[inside], columns[inside], weight[inside, np.newaxis].astype(np.float32)
+    canvas[rows, columns] = canvas[rows, columns] * (1 - weight) + np.array(COLOR, np.float32) * weight
 
 
 def zoom_panels(image: Image, lattices: Sequence[Lattice], side: int = PANEL) -> list[Image]:

@@ -30,6 +30,7 @@ FLOORS = (
     ("nrbench.runs",),
     ("nrbench.suites",),
     ("nrbench.synthesizers", "nrbench.metrics", "nrbench.datasets_procedural", "nrbench.detectors"),
+    ("nrbench.views",),
     ("nrbench.plugins",),
     ("nrbench.spectra",),
     ("nrbench.tracking",),

@@ -1,0 +1,184 @@
+"""How often the lattice of a bent picture is found, how exactly, and how often a straight picture counts as bent.
+
+``python benchmarks/bent_lattices.py [bent] [straight] [--count 20] [--first 1000] [--bends 0.25 0.5] [--tilts 10 30]``
+
+``bent``
+    ``nrbench.track_lattice`` on 256 x 256 px of brick, weave and hexagon, turned at random: with smooth warps, and as a
+    plane that a camera with a field of view of 50 degrees sees at a tilt, in a random direction. A lattice is right if
+    its vectors are those of the true mean lattice, within 2 % of their lengths, and the median distance of the places
+    from the true ones, up to one shift of the whole lattice, is at most 5 % of s. The true mean lattice is the one that
+    fits the true places best.
+``straight``
+    The share of undeformed 192 x 192 px draws of all models, some with jitter, that count as bent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from unit import cpu_unit
+
+import nrbench
+from nrbench import plugins
+from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.fold import interpolate
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.tracking.deformation import Deformation
+from nrbench.tracking.homography import map_points
+
+MODELS = ("brick", "weave", "hexagon")
+NOT_LATTICES = ("images", "noise")
+SHAPE, STRAIGHT_SHAPE = (256, 256), (192, 192)
+FIELD_OF_VIEW = 50.0
+"""Degrees, across the picture."""
+OVERSAMPLING = 2
+MOST_LATTICE_ERROR, MOST_FIELD_ERROR = 0.02, 0.05
+DEPARTURES: tuple[dict[str, float], ...] = ({}, {"jitter": 0.3}, {"jitter": 0.6}, {"color": 0.6})
+
+
+@dataclass(frozen=True)
+class Bent:
+    """A bent picture, and the true cell coordinates of each pixel, ``(H, W, 2)``."""
+
+    image: Image
+    cells: Points
+
+    @property
+    def lattice(self) -> Lattice:
+        """The true mean lattice: all points of the plane count alike."""
+        height, width = self.cells.shape[:2]
+        (du, dv) = (np.gradient(self.cells[..., axis]) for axis in (0, 1))
+        weight = np.sqrt(np.abs(du[1] * dv[0] - du[0] * dv[1])).reshape(-1, 1)
+        design = np.column_stack([self.cells.reshape(-1, 2), np.ones(height * width)])
+        places = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2)
+        fit = np.linalg.lstsq(design * weight, places * weight, rcond=None)[0]
+        return Lattice.from_basis(fit[:2], fit[2])
+
+
+def warped(model: str, bend: float, seed: int) -> Bent:
+    """Return a model with a smooth warp."""
+    rng = np.random.default_rng(seed)
+    built = plugins.build("datasets", model, {"bend": bend, "rotation": float(rng.uniform(0, 90))})
+    texture = built.render(SHAPE, rng)
+    points = np.stack(np.meshgrid(*(np.arange(n, dtype=float) for n in SHAPE[::-1])), -1)
+    return Bent(quantize(texture.image), texture.lattice.to_cell(points - texture.displacement))
+
+
+def camera(tilt: float, direction: float) -> Points:
+    """Return the homography from the picture to the plane; one px in the middle is one px of the plane."""
+    height, width = SHAPE
+    focal = width / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
+    angle, slope = np.radians(direction), np.tan(np.radians(tilt))
+    turn = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    rays = np.array([[1 / focal, 0, -(width - 1) / 2 / focal], [0, 1 / focal, -(height - 1) / 2 / focal], [0, 0, 1]])
+    plane = np.array([[focal * np.hypot(1, slope), 0, 0], [0, focal, 0], [-slope, 0, 1]])
+    return np.asarray(turn.T @ plane @ turn @ rays)
+
+
+def tilted(model: str, tilt: float, seed: int) -> Bent:
+    """Return a model as a camera sees it."""
+    rng = np.random.default_rng(seed)
+    turned, matrix = float(rng.uniform(0, 90)), camera(tilt, rng.uniform(0, 360))
+    fine = [(np.arange(n * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5 for n in SHAPE[::-1]]
+    plane = map_points(matrix, np.stack(np.meshgrid(*fine), -1))
+    low, high = plane.reshape(-1, 2).min(0) - 4, plane.reshape(-1, 2).max(0) + 4
+    width, height = np.ceil(high - low).astype(int)
+    texture = plugins.build("datasets", model, {"rotation": turned}).render((int(height), int(width)), rng)
+    blocks = interpolate(texture.image, plane - low).reshape(SHAPE[0], OVERSAMPLING, SHAPE[1], OVERSAMPLING, -1)
+    points = np.stack(np.meshgrid(*(np.arange(n, dtype=float) for n in SHAPE[::-1])), -1)
+    image = quantize(np.clip(blocks.mean((1, 3)), 0, 1).astype(np.float32))
+    return Bent(image, texture.lattice.to_cell(map_points(matrix, points) - low))
+
+
+def errors(found: Deformation, bent: Bent) -> tuple[float, float]:
+    """Return the error of the lattice, over the vectors' lengths, and the median error of the places, in s."""
+    at = found.places.T[::-1]
+    true = np.stack([ndimage.map_coordinates(plane, at, order=1) for plane in np.moveaxis(bent.cells, -1, 0)], -1)
+    design = np.column_stack([found.cells, np.ones(len(true))])
+    change = np.rint(np.linalg.lstsq(design, true, rcond=None)[0][:2])
+    if abs(abs(np.linalg.det(change)) - 1) > 0.5:
+        return np.inf, np.inf
+    lattice = bent.lattice
+    off = np.linalg.inv(change) @ found.lattice.matrix - lattice.matrix
+    apart = found.cells @ change - true
+    apart = (apart - np.median(apart, 0)) @ lattice.matrix / lattice.s
+    return float((np.hypot(*off.T) / np.hypot(*lattice.matrix.T)).max()), float(np.median(np.hypot(*apart.T)))
+
+
+def show_bent(options: argparse.Namespace) -> None:
+    """Print how many lattices of bent pictures are right."""
+    u, every = cpu_unit(), []
+    makers = [(warped, "bend", options.bends), (tilted, "tilt", options.tilts)]
+    for make, word, values in makers:
+        for value in values:
+            for model in options.models:
+                rows = []
+                for seed in range(options.first, options.first + options.count):
+                    bent = make(model, value, seed)
+                    start = time.process_time()
+                    try:
+                        found = nrbench.track_lattice(bent.image)
+                        row = (*errors(found, bent), found.bent, found.homography is not None)
+                    except nrbench.NoLatticeFound:
+                        row = (np.inf, np.inf, False, False)
+                    rows.append((*row, (time.process_time() - start) / u))
+                lattice, field, flag, plane, units = (np.array(column) for column in zip(*rows, strict=True))
+                right = (lattice <= MOST_LATTICE_ERROR) & (field <= MOST_FIELD_ERROR)
+                every += right.tolist()
+                print(f"  {model:8} {word} {value:<5} right {right.sum():3}/{len(right):<3}", end="")
+                print(f"  median errors: lattice {np.median(lattice):.2%}, field {np.median(field):.3f} s", end="")
+                print(f"  bent {flag.sum()}, a homography {plane.sum()}  {np.median(units):.0f} u", flush=True)
+    print(f"  all: right {sum(every)}/{len(every)}")
+
+
+def straight_pictures(options: argparse.Namespace) -> Iterator[tuple[str, Image]]:
+    """Yield undeformed draws of all models."""
+    for model in (name for name in plugins.names("datasets") if name not in NOT_LATTICES):
+        for departures in DEPARTURES:
+            for seed in range(options.first, options.first + options.count):
+                rng = np.random.default_rng(seed)
+                built = plugins.build("datasets", model, {"rotation": float(rng.uniform(0, 90)), **departures})
+                yield f"{model} {departures}", quantize(built.render(STRAIGHT_SHAPE, rng).image)
+
+
+def show_straight(options: argparse.Namespace) -> None:
+    """Print how many straight pictures count as bent, and what the answer costs beyond the detector."""
+    u, flagged, number, extra = cpu_unit(), [], 0, []
+    for name, image in straight_pictures(options):
+        start = time.process_time()
+        try:
+            nrbench.detect_lattice(image)
+            middle = time.process_time()
+            found = nrbench.track_lattice(image)
+        except nrbench.NoLatticeFound:
+            continue
+        extra.append((time.process_time() - middle - (middle - start)) / u)
+        number += 1
+        if found.bent:
+            flagged.append(f"{name} ({found.amplitude:.2f} s)")
+    print(f"  {len(flagged)} of {number} count as bent, {np.median(extra):.0f} u beyond the detector: {flagged}")
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    subjects = {"bent": show_bent, "straight": show_straight}
+    parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"of {', '.join(subjects)}; none: all")
+    parser.add_argument("--count", type=int, default=20, help="draws of each texture")
+    parser.add_argument("--first", type=int, default=1000, help="first seed")
+    parser.add_argument("--models", nargs="*", default=list(MODELS))
+    parser.add_argument("--bends", nargs="*", type=float, default=[0.25, 0.5, 1.0])
+    parser.add_argument("--tilts", nargs="*", type=float, default=[10.0, 20.0, 30.0])
+    options = parser.parse_args()
+    for subject in options.subjects or subjects:
+        print(f"\n{subject}")
+        subjects[subject](options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,201 @@
+"""The deformation of an image: where each point of its mean lattice lies, how far that is off, and how to undo it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.convert import Image
+from nrbench.imaging.fold_kernels import spline_coefficients, spline_windows
+from nrbench.imaging.largest_box import largest_box
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.tracking.growth import Knots
+from nrbench.tracking.homography import fit_homography, map_points
+
+__all__ = ["LEAST_AMPLITUDE", "Deformation"]
+
+LEAST_AMPLITUDE: Final = 0.04
+"""Amplitude, in s, below which displacements are taken for errors of the tracker."""
+LEAST_SMOOTHNESS: Final = 0.37
+"""Correlation of the displacements of neighbors below which elements move on their own: jitter, not deformation.
+Independent jitter reaches 0.34, because the windows of neighbors overlap; warps with waves 5 s long exceed 0.39."""
+HOMOGRAPHY_REST: Final = 0.35
+"""Root mean square distance of the places from a homography, over that from an affine map, up to which they are that
+homography."""
+_AFFINE = 3
+"""Parameters of an affine map for each axis."""
+_LEAST_NEIGHBORS = 12
+"""Least number of pairs of neighbors along each vector."""
+
+
+@dataclass(frozen=True, eq=False)
+class Deformation:
+    """A lattice as it lies in an image.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    lattice
+        The mean lattice, origin included: of all regular lattices the one whose points lie nearest to the places where
+        their content was found (least squares).
+    cells
+        ``(n, 2)``: cell coordinates (u, v) of the knots that were found: lattice points and points between them.
+    places
+        ``(n, 2)``: (x, y) px where they were found.
+    correlation
+        ``(n,)``: correlation of the image with the mean tile around each.
+    covered
+        Share of the image in which the lattice was found.
+    confidence
+        Confidence of the detector that the lattice is the right one, on the straightened image; None if it was given.
+    knots
+        The same knots as a grid; None if they were not followed because the image is not bent.
+    """
+
+    image: Image
+    lattice: Lattice
+    cells: Points
+    places: Points
+    correlation: NDArray[np.float64]
+    covered: float
+    confidence: float | None = None
+    knots: Knots | None = None
+
+    @classmethod
+    def of(cls, image: Image, knots: Knots, confidence: float | None = None) -> Deformation:
+        """Return the deformation that knots describe, in the reduced basis of their mean lattice."""
+        mean = knots.mean_lattice()
+        reduced = mean.reduced()
+        height, width = image.shape[:2]
+        covered = min(knots.area / (height * width), 1.0)
+        known = knots.known
+        cells = reduced.to_cell(mean.from_cell(knots.cells[known]))
+        return cls(image, reduced, cells, knots.places[known], knots.correlation[known], covered, confidence, knots)
+
+    @cached_property
+    def field(self) -> Points:
+        """``(n, 2)`` px: displacement (x, y) of each knot from its place on the mean lattice."""
+        return np.asarray(self.places - self.lattice.from_cell(self.cells))
+
+    @cached_property
+    def amplitude(self) -> float:
+        """Root mean square length of the displacements, in s; the affine part belongs to the mean lattice."""
+        count = len(self.field)
+        return math.sqrt(float((self.field**2).sum()) / max(count - _AFFINE, 1)) / self.lattice.s
+
+    @cached_property
+    def smoothness(self) -> float:
+        """Correlation of the displacements of knots about s apart, along the vector along which they correlate least.
+
+        That of smooth deformations is high along all vectors. Elements that move on their own have neighbors that move
+        otherwise along at least one vector.
+        """
+        index = {tuple(cell): n for n, cell in enumerate(np.round(4 * self.cells).astype(int).tolist())}
+        power = float((self.field**2).sum(1).mean())
+        if power == 0:
+            return 0.0
+        found = []
+        lengths = np.hypot(*self.lattice.matrix.T)
+        for axis in (0, 1):
+            for step in _steps_near(float(self.lattice.s / lengths[axis])):
+                lag = np.zeros(2, int)
+                lag[axis] = step
+                pairs = [(n, index.get((u + lag[0], v + lag[1]))) for (u, v), n in index.items()]
+                ends = np.array([pair for pair in pairs if pair[1] is not None], int).reshape(-1, 2)
+                if len(ends) >= _LEAST_NEIGHBORS:
+                    products = (self.field[ends[:, 0]] * self.field[ends[:, 1]]).sum(1).mean()
+                    found.append(float(products) / power)
+                    break
+            else:
+                return 0.0
+        return min(found)
+
+    @property
+    def bent(self) -> bool:
+        """Whether the lattice is deformed: displacements of at least 0.04 s that neighbors share."""
+        return self.knots is not None and self.amplitude >= LEAST_AMPLITUDE and self.smoothness >= LEAST_SMOOTHNESS
+
+    @cached_property
+    def homography(self) -> Points | None:
+        """The 3 x 3 matrix that maps points (x, y, 1) of the mean lattice's plane to the image, if there is one.
+
+        None if the image is not bent, or if no homography explains the displacements: their rest must be at most 0.35
+        times as large. A plane in perspective is a homography, a curved surface or a wavy cloth is none.
+        """
+        if not self.bent:
+            return None
+        points = self.lattice.from_cell(self.cells)
+        matrix = fit_homography(points, self.places)
+        if matrix is None:
+            return None
+        rest = np.hypot(*(map_points(matrix, points) - self.places).T)
+        # The median is not moved by a few knots that lie a period off.
+        usual = np.median(np.hypot(*self.field.T))
+        return matrix if np.median(rest) <= HOMOGRAPHY_REST * usual else None
+
+    def locate(self, points: Points) -> Points:
+        """Return the places (x, y) px in the image of points ``(..., 2)`` of the mean lattice's plane.
+
+        The homography if there is one, else splines through the knots, whose slopes continue beyond them. The points
+        themselves if the lattice was not followed.
+        """
+        if self.knots is None:
+            return np.asarray(points, np.float64)
+        if self.homography is not None:
+            return map_points(self.homography, points)
+        return self.knots.locate(self._knot_lattice.to_cell(points))
+
+    @cached_property
+    def _knot_lattice(self) -> Lattice:
+        """The mean lattice in the basis of the knots."""
+        assert self.knots is not None
+        return self.knots.mean_lattice()
+
+    def straighten(self) -> tuple[Image, Lattice]:
+        """Return the image with its deformation undone, and the mean lattice in its pixels.
+
+        The picture is cropped to a box that shows the image alone. One px is one px of the mean lattice's plane; the
+        affine part of a deformation cannot be known, and stays. An image that is not bent is returned as it is.
+        """
+        return self.rectify() if self.bent else (self.image, self.lattice)
+
+    def rectify(self) -> tuple[Image, Lattice]:
+        """Return the same as :meth:`straighten`, with displacements of any size undone, errors of tracking too."""
+        if self.knots is None:
+            return self.image, self.lattice
+        size = np.array(self.image.shape[1::-1])
+        points = self.lattice.from_cell(self.cells)
+        low, high = np.floor(points.min(0)), np.ceil(points.max(0))
+        x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+        plane = np.stack([x, y], -1)
+        sources = self.locate(plane)
+        inside = np.asarray(((sources >= 0) & (sources <= size - 1)).all(-1))
+        if self.homography is None:
+            inside &= self.knots.is_near(self._knot_lattice.to_cell(plane))
+        top, bottom, left, right = largest_box(inside)
+        places = np.clip(sources[top:bottom, left:right], 0, size - 1)
+        coefficients = spline_coefficients(np.array(self.image, np.float32, order="C"))
+        values = spline_windows(coefficients, np.ascontiguousarray(places.reshape(-1, 2)), np.zeros((1, 2)))
+        straight = np.clip(values.reshape(bottom - top, right - left, self.image.shape[2]), 0, 1)
+        return np.asarray(straight, np.float32), self.lattice.shifted(-(low + np.array([left, top])))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what is known about the deformation as a mapping that JSON can hold; lengths are in s."""
+        return {
+            "bent": self.bent,
+            "amplitude": self.amplitude,
+            "smoothness": self.smoothness,
+            "covered": self.covered,
+            "homography": None if self.homography is None else self.homography.tolist(),
+        }
+
+
+def _steps_near(step: float) -> list[int]:
+    """Return the steps between knots, in quarters of a vector, that are nearest to ``step`` vectors, nearest first."""
+    return sorted((1, 2, 4, 8, 16, 32), key=lambda quarters: abs(math.log(quarters / (4 * step))))

@@ -1,0 +1,258 @@
+"""Follow a lattice through a whole image from several starts, and sharpen the mean tile on the way."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage.measure import block_reduce
+
+from nrbench.imaging.convert import Image
+from nrbench.imaging.fold import Values, fold, interpolate
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.tracking.growth import Knots, Start, grow_from
+from nrbench.tracking.tracker import MeanTile, Track, track_lattice
+
+__all__ = ["follow_lattice", "follow_on", "merit", "probe", "score", "shrink_image", "straighten_pixels"]
+
+_FINEST: Final = 14.0
+"""px; an image is shrunk as far as its s stays above this. Time then does not grow with s."""
+_SMOOTH = 0.04
+"""Standard deviation, in s, of the Gaussian that smooths the image."""
+_CELLS = 3.0
+"""Sides, in cells, of the part of an image whose mean tile a start takes."""
+_MIDDLES = (0.5, 0.25, 0.75)
+"""Places of these parts, in units of the image's sides, in the order in which they are tried."""
+_FIRST_LEVEL = 0.55
+"""Correlation from which a knot is known, while the tile is that of a few cells."""
+_GOOD = 0.6
+"""Covered share of the image times mean correlation from which no further start is tried."""
+_LEVELS = (0.75, 0.65, 0.5)
+"""Correlation, over the median of the round before, from which a knot is known, in each round of the growth."""
+_LEAST_KNOTS = 8
+_MOST_ROUNDS = 5
+"""Number of times, at most, that all knots are found again with a new mean tile."""
+_SIZE_EXPONENT = 0.06
+"""As in the detector ``consensus``."""
+_GAIN = 0.01
+"""Gain of the score below which they are not found again."""
+
+
+def follow_lattice(image: Image, lattice: Lattice, near: Points | None = None) -> Knots | None:
+    """Return where the points of a lattice lie in an image, however it is bent; None if they are not found.
+
+    The mean tile is at first that of a track by :func:`~nrbench.tracking.tracker.track_lattice`, or that of a few
+    cells; the start from which the lattice can be followed farthest is used. The image is then straightened, its mean
+    tile computed, and the lattice followed again.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    lattice
+        The lattice near some place; its origin does not matter.
+    near
+        (x, y) px: the place, from which alone the lattice is followed at first; None: several places are tried.
+    """
+    lattice = Lattice.from_basis(lattice.reduced().matrix)
+    factor = _factor(lattice)
+    small, shrunk = _shrink(image, lattice, factor)
+    best, highest = None, 0.0
+    at = None if near is None else (near - (factor - 1) / 2) / factor
+    for start in _starts(small, shrunk) if at is None else (_local_start(small, shrunk, at),):
+        knots = grow_from(small, start, (_FIRST_LEVEL,), fine=False)
+        worth = score(knots, small)
+        if worth > highest:
+            best, highest = knots, worth
+        if highest > _GOOD:
+            break
+    if best is None:
+        return None
+    highest = 0.0
+    for number in range(1 + _MOST_ROUNDS):
+        if best.known.sum() < _LEAST_KNOTS:
+            return None
+        start = _restart(small, best, best.mean_lattice())
+        median = float(np.median(best.correlation[best.known]))
+        levels = _LEVELS if number else _LEVELS[1:2]
+        found = grow_from(small, start, tuple(one * median for one in levels), fine=number > 0)
+        worth = score(found, small)
+        if number > 1 and worth < highest + _GAIN:
+            best = found if worth > highest else best
+            break
+        best, highest = found, worth
+    return best.resized(factor) if best.known.sum() >= _LEAST_KNOTS else None
+
+
+def probe(image: Image, lattice: Lattice, near: Points) -> float:
+    """Return the score of a first, coarse way from one place through an image: how far its lattice can be followed.
+
+    Parameters
+    ----------
+    image, lattice, near
+        As for :func:`follow_lattice`.
+    """
+    lattice = Lattice.from_basis(lattice.reduced().matrix)
+    factor = _factor(lattice)
+    small, shrunk = _shrink(image, lattice, factor)
+    start = _local_start(small, shrunk, (near - (factor - 1) / 2) / factor)
+    return score(grow_from(small, start, (_FIRST_LEVEL,), fine=False), small)
+
+
+def follow_on(image: Image, knots: Knots, basis: Points) -> Knots | None:
+    """Return where the points of another lattice lie in an image, given the knots of a first one.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    knots
+        The places of the first lattice.
+    basis
+        2 x 2: rows: cell coordinates, in the first lattice, of the vectors of the other one.
+    """
+    mean = knots.mean_lattice()
+    lattice = Lattice.from_basis(basis @ mean.matrix).reduced()
+    factor = _factor(lattice)
+    small, _ = _shrink(image, lattice, factor)
+    places = (knots.places - (factor - 1) / 2) / factor
+    first = Knots(knots.parts, knots.first, places, knots.slopes / factor, knots.correlation)
+    change = lattice.matrix @ np.linalg.inv(mean.matrix)
+    start = _restart(small, first, first.mean_lattice(), change)
+    median = float(np.median(knots.correlation[knots.known]))
+    found = grow_from(small, start, tuple(one * median for one in _LEVELS))
+    return found.resized(factor) if found.known.sum() >= _LEAST_KNOTS else None
+
+
+def score(knots: Knots, image: Values) -> float:
+    """Return the share of an image that knots cover, times their mean correlation."""
+    height, width = image.shape[:2]
+    return float(min(knots.area / (height * width), 1.0) * knots.quality)
+
+
+def merit(image: Image, knots: Knots) -> float:
+    """Return how well the lattice of knots explains an image, to compare different lattices.
+
+    The share of the straightened image's variance that is explained if each tile is predicted by all others, times the
+    share of the image that is covered, times the number of tiles to the power 0.06: the smaller of two similar lattices
+    is preferred, as by the detector ``consensus``. Unlike correlations under windows this does not favor small cells.
+    """
+    lattice = knots.mean_lattice()
+    straight, corner, inside = straighten_pixels(image, knots, lattice)
+    tiles = float(inside.sum()) / lattice.area
+    if tiles <= 2:
+        return 0.0
+    mean = fold(straight, lattice.shifted(-corner), inside).unfold(straight.shape[:2])
+    pixels, rest = straight[inside], (straight - mean)[inside]
+    share = float(
+        np.square(rest).sum(dtype=np.float64) / max(pixels.var(0, dtype=np.float64).sum() * len(pixels), 1e-9)
+    )
+    explained = 1 - share * (tiles + 1) / (tiles - 1)
+    covered = min(knots.area / (image.shape[0] * image.shape[1]), 1.0)
+    return float(explained * covered * tiles**_SIZE_EXPONENT)
+
+
+def shrink_image(image: Image, factor: int) -> Image:
+    """Return the means of blocks of ``factor`` x ``factor`` px; incomplete blocks at the borders are dropped."""
+    if factor == 1:
+        return image
+    height, width = (n // factor * factor for n in image.shape[:2])
+    small = block_reduce(image[:height, :width], (factor, factor, 1), np.mean)  # type: ignore[no-untyped-call]
+    return np.asarray(small, np.float32)
+
+
+def _factor(lattice: Lattice) -> int:
+    return max(1, int(lattice.s / _FINEST))
+
+
+def _shrink(image: Image, lattice: Lattice, factor: int) -> tuple[Values, Lattice]:
+    """Return the image shrunk by a factor and smoothed, and the lattice in its pixels."""
+    small = shrink_image(image, factor)
+    sigma = _SMOOTH * lattice.s / factor
+    smooth = ndimage.gaussian_filter(small, (sigma, sigma, 0))
+    return smooth, Lattice.from_basis(lattice.matrix / factor)
+
+
+def _starts(image: Values, lattice: Lattice) -> Iterator[Start]:
+    """Yield the starts from which a lattice of unknown place is followed for the first time."""
+    size = np.array(image.shape[1::-1], np.float64)
+    tile = MeanTile.of(image, lattice)
+    if tile.flat:
+        return
+    yield _tracked_start(track_lattice(image, lattice, tile))
+    for y, x in itertools.product(_MIDDLES, repeat=2):
+        yield _local_start(image, lattice, size * (x, y))
+
+
+def _local_start(image: Values, lattice: Lattice, middle: Points) -> Start:
+    """Return the start whose tile is the mean of a few cells around ``middle`` (x, y) px."""
+    half = _CELLS / 2 * np.abs(lattice.matrix).sum(0)
+    low = np.maximum(np.floor(middle - half), 0).astype(int)
+    high = np.minimum(np.ceil(middle + half) + 1, image.shape[1::-1]).astype(int)
+    tile = fold(image[low[1] : high[1], low[0] : high[0]], lattice.shifted(middle - low))
+    return Start(tile, np.zeros(2), middle, lattice.matrix.T)
+
+
+def _tracked_start(track: Track) -> Start:
+    """Return the start whose tile is that of the tracked and straightened image, at the node that fits best."""
+    image, lattice, nodes = track.image, track.lattice, track.nodes
+    y, x = np.indices(image.shape[:2], np.float64)
+    points = np.stack([x, y], -1)
+    sources = points + nodes.interpolate(track.field, points)
+    inside = np.asarray(((sources >= 0) & (sources <= np.array(image.shape[1::-1]) - 1)).all(-1))
+    straight = interpolate(image, sources)
+    tile = fold(straight, lattice, inside if inside.any() else None)
+    places = nodes.places
+    at = places + track.field
+    seen = ((at >= 0) & (at <= np.array(image.shape[1::-1]) - 1)).all(-1)
+    best = np.unravel_index(np.argmax(np.where(seen, ndimage.uniform_filter(track.correlation, 3), -2)), seen.shape)
+    step = lattice.s / 2
+    around = places[best] + step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
+    found = around + nodes.interpolate(track.field, around)
+    slopes = np.column_stack([found[0] - found[1], found[2] - found[3]]) / (2 * step)
+    return Start(tile, lattice.to_cell(places[best]), at[best], slopes @ lattice.matrix.T)
+
+
+def _restart(image: Values, knots: Knots, lattice: Lattice, change: Points | None = None) -> Start:
+    """Return the start whose tile is that of the straightened image, at the knot with the best surroundings.
+
+    Parameters
+    ----------
+    image, knots, lattice
+        The image, the places of a lattice in it, and the mean lattice.
+    change
+        2 x 2: rows: cell coordinates of the vectors of the lattice to follow; None: it is the same one.
+    """
+    change = np.eye(2) if change is None else change
+    other = Lattice.from_basis(change @ lattice.matrix, lattice.origin)
+    straight, corner, inside = straighten_pixels(image, knots, lattice)
+    tile = fold(straight, other.shifted(-corner), inside)
+    surroundings = ndimage.uniform_filter(knots.correlation, 3, mode="constant")
+    at = np.unravel_index(np.argmax(np.where(knots.known, surroundings, -1)), knots.known.shape)
+    cell = knots.cells[at] @ np.linalg.inv(change)
+    return Start(tile, cell, knots.places[at], knots.slopes[at] @ change.T)
+
+
+def straighten_pixels(image: Values, knots: Knots, lattice: Lattice) -> tuple[Values, Points, NDArray[np.bool_]]:
+    """Return an image without its deformation, on the plane of a lattice.
+
+    Returns
+    -------
+    Values
+        ``(h, w, C)``: all of the plane where knots are known, and more.
+    Points
+        (x, y): the point of the plane that the first pixel shows.
+    NDArray[np.bool_]
+        ``bool (h, w)``: the pixels that are known.
+    """
+    points = lattice.from_cell(knots.cells[knots.known])
+    low, high = np.floor(points.min(0)), np.ceil(points.max(0))
+    x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+    cells = lattice.to_cell(np.stack([x, y], -1))
+    sources = knots.locate(cells)
+    inside = knots.is_near(cells) & ((sources >= 0) & (sources <= np.array(image.shape[1::-1]) - 1)).all(-1)
+    return interpolate(image, sources), low, inside

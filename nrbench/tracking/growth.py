@@ -1,0 +1,263 @@
+"""Follow a lattice outward from one place of an image, however much its vectors change on the way."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from nrbench.imaging.fold import Tile, Values, sample_tile
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.tracking.growth_kernels import grow_knots
+from nrbench.tracking.tracker import cell_covariance
+
+__all__ = ["Knots", "Start", "grow_from"]
+
+PARTS: Final = 2
+"""Parts into which each step of about s is divided by knots, if they are fine."""
+MOST_KNOTS: Final = 12000
+"""Most knots that an image may hold; where there are more, only every second one, every fourth one ... is used."""
+_WIDTH, _TRUNCATED = 1.2, 1.9
+"""Width in tiles of the window of a knot, and its radius in standard deviations."""
+_MOST_SAMPLES = 450
+"""Most points of a window that are read."""
+_ROOM = 2.2
+"""Diameter of the plane that knots may cover, over the image's diagonal."""
+_FARTHEST = 0.3
+"""Largest distance, in s, of a knot from its prediction."""
+_SPREAD = 0.15
+"""Standard deviation of a knot's departure from its prediction: of the place, in s, and of the slopes."""
+_NOISE = 0.05
+"""Mean squared difference of an image and its template, both normalized, that the prediction is weighed against."""
+_LEAST_SEEN = 0.6
+"""Share of a window that must lie in the image."""
+
+
+@dataclass(frozen=True, eq=False)
+class Knots:
+    """Where a grid of points of a lattice, and points between them, lie in an image.
+
+    Parameters
+    ----------
+    parts
+        Knots for each lattice vector t1 and t2; below 1 if there are fewer knots than lattice points.
+    first
+        Numbers (a, b) of the first knot. The knot in row i and column j has cell coordinates
+        ((a + j) / parts[0], (b + i) / parts[1]).
+    places
+        ``(rows, columns, 2)``: (x, y) px.
+    slopes
+        ``(rows, columns, 2, 2)``: derivative of the place by the cell coordinates, px.
+    correlation
+        ``(rows, columns)``: correlation of the image with the mean tile at each knot, 0 where it was not found.
+    """
+
+    parts: tuple[float, float]
+    first: tuple[int, int]
+    places: Points
+    slopes: Points
+    correlation: NDArray[np.float64]
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """``bool (rows, columns)``: which knots were found."""
+        return np.asarray(self.correlation > 0)
+
+    @property
+    def cells(self) -> Points:
+        """``(rows, columns, 2)``: cell coordinates (u, v) of the knots."""
+        rows, columns = self.correlation.shape
+        u, v = np.meshgrid(np.arange(columns) + self.first[0], np.arange(rows) + self.first[1])
+        return np.stack([u / self.parts[0], v / self.parts[1]], -1)
+
+    @property
+    def quality(self) -> float:
+        """Mean correlation of the known knots, 0 if there are none."""
+        return float(self.correlation[self.known].mean()) if self.known.any() else 0.0
+
+    @property
+    def area(self) -> float:
+        """Area of the image, px^2, that belongs to known knots."""
+        return float(np.abs(np.linalg.det(self.slopes[self.known])).sum() / math.prod(self.parts))
+
+    def mean_lattice(self) -> Lattice:
+        """Return the lattice, origin included, whose points lie nearest to the known places (least squares)."""
+        design = np.column_stack([self.cells[self.known], np.ones(self.known.sum())])
+        fit = np.linalg.lstsq(design, self.places[self.known], rcond=None)[0]
+        return Lattice.from_basis(fit[:2], fit[2])
+
+    def resized(self, factor: int) -> Knots:
+        """Return the knots in an image of which each pixel here was the mean of ``factor`` x ``factor`` px."""
+        places = factor * self.places + (factor - 1) / 2
+        return Knots(self.parts, self.first, places, factor * self.slopes, self.correlation)
+
+    def positions(self, cells: Points) -> Points:
+        """Return the row and column, real-valued, of cell coordinates ``(..., 2)``, as ``(2, ...)``."""
+        return np.moveaxis((cells * self.parts - self.first)[..., ::-1], -1, 0)
+
+    def is_near(self, cells: Points) -> NDArray[np.bool_]:
+        """Return whether most of the four knots around cell coordinates ``(..., 2)`` are known."""
+        weight = ndimage.map_coordinates(self.known.astype(np.float64), self.positions(cells), order=1, mode="constant")
+        return np.asarray(weight > 0.49)
+
+    def locate(self, cells: Points) -> Points:
+        """Return the places (x, y) px of cell coordinates ``(..., 2)``, by cubic splines through the knots."""
+        at = self.positions(cells)
+        planes = np.moveaxis(self._continued, -1, 0)
+        return np.stack([ndimage.map_coordinates(plane, at, order=3, mode="nearest") for plane in planes], -1)
+
+    @cached_property
+    def _continued(self) -> Points:
+        """The places; a knot that was not found continues the slopes of those around it, from the known ones outward.
+
+        The array is framed by known values or their continuation, so that splines do not swing.
+        """
+        have = self.known.copy()
+        values = np.concatenate([self.places, self.slopes.reshape(*have.shape, 4)], -1)
+        values[~have] = 0
+        step = 1 / np.array(self.parts)
+        rows, columns = have.shape
+        while not have.all():
+            framed, marks = np.pad(values, ((1, 1), (1, 1), (0, 0))), np.pad(have, 1)
+            total, count = np.zeros_like(values), np.zeros(have.shape)
+            for i in (-1, 0, 1):
+                for j in (-1, 0, 1):
+                    box = np.s_[1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
+                    other, mark = framed[box].copy(), marks[box]
+                    slopes = other[..., 2:].reshape(rows, columns, 2, 2)
+                    other[..., :2] -= slopes @ (np.array([j, i]) * step)
+                    total += mark[..., np.newaxis] * other
+                    count += mark
+            new = ~have & (count > 0)
+            values[new] = total[new] / count[new][:, np.newaxis]
+            have = have | new
+        return values[..., :2]
+
+
+@dataclass(frozen=True)
+class Start:
+    """A place from which a lattice is followed.
+
+    Parameters
+    ----------
+    tile
+        The mean tile; the origin of its lattice does not matter.
+    cell
+        (u, v): cell coordinates of the place.
+    place
+        (x, y) px.
+    slopes
+        2 x 2 px: derivative of the place by the cell coordinates.
+    """
+
+    tile: Tile
+    cell: Points
+    place: Points
+    slopes: Points
+
+
+def grow_from(image: Values, start: Start, levels: tuple[float, ...], fine: bool = True) -> Knots:
+    """Follow a lattice from one place outward, and return the knots that were found.
+
+    At each knot the image is registered with the mean tile under a Gaussian window as broad as 1.2 tiles, for place and
+    affine distortion, starting from what its known neighbors predict. The knot that is best surrounded by well
+    correlated ones comes next. This is reliability-guided digital image correlation (B. Pan, Applied Optics 48, 2009),
+    with a periodic template. Unlike the displacements of :func:`~nrbench.tracking.tracker.track_lattice`, those found
+    here may have any slope: the window is strained like the image, and the next knot is predicted with that strain.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    start
+        Where to start.
+    levels
+        Correlation from which a knot counts as known, in each round; in all rounds after the first the known knots are
+        registered again with all their neighbors known.
+    fine
+        Whether knots lie about s / 2 apart, else s.
+    """
+    tile, s = start.tile, start.tile.lattice.s
+    matrix = tile.lattice.matrix
+    parts = _parts(tile.lattice, image.shape[:2], fine)
+    reach = _ROOM / 2 * math.hypot(*image.shape[:2])
+    heights = tile.lattice.area / np.hypot(*matrix.T)[::-1]
+    half = np.ceil(reach * parts / heights).astype(np.int64)
+    seed = np.rint(start.cell * parts).astype(np.int64)
+    columns, rows = 2 * half + 1
+    offsets, weights = _window(tile.lattice)
+    templates, slopes = _templates(tile, offsets, parts)
+    periods = np.maximum(parts, 1).astype(np.int64)
+    a, b = ((np.arange(n) + one) % period for n, one, period in zip((columns, rows), seed - half, periods, strict=True))
+    states, correlation = np.zeros((rows, columns, 6)), np.zeros((rows, columns))
+    distortion = np.linalg.solve(matrix, start.slopes.T).T
+    # The seed is a knot near the start.
+    place = start.place + start.slopes @ (seed / parts - start.cell)
+    states[half[1], half[0]] = *place, *distortion.ravel()
+    grow_knots(
+        np.ascontiguousarray(image, np.float32),
+        templates,
+        slopes,
+        np.ascontiguousarray(b[:, np.newaxis] * periods[0] + a),
+        offsets,
+        weights,
+        np.ascontiguousarray(matrix / parts[:, np.newaxis]),
+        states,
+        correlation,
+        half[::-1].copy(),
+        np.array([_NOISE / (_SPREAD * s) ** 2, _NOISE / _SPREAD**2]),
+        np.array(levels, np.float64),
+        _FARTHEST * s,
+        _LEAST_SEEN,
+    )
+    found = np.argwhere(correlation > 0)
+    (top, left), (bottom, right) = (found.min(0), found.max(0) + 1) if len(found) else (half[::-1], half[::-1] + 1)
+    box = np.s_[top:bottom, left:right]
+    return Knots(
+        (float(parts[0]), float(parts[1])),
+        (int(seed[0] - half[0] + left), int(seed[1] - half[1] + top)),
+        states[..., :2][box],
+        states[..., 2:].reshape(rows, columns, 2, 2)[box] @ matrix.T,
+        correlation[box],
+    )
+
+
+def _parts(lattice: Lattice, shape: tuple[int, int], fine: bool) -> NDArray[np.float64]:
+    """Return the numbers of knots for each lattice vector: powers of 2 times those of steps of about s."""
+    parts = (PARTS if fine else 1) * np.maximum(np.rint(np.hypot(*lattice.matrix.T) / lattice.s), 1)
+    while math.prod(shape) / lattice.area * math.prod(parts) > MOST_KNOTS:
+        # A vector is divided into a whole number of parts, or a part is a whole number of vectors.
+        parts = np.where(parts >= 2, parts // 2, np.where(parts > 1, 1.0, parts / 2))
+    return np.asarray(parts, np.float64)
+
+
+def _window(lattice: Lattice) -> tuple[Points, NDArray[np.float64]]:
+    """Return the points of a window, (x, y) px from its middle, and their weights, of sum 1."""
+    covariance = _WIDTH**2 * cell_covariance(lattice)
+    reach = np.ceil(_TRUNCATED * np.sqrt(np.diag(covariance)))
+    x, y = np.meshgrid(*(np.arange(-one, one + 1) for one in reach))
+    offsets = np.stack([x, y], -1).reshape(-1, 2)
+    distance = np.einsum("ni,ij,nj->n", offsets, np.linalg.inv(covariance), offsets)
+    inside = np.flatnonzero(distance <= _TRUNCATED**2)
+    chosen = inside[:: math.ceil(len(inside) / _MOST_SAMPLES)]
+    weights = np.exp(-distance[chosen] / 2)
+    return np.ascontiguousarray(offsets[chosen]), weights / weights.sum()
+
+
+def _templates(tile: Tile, offsets: Points, parts: NDArray[np.float64]) -> tuple[Values, Values]:
+    """Return the tile under the window of each phase of a knot, ``(p, n, C)``, and its slopes, ``(p, n, C, 2)``."""
+    periods = np.maximum(parts, 1)
+    u, v = np.meshgrid(*(np.arange(n) / n for n in periods))
+    middles = np.stack([u, v], -1).reshape(-1, 1, 2)
+    inverse = np.linalg.inv(tile.lattice.matrix)
+
+    def read(x: float, y: float) -> Values:
+        return sample_tile(tile.values, middles + (offsets + np.array([x, y])) @ inverse)
+
+    slopes = np.stack([(read(1, 0) - read(-1, 0)) / 2, (read(0, 1) - read(0, -1)) / 2], -1)
+    return read(0, 0), np.ascontiguousarray(slopes)

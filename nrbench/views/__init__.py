@@ -1,0 +1,1 @@
+"""Detection in overlapping views of an image whose lattice changes from place to place."""

@@ -1,0 +1,287 @@
+"""The lattice of an image that may be bent: detected in views, followed through the image, checked when straight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from nrbench.imaging.convert import Image
+from nrbench.lattice.comparison import lattice_error
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
+from nrbench.tracking.deformation import LEAST_AMPLITUDE, Deformation
+from nrbench.tracking.following import follow_lattice, follow_on, merit, probe, score, shrink_image
+from nrbench.tracking.growth import Knots
+from nrbench.tracking.tracker import MeanTile, Track, track_lattice
+
+__all__ = ["find_deformation"]
+
+LARGEST_VIEW: Final = 512
+"""px; largest side of a view other than the whole image."""
+_DETAIL: Final = 12.0
+"""px; least s of the image that the detector sees."""
+LEAST_VIEW: Final = 48
+"""px; smallest side of a view."""
+_PLACES = ((1, 1), (0, 0), (2, 2), (0, 2), (2, 0), (1, 0), (1, 2), (0, 1), (2, 1))
+"""Row and column, in half sides, of overlapping views of half the image's size, in the order in which they are used."""
+_PROMISING = 0.12
+"""Score of the first way of a view's lattice through the image from which it is followed."""
+_MOST_FOLLOWED = 4
+"""Number of the most promising views whose lattices are followed."""
+_COMPLETE = 0.7
+"""Score of a way through the image that agrees with another one, from which no third one is tried."""
+_MOST_CONFIRMED = 2
+"""Number of the best ways through the image whose lattices the detector is asked to confirm."""
+_ENOUGH = 0.6
+"""Confidence times score of an answer from which no further view is used."""
+_LEAST = 0.25
+"""The same, below which the answer is not used."""
+_STILL = 0.1
+"""Largest displacement, in s, of any whole tile of an image that is taken for straight without being followed."""
+_TRACKED = 0.9
+"""Share of the tiles that must be found in such an image."""
+_SAME = 0.04
+"""Tolerance, in s, at which two lattices count as the same."""
+
+
+def find_deformation(image: Image, detector: Detector, quick: Detector, lattice: Lattice | None = None) -> Deformation:
+    """Return the lattice of an image, and its deformation.
+
+    The detector looks at the whole image; fine detail of large elements is left out, because the lattice is measured
+    when it is followed. If the lattice that it finds lies in the image without deformation, this is
+    the answer. Otherwise lattices of the whole image and of overlapping views, from half the image's size down, are
+    followed through the image (:func:`~nrbench.tracking.following.follow_lattice`), and the straightened image is shown
+    to the detector again. The answer is the first one that the detector confirms, or the one of the highest confidence
+    times covered share.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    detector
+        The detector that finds the lattice of a straight image and confirms that of a straightened one.
+    quick
+        A faster detector, whose lattices of views are tried before those of ``detector``. It should rather be wrong
+        than silent: a wrong lattice cannot be followed.
+    lattice
+        The lattice, about as it is on average or somewhere in the image; None: it is detected.
+
+    Raises
+    ------
+    NoLatticeFound
+        If no view has a lattice that can be followed.
+    """
+    if lattice is not None:
+        return _follow_given(image, lattice)
+    detector = _Shrinking(detector, _detail_factor(image, quick))
+    first, reason = _look(detector, image)
+    if first is not None:
+        still = _still(image, first.lattice, first.confidence)
+        if still is not None:
+            return still
+    best: _Answer | None = None
+    for group in _proposals(image, (quick, detector), first):
+        for knots in _follow_all(image, group)[:_MOST_CONFIRMED]:
+            answer = _answer(image, detector, knots)
+            if answer is not None and (best is None or answer.worth > best.worth):
+                best = answer
+            if best is not None and best.worth >= _ENOUGH:
+                return Deformation.of(image, best.knots, best.confidence)
+    if best is not None and best.worth >= _LEAST:
+        return Deformation.of(image, best.knots, best.confidence)
+    if first is not None:
+        return _unmeasured(image, first)
+    raise NoLatticeFound(reason or "no view has a lattice that can be followed through the image")
+
+
+@dataclass(frozen=True)
+class _Shrinking:
+    """A detector that looks at an image shrunk by a factor."""
+
+    detector: Detector
+    factor: int
+
+    def detect(self, image: Image) -> Detection:
+        try:
+            return self._enlarged(self.detector.detect(shrink_image(image, self.factor)))
+        except NoLatticeFound as none:
+            raise NoLatticeFound(none.reason, none.best and self._enlarged(none.best)) from None
+
+    def _enlarged(self, detection: Detection) -> Detection:
+        x, y = detection.lattice.origin
+        origin = (self.factor * x + (self.factor - 1) / 2, self.factor * y + (self.factor - 1) / 2)
+        return replace(detection, lattice=Lattice.from_basis(self.factor * detection.lattice.matrix, origin))
+
+
+def _detail_factor(image: Image, quick: Detector) -> int:
+    """Return the factor by which an image may be shrunk: few lattices of views then have an s under 12 px.
+
+    Some are subcells, so their lower quartile counts.
+    """
+    periods = [lattice.s for lattice, _ in _look_at_views(image, quick)]
+    return max(1, int(float(np.quantile(periods, 0.25)) / _DETAIL)) if periods else 1
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """Knots, the confidence in their lattice, and the share of the image that they cover times their correlation."""
+
+    knots: Knots
+    confidence: float
+    score: float
+
+    @property
+    def worth(self) -> float:
+        """How well the lattice explains the image, where a supercell, whose window is too broad, explains less."""
+        return self.confidence * self.score
+
+
+def _look(detector: Detector, image: Image) -> tuple[Detection | None, str]:
+    """Return what a detector finds, or None and the reason."""
+    try:
+        return detector.detect(image), ""
+    except NoLatticeFound as none:
+        return None, none.reason
+
+
+_Proposal = tuple[Lattice, Points | None]
+"""A lattice, and the middle (x, y) px of the view that it comes from; None: of the whole image."""
+
+
+def _proposals(image: Image, detectors: tuple[Detector, ...], whole: Detection | None) -> Iterator[list[_Proposal]]:
+    """Yield groups of lattices of the whole image and of views, the most promising first.
+
+    A lattice from a view is as strained as the image is there, and often wrong. How far it can be followed tells.
+    """
+    first: list[_Proposal] = [] if whole is None else [(whole.lattice, None)]
+    for looker in detectors:
+        ranked = [
+            (-probe(image, lattice, middle), number, (lattice, middle))
+            for number, (lattice, middle) in enumerate(_look_at_views(image, looker))
+        ]
+        ranked = sorted((one for one in ranked if one[0] <= -_PROMISING), key=lambda one: one[:2])
+        yield [*first, *(proposal for _, _, proposal in ranked[:_MOST_FOLLOWED])]
+        first = []
+
+
+def _follow_all(image: Image, proposals: list[_Proposal]) -> list[Knots]:
+    """Follow lattices through an image until two ways agree, and return the ways, the best first."""
+    ways: list[tuple[float, int, Knots]] = []
+    for number, (lattice, middle) in enumerate(proposals):
+        knots = follow_lattice(image, lattice, middle)
+        if knots is None or score(knots, image) < _LEAST:
+            continue
+        mean = knots.mean_lattice()
+        agree = score(knots, image) >= _COMPLETE and any(_is_same(mean, way.mean_lattice()) for _, _, way in ways)
+        ways.append((-merit(image, knots), number, knots))
+        if agree:
+            break
+    kept: list[Knots] = []
+    for _, _, knots in sorted(ways, key=lambda way: way[:2]):
+        if not any(_is_same(knots.mean_lattice(), other.mean_lattice()) for other in kept):
+            kept.append(knots)
+    return kept
+
+
+def _look_at_views(image: Image, detector: Detector) -> Iterator[tuple[Lattice, Points]]:
+    """Yield the lattice of each view, from large views to small ones, and the middle (x, y) px of the view."""
+    height, width = image.shape[:2]
+    scale = 2
+    factor = detector.factor if isinstance(detector, _Shrinking) else 1
+    while min(height, width) // scale >= LEAST_VIEW * factor:
+        rows, columns = (min(side // scale, LARGEST_VIEW) for side in (height, width))
+        for row, column in _PLACES:
+            # Views of half the image's size overlap by half. Smaller ones are spread as far.
+            top, left = round((height - rows) * (1 + row) / 4), round((width - columns) * (1 + column) / 4)
+            if scale == 2:
+                top, left = (height - rows) * row // 2, (width - columns) * column // 2
+            lattice = _best_lattice(detector, image[top : top + rows, left : left + columns])
+            if lattice is not None:
+                yield lattice, np.array([left + (columns - 1) / 2, top + (rows - 1) / 2])
+        scale *= 2
+
+
+def _best_lattice(detector: Detector, view: Image) -> Lattice | None:
+    """Return the lattice that a detector finds, or its best candidate."""
+    try:
+        return detector.detect(view).lattice
+    except NoLatticeFound as none:
+        return none.best.lattice if none.best else None
+
+
+def _is_same(one: Lattice, other: Lattice) -> bool:
+    return lattice_error(one, other, (1, 1), 0.0, _SAME).relation == "exact"
+
+
+def _answer(image: Image, detector: Detector, knots: Knots) -> _Answer | None:
+    """Let the detector confirm or correct the lattice of knots on the straightened image."""
+    answer, change = _confirm(image, detector, knots)
+    if answer is not None or change is None:
+        return answer
+    other = follow_on(image, knots, change)
+    return None if other is None else _confirm(image, detector, other)[0]
+
+
+def _confirm(image: Image, detector: Detector, knots: Knots) -> tuple[_Answer | None, Points | None]:
+    """Return the answer if the detector finds the same lattice when the image is straight.
+
+    Otherwise return the cell coordinates of the vectors of the lattice that it finds instead; None if there is none.
+    """
+    deformation = Deformation.of(image, knots)
+    straight, lattice = deformation.rectify()
+    if min(straight.shape[:2]) < LEAST_VIEW:
+        return None, None
+    detection, _ = _look(detector, straight)
+    if detection is None:
+        return None, None
+    if _is_same(detection.lattice, lattice):
+        return _Answer(knots, detection.confidence, score(knots, image)), None
+    vectors = detection.lattice.matrix @ np.linalg.inv(knots.mean_lattice().matrix)
+    return None, vectors
+
+
+def _follow_given(image: Image, lattice: Lattice) -> Deformation:
+    still = _still(image, lattice, None)
+    if still is not None:
+        return still
+    knots = follow_lattice(image, lattice)
+    if knots is None:
+        raise NoLatticeFound("the given lattice cannot be followed through the image")
+    return Deformation.of(image, knots)
+
+
+def _still(image: Image, lattice: Lattice, confidence: float | None) -> Deformation | None:
+    """Return the answer for an image that is not bent: no whole tile lies off the lattice; None if it may be bent."""
+    track = _track(image, lattice)
+    if track is None or len(track.numbers) < 9:
+        return None
+    deformation = _from_track(track, confidence)
+    off = np.hypot(*deformation.field.T) / deformation.lattice.s
+    still = deformation.amplitude < LEAST_AMPLITUDE and off.max() < _STILL
+    return deformation if still and deformation.covered >= _TRACKED else None
+
+
+def _track(image: Image, lattice: Lattice) -> Track | None:
+    reduced = lattice.reduced()
+    tile = MeanTile.of(image, reduced)
+    return None if tile.flat else track_lattice(image, reduced, tile)
+
+
+def _from_track(track: Track, confidence: float | None) -> Deformation:
+    numbers = track.numbers.astype(np.float64)
+    places = track.locate(numbers)
+    design = np.column_stack([numbers, np.ones(len(numbers))])
+    fit = np.linalg.lstsq(design, places, rcond=None)[0]
+    lattice = Lattice.from_basis(fit[:2], fit[2])
+    correlation = np.full(len(numbers), float(np.median(track.correlation)))
+    return Deformation(track.image, lattice, numbers, places, correlation, track.tracked_share(0.5), confidence)
+
+
+def _unmeasured(image: Image, detection: Detection) -> Deformation:
+    """Return the lattice of the whole image where no deformation could be measured."""
+    points = detection.lattice.points(image.shape[:2])
+    cells = detection.lattice.to_cell(points)
+    return Deformation(image, detection.lattice, cells, points, np.zeros(len(cells)), 0.0, detection.confidence)

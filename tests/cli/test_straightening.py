@@ -1,0 +1,81 @@
+"""`nrbench lattice --straighten`: the lattice of a bent picture, and the picture made straight."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+import skimage.io
+
+import nrbench
+from nrbench.cli.main import main
+from nrbench.imaging.files import read_image, write_image
+from nrbench.lattice.geometry import Lattice
+
+
+def call(line: str) -> int:
+    """Run a command line in this process and return its exit code."""
+    with pytest.raises(SystemExit) as left:
+        main(shlex.split(line))
+    return int(left.value.code or 0)
+
+
+@pytest.fixture(autouse=True)
+def pictures() -> None:
+    """Write a bent and a straight picture into the current directory."""
+    for name, bend in (("bent", 0.5), ("straight", 0.0)):
+        write_image(Path(f"{name}.png"), nrbench.texture("weave", shape=(128, 128), seed=1, bend=bend).image)
+
+
+def test_a_bent_picture_is_straightened(capsys: pytest.CaptureFixture[str]) -> None:
+    """The straight picture repeats by the lattice that JSON states, and is not bent any more."""
+    assert call("lattice bent.png --straighten out.png -o overlay.png --json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["deformation"]["bent"] and shown["deformation"]["homography"] is None
+    assert shown["detector"] == "consensus" and 0 < shown["confidence"] <= 1
+    mean = Lattice(shown["t1"], shown["t2"])
+    again = nrbench.track_lattice(read_image(Path("out.png")), mean)
+    assert again.amplitude < shown["deformation"]["amplitude"] / 4
+    assert mean.is_equivalent(again.lattice, 0.02 * mean.s)
+    overlay, picture = read_image(Path("overlay.png")), read_image(Path("bent.png"))
+    assert overlay.shape == picture.shape and 0.02 < (np.abs(overlay - picture).max(-1) > 0.1).mean() < 0.3
+
+
+def test_a_straight_picture_is_written_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its lattice is that of the detector, and the text says that it is not bent."""
+    assert call("lattice straight.png --straighten out.png") == 0
+    assert "not bent" in capsys.readouterr().out
+    assert (read_image(Path("out.png")) == read_image(Path("straight.png"))).all()
+    assert call("lattice straight.png --json") == 0
+    detected = json.loads(capsys.readouterr().out)
+    assert call("lattice straight.png --straighten out.png --json") == 0
+    followed = json.loads(capsys.readouterr().out)
+    same = Lattice(detected["t1"], detected["t2"]).is_equivalent(Lattice(followed["t1"], followed["t2"]), 0.2)
+    assert same and not followed["deformation"]["bent"]
+
+
+def test_a_given_lattice_needs_no_detector(capsys: pytest.CaptureFixture[str]) -> None:
+    """It is followed from about the right vectors; neither detector nor confidence is stated."""
+    lattice = nrbench.texture("weave", shape=(128, 128), seed=1, bend=0.5).lattice
+    numbers = ",".join(f"{1.02 * number:.2f}" for number in (*lattice.t1, *lattice.t2))
+    assert call(f"lattice bent.png --lattice={numbers} --straighten out.png --json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["deformation"]["bent"] and "detector" not in shown
+    assert Lattice(shown["t1"], shown["t2"]).is_equivalent(lattice, 0.02 * lattice.s)
+
+
+def test_without_a_lattice_nothing_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+    """That there is no lattice is an answer, with exit code 0."""
+    skimage.io.imsave("constant.png", np.full((64, 64, 3), 99, np.uint8), check_contrast=False)
+    assert call("lattice constant.png --straighten out.png --json") == 0
+    assert json.loads(capsys.readouterr().out)["lattice"] is None and not Path("out.png").exists()
+
+
+@pytest.mark.parametrize("option", ["--all", "--pick", "--diagnostics d.png"])
+def test_misuse(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """One lattice is followed; the message names the options that do not fit."""
+    assert call(f"lattice bent.png --straighten out.png {option}") == 2
+    assert "leave --all, --pick and --diagnostics out" in capsys.readouterr().err
