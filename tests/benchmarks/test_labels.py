@@ -29,11 +29,11 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 
 
 def test_stored_labels_are_read(script: ModuleType) -> None:
-    """The stored file holds 340 outputs, each with the answers of two labellers to three questions and a grade."""
+    """The stored file holds 334 outputs, each with the answers of two labellers to three questions and a grade."""
     labels = script.read_labels(script.LABELS)
-    assert len(labels[script.OUTPUT].drop_duplicates()) == 340
+    assert len(labels[script.OUTPUT].drop_duplicates()) == 334
     counts = labels.groupby(["person", "question"]).size()
-    assert set(counts) == {340} and set(counts.index.get_level_values("question")) == {*QUESTIONS, script.GRADE}
+    assert set(counts) == {334} and set(counts.index.get_level_values("question")) == {*QUESTIONS, script.GRADE}
     assert set(counts.index.get_level_values("person")) == {"first", "second"}
     assert set(labels[labels["question"] == script.GRADE]["answer"]) == {1.0, 2.0, 3.0, 4.0, 5.0}
     assert labels["answer"].isna().sum() <= 2 and set(labels["lattice_source"]) == {"given"}
