@@ -27,6 +27,8 @@ from nrbench.suites.plan import Plan, Sample
 from nrbench.suites.suite import Suite
 
 T = TypeVar("T")
+TICK = 0.2
+"""Seconds between two checks whether the run is to stop."""
 
 
 @dataclass(frozen=True)
@@ -205,16 +207,22 @@ class _Runner:
         for tag, job in jobs:
             running[self._start(job)] = tag
             while len(running) >= most:
-                yield from _take_finished(running)
+                yield from self._take_finished(running)
             if self.options.stop.is_set():
                 break
+        while running:
+            yield from self._take_finished(running)
+        if self.options.stop.is_set():
+            raise KeyboardInterrupt
+
+    def _take_finished(self, running: dict[Future[Result], T]) -> Iterator[tuple[T, Future[Result]]]:
+        """Wait a moment, and yield the jobs that have ended. Once the run is to stop, drop those that wait."""
+        done, _ = wait(running, TICK, FIRST_COMPLETED)
         if self.options.stop.is_set():
             for future in [future for future in running if future.cancel()]:
                 running.pop(future)
-        while running:
-            yield from _take_finished(running)
-        if self.options.stop.is_set():
-            raise KeyboardInterrupt
+        for future in done:
+            yield running.pop(future), future
 
     def _start(self, job: Job | Result) -> Future[Result]:
         if isinstance(job, Job):
@@ -229,12 +237,6 @@ def _run_timed(run_job: RunJob, job: Job) -> Result:
     start = time.monotonic()
     result = run_job(job)
     return {**result, "wall": time.monotonic() - start}
-
-
-def _take_finished(running: dict[Future[Result], T]) -> Iterator[tuple[T, Future[Result]]]:
-    done, _ = wait(running, return_when=FIRST_COMPLETED)
-    for future in done:
-        yield running.pop(future), future
 
 
 def _detection_key(cell: Cell) -> str:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import psutil
@@ -20,8 +21,10 @@ import skimage.io
 from nrbench.api import changed, run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
-from nrbench.running.runner import Options
+from nrbench.running.runner import TICK, Options, _Runner
+from nrbench.running.supervisor import Job
 from nrbench.runs.records import Run
+from nrbench.runs.store import Result, RunDirectory
 from nrbench.suites.cell import Cell
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import Suite, validated_suite
@@ -117,6 +120,24 @@ def test_killed_halfway_it_resumes_to_the_same_table(whole: Run, tmp_path: Path)
     assert not left.value.code
     assert scores(Run(tmp_path / "broken")) == scores(whole)
     assert outputs(Run(tmp_path / "broken")) == outputs(whole)
+
+
+def test_a_stopped_run_drops_the_jobs_that_wait(tmp_path: Path) -> None:
+    """Once the run is to stop, the job that runs ends and is counted; the one that waits for its turn never starts."""
+    options, started, ended = Options(jobs=1), [], []
+
+    def work(job: Job) -> Result:
+        started.append(job.folder)
+        options.stop.set()
+        time.sleep(2 * TICK)
+        return {"status": "ok", "message": ""}
+
+    jobs = [(name, Job("cell", name, 1.0, 1.0)) for name in ("first", "second", "third")]
+    with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
+        runner = _Runner(RunDirectory(tmp_path), options, [], lambda job: pool.submit(work, job))
+        for name, _ in runner._run_jobs(jobs):
+            ended.append(name)
+    assert started == ended == ["first"]
 
 
 def test_scores_are_keyed_apart(first: Run, tmp_path: Path) -> None:
