@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 from nrbench import plugins
+from nrbench.errors import BadInput
 from nrbench.imaging.files import write_image
 from nrbench.plugins.forms import FoundLattice
 from nrbench.running.executors import RunJob, executor
+from nrbench.running.phases import InvalidOutput, read_output
 from nrbench.running.progress import Pace, Progress, Step
 from nrbench.running.supervisor import Job
 from nrbench.runs.records import Run
@@ -178,7 +180,7 @@ class _Runner:
         result = where.result()
         if result is not None and is_cached(self.directory, cell, self.metrics, retry):
             return result
-        if result is None or (retry and result["status"] in FAILED):
+        if result is None or (retry and (result["status"] in FAILED or not _has_its_output(where, result))):
             _prepare(where, cell, sample)
         elif retry:
             for file in where.failed_scores(self.metrics):
@@ -237,6 +239,14 @@ def _run_timed(run_job: RunJob, job: Job) -> Result:
     start = time.monotonic()
     result = run_job(job)
     return {**result, "wall": time.monotonic() - start}
+
+
+def _has_its_output(where: CellFolder, result: Result) -> bool:
+    """Return whether the output of a cell is as its method returned it; also true if the method returned none."""
+    try:
+        return result["status"] != "ok" or read_output(where, result).size > 0
+    except (BadInput, InvalidOutput):
+        return False
 
 
 def _detection_key(cell: Cell) -> str:
