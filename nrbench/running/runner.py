@@ -111,7 +111,7 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     options
         How to run it.
     progress
-        Called after each cell.
+        Called after each cell with a :class:`~nrbench.running.progress.Step`.
 
     Raises
     ------
