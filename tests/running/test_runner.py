@@ -24,7 +24,7 @@ from nrbench.errors import BadInput
 from nrbench.running.runner import TICK, Options, _Runner
 from nrbench.running.supervisor import Job
 from nrbench.runs.records import Run
-from nrbench.runs.store import Result, RunDirectory
+from nrbench.runs.store import CellFolder, Result, RunDirectory
 from nrbench.suites.cell import Cell
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import Suite, validated_suite
@@ -168,6 +168,23 @@ def test_reuse_copies_results_of_equal_key(whole: Run, tmp_path: Path) -> None:
     second = run(small(), out=tmp_path / "second", options=Options(jobs=0, reuse=whole.root))
     for old, new in zip(whole.cells, second.cells, strict=True):
         assert (old.folder / "result.json").read_bytes() == (new.folder / "result.json").read_bytes()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="makes links")
+def test_reuse_follows_no_links(tmp_path: Path) -> None:
+    """Links in another run, or a link in place of a cell's folder, may lead anywhere: nothing behind them is copied."""
+    theirs, ours = RunDirectory(tmp_path / "theirs"), RunDirectory(tmp_path / "ours")
+    result: Result = {"status": "ok", "message": ""}
+    secret = tmp_path / "secret"
+    secret.mkdir()
+    CellFolder(secret).write_result(result)
+    theirs.cell("aa").write_result(result)
+    (theirs.cell("aa").path / "log.txt").symlink_to(secret / "result.json")
+    theirs.cell("bb").path.symlink_to(secret)
+    ours.cell("cc").path.mkdir(parents=True)
+    ours.copy_cells(theirs, ["aa", "bb"])
+    assert [file.name for file in ours.cell("aa").path.iterdir()] == ["result.json"]
+    assert not ours.cell("bb").path.exists()
 
 
 def test_a_detector_finds_each_lattice_once(tmp_path: Path) -> None:
