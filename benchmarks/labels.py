@@ -175,7 +175,8 @@ def main(path: Path, photographs: str) -> None:
         return
     for one, other in itertools.combinations(answers[MORE.name].columns, 2):
         print_kappa(f"{MORE.name}: {one} and {other}", answers[MORE.name][one], answers[MORE.name][other])
-    print_steps(table, answers[LATTICE.name])
+    if LATTICE.name in answers:
+        print_steps(table, answers[LATTICE.name])
     asked = GRADE if GRADE in answers else MORE.name
     table["same"] = answers[asked].mean(axis=1).to_numpy()
     known = table[table[MORE.column].notna() & table["same"].notna()]

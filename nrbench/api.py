@@ -284,9 +284,10 @@ def run(
     out
         The run directory; ``runs/SUITE`` if None.
     progress
-        Called after each cell.
+        Called after each cell with a :class:`~nrbench.running.progress.Step`.
     options
-        How to run: jobs, limits, and so on.
+        How to run: jobs, limits, and so on. An interrupt (Ctrl-C) stops at once. ``options.stop.set()``, called in
+        ``progress`` or in another thread, lets the running cells end first. Both raise KeyboardInterrupt.
     changes
         Other keys of the suite: ``seed``, ``replicates``, ``sample``, ``size``.
     """

@@ -40,7 +40,12 @@ def _plan_options(command: F) -> F:
             click.option("--replicates", type=click.IntRange(1), help="Number of draws of each texture."),
             click.option("--out", type=_PATH, help="Run directory.  [default: runs/SUITE]"),
             click.option("--retry-failed", is_flag=True, help="Run failed cells again."),
-            click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output."),
+            click.option(
+                "--json",
+                "as_json",
+                is_flag=True,
+                help="Print JSON on standard output; `run` also prints each cell as a line of JSON on standard error.",
+            ),
         ]
     ):
         command = option(command)

@@ -22,7 +22,7 @@ from nrbench.imaging.convert import MIN_SIDE, Image, as_image, to_bytes
 
 ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
 """Endings of picture files."""
-_DIRECT = {"L", "LA", "RGB", "RGBA", "I;16"}
+_DIRECT = {"L", "LA", "RGB", "RGBA"}
 _VIA = {"1": "L", "P": "RGB", "CMYK": "RGB", "YCbCr": "RGB", "LAB": "RGB", "HSV": "RGB"}
 _VIA_ALPHA = dict.fromkeys(("1", "L", "LA"), "LA")
 """Modes to which pictures with transparency are converted; the others become RGBA."""

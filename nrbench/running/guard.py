@@ -24,6 +24,8 @@ MEMORY_TICK = 0.1
 MIB = 1 << 20
 LONG_LOG, SHORT_LOG = 16 << 20, 1 << 20
 """Bytes of a log above which it is cut, and bytes that are kept of it."""
+_TEXTS = ("status", "message", "scored")
+"""Entries of a message that are text if they are there. A child may write anything else."""
 MARK = "NRBENCH_RUN"
 """Environment variable that holds a mark of the process that started a worker; all that a worker starts inherits it."""
 
@@ -172,15 +174,16 @@ class Watch:
 
 
 def shorten(log: Path | None) -> None:
-    """Cut a log that has grown long: only its end is kept. The child goes on appending to it."""
-    if log is None or not log.is_file() or log.stat().st_size <= LONG_LOG:
-        return
-    with log.open("rb") as file:
-        file.seek(-SHORT_LOG, os.SEEK_END)
-        end = file.read(SHORT_LOG)
-    os.truncate(log, 0)
-    with log.open("ab") as file:
-        file.write(b"[the beginning of this log was cut off]\n" + end)
+    """Cut a log that has grown long: only its end is kept. The child goes on appending to it, and may remove it."""
+    with contextlib.suppress(OSError):
+        if log is None or not log.is_file() or log.stat().st_size <= LONG_LOG:
+            return
+        with log.open("rb") as file:
+            file.seek(-SHORT_LOG, os.SEEK_END)
+            end = file.read(SHORT_LOG)
+        os.truncate(log, 0)
+        with log.open("ab") as file:
+            file.write(b"[the beginning of this log was cut off]\n" + end)
 
 
 def parse_message(line: str | bytes) -> Message | None:
@@ -189,7 +192,9 @@ def parse_message(line: str | bytes) -> Message | None:
         message = json.loads(line)
     except ValueError:
         return None
-    return cast("Message", message) if isinstance(message, dict) else None
+    if not isinstance(message, dict) or not all(isinstance(message.get(name, ""), str) for name in _TEXTS):
+        return None
+    return cast("Message", message)
 
 
 def resident(pid: int) -> tuple[int, int]:

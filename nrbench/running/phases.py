@@ -73,7 +73,7 @@ def render(folder: Path, send: Send) -> None:
     except BadInput as error:
         send({"status": "invalid", "message": str(error)})
     except FAULTS as error:
-        _send_error(error, send)
+        send_error(error, send)
 
 
 def _describe(texture: Texture) -> dict[str, Any]:
@@ -111,7 +111,7 @@ def detect(folder: Path, send: Send) -> None:
     try:
         detection = timed_detection(detector, _frozen(read_image(where.sample)))
     except FAULTS as error:
-        _send_error(error, send)
+        send_error(error, send)
         return
     send(cast("Message", {"status": "ok", "message": detection.reason, **detection.as_dict()}))
 
@@ -132,17 +132,17 @@ def synthesize(folder: Path, send: Send) -> None:
     except MemoryError:
         send({"status": "memory", "message": "ran out of the memory it may use"})
     except FAULTS as error:
-        _send_error(error, send)
+        send_error(error, send)
 
 
-def _send_error(error: BaseException, send: Send) -> None:
+def send_error(error: BaseException, send: Send) -> None:
     """Send the message of an error: status ``storage`` if a disk is full or broken, else ``error``."""
     traceback.print_exc()
     disk = storage_fault(error)
     if disk is not None:
         send({"status": "storage", "message": f"{disk.filename or 'disk'}: {disk.strerror}"})
     else:
-        send({"status": "error", "message": _error_text(error)})
+        send({"status": "error", "message": describe_error(error)})
 
 
 def _synthesize(where: CellFolder, cell: Cell) -> Result:
@@ -334,7 +334,7 @@ def report(folder: Path, send: Send) -> None:
         written = [str(path) for path in plugin.write(run, run.root / wanted["folder"])]
         send({"status": "ok", "message": "", "written": written})
     except FAULTS as error:
-        _send_error(error, send)
+        send_error(error, send)
 
 
 def score(folder: Path, metrics: Iterable[str], send: Send) -> None:
@@ -349,7 +349,7 @@ def score(folder: Path, metrics: Iterable[str], send: Send) -> None:
             _write_score(where, metric, score_observation(observation, metric))
         except FAULTS as error:
             if storage_fault(error) is not None:
-                _send_error(error, send)
+                send_error(error, send)
                 return
             traceback.print_exc()
             where.write_failed_score(metric, failure_reason(error))
@@ -384,11 +384,7 @@ def score_observation(observation: Observation, metric: str) -> Score:
 
 def failure_reason(error: BaseException) -> str:
     """Return the reason that is written for every column of a metric that raised an error."""
-    return f"failed: {_error_text(error)}"
-
-
-def _error_text(error: BaseException) -> str:
-    return describe_error(error)
+    return f"failed: {describe_error(error)}"
 
 
 def _checked_values(score: Score, columns: Mapping[str, Column]) -> dict[str, Value]:
@@ -416,9 +412,7 @@ def observe(where: CellFolder, cell: Cell) -> Observation:
     cost = {name: measured[name] for name in names if measured.get(name) is not None}
     if cell.detected is not None:
         cost["detection_seconds"] = cell.detected.seconds
-    output, used = _frozen(read_image(where.output, smallest=1)), result.get("lattice_used")
-    if pixels_hash(output) != result.get("output_hash", pixels_hash(output)):
-        raise InvalidOutput("output.png has changed since the method returned it; run the cell again")
+    output, used = _frozen(read_output(where, result)), result.get("lattice_used")
     return Observation(
         sample=sample,
         output=output,
@@ -432,6 +426,22 @@ def observe(where: CellFolder, cell: Cell) -> Observation:
         cost={**cost, "side_by_side": float(result.get("side_by_side", 0))},
         detected=cell.detected,
     )
+
+
+def read_output(where: CellFolder, result: Result) -> Image:
+    """Return the output of a cell, from its file.
+
+    Raises
+    ------
+    BadInput
+        When the file is missing or damaged.
+    InvalidOutput
+        When its pixels are not those that the method returned.
+    """
+    output = read_image(where.output, smallest=1)
+    if pixels_hash(output) != result.get("output_hash", pixels_hash(output)):
+        raise InvalidOutput("output.png has changed since the method returned it; --retry-failed runs the cell again")
+    return output
 
 
 def _truth(cell: Cell, sample: Image) -> tuple[Texture, Again | None]:

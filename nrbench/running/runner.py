@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 from nrbench import plugins
+from nrbench.errors import BadInput
 from nrbench.imaging.files import write_image
 from nrbench.plugins.forms import FoundLattice
 from nrbench.running.executors import RunJob, executor
+from nrbench.running.phases import InvalidOutput, read_output
 from nrbench.running.progress import Pace, Progress, Step
 from nrbench.running.supervisor import Job
 from nrbench.runs.records import Run
@@ -27,6 +29,8 @@ from nrbench.suites.plan import Plan, Sample
 from nrbench.suites.suite import Suite
 
 T = TypeVar("T")
+TICK = 0.2
+"""Seconds between two checks whether the run is to stop."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +111,7 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     options
         How to run it.
     progress
-        Called after each cell.
+        Called after each cell with a :class:`~nrbench.running.progress.Step`.
 
     Raises
     ------
@@ -176,7 +180,7 @@ class _Runner:
         result = where.result()
         if result is not None and is_cached(self.directory, cell, self.metrics, retry):
             return result
-        if result is None or (retry and result["status"] in FAILED):
+        if result is None or (retry and (result["status"] in FAILED or not _has_its_output(where, result))):
             _prepare(where, cell, sample)
         elif retry:
             for file in where.failed_scores(self.metrics):
@@ -205,16 +209,22 @@ class _Runner:
         for tag, job in jobs:
             running[self._start(job)] = tag
             while len(running) >= most:
-                yield from _take_finished(running)
+                yield from self._take_finished(running)
             if self.options.stop.is_set():
                 break
+        while running:
+            yield from self._take_finished(running)
+        if self.options.stop.is_set():
+            raise KeyboardInterrupt
+
+    def _take_finished(self, running: dict[Future[Result], T]) -> Iterator[tuple[T, Future[Result]]]:
+        """Wait a moment, and yield the jobs that have ended. Once the run is to stop, drop those that wait."""
+        done, _ = wait(running, TICK, FIRST_COMPLETED)
         if self.options.stop.is_set():
             for future in [future for future in running if future.cancel()]:
                 running.pop(future)
-        while running:
-            yield from _take_finished(running)
-        if self.options.stop.is_set():
-            raise KeyboardInterrupt
+        for future in done:
+            yield running.pop(future), future
 
     def _start(self, job: Job | Result) -> Future[Result]:
         if isinstance(job, Job):
@@ -231,10 +241,12 @@ def _run_timed(run_job: RunJob, job: Job) -> Result:
     return {**result, "wall": time.monotonic() - start}
 
 
-def _take_finished(running: dict[Future[Result], T]) -> Iterator[tuple[T, Future[Result]]]:
-    done, _ = wait(running, return_when=FIRST_COMPLETED)
-    for future in done:
-        yield running.pop(future), future
+def _has_its_output(where: CellFolder, result: Result) -> bool:
+    """Return whether the output of a cell is as its method returned it; also true if the method returned none."""
+    try:
+        return result["status"] != "ok" or read_output(where, result).size > 0
+    except (BadInput, InvalidOutput):
+        return False
 
 
 def _detection_key(cell: Cell) -> str:

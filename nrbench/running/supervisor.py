@@ -86,12 +86,13 @@ class RequestRunner(Protocol):
 
 def perform_job(job: Job, runner: RequestRunner) -> Result:
     """Run the phases of a job; return the result, as written to ``result.json``."""
-    where = CellFolder(Path(job.folder))
+    where, phase = CellFolder(Path(job.folder)), "detect" if job.kind == "detect" else "synthesize"
     try:
         if job.kind == "detect":
             return _detect(job, where, runner)
         result = where.result() or _synthesize(job, where, runner)
         if result["status"] == "ok":
+            phase = "score"
             _score(job, where, runner)
             if where.result() is None:  # a plugin removed or garbled it
                 where.write_result(result)
@@ -99,7 +100,7 @@ def perform_job(job: Job, runner: RequestRunner) -> Result:
     except Exception as error:
         if storage_fault(error) is not None:
             raise
-        result = {"status": "crash", "message": describe_error(error), "phase": "synthesize"}
+        result = {"status": "crash", "message": describe_error(error), "phase": phase}
         with contextlib.suppress(OSError):
             shutil.rmtree(where.result_file, ignore_errors=True)  # where a plugin has put a folder
             where.write_result(result)
@@ -314,11 +315,13 @@ def _run_in_fresh_interpreter(request: Request, wanted: Callable[[], bool]) -> R
         log=request.log,
         wanted=wanted,
     )
-    broken = watch.watch()
-    guard.sweep(child.pid)
-    code = child.wait()
-    guard.sweep_marked(mark)
-    shutil.rmtree(request.temporary, ignore_errors=True)
+    try:
+        broken = watch.watch()
+    finally:  # also at an interrupt
+        guard.sweep(child.pid)
+        code = child.wait()
+        guard.sweep_marked(mark)
+        shutil.rmtree(request.temporary, ignore_errors=True)
     return Reply.of(watch.ending(broken, code))
 
 

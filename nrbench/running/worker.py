@@ -15,7 +15,6 @@ import signal
 import sys
 import tempfile
 import threading
-import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,6 @@ from typing import Any, Literal, cast
 import psutil
 
 from nrbench import plugins
-from nrbench.errors import describe_error
 from nrbench.jit import load_kernels
 from nrbench.running import guard, phases
 from nrbench.running.guard import Message
@@ -91,7 +89,7 @@ class Reply:
 
     def to_json(self) -> str:
         """Return the reply as one line of JSON."""
-        return json.dumps({**self.result, "scored": self.scored})
+        return json.dumps({**self.result, "metrics": self.scored})
 
     @classmethod
     def from_json(cls, line: str) -> Reply | None:
@@ -99,7 +97,7 @@ class Reply:
         content: Any = guard.parse_message(line)
         if content is None or "status" not in content:
             return None
-        scored = tuple(content.pop("scored", ()))
+        scored = tuple(content.pop("metrics", ()))
         return cls(content, scored)
 
     @classmethod
@@ -206,9 +204,8 @@ def _child(request: Request, writable: int, limits: guard.Limits) -> None:
         perform(request, lambda message: _send(writable, message))
         code = 0
     except BaseException as error:
-        traceback.print_exc()
         with contextlib.suppress(OSError):
-            _send(writable, {"status": "error", "message": describe_error(error)})
+            phases.send_error(error, lambda message: _send(writable, message))
             code = 0
     finally:
         with contextlib.suppress(Exception):
@@ -270,9 +267,12 @@ def main() -> None:
     if "--once" in arguments:
         guard.die_with_parent()
         request = Request.from_json(sys.stdin.readline())
-        _use_temporary(request.temporary)
-        guard.confine(guard.Limits(request.seconds, request.mib))
-        perform(request, lambda message: write(json.dumps(message)))
+        try:
+            _use_temporary(request.temporary)
+            guard.confine(guard.Limits(request.seconds, request.mib))
+            perform(request, lambda message: write(json.dumps(message)))
+        except BaseException as error:
+            phases.send_error(error, lambda message: write(json.dumps(message)))
         sys.stderr.flush()
         os._exit(0)
     guard.adopt_orphans()

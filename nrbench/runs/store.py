@@ -332,9 +332,11 @@ class RunDirectory:
             yield
 
     def copy_cells(self, other: RunDirectory, keys: Iterable[str]) -> None:
-        """Copy the finished cells of another run that have these keys and no result here."""
+        """Copy the finished cells of another run that have these keys and no result here; links are not followed."""
         for key in keys:
             theirs, ours = other.cell(key), self.cell(key)
+            if theirs.path.is_symlink():
+                continue
             if theirs.result() is not None and ours.result() is None:
                 ours.clear()
                 aside = ours.path.with_name(f".{key}")

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import psutil
@@ -20,8 +21,10 @@ import skimage.io
 from nrbench.api import changed, run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
-from nrbench.running.runner import Options
+from nrbench.running.runner import TICK, Options, _Runner
+from nrbench.running.supervisor import Job
 from nrbench.runs.records import Run
+from nrbench.runs.store import CellFolder, Result, RunDirectory
 from nrbench.suites.cell import Cell
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import Suite, validated_suite
@@ -119,6 +122,24 @@ def test_killed_halfway_it_resumes_to_the_same_table(whole: Run, tmp_path: Path)
     assert outputs(Run(tmp_path / "broken")) == outputs(whole)
 
 
+def test_a_stopped_run_drops_the_jobs_that_wait(tmp_path: Path) -> None:
+    """Once the run is to stop, the job that runs ends and is counted; the one that waits for its turn never starts."""
+    options, started, ended = Options(jobs=1), [], []
+
+    def work(job: Job) -> Result:
+        started.append(job.folder)
+        options.stop.set()
+        time.sleep(2 * TICK)
+        return {"status": "ok", "message": ""}
+
+    jobs = [(name, Job("cell", name, 1.0, 1.0)) for name in ("first", "second", "third")]
+    with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
+        runner = _Runner(RunDirectory(tmp_path), options, [], lambda job: pool.submit(work, job))
+        for name, _ in runner._run_jobs(jobs):
+            ended.append(name)
+    assert started == ended == ["first"]
+
+
 def test_scores_are_keyed_apart(first: Run, tmp_path: Path) -> None:
     """With a score removed only that score is computed again; the synthesis is not repeated."""
     record = first.cells[0]
@@ -147,6 +168,23 @@ def test_reuse_copies_results_of_equal_key(whole: Run, tmp_path: Path) -> None:
     second = run(small(), out=tmp_path / "second", options=Options(jobs=0, reuse=whole.root))
     for old, new in zip(whole.cells, second.cells, strict=True):
         assert (old.folder / "result.json").read_bytes() == (new.folder / "result.json").read_bytes()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="makes links")
+def test_reuse_follows_no_links(tmp_path: Path) -> None:
+    """Links in another run, or a link in place of a cell's folder, may lead anywhere: nothing behind them is copied."""
+    theirs, ours = RunDirectory(tmp_path / "theirs"), RunDirectory(tmp_path / "ours")
+    result: Result = {"status": "ok", "message": ""}
+    secret = tmp_path / "secret"
+    secret.mkdir()
+    CellFolder(secret).write_result(result)
+    theirs.cell("aa").write_result(result)
+    (theirs.cell("aa").path / "log.txt").symlink_to(secret / "result.json")
+    theirs.cell("bb").path.symlink_to(secret)
+    ours.cell("cc").path.mkdir(parents=True)
+    ours.copy_cells(theirs, ["aa", "bb"])
+    assert [file.name for file in ours.cell("aa").path.iterdir()] == ["result.json"]
+    assert not ours.cell("bb").path.exists()
 
 
 def test_a_detector_finds_each_lattice_once(tmp_path: Path) -> None:

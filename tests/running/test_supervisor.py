@@ -159,17 +159,31 @@ def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
 
 
 def test_an_output_that_was_changed_is_not_scored(faulty_run: FaultyRun) -> None:
-    """Scores are of the pixels that the method returned: an output that another program overwrote gets none."""
+    """Scores are of the pixels that the method returned: an output that another program overwrote or removed gets none.
+
+    `retry_failed` makes it again.
+    """
     suite, options = small_suite(["fine"]), Options(jobs=0)
     done = faulty_run(suite, options)
     (record,) = done.cells
     (record.folder / "output.png").write_bytes((record.folder / "sample.png").read_bytes())
     picture = read_image(record.folder / "output.png")
     write_image(record.folder / "output.png", 1 - picture)
-    shutil.rmtree(record.folder / "scores")
+    causes = ["has changed since the method returned it", "there is no such file"]
     with registered_faults():
-        (again,) = run(suite, out=done.root, options=Options(jobs=1)).cells
-    assert "has changed since the method returned it" in again.reasons["cost.seconds"]
+        for cause in causes:
+            shutil.rmtree(record.folder / "scores")
+            (again,) = run(suite, out=done.root, options=Options(jobs=1)).cells
+            assert cause in again.reasons["cost.seconds"]
+            (again,) = run(suite, out=done.root, options=Options(jobs=1, retry_failed=True)).cells
+            assert again.values["cost.seconds"] is not None
+            (record.folder / "output.png").unlink()
+
+
+@pytest.mark.parametrize("line", ['{"scored": ["cost"]}', '{"status": 3}', '{"message": null}', "[1]", "\udcff", "x"])
+def test_what_is_no_message_is_ignored(line: str) -> None:
+    """A line that a child writes in place of a message, with entries of other types, counts as no message."""
+    assert guard.parse_message(line) is None
 
 
 def test_a_long_log_keeps_its_end(tmp_path: Path) -> None:
