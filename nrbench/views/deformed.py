@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from nrbench.imaging.convert import Image
+from nrbench.imaging.convert import Image, shrink
 from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
 from nrbench.tracking.deformation import LEAST_AMPLITUDE, Deformation
-from nrbench.tracking.following import follow_lattice, follow_on, merit, probe, score, shrink_image
+from nrbench.tracking.following import follow_lattice, follow_on, merit, probe, score
 from nrbench.tracking.growth import Knots
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
@@ -106,7 +106,7 @@ class _Shrinking:
 
     def detect(self, image: Image) -> Detection:
         try:
-            return self._enlarged(self.detector.detect(shrink_image(image, self.factor)))
+            return self._enlarged(self.detector.detect(shrink(image, self.factor)))
         except NoLatticeFound as none:
             raise NoLatticeFound(none.reason, none.best and self._enlarged(none.best)) from None
 

@@ -10,12 +10,12 @@ from scipy import ndimage
 
 from nrbench import texture
 from nrbench.detectors.agreement.evidence import Evidence
-from nrbench.detectors.agreement.likeness import compute_likeness, shrink, views
+from nrbench.detectors.agreement.likeness import compute_likeness, views
 from nrbench.detectors.agreement.search import propose_lattices
 from nrbench.detectors.agreement.short_list import Rival, Traits, classify, reclassify, share_certainty
 from nrbench.detectors.consensus import Consensus
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import Image, quantize, shrink
 from nrbench.lattice.comparison import lattice_error, relate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Detection, NoLatticeFound, Probabilities
@@ -155,7 +155,6 @@ def test_few_neighbors_of_faint_lattices_are_fitted(monkeypatch: pytest.MonkeyPa
     for basis in faint:
         search.find_finest(basis)
     assert faint and len(fits) < 30 * len(faint)
-
 
 
 def test_large_images_have_exact_lattices() -> None:
