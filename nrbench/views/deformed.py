@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, shrink
 from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice, Points
@@ -73,6 +74,8 @@ def find_deformation(image: Image, detector: Detector, quick: Detector, lattice:
     ------
     NoLatticeFound
         If no view has a lattice that can be followed.
+    BadInput
+        If the image holds fewer than two cells of the given lattice.
     """
     if lattice is not None:
         return _follow_given(image, lattice)
@@ -244,6 +247,12 @@ def _confirm(image: Image, detector: Detector, knots: Knots) -> tuple[_Answer | 
 
 
 def _follow_given(image: Image, lattice: Lattice) -> Deformation:
+    height, width = image.shape[:2]
+    if lattice.area > height * width / 2 or np.hypot(*lattice.reduced().t2) > np.hypot(height, width):
+        raise BadInput(
+            f"lattice {lattice.t1}, {lattice.t2}: an image of {width}x{height} px holds fewer than two cells of it; "
+            "give the vectors of a smaller cell, in px"
+        )
     still = _still(image, lattice, None)
     if still is not None:
         return still
