@@ -88,3 +88,9 @@ def test_a_lattice_that_was_not_followed_is_not_called_straight() -> None:
     image, nothing = np.zeros((64, 64, 1), np.float32), np.zeros((1, 2))
     found = Deformation(image, Lattice((16, 0), (0, 16)), nothing, nothing, np.zeros(1), covered=0.0, confidence=0.7)
     assert "not known" in describe_deformation(found) and "not bent" not in describe_deformation(found)
+
+
+def test_two_pictures_need_two_names(capsys: pytest.CaptureFixture[str]) -> None:
+    """One would replace the other one; nothing is written."""
+    assert call("lattice bent.png --straighten out.png -o ./out.png") == 2
+    assert "would be written twice" in capsys.readouterr().err and not Path("out.png").exists()
