@@ -110,7 +110,7 @@ def track_lattice(
     NoLatticeFound
         If no lattice is found that can be followed through the image.
     BadInput
-        For a bad image, lattice, detector or parameter.
+        For a bad image, lattice, detector or parameter, or if the image holds fewer than two cells of the lattice.
 
     Examples
     --------

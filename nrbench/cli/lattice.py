@@ -102,10 +102,14 @@ def lattice_command(
         raise BadInput(f"--diagnostics: draws how one detector works; leave {chosen[0]} out")
     if straighten is not None and (every or pick or diagnostics is not None):
         raise BadInput("--straighten: follows one lattice; leave --all, --pick and --diagnostics out")
+    written: set[Path] = set()
     for path in filter(None, (output, diagnostics, straighten)):
         check_output(path)
         if path.resolve() == image.resolve():
             raise BadInput(f"{path}: is the picture itself, which would be lost; choose another name")
+        if path.resolve() in written:
+            raise BadInput(f"{path}: would be written twice; choose another name for one of the pictures")
+        written.add(path.resolve())
     picture = read_image(image)
     if straighten is not None:
         from nrbench.cli.straightening import straighten_picture

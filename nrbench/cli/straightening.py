@@ -63,6 +63,8 @@ def describe_deformation(found: Deformation) -> str:
     """Return the mean lattice and the deformation in one line of text."""
     t1, t2 = (f"({x:.3f}, {y:.3f})" for x, y in (found.lattice.t1, found.lattice.t2))
     vectors = f"t1 = {t1} px, t2 = {t2} px"
+    if not found.covered:
+        return f"{vectors}, could not be followed: whether the image is bent is not known"
     if not found.bent:
         return f"{vectors}, not bent"
     kind = "smooth displacements" if found.homography is None else "a homography (perspective)"

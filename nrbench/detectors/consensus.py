@@ -179,7 +179,7 @@ class Consensus:
             If the image is constant or no lattice is stable. Unless ``reject`` is ``"none"``, also if the best lattice
             may have occurred by chance.
         """
-        if np.ptp(image, (0, 1)).max() == 0:
+        if (image[0] == image[0, 0]).all() and (image == image[0]).all():
             raise NoLatticeFound("the image is constant: it has no texture")
         search, proposals = self._prepare(image)
         detection = search.detect(proposals)
@@ -354,11 +354,12 @@ class _Search:
         }
         candidates = [basis for bases in fitted.values() for basis in bases]
         stable = [lattice.basis for lattice in self.detector.find_stable(self.pooled, candidates)]
+        short_list = ShortList(self.pooled, self.structure, partial(self.detector.merit, self.pooled))
+        stable = [basis for basis in stable if short_list.is_possible(basis)]
         if not stable:
             raise NoLatticeFound("no two peaks of the correlation generate a lattice by which the image repeats")
         role, partner = self._find_partner(stable[0])
         fitted["consensus"] = [] if partner is None else [partner]
-        short_list = ShortList(self.pooled, self.structure, partial(self.detector.merit, self.pooled))
         rivals = short_list.rate(stable, fitted)
         if partner is None or not any(is_same(rival.basis, partner) for rival in rivals[1:]):
             return rivals, candidates

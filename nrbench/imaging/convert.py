@@ -149,6 +149,17 @@ def subtract_color(values: NDArray[np.float32], color: NDArray[np.float32]) -> N
     return (rows - np.tile(color, values.shape[-2])).reshape(values.shape)
 
 
+def shrink(image: Image, factor: int) -> Image:
+    """Return the means of blocks of ``factor`` x ``factor`` px; incomplete blocks at the borders are dropped."""
+    if factor == 1:
+        return image
+    height, width = (n // factor for n in image.shape[:2])
+    whole = image[: height * factor, : width * factor]
+    # Whole rows are added first: a sum over both axes takes ten times as long.
+    columns = whole.reshape(height, factor, width * factor, -1).sum(1)
+    return np.asarray(columns.reshape(height, width, factor, -1).sum(2) / np.float32(factor**2))
+
+
 def crop_middle(image: Image, side: int) -> Image:
     """Return the middle of an image, at most ``side`` px a side."""
     top, left = (max(n - side, 0) // 2 for n in image.shape[:2])

@@ -201,7 +201,8 @@ class Detection:
     diagnostics
         Intermediate results by name; each :class:`Surface` and :class:`Curve` can be drawn.
     alternatives
-        Lattices that were not chosen, the most probable first; empty if the detector gives none.
+        Lattices that were not chosen, the most probable first; empty if the detector gives none. The first one may be
+        more probable than ``lattice``: a detector need not choose by probability alone.
     probabilities
         What the lattice is; ``confidence`` equals ``probabilities.exact``. None if the detector does not estimate it.
     role

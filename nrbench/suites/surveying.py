@@ -45,7 +45,7 @@ Progress = Callable[[int, int, str], object]
 
 
 def rank_candidates(detection: Detection) -> list[Alternative]:
-    """Return the chosen lattice and its alternatives, the most probable first; the relation of the first is empty."""
+    """Return the chosen lattice, then its alternatives in their order; the relation of the chosen one is empty."""
     chosen = Alternative(detection.lattice, detection.confidence, "", role=detection.role)
     return [chosen, *detection.alternatives]
 
@@ -106,7 +106,7 @@ class Finding(NamedTuple):
         The detector's confidence in the first candidate; None if the lattice was read from ``truth.csv``, or if there
         is no candidate.
     candidates
-        The most probable lattices, the best first; if the detector rejected its best candidate, this one.
+        The chosen lattice, then the most probable others; if the detector rejected its best candidate, this one.
     reason
         Why no lattice is known.
     failed

@@ -51,7 +51,8 @@ class Deformation:
     correlation
         ``(n,)``: correlation of the image with the mean tile around each.
     covered
-        Share of the image in which the lattice was found.
+        Share of the image in which the lattice was found; 0 if it could not be followed, so that the deformation is not
+        known.
     confidence
         Confidence of the detector that the lattice is the right one, on the straightened image; None if it was given.
     knots

@@ -9,15 +9,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from skimage.measure import block_reduce
 
-from nrbench.imaging.convert import Image
+from nrbench.imaging.convert import Image, shrink
 from nrbench.imaging.fold import Values, fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.growth import Knots, Start, grow_from
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
-__all__ = ["follow_lattice", "follow_on", "merit", "probe", "score", "shrink_image", "straighten_pixels"]
+__all__ = ["follow_lattice", "follow_on", "merit", "probe", "score", "straighten_pixels"]
 
 _FINEST: Final = 14.0
 """px; an image is shrunk as far as its s stays above this. Time then does not grow with s."""
@@ -156,22 +155,13 @@ def merit(image: Image, knots: Knots) -> float:
     return float(explained * covered * tiles**_SIZE_EXPONENT)
 
 
-def shrink_image(image: Image, factor: int) -> Image:
-    """Return the means of blocks of ``factor`` x ``factor`` px; incomplete blocks at the borders are dropped."""
-    if factor == 1:
-        return image
-    height, width = (n // factor * factor for n in image.shape[:2])
-    small = block_reduce(image[:height, :width], (factor, factor, 1), np.mean)  # type: ignore[no-untyped-call]
-    return np.asarray(small, np.float32)
-
-
 def _factor(lattice: Lattice) -> int:
     return max(1, int(lattice.s / _FINEST))
 
 
 def _shrink(image: Image, lattice: Lattice, factor: int) -> tuple[Values, Lattice]:
     """Return the image shrunk by a factor and smoothed, and the lattice in its pixels."""
-    small = shrink_image(image, factor)
+    small = shrink(image, factor)
     sigma = _SMOOTH * lattice.s / factor
     smooth = ndimage.gaussian_filter(small, (sigma, sigma, 0))
     return smooth, Lattice.from_basis(lattice.matrix / factor)

@@ -8,12 +8,13 @@ from typing import Final
 
 import numpy as np
 
-from nrbench.imaging.convert import Image
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image, shrink
 from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
 from nrbench.tracking.deformation import LEAST_AMPLITUDE, Deformation
-from nrbench.tracking.following import follow_lattice, follow_on, merit, probe, score, shrink_image
+from nrbench.tracking.following import follow_lattice, follow_on, merit, probe, score
 from nrbench.tracking.growth import Knots
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
@@ -73,6 +74,8 @@ def find_deformation(image: Image, detector: Detector, quick: Detector, lattice:
     ------
     NoLatticeFound
         If no view has a lattice that can be followed.
+    BadInput
+        If the image holds fewer than two cells of the given lattice.
     """
     if lattice is not None:
         return _follow_given(image, lattice)
@@ -106,7 +109,7 @@ class _Shrinking:
 
     def detect(self, image: Image) -> Detection:
         try:
-            return self._enlarged(self.detector.detect(shrink_image(image, self.factor)))
+            return self._enlarged(self.detector.detect(shrink(image, self.factor)))
         except NoLatticeFound as none:
             raise NoLatticeFound(none.reason, none.best and self._enlarged(none.best)) from None
 
@@ -244,6 +247,12 @@ def _confirm(image: Image, detector: Detector, knots: Knots) -> tuple[_Answer | 
 
 
 def _follow_given(image: Image, lattice: Lattice) -> Deformation:
+    height, width = image.shape[:2]
+    if lattice.area > height * width / 2 or np.hypot(*lattice.reduced().t2) > np.hypot(height, width):
+        raise BadInput(
+            f"lattice {lattice.t1}, {lattice.t2}: an image of {width}x{height} px holds fewer than two cells of it; "
+            "give the vectors of a smaller cell, in px"
+        )
     still = _still(image, lattice, None)
     if still is not None:
         return still

@@ -16,6 +16,7 @@ from nrbench.imaging.fold import fold
 from nrbench.imaging.largest_box import largest_box
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Detector, SourceMap, Synthesis, Synthesizer, Task, find_lattice
+from nrbench.tracking.deformation import LEAST_AMPLITUDE
 
 from ..sampling.equal_places import pixel_grid
 from ..sampling.patches import Patches
@@ -25,8 +26,6 @@ from .vertex_field import Deform, Update, output_field
 
 Geometry = Literal["as-is", "straighten"]
 """Whether a method takes the sample as it is, or straightens it first and deforms the output again."""
-LEAST_AMPLITUDE: Final = 0.04
-"""Amplitude, in units of s, below which displacements are taken for errors of the tracker."""
 LEAST_GAIN: Final = 1.2
 """Factor by which straightening must raise the share of the variance that the mean tile explains."""
 _MARGIN = 3

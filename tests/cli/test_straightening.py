@@ -12,8 +12,10 @@ import skimage.io
 
 import nrbench
 from nrbench.cli.main import main
+from nrbench.cli.straightening import describe_deformation
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.tracking.deformation import Deformation
 
 
 def call(line: str) -> int:
@@ -79,3 +81,16 @@ def test_misuse(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     """One lattice is followed; the message names the options that do not fit."""
     assert call(f"lattice bent.png --straighten out.png {option}") == 2
     assert "leave --all, --pick and --diagnostics out" in capsys.readouterr().err
+
+
+def test_a_lattice_that_was_not_followed_is_not_called_straight() -> None:
+    """The text says that nothing is known about the deformation."""
+    image, nothing = np.zeros((64, 64, 1), np.float32), np.zeros((1, 2))
+    found = Deformation(image, Lattice((16, 0), (0, 16)), nothing, nothing, np.zeros(1), covered=0.0, confidence=0.7)
+    assert "not known" in describe_deformation(found) and "not bent" not in describe_deformation(found)
+
+
+def test_two_pictures_need_two_names(capsys: pytest.CaptureFixture[str]) -> None:
+    """One would replace the other one; nothing is written."""
+    assert call("lattice bent.png --straighten out.png -o ./out.png") == 2
+    assert "would be written twice" in capsys.readouterr().err and not Path("out.png").exists()

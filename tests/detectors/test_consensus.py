@@ -9,14 +9,15 @@ import pytest
 from scipy import ndimage
 
 from nrbench import texture
-from nrbench.detectors.agreement.likeness import shrink, views
+from nrbench.detectors.agreement.evidence import Evidence
+from nrbench.detectors.agreement.likeness import compute_likeness, views
 from nrbench.detectors.agreement.search import propose_lattices
 from nrbench.detectors.agreement.short_list import Rival, Traits, classify, reclassify, share_certainty
 from nrbench.detectors.consensus import Consensus
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import Image, quantize, shrink
 from nrbench.lattice.comparison import lattice_error, relate
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Detection, NoLatticeFound, Probabilities
 
 
@@ -126,6 +127,34 @@ def test_a_constant_image_has_none() -> None:
     """A constant image has no texture, and the reason says so."""
     with pytest.raises(NoLatticeFound, match="constant"):
         Consensus().detect(np.full((64, 64, 3), 0.4, np.float32))
+
+
+@pytest.mark.parametrize("cell", [(2, 4), (4, 2), (2, 5), (1, 7)])
+def test_periods_too_short_to_be_sampled_have_none(cell: tuple[int, int]) -> None:
+    """A texture that repeats by less than three pixels has no lattice; this is an answer and no error."""
+    values = np.random.default_rng(0).random(cell, np.float32)
+    image = np.tile(values, (64 // cell[0] + 1, 64 // cell[1] + 1))[:64, :64, np.newaxis]
+    with pytest.raises(NoLatticeFound):
+        Consensus().detect(image)
+
+
+def test_few_neighbors_of_faint_lattices_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the finer lattices of a faint lattice most are too bad to be fitted, so that noise takes little time."""
+    image = np.random.default_rng(3).random((160, 160, 1), np.float32)
+    evidence = Evidence(compute_likeness(image).pooled)
+    lattices = [np.array(((30.0 + n, 3.0), (-2.0, 34.0 + n))) for n in range(10)]
+    faint = [basis for basis in lattices if 0.001 < evidence.repeated(basis) < 0.03]
+    fits, fit = [], Evidence.fit
+
+    def count(self: Evidence, basis: Points) -> Points:
+        fits.append(basis)
+        return fit(self, basis)
+
+    monkeypatch.setattr(Evidence, "fit", count)
+    search = Consensus().make_search(evidence)
+    for basis in faint:
+        search.find_finest(basis)
+    assert faint and len(fits) < 30 * len(faint)
 
 
 def test_large_images_have_exact_lattices() -> None:

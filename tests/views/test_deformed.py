@@ -45,6 +45,13 @@ def test_a_straight_image_has_the_detected_lattice() -> None:
     assert drawn.lattice is not None and found.lattice.is_equivalent(drawn.lattice, 0.02 * drawn.lattice.s)
 
 
+@pytest.mark.parametrize("lattice", [((5000, 0), (0, 5000)), ((5e5, 0), (0, 5e5)), ((900, 0), (0, 9))])
+def test_a_lattice_larger_than_the_image_is_refused(lattice: tuple[tuple[float, float], ...]) -> None:
+    """The message says that the image is too small for it."""
+    with pytest.raises(nrbench.BadInput, match="fewer than two cells"):
+        nrbench.track_lattice(np.zeros((64, 64), np.uint8), lattice)
+
+
 def test_noise_has_no_lattice_that_can_be_followed() -> None:
     """The reason is that of the detector."""
     noise = np.random.default_rng(3).random((96, 96, 1), np.float32)

@@ -10,7 +10,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.imaging.convert import Image, crop_middle
+from nrbench.imaging.convert import Image, crop_middle, shrink
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
 from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Points
@@ -133,17 +133,6 @@ def views(image: Image) -> Iterator[View]:
 def make_view(image: Image, factor: int, side: int) -> View:
     """Return the middle of an image, shrunk by a factor to at most ``side`` px a side."""
     return View(shrink(crop_middle(image, factor * side), factor), factor)
-
-
-def shrink(image: Image, factor: int) -> Image:
-    """Return the means of blocks of ``factor`` x ``factor`` px; incomplete blocks at the borders are dropped."""
-    if factor == 1:
-        return image
-    height, width = (n // factor for n in image.shape[:2])
-    whole = image[: height * factor, : width * factor]
-    # Whole rows are added first: a sum over both axes takes ten times as long.
-    columns = whole.reshape(height, factor, width * factor, -1).sum(1)
-    return np.asarray(columns.reshape(height, width, factor, -1).sum(2) / np.float32(factor**2))
 
 
 def max_factor(basis: Points) -> int:

@@ -127,14 +127,14 @@ class ShortList:
         Parameters
         ----------
         stable
-            The stable lattices, the best first, at least one.
+            The stable lattices, the best first, at least one; all of them possible.
         proposals
             The fitted bases of each detector of :data:`DETECTORS`. Others are rated and are no votes.
         """
         bases: list[Points] = []
         everything = (*stable[:FIRST], *(basis for part in proposals.values() for basis in part))
         for basis in (*everything, *self._neighbors(stable[0])):
-            if self._is_possible(basis) and not any(is_same(basis, other) for other in bases):
+            if self.is_possible(basis) and not any(is_same(basis, other) for other in bases):
                 bases.append(basis)
         best = max(self.merit(stable[0]), 1e-3)
         rivals = []
@@ -143,7 +143,8 @@ class ShortList:
             rivals.append(Rival(basis, self.merit(basis), traits, classify(traits)))
         return rivals
 
-    def _is_possible(self, basis: Points) -> bool:
+    def is_possible(self, basis: Points) -> bool:
+        """Return whether a lattice can be rated: the image holds more than two cells, none of them is too thin."""
         return self.pooled.tiles(basis) > 2 and np.hypot(*basis[0]) >= SHORTEST and self.pooled.repeated(basis) > 0
 
     def _neighbors(self, basis: Points) -> Iterator[Points]:
