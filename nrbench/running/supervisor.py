@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import errno
 import os
 import queue
 import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import uuid
 from collections.abc import Callable
@@ -38,6 +40,8 @@ THREAD_VARIABLES = (
 """Set to 1 in every worker, before numpy loads there."""
 GRACE = 10.0
 """Seconds that a worker may take, beyond the limit it enforces itself, before it is killed."""
+ROOM = 4 << 20
+"""Bytes that must find room on the disk of a run for it to go on after an error of a disk."""
 START = 900.0
 """Seconds that a worker may take to start. A busy machine compiles all kernels for minutes. If the worker were stopped,
 fresh interpreters would compile them for each cell."""
@@ -98,7 +102,7 @@ def perform_job(job: Job, runner: RequestRunner) -> Result:
                 where.write_result(result)
         return result
     except Exception as error:
-        if storage_fault(error) is not None:
+        if storage_fault(error) is not None and not _can_write(where.path):
             raise
         result = {"status": "crash", "message": describe_error(error), "phase": phase}
         with contextlib.suppress(OSError):
@@ -129,12 +133,27 @@ def _run(runner: RequestRunner, request: Request) -> Reply:
     Raises
     ------
     OSError
-        When the disk is full or broken. This ends the run, because further cells would fail in the same way.
+        When the disk of the run is full or broken. This ends the run, because further cells would fail in the same way.
+        A full disk elsewhere, such as that of a plugin's own files, is an error of the plugin.
     """
     reply = runner.run(request)
-    if reply.result["status"] == "storage":
+    if reply.result["status"] != "storage":
+        return reply
+    if not _can_write(Path(request.folder)):
         raise OSError(errno.ENOSPC, reply.result["message"])
-    return reply
+    return dataclasses.replace(reply, result={**reply.result, "status": "error"})
+
+
+def _can_write(folder: Path) -> bool:
+    """Return whether a file of :data:`ROOM` bytes can be written in a folder."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(ROOM))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError:
+        return False
+    return True
 
 
 def _score(job: Job, where: CellFolder, runner: RequestRunner) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import signal
 import subprocess
@@ -45,6 +46,8 @@ class Faulty:
         good = np.full((*task.shape, task.sample.shape[2]), 0.5, np.float32)
         if self.how == "raise":
             raise RuntimeError("planted failure")
+        if self.how == "full":
+            raise OSError(errno.ENOSPC, "No space left on device")
         if self.how == "refuse":
             raise Refused("planted refusal")
         if self.how == "loop":

@@ -186,6 +186,17 @@ def test_what_is_no_message_is_ignored(line: str) -> None:
     assert guard.parse_message(line) is None
 
 
+def test_only_a_full_disk_of_the_run_ends_it(faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error of a disk is a row while the run can write; it ends the run, with no row, once it cannot."""
+    suite = small_suite(["faulty:how=full", "fine"])
+    full, fine = faulty_run(suite, Options(jobs=0)).cells
+    assert (full.status, fine.status) == ("error", "ok")
+    assert "No space left" in full.message
+    monkeypatch.setattr("nrbench.running.supervisor._can_write", lambda folder: False)
+    with pytest.raises(OSError, match="No space left"):
+        faulty_run(suite, Options(jobs=0))
+
+
 def test_a_long_log_keeps_its_end(tmp_path: Path) -> None:
     """A log that floods the disk is cut; its end stays, and what follows is appended."""
     log = tmp_path / "log.txt"
