@@ -469,13 +469,26 @@ def study_photographs(options: argparse.Namespace) -> None:
         tall = height // 2 if height >= width or not small else height
         wide = width // 2 if width > height or not small else width
         sample, region = quantize(picture[:tall, :wide]), quantize(picture[-tall:, -wide:])
-        shuffled = nrbench.synthesize("shuffle", sample, (2 * tall, 2 * wide), lattice=lattice, seed=0).image
         cells, reason = [], ""
-        for output in (region, quantize(shuffled)):
+        for output in (region, shuffle_sample(sample, lattice)):
+            if output is None:
+                cells += ["refused", "-", "-"]
+                continue
             scores = sample_scores(sample, output, lattice)
             cells += [show_verdict(scores["preserved"]), show_value(scores["score"]), show_value(scores["power"])]
             reason = scores["reason"] or reason
         print_row(Path(row["file"]).stem, f"{wide} x {tall}", *cells, reason)
+
+
+def shuffle_sample(sample: Image, lattice: nrbench.Lattice) -> Image | None:
+    """Return random tiles of a sample, joined edge to edge at twice its sides; None if it holds no whole tile."""
+    try:
+        made = nrbench.synthesize(
+            "shuffle", sample, (2 * sample.shape[0], 2 * sample.shape[1]), lattice=lattice, seed=0
+        )
+    except nrbench.Refused:
+        return None
+    return quantize(made.image)
 
 
 def sample_scores(sample: Image, output: Image, lattice: nrbench.Lattice) -> Row:
