@@ -164,7 +164,7 @@ def _regress(rows: Sequence[tuple[list[float], str, float]], penalty: float) -> 
 
 
 class Outcome(NamedTuple):
-    """The chosen lattice of a texture: its kind and family, what was said, what was true, and the share it counts."""
+    """The lattice chosen for a texture, with the probabilities that it has, its true relation, and its weight."""
 
     kind: str
     family: str

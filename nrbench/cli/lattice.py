@@ -144,7 +144,9 @@ class _Result:
     @classmethod
     def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> _Result:
         """Return the result of a detector; (0, 0) stands for an unknown origin."""
-        known = detection.lattice.origin != (0.0, 0.0)
+        from nrbench.suites.surveying import known_vectors
+
+        known = "origin" in known_vectors(detection.lattice)
         return cls(detector, detection.lattice, detection, has_origin=known, seconds=seconds)
 
     @property
@@ -240,7 +242,9 @@ def _notes(candidate: Alternative) -> str:
 
 def _of_alternative(candidate: Alternative) -> _Result:
     """Return a result without a detector, for the forms of its vectors."""
-    return _Result("", candidate.lattice, has_origin=candidate.lattice.origin != (0.0, 0.0))
+    from nrbench.suites.surveying import known_vectors
+
+    return _Result("", candidate.lattice, has_origin="origin" in known_vectors(candidate.lattice))
 
 
 def _describe(candidate: Alternative) -> str:

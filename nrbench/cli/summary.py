@@ -70,7 +70,7 @@ def write_reports(
         folder = getattr(report, "folder", "report")
         if tables_only and folder != "tables":
             continue
-        own = plugins.find("reports", name).distribution == "nrbench"
+        own = plugins.find("reports", name).own
         try:
             files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder)
             written += [Path(path) for path in files]

@@ -64,7 +64,7 @@ vectors by this share."""
 COLOR_CELLS = (2, 3, 4, 6, 8)
 """Indices of the coarser lattices that are tried for the colors."""
 FEWEST = 8
-"""Least number of vectors and of tiles from which two lattices are told apart by color."""
+"""Least number of lattice vectors, and of tiles, for comparing the lattice of the colors with that of the shapes."""
 _OTHER: dict[Role, Role] = {"structure": "color", "color": "structure", "": ""}
 
 _check = checker("consensus")

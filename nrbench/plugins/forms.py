@@ -183,10 +183,6 @@ class Alternative:
     evidence: float | None = None
     role: Role = ""
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return a mapping that can be written as JSON."""
-        return {**vars(self), "lattice": self.lattice.as_dict()}
-
 
 @dataclass(frozen=True)
 class Detection:

@@ -84,6 +84,11 @@ class Plugin:
     version: str
     error: str = ""
 
+    @property
+    def own(self) -> bool:
+        """Whether nrbench itself defines it; all others run in processes of their own."""
+        return self.distribution == "nrbench"
+
 
 _files: dict[Path, list[Plugin]] = {}
 

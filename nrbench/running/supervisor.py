@@ -159,7 +159,7 @@ def _can_write(folder: Path) -> bool:
 def _score(job: Job, where: CellFolder, runner: RequestRunner) -> None:
     """Score by every metric that has not scored the cell yet; record the failure of one that kills the child."""
     missing = where.missing_scores(job.metrics)
-    own = [metric for metric in missing if plugins.find("metrics", metric).distribution == "nrbench"]
+    own = [metric for metric in missing if plugins.find("metrics", metric).own]
     for group in (own, *([metric] for metric in missing if metric not in own)):
         _score_group(job, where, runner, group)
 
@@ -192,6 +192,7 @@ class Supervisor:
         self._mark = uuid.uuid4().hex
         self._forks = True
         self._ended = False
+        self._temporary: Path | None = None
 
     def run(self, request: Request) -> Reply:
         """Run one request under its limits.
@@ -207,6 +208,7 @@ class Supervisor:
             self._check_open()
             return reply
         assert self._worker is not None and self._worker.stdin is not None
+        self._temporary = request.temporary
         try:
             self._worker.stdin.write(request.to_json() + "\n")
             self._worker.stdin.flush()
@@ -248,6 +250,8 @@ class Supervisor:
             guard.sweep(worker.pid)
             worker.wait()
             guard.sweep_marked(self._mark)
+            if self._temporary is not None:
+                shutil.rmtree(self._temporary, ignore_errors=True)
             for pipe in (worker.stdin, worker.stdout if self._drained() else None):
                 with contextlib.suppress(OSError):
                     pipe.close() if pipe else None

@@ -316,7 +316,7 @@ def _draw(suite: Suite, row: TextureRow, origin: Origin, replicate: int, draw: D
 
 def _chosen(draw: Draw | None, recipe: Recipe) -> Draw:
     """Return the function that draws a recipe's texture: ``draw`` for a dataset that is not part of nrbench."""
-    own = plugins.find("datasets", recipe.dataset).distribution == "nrbench"
+    own = plugins.find("datasets", recipe.dataset).own
     return draw_texture if own or draw is None else draw
 
 

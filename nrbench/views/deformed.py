@@ -35,7 +35,7 @@ _MOST_FOLLOWED = 4
 _COMPLETE = 0.7
 """Score of a way through the image that agrees with another one, from which no third one is tried."""
 _MOST_CONFIRMED = 2
-"""Number of the best ways through the image whose lattices the detector is asked to confirm."""
+"""Number of the best followed lattices for which the detector is run again, on the straightened image."""
 _ENOUGH = 0.6
 """Confidence times score of an answer from which no further view is used."""
 _LEAST = 0.25

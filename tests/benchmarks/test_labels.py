@@ -36,7 +36,7 @@ def test_stored_labels_are_read(script: ModuleType) -> None:
     assert set(counts) == {334} and set(counts.index.get_level_values("question")) == {*QUESTIONS, script.GRADE}
     assert set(counts.index.get_level_values("person")) == {"first", "second"}
     assert set(labels[labels["question"] == script.GRADE]["answer"]) == {1.0, 2.0, 3.0, 4.0, 5.0}
-    assert labels["answer"].isna().sum() <= 2 and set(labels["lattice_source"]) == {"given"}
+    assert labels["answer"].isna().sum() == 1 and set(labels["lattice_source"]) == {"given"}
 
 
 def test_labels_of_a_report_are_read(script: ModuleType, tmp_path: Path) -> None:

@@ -267,7 +267,7 @@ def halves(difference: float, seed: int) -> Image:
 @pytest.mark.parametrize("difference", [0.25, 0.4, 0.6])
 @pytest.mark.parametrize("seed", range(2))
 def test_a_cell_of_similar_halves_is_among_the_first_three(difference: float, seed: int) -> None:
-    """Whether two similar halves are told apart or not, the whole cell is among the first three lattices."""
+    """If the two halves of a cell are similar, the whole cell is among the first three lattices."""
     found = Consensus().detect(halves(difference, seed))
     listed = [found.lattice, *(other.lattice for other in found.alternatives[:2])]
     assert any(lattice.is_equivalent(Lattice((30, 0), (0, 19)), 0.2) for lattice in listed)

@@ -132,11 +132,6 @@ class StableLattice(NamedTuple):
     repeated: float
     between: float
 
-    @property
-    def relief(self) -> float:
-        """The share of ``repeated`` by which ``between`` is lower; above 1 if ``between`` is negative."""
-        return 1 - self.between / self.repeated
-
 
 Finer = tuple[Agreement, Points]
 """A finer lattice: the agreement at the vectors that it adds, and its basis."""
