@@ -135,11 +135,17 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
         phases.synthesize(folder, send_with_memory)
 
 
-def warm() -> None:
-    """Import every plugin and load every compiled kernel, so that a forked child finds them ready."""
+def warm(compiling: Callable[[], None]) -> None:
+    """Import every plugin and load every compiled kernel, so that a forked child finds them ready.
+
+    Parameters
+    ----------
+    compiling
+        Called if kernels have to be compiled, which takes minutes, before that begins.
+    """
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
         plugins.inventory(kind)
-    load_kernels()
+    load_kernels(compiling)
 
 
 def may_fork() -> bool:
@@ -253,7 +259,8 @@ def _pipe_receiver(readable: int) -> guard.Receive:
 def main() -> None:
     """Serve the requests on standard input; with ``--once``, run a single one in this process, without forking.
 
-    The first line of output is ``{"fork": bool}``: whether this process can fork safely.
+    The first line of output is ``{"fork": bool}``: whether this process can fork safely. Where kernels have to be
+    compiled, the line ``{"compiling": true}`` comes before it.
     """
     arguments = sys.argv[1:]
     out = os.fdopen(os.dup(1), "w", buffering=1)
@@ -277,6 +284,6 @@ def main() -> None:
         os._exit(0)
     guard.adopt_orphans()
     if may_fork():
-        warm()
+        warm(lambda: write(json.dumps({"compiling": True})))
     write(json.dumps({"fork": may_fork()}))  # again, because a plugin may have started a thread
     serve(sys.stdin, write)
