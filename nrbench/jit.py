@@ -149,16 +149,16 @@ def _compile(function: Callable[P, R], signature: str) -> Callable[P, R]:
             stacklevel=3,
         )
         return function
-    return _njit(numba, _link_kernels(function), signature)
+    return _njit(numba, _link_kernels(function), signature, cache_folder(function, numba.__version__))
 
 
-def _njit(numba: Any, function: Callable[P, R], signature: str) -> Callable[P, R]:
+def _njit(numba: Any, function: Callable[P, R], signature: str, folder: Path) -> Callable[P, R]:
     # The folder is numba's global setting, read while it decorates. It is put back, so that the user's setting stays.
     # Reassociated sums use vector instructions. Results are equal on one type of machine. Across processors, kernels
     # that sum floats may differ in the last bit.
     before = numba.config.CACHE_DIR
     try:
-        numba.config.CACHE_DIR = before or str(cache_folder(function, numba.__version__))
+        numba.config.CACHE_DIR = before or str(folder)
         compiled: Callable[P, R] = numba.njit(signature, cache=True, fastmath={"reassoc"})(function)
     except (RuntimeError, OSError):  # no folder to cache in
         compiled = numba.njit(signature, fastmath={"reassoc"})(function)

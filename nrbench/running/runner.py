@@ -193,8 +193,12 @@ class _Runner:
             for file in where.failed_scores(self.metrics):
                 file.unlink()
         if cell.fault:
+            log = sample.log or self.directory.lattice(_detection_key(cell)).log_tail()
+            if log:
+                where.log.write_text(log + "\n", "utf-8")
             phase = "detect" if sample.texture and cell.detector else "render" if not sample.texture else "given"
-            return where.write_result({"status": cell.fault_status, "message": cell.fault, "phase": phase})
+            result = {"status": cell.fault_status, "message": cell.fault, "phase": phase}
+            return {**where.write_result(result), "wall": 0.0}
         return self._job("cell", where)
 
     def _job(self, kind: Literal["cell", "detect"], where: CellFolder) -> Job:

@@ -20,8 +20,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
 
-import psutil
-
 from nrbench import plugins
 from nrbench.jit import load_kernels
 from nrbench.running import guard, phases
@@ -164,7 +162,7 @@ def serve(requests: Iterable[str], reply: Callable[[str], None]) -> None:
 def fork_and_watch(request: Request) -> Reply:
     """Run one phase in a forked child under its limits."""
     readable, writable = os.pipe()
-    base, limits = psutil.Process().memory_info().rss, guard.Limits(request.seconds, request.mib, request.metrics)
+    base, limits = guard.held_bytes(os.getpid()), guard.Limits(request.seconds, request.mib, request.metrics)
     pid = os.fork()
     if pid == 0:
         os.close(readable)
@@ -277,6 +275,7 @@ def main() -> None:
         try:
             _use_temporary(request.temporary)
             guard.confine(guard.Limits(request.seconds, request.mib))
+            write(json.dumps({"held": guard.held_bytes(os.getpid())}))
             perform(request, lambda message: write(json.dumps(message)))
         except BaseException as error:
             phases.send_error(error, lambda message: write(json.dumps(message)))
