@@ -78,7 +78,8 @@ def no_orphans(found: Run) -> bool:
     """Return whether every process that a plugin left, as its log says, has ended."""
     logs = [log.read_text(errors="replace") for log in found.root.glob("*/*/log.txt")]
     pids = [int(pid) for log in logs for pid in re.findall(r"^child (\d+)$", log, re.M)]
-    return bool(pids) and not any(map(psutil.pid_exists, pids))
+    processes = [psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)]
+    return bool(pids) and not psutil.wait_procs(processes, timeout=5)[1]
 
 
 def is_logged(record: CellRecord, how: str) -> bool:
