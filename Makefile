@@ -2,6 +2,7 @@
 #   make run    set up, run the default suite, print the comparison table and the report's path
 #   make test   set up, then lint, types and tests
 # And: make benchmark   set up, run every benchmark in a short form, print what each costs
+#      make soak        set up, kill, starve and copy runs for about an hour, print whether they came back whole
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -10,7 +11,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 SOURCES := $(shell find nrbench synthesizers metrics datasets_procedural reports -name '*.py' -o -name '*.pyi' -o -name '*.toml' -o -path '*templates/*')
 
-.PHONY: run test lint types unit benchmark clean
+.PHONY: run test lint types unit benchmark soak clean
 
 run: $(VENV)/.installed
 	$(BIN)/nrbench run --out runs/default
@@ -29,6 +30,9 @@ unit: $(VENV)/.installed-test
 
 benchmark: $(VENV)/.installed-test
 	env -u PYTHONSAFEPATH $(BIN)/python benchmarks/all.py
+
+soak: $(VENV)/.installed-test
+	env -u PYTHONSAFEPATH $(BIN)/python benchmarks/soak.py
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -162,6 +162,11 @@ def _synthesize(where: CellFolder, cell: Cell) -> Result:
         "detection_seconds": synthesis.detection_seconds,
         "lattice_used": synthesis.lattice.as_dict() if synthesis.lattice else None,
         "output_hash": pixels_hash(synthesis.image),
+        "made": {
+            file.relative_to(where.path).as_posix(): file.stat().st_size
+            for file in (where.output, where.source, *sorted(where.extras.glob("*")))
+            if file.is_file()
+        },
     }
 
 
@@ -406,6 +411,9 @@ def observe(where: CellFolder, cell: Cell) -> Observation:
     All its arrays are read-only, so that no metric can change them for the next one.
     """
     sample, result = _frozen(read_image(where.sample)), where.result() or Result()
+    cut = where.cut_files(result)
+    if cut and cut != [where.output.name]:  # the output is compared by its pixels
+        raise InvalidOutput(f"{cut[0]} has changed since the method returned it; --retry-failed runs the cell again")
     truth, again = _truth(cell, sample)
     measured: Mapping[str, Any] = result
     names = ("cpu_seconds", "detection_seconds", "peak_mib")

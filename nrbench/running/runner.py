@@ -84,6 +84,8 @@ def is_cached(directory: RunDirectory, cell: Cell, metrics: Iterable[str], retry
         return False
     if result["status"] != "ok":
         return True
+    if where.lost_files(result) or (retry_failed and where.cut_files(result)):
+        return False
     metrics = list(metrics)
     return not (where.missing_scores(metrics) or (retry_failed and where.failed_scores(metrics)))
 
@@ -187,11 +189,13 @@ class _Runner:
         result = where.result()
         if result is not None and is_cached(self.directory, cell, self.metrics, retry):
             return result
-        if result is None or (retry and (result["status"] in FAILED or not _has_its_output(where, result))):
-            _prepare(where, cell, sample)
+        again = retry and result is not None and (result["status"] in FAILED or not _has_its_output(where, result))
+        if result is None or again or where.lost_files(result):
+            where.clear()
         elif retry:
             for file in where.failed_scores(self.metrics):
                 file.unlink()
+        _prepare(where, cell, sample)
         if cell.fault:
             log = sample.log or self.directory.lattice(_detection_key(cell)).log_tail()
             if log:
@@ -254,7 +258,7 @@ class _Runner:
 def _has_its_output(where: CellFolder, result: Result) -> bool:
     """Return whether the output of a cell is as its method returned it; also true if the method returned none."""
     try:
-        return result["status"] != "ok" or read_output(where, result).size > 0
+        return result["status"] != "ok" or (not where.cut_files(result) and read_output(where, result).size > 0)
     except (BadInput, InvalidOutput):
         return False
 
@@ -278,8 +282,7 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
 
 
 def _prepare(where: CellFolder, cell: Cell, sample: Sample) -> None:
-    """Empty a cell's folder, and write the files that its child processes read."""
-    where.clear()
+    """Write the files that a cell's child processes read. What is there may be damaged."""
     where.path.mkdir(parents=True, exist_ok=True)
     if sample.texture is not None:
         write_image(where.sample, sample.texture.image)

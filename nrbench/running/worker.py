@@ -15,7 +15,7 @@ import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -144,6 +144,19 @@ def warm(compiling: Callable[[], None]) -> None:
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
         plugins.inventory(kind)
     load_kernels(compiling)
+
+
+@contextlib.contextmanager
+def _ends_with_parent() -> Iterator[None]:
+    """Leave the process if its parent dies; a worker that serves requests notices it by the end of its input."""
+    parent = os.getppid()
+    before = signal.signal(signal.SIGALRM, lambda number, frame: os.getppid() == parent or os._exit(0))
+    signal.setitimer(signal.ITIMER_REAL, 0.5, 0.5)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def may_fork() -> bool:
@@ -283,6 +296,7 @@ def main() -> None:
         os._exit(0)
     guard.adopt_orphans()
     if may_fork():
-        warm(lambda: write(json.dumps({"compiling": True})))
+        with _ends_with_parent():
+            warm(lambda: write(json.dumps({"compiling": True})))
     write(json.dumps({"fork": may_fork()}))  # again, because a plugin may have started a thread
     serve(sys.stdin, write)

@@ -57,6 +57,8 @@ class Result(TypedDict, total=False):
         The lattice that the method used.
     output_hash
         Hash of the output's pixels.
+    made
+        The size in bytes of each file that the method's outputs are in, by its path in the folder.
     texture
         What is known of a texture that was drawn.
     written
@@ -78,6 +80,7 @@ class Result(TypedDict, total=False):
     side_by_side: float
     lattice_used: dict[str, Any] | None
     output_hash: str
+    made: dict[str, int]
     lattice: dict[str, Any] | None
     confidence: float | None
     reason: str
@@ -165,6 +168,15 @@ class CellFolder:
         write_json(self.result_file, dict(result), durable=True)
         return result
 
+    def lost_files(self, result: Result) -> list[str]:
+        """Return the files of a result that are not in the folder any more."""
+        return [name for name in _made(result) if not (self.path / name).is_file()]
+
+    def cut_files(self, result: Result) -> list[str]:
+        """Return the files of a result that are lost, or have another size than when they were written."""
+        lost = self.lost_files(result)
+        return lost or [name for name, size in _made(result).items() if (self.path / name).stat().st_size != size]
+
     def score_file(self, metric: str) -> Path:
         """Return the file that holds a metric's score of this cell."""
         return self.scores / f"{metric_key(metric)}.json"
@@ -205,6 +217,12 @@ class CellFolder:
                 return "\n".join(log.read(TAIL).decode("utf-8", "replace").splitlines()[-lines:])
         except FileNotFoundError:
             return ""
+
+
+def _made(result: Result) -> dict[str, int]:
+    """Return the sizes of the files of a result; of one that does not tell them, or not correctly, none."""
+    made: object = result.get("made")
+    return made if isinstance(made, dict) and all(isinstance(size, int) for size in made.values()) else {}
 
 
 def _is_score(content: Mapping[str, Any], metric: str) -> bool:

@@ -22,6 +22,7 @@ from nrbench.api import changed, run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.running.executors import Threads
+from nrbench.running.progress import Step
 from nrbench.running.runner import TICK, Options, _Runner
 from nrbench.running.supervisor import Job
 from nrbench.runs.records import Run
@@ -83,6 +84,51 @@ def test_any_number_of_workers_gives_the_same_bytes(whole: Run, tmp_path: Path) 
         found = run(small(), out=tmp_path / str(jobs), options=Options(jobs=jobs))
         assert outputs(found) == outputs(whole)
         assert scores(found) == scores(whole)
+
+
+def test_the_order_of_cells_changes_nothing(whole: Run, tmp_path: Path) -> None:
+    """Run in the reverse order, every file of outputs and scores but the costs has the same bytes."""
+
+    def files(found: Run) -> dict[str, bytes]:
+        kept = [*found.root.glob("cells/*/output.png"), *found.root.glob("cells/*/source.npz")]
+        kept += [file for file in found.root.glob("cells/*/scores/*") if not file.name.startswith("cost-")]
+        return {str(file.relative_to(found.root)): file.read_bytes() for file in kept}
+
+    reverse = small(methods=small().methods[::-1])
+    assert len(files(whole)) > 20
+    assert files(run(reverse, out=tmp_path / "run", options=Options(jobs=0))) == files(whole)
+
+
+def test_a_directory_of_which_a_part_was_copied_is_completed(whole: Run, first: Run) -> None:
+    """Files that are lost are made again: inputs, outputs, source maps and scores; the table is as before."""
+    cells = sorted(first.cells, key=lambda record: record.method)
+    lost = ["cell.json", "sample.png", "output.png", "source.npz", "result.json"]
+    assert len(cells) > len(lost)
+    for record, name in zip([cell for cell in cells if cell.method != "oracle"], lost, strict=False):
+        (record.folder / name).unlink()
+        for file in (record.folder / "scores").glob("*"):
+            file.unlink()
+    copier = next(record for record in cells if record.method == "tiling")
+    os.truncate(copier.folder / "cell.json", 10)
+    again = run(small(), out=first.root, options=Options(jobs=0))
+    assert outputs(again) == outputs(whole)
+    assert scores(again) == scores(whole)
+    cut = next(record.folder / "source.npz" for record in cells if (record.folder / "source.npz").is_file())
+    os.truncate(cut, 20)
+    run(small(), out=first.root, options=Options(jobs=0, retry_failed=True))
+    assert outputs(again) == outputs(whole)
+
+
+def test_an_interrupt_at_the_end_changes_nothing(first: Run) -> None:
+    """A run whose cells all have results ends well, although it is to stop."""
+    options = Options(jobs=0)
+    options.stop.set()
+    steps: list[Step] = []
+    run(small(), out=first.root, options=options, progress=steps.append)
+    assert [step.done for step in steps] == list(range(1, len(first.cells) + 1))
+    (first.cells[0].folder / "result.json").unlink()
+    with pytest.raises(KeyboardInterrupt):
+        run(small(), out=first.root, options=options)
 
 
 def test_a_second_run_starts_nothing(first: Run, tmp_path: Path) -> None:

@@ -159,25 +159,21 @@ def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
 
 
 def test_an_output_that_was_changed_is_not_scored(faulty_run: FaultyRun) -> None:
-    """Scores are of the pixels that the method returned: an output that another program overwrote or removed gets none.
+    """Scores are of the pixels that the method returned: an output that another program overwrote gets none.
 
     `retry_failed` makes it again.
     """
     suite, options = small_suite(["fine"]), Options(jobs=0)
     done = faulty_run(suite, options)
     (record,) = done.cells
-    (record.folder / "output.png").write_bytes((record.folder / "sample.png").read_bytes())
     picture = read_image(record.folder / "output.png")
     write_image(record.folder / "output.png", 1 - picture)
-    causes = ["has changed since the method returned it", "there is no such file"]
+    shutil.rmtree(record.folder / "scores")
     with registered_faults():
-        for cause in causes:
-            shutil.rmtree(record.folder / "scores")
-            (again,) = run(suite, out=done.root, options=Options(jobs=1)).cells
-            assert cause in again.reasons["cost.seconds"]
-            (again,) = run(suite, out=done.root, options=Options(jobs=1, retry_failed=True)).cells
-            assert again.values["cost.seconds"] is not None
-            (record.folder / "output.png").unlink()
+        (again,) = run(suite, out=done.root, options=Options(jobs=1)).cells
+        assert "has changed since the method returned it" in again.reasons["cost.seconds"]
+        (again,) = run(suite, out=done.root, options=Options(jobs=1, retry_failed=True)).cells
+        assert again.values["cost.seconds"] is not None
 
 
 @pytest.mark.parametrize("line", ['{"scored": ["cost"]}', '{"status": 3}', '{"message": null}', "[1]", "\udcff", "x"])
