@@ -52,6 +52,29 @@ def _plan_options(command: F) -> F:
     return command
 
 
+def _limit_options(command: F) -> F:
+    for option in (
+        click.option(
+            "--memory",
+            type=click.FloatRange(1, 1e7),
+            default=4096.0,
+            show_default=True,
+            metavar="MiB",
+            help="Limit of the memory of one synthesis, metric or report, in addition to that of an idle worker.",
+        ),
+        click.option(
+            "--timeout",
+            type=click.FloatRange(0, 1e7, min_open=True),
+            default=120.0,
+            show_default=True,
+            metavar="S",
+            help="Limit of the wall time of one synthesis, metric or report, seconds.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
 def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
     from nrbench.api import changed
@@ -72,6 +95,7 @@ def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     type=click.IntRange(0),
     help="Number of cells that run at the same time; 0 runs them in this process.  [default: number of cores]",
 )
+@_limit_options
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Run the cells on a Dask cluster.")
 @click.option(
     "--worker-wait",
@@ -80,22 +104,6 @@ def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     show_default=True,
     metavar="S",
     help="End the run if the Dask cluster has no worker for so many seconds.",
-)
-@click.option(
-    "--timeout",
-    type=click.FloatRange(0, 1e7, min_open=True),
-    default=120.0,
-    show_default=True,
-    metavar="S",
-    help="Limit of the wall time of one synthesis or metric, seconds.",
-)
-@click.option(
-    "--memory",
-    type=click.FloatRange(1, 1e7),
-    default=4096.0,
-    show_default=True,
-    metavar="MiB",
-    help="Limit of the memory of one synthesis or metric, in addition to that of an idle worker.",
 )
 @click.option("--reuse", type=_PATH, metavar="RUN", help="Copy the results of equal cells from another run.")
 @click.option("--no-report", is_flag=True, help="Write the tables only.")
@@ -108,6 +116,7 @@ def run_command(**arguments: Any) -> int:
 
     from nrbench.cli.summary import print_summary, write_reports
     from nrbench.running.cluster import ClusterLost
+    from nrbench.running.guard import Limits
     from nrbench.running.progress import first_interrupt
     from nrbench.running.runner import Options, execute
     from nrbench.running.supervisor import print_notice
@@ -128,7 +137,8 @@ def run_command(**arguments: Any) -> int:
         except ClusterLost as error:
             run = Run(root)
             tell(f"{error}; run the same command again to resume")
-    written, broken = write_reports(run, tables_only=arguments["no_report"])
+    limits = Limits(options.timeout, options.memory)
+    written, broken = write_reports(run, tables_only=arguments["no_report"], limits=limits)
     failed = print_summary(run, written, arguments["as_json"])
     return int(failed or broken)
 
@@ -181,10 +191,17 @@ def plan_command(**arguments: Any) -> None:
     metavar="FILE...",
     help="Files with people's answers, one for each person. The reports then compare the verdicts with them.",
 )
-def report_command(run: Path, more: tuple[Path, ...], formats: str | None, labels: tuple[Path, ...]) -> int:
-    """Write the reports of RUN again from its files. No cell is run."""
+@_limit_options
+def report_command(
+    run: Path, more: tuple[Path, ...], formats: str | None, labels: tuple[Path, ...], timeout: float, memory: float
+) -> int:
+    """Write the reports of RUN again from its files. No cell is run.
+
+    The limits hold for reports of other packages.
+    """
     from nrbench.cli.summary import write_reports
     from nrbench.labelling.labels import read_people
+    from nrbench.running.guard import Limits
     from nrbench.runs.records import Run
     from nrbench.runs.store import RunDirectory
 
@@ -193,7 +210,7 @@ def report_command(run: Path, more: tuple[Path, ...], formats: str | None, label
     RunDirectory(run).info()
     record, files = Run(run), (*labels, *more)
     read_people(record, files)
-    written, broken = write_reports(record, formats, labels=files)
+    written, broken = write_reports(record, formats, labels=files, limits=Limits(timeout, memory))
     for path in written:
         print(path)
     return int(broken)

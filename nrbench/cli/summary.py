@@ -13,7 +13,8 @@ from typing import Any
 
 from nrbench import plugins
 from nrbench.errors import describe_error
-from nrbench.running.guarded import write_guarded
+from nrbench.running.guard import Limits
+from nrbench.running.guarded import LIMITS, write_guarded
 from nrbench.running.runner import is_cached, metrics_of
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED, RunDirectory
@@ -53,9 +54,16 @@ def _failures_of(record: CellRecord) -> list[str]:
 
 
 def write_reports(
-    run: Run, formats: str | None = None, tables_only: bool = False, labels: tuple[Path, ...] = ()
+    run: Run,
+    formats: str | None = None,
+    tables_only: bool = False,
+    labels: tuple[Path, ...] = (),
+    limits: Limits = LIMITS,
 ) -> tuple[list[Path], bool]:
-    """Write the reports of a run in the given formats, or in all; return the paths, and whether any report failed."""
+    """Write the reports of a run in the given formats, or in all; return the paths, and whether any report failed.
+
+    ``limits`` are those of a report of another package.
+    """
     made_by = run.info.get("results_version")
     if made_by != RESULTS_VERSION:
         print(
@@ -72,7 +80,7 @@ def write_reports(
             continue
         own = plugins.find("reports", name).own
         try:
-            files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder)
+            files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder, limits)
             written += [Path(path) for path in files]
         except (Exception, SystemExit) as error:
             broken = True

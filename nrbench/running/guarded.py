@@ -5,7 +5,6 @@ Plugins that are not part of nrbench do it in guarded child processes.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,7 +20,7 @@ from nrbench.running.supervisor import RequestRunner, Supervisor
 from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder
-from nrbench.storage import write_json
+from nrbench.storage import temporary_folder, write_json
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import Draw, Plan, make_plan
 from nrbench.suites.suite import Suite
@@ -97,6 +96,6 @@ def guarded_draw(runner: RequestRunner, limits: Limits) -> Draw:
 @contextmanager
 def _folder_of(content: Mapping[str, Any]) -> Iterator[Path]:
     """Yield a temporary folder of a child process, whose ``cell.json`` has this content."""
-    with tempfile.TemporaryDirectory(prefix="nrbench-", ignore_cleanup_errors=True) as folder:
-        write_json(Path(folder, "cell.json"), content)
-        yield Path(folder)
+    with temporary_folder() as folder:
+        write_json(folder / "cell.json", content)
+        yield folder

@@ -15,6 +15,7 @@ import signal
 import sys
 import tempfile
 import threading
+import uuid
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,9 @@ from nrbench.jit import load_kernels
 from nrbench.running import guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import Result
+
+LONGEST = 70
+"""Bytes of the path of a folder of temporary files; Python's ``multiprocessing`` adds up to 35 for its sockets."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,8 @@ class Request:
         Limits, see :class:`~nrbench.running.guard.Limits`.
     metrics
         The metrics of the phase ``score``.
+    name
+        The name of the folder of temporary files where the cell's folder has a long path.
     """
 
     phase: Literal["render", "detect", "synthesize", "score", "report"]
@@ -48,6 +54,7 @@ class Request:
     seconds: float
     mib: float
     metrics: tuple[str, ...] = ()
+    name: str = dataclasses.field(default_factory=lambda: f"nrbench-{uuid.uuid4().hex[:12]}")
 
     @property
     def log(self) -> Path:
@@ -56,8 +63,12 @@ class Request:
 
     @property
     def temporary(self) -> Path:
-        """The folder of the phase's temporary files, which is removed when the phase has ended."""
-        return Path(self.folder) / "tmp"
+        """The folder of the phase's temporary files, which is removed when the phase has ended.
+
+        It lies in the cell's folder, unless that has a long path: the path of a socket has 107 bytes at most.
+        """
+        near = Path(self.folder) / "tmp"
+        return near if len(os.fsencode(near)) <= LONGEST else Path(tempfile.gettempdir(), self.name)
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""
@@ -233,7 +244,7 @@ def _child(request: Request, writable: int, limits: guard.Limits) -> None:
 
 def _use_temporary(folder: Path) -> None:
     """Make a folder, and let this process and what it starts put temporary files there."""
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
     os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
 
 

@@ -362,6 +362,14 @@ def test_one_interrupt_lets_the_running_cells_end(faulty: Path, tmp_path: Path) 
     assert steps[-1].remaining == 0
 
 
+def test_sockets_of_plugins_have_room_for_their_paths() -> None:
+    """Temporary files of a plugin have a short path even where the run directory has a long one."""
+    short, long = (Request("synthesize", folder, 1, 1) for folder in ("/runs/a", "/runs/" + "a" * 90))
+    assert short.temporary == Path("/runs/a/tmp")
+    assert len(str(long.temporary)) <= 70
+    assert Request.from_json(long.to_json()).temporary == long.temporary
+
+
 def test_the_worker_has_one_thread(supervisors: list[Supervisor]) -> None:
     """A warm worker, all plugins imported, has a single thread, so that it may fork."""
     for supervisor in supervisors:

@@ -1,0 +1,42 @@
+"""Temporary folders."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from nrbench.storage import temporary_folder, write_aside
+
+
+@pytest.mark.skipif(os.name == "nt", reason="has no such locks")
+def test_folders_of_killed_processes_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next temporary folder removes those that nobody holds; those of living processes and of others stay."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    program = (
+        "import os, tempfile\nfrom nrbench.storage import temporary_folder\n"
+        f"tempfile.tempdir = {str(tmp_path)!r}\nwith temporary_folder() as folder:\n    os._exit(9)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 9
+    (left,) = tmp_path.iterdir()
+    (tmp_path / "nrbench-mine").mkdir()
+    with temporary_folder() as living:
+        assert left.exists()  # it is younger than a minute
+        for folder in (left, living):
+            os.utime(folder / ".held", (0, 0))
+        with temporary_folder() as next_one:
+            assert {path.name for path in tmp_path.iterdir()} == {"nrbench-mine", living.name, next_one.name}
+
+
+def test_an_error_of_a_disk_names_the_file(tmp_path: Path) -> None:
+    """An error that names no file, as that of a full disk, gets the file that was to be written."""
+
+    def fill(path: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match=r"No space left on device: .*table.csv"):
+        write_aside(tmp_path / "table.csv", fill)
