@@ -28,7 +28,6 @@ from .plots.perils_plane import plot_perils_plane
 from .statistics import format as text_format
 from .statistics.claims import evaluate_claims
 from .statistics.comparison import (
-    LEADING_LEGEND,
     LEADING_SIGN,
     compare_methods,
     describe_scores,
@@ -68,10 +67,16 @@ class HtmlReport:
         the run directory.
     labels
         Answer files of the labelling pages of ``nrbench label``. They add the agreement of people with the scores.
+    tests
+        Whether to test which methods differ. Without tests there is no leading group.
+    baseline
+        The method with which the others are compared, by its name or label; by default the best ranked one.
     """
 
     embed_mib: float = 60.0
     labels: tuple[Path, ...] = ()
+    tests: bool = True
+    baseline: str = ""
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "report"
@@ -84,7 +89,7 @@ class HtmlReport:
 
     def render(self, run: Run, directory: Path) -> str:
         """Return the page as it will lie in ``directory``."""
-        comparison = compare_methods(run)
+        comparison = compare_methods(run, self.tests, self.baseline)
         pictures = PictureSource.for_cells(run.cells, directory, self.embed_mib * 2**20)
         detectors = compare_detectors(run)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
@@ -110,7 +115,7 @@ class HtmlReport:
             "level_plot": _svg_source(plot_levels(panels, "svg", _LEVELS_WIDTH)) if panels else "",
             "broken": BROKEN,
             "leading_sign": LEADING_SIGN,
-            "leading_legend": LEADING_LEGEND,
+            "leading_legend": comparison.leading_legend,
             "sections": build_gallery(run, comparison, pictures),
             "titles": layer_titles(run),
             "unfinished": _unfinished_cells(run.cells),

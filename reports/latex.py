@@ -13,7 +13,6 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
 from .statistics.comparison import (
-    LEADING_LEGEND,
     Comparison,
     Entry,
     Method,
@@ -73,9 +72,15 @@ class LatexTables:
     ----------
     columns
         Methods side by side in ``comparison.tex``, at least 1; further methods follow below.
+    tests
+        Whether to test which methods differ. Without tests there is no leading group.
+    baseline
+        The method with which the others are compared, by its name or label; by default the best ranked one.
     """
 
     columns: int = 6
+    tests: bool = True
+    baseline: str = ""
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
@@ -86,7 +91,7 @@ class LatexTables:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; without a regularity score only ``patches.tex``, if at all."""
-        comparison, terms = compare_methods(run), list_patch_terms(run)
+        comparison, terms = compare_methods(run, self.tests, self.baseline), list_patch_terms(run)
         contents = {"patches": _patches(run, terms)} if terms else {}
         if comparison.scored and comparison.rows:
             contents["summary"] = _summary(run, comparison)
@@ -147,7 +152,7 @@ def _summary(run: Run, comparison: Comparison) -> Iterator[str]:
         rows.append(_line([_method(one), *(_value(line, i, one.leading) for line in lines)]))
     ranking = (
         "Methods are ranked by quality, the worst of regularity, integrity and randomness of each output; a failed or "
-        rf"refused output has quality 0. \nrbLeading{{Bold}}: {escape_latex(LEADING_LEGEND)}. "
+        rf"refused output has quality 0. \nrbLeading{{Bold}}: {escape_latex(comparison.leading_legend)}. "
     )
     caption = (
         f"{_suite(run)}: means over textures, with 95\\,\\% intervals over textures below. "

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pandas as pd
 
@@ -19,6 +19,7 @@ from nrbench.runs.store import RUN_FILE, CellFolder, Result, RunDirectory
 from nrbench.storage import read_json
 from nrbench.suites.cell import Cell
 
+T = TypeVar("T")
 HEAD = (
     *("suite", "texture", "family", "kind", "regular_share", "method", "parameters", "lattice_source", "replicate"),
     *("reference", "status", "phase", "message", "note", "seconds", "peak_mib", "key"),
@@ -195,6 +196,22 @@ class Run:
         directory = RunDirectory(self.root)
         metrics = [plugin.name for plugin in self._metrics]
         return [_record(directory.cell(entry["key"]), entry, metrics) for entry in self.info["cells"]]
+
+    def shared(self, make: Callable[..., T], *arguments: Hashable) -> T:
+        """Return ``make(self, *arguments)``, computed at the first call and kept for all reports of this run.
+
+        Parameters
+        ----------
+        make
+            A function of the run.
+        arguments
+            Its further arguments.
+        """
+        known = vars(self).setdefault("_shared", {})
+        if (make, arguments) not in known:
+            known[make, arguments] = make(self, *arguments)
+        found: T = known[make, arguments]
+        return found
 
     def table(self) -> pd.DataFrame:
         """Return the tidy table: one row for each cell, one column for each score."""
