@@ -258,8 +258,13 @@ def columns_table(run: Run) -> pd.DataFrame:
     return pd.DataFrame([*own, *scores], columns=["column", "meaning", "unit", "low", "high", "better"])
 
 
+def csv_text(table: pd.DataFrame) -> str:
+    """Return a table as CSV, in which a spreadsheet runs no text as a formula."""
+    return str(table.map(_disarm).rename(columns=_disarm).to_csv(index=False, lineterminator="\n"))
+
+
 def _write(table: pd.DataFrame, path: Path) -> Path:
-    text = table.map(_disarm).rename(columns=_disarm).to_csv(index=False, lineterminator="\n")
+    text = csv_text(table)
     write_aside(path, lambda aside: aside.write_bytes(text.encode("utf-8", "backslashreplace")))
     return path
 
