@@ -386,12 +386,20 @@ def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Latti
 
 
 def timed_detection(detector: Detector, image: Image) -> FoundLattice:
-    """Detect the lattice of an image, and measure the wall seconds; if there is none, return the reason."""
+    """Detect the lattice of an image, and measure the wall seconds; if there is none, return the reason.
+
+    Raises
+    ------
+    TypeError
+        When the detector returns no :class:`Detection`.
+    """
     start = time.perf_counter()
     try:
-        found = detector.detect(image)
+        found: object = detector.detect(image)
     except NoLatticeFound as none:
         return FoundLattice(None, time.perf_counter() - start, none.reason)
+    if not isinstance(found, Detection):
+        raise TypeError(f"returned {type(found).__name__} instead of a Detection")
     return FoundLattice(found.lattice, time.perf_counter() - start, confidence=float(found.confidence))
 
 

@@ -20,8 +20,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
 
-import psutil
-
 from nrbench import plugins
 from nrbench.jit import load_kernels
 from nrbench.running import guard, phases
@@ -135,11 +133,17 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
         phases.synthesize(folder, send_with_memory)
 
 
-def warm() -> None:
-    """Import every plugin and load every compiled kernel, so that a forked child finds them ready."""
+def warm(compiling: Callable[[], None]) -> None:
+    """Import every plugin and load every compiled kernel, so that a forked child finds them ready.
+
+    Parameters
+    ----------
+    compiling
+        Called if kernels have to be compiled, which takes minutes, before that begins.
+    """
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
         plugins.inventory(kind)
-    load_kernels()
+    load_kernels(compiling)
 
 
 def may_fork() -> bool:
@@ -158,7 +162,7 @@ def serve(requests: Iterable[str], reply: Callable[[str], None]) -> None:
 def fork_and_watch(request: Request) -> Reply:
     """Run one phase in a forked child under its limits."""
     readable, writable = os.pipe()
-    base, limits = psutil.Process().memory_info().rss, guard.Limits(request.seconds, request.mib, request.metrics)
+    base, limits = guard.held_bytes(os.getpid()), guard.Limits(request.seconds, request.mib, request.metrics)
     pid = os.fork()
     if pid == 0:
         os.close(readable)
@@ -253,7 +257,8 @@ def _pipe_receiver(readable: int) -> guard.Receive:
 def main() -> None:
     """Serve the requests on standard input; with ``--once``, run a single one in this process, without forking.
 
-    The first line of output is ``{"fork": bool}``: whether this process can fork safely.
+    The first line of output is ``{"fork": bool}``: whether this process can fork safely. Where kernels have to be
+    compiled, the line ``{"compiling": true}`` comes before it.
     """
     arguments = sys.argv[1:]
     out = os.fdopen(os.dup(1), "w", buffering=1)
@@ -270,6 +275,7 @@ def main() -> None:
         try:
             _use_temporary(request.temporary)
             guard.confine(guard.Limits(request.seconds, request.mib))
+            write(json.dumps({"held": guard.held_bytes(os.getpid())}))
             perform(request, lambda message: write(json.dumps(message)))
         except BaseException as error:
             phases.send_error(error, lambda message: write(json.dumps(message)))
@@ -277,6 +283,6 @@ def main() -> None:
         os._exit(0)
     guard.adopt_orphans()
     if may_fork():
-        warm()
+        warm(lambda: write(json.dumps({"compiling": True})))
     write(json.dumps({"fork": may_fork()}))  # again, because a plugin may have started a thread
     serve(sys.stdin, write)
