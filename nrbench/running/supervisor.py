@@ -183,14 +183,19 @@ class Supervisor:
     """Owns one warm worker, and replaces it when it dies.
 
     Where forking is unsafe or absent, each request runs in a fresh interpreter, under the same limits but more slowly.
+
+    Parameters
+    ----------
+    forks
+        Whether requests may run in forked children; otherwise each one runs in a fresh interpreter.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, forks: bool = True) -> None:
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader: threading.Thread | None = None
         self._mark = uuid.uuid4().hex
-        self._forks = True
+        self._forks = forks
         self._ended = False
         self._temporary: Path | None = None
 

@@ -24,7 +24,7 @@ import psutil
 
 from nrbench import plugins
 from nrbench.jit import load_kernels
-from nrbench.running import guard, phases
+from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import Result
 
@@ -45,7 +45,7 @@ class Request:
         The metrics of the phase ``score``.
     """
 
-    phase: Literal["render", "detect", "synthesize", "score", "report"]
+    phase: Literal["render", "detect", "synthesize", "score", "report", "check"]
     folder: str
     seconds: float
     mib: float
@@ -131,6 +131,8 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
         phases.render(folder, send)
     elif request.phase == "report":
         phases.report(folder, send)
+    elif request.phase == "check":
+        clauses.check(folder, send)
     else:
         phases.synthesize(folder, send_with_memory)
 
