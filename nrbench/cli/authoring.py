@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 from typing import Any
 
 import click
 
 KINDS = ("synthesizers", "detectors", "metrics", "datasets", "reports")
+ONE_OF = ("synthesizer", "detector", "metric", "dataset", "report")
 
 
 @click.command("check")
@@ -81,3 +83,20 @@ def _print_failures(failures: list[Any], clauses: int) -> None:
         for line in finding.log.strip().splitlines()[-20:]:
             print(f"    {line}")
     print(f"\n{len(failures)} of {clauses} clauses failed" if failures else f"no clause of {clauses} failed")
+
+
+@click.command("new")
+@click.argument("kind", type=click.Choice(ONE_OF))
+@click.argument("name")
+@click.option("-o", "folder", type=click.Path(path_type=Path), metavar="DIR", help="The new folder.  [default: NAME]")
+def new_command(kind: str, name: str, folder: Path | None) -> None:
+    """Write a package with a plugin called NAME to start from.
+
+    The package has a module that works, its test, a README, and a pyproject.toml with the entry point.
+    """
+    from nrbench.authoring.packages import write_package
+
+    for path in write_package(kind, name, folder):
+        print(path)
+    where = folder if folder is not None else Path(name)
+    print(f"next: pip install -e {where.absolute()}, then nrbench check {name}")
