@@ -413,7 +413,7 @@ class Method(Subject):
     @property
     def uses_lattice(self) -> bool:
         """Whether the method uses a lattice."""
-        return bool(getattr(self.cls, "uses_lattice", True))
+        return bool(getattr(self.plugin, "uses_lattice", True))
 
     def task(self, seed: int = 0, channels: int = 3, frozen: bool = False, **changes: Any) -> Task:
         """Return a task; ``changes`` are fields of :class:`~nrbench.plugins.forms.Task`."""
