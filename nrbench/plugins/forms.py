@@ -412,7 +412,10 @@ class Synthesizer(Protocol):
     ``reference``
         True: the method receives ``task.again`` and ``task.recompose``, and is never ranked.
     ``uses_lattice``
-        False: the lattice axis of a suite does not apply.
+        False: the lattice axis of a suite does not apply. It may be a property that depends on the parameters.
+    ``label``
+        The name of the method in tables, a parameter or a property; if it is empty, the tables show the plugin's name
+        and the parameters that differ from their defaults. Two methods of a run may not have the same one.
     ``needs_lattice``
         False: the method runs without a lattice if the detector of the lattice axis finds none. Otherwise the cell is
         refused.

@@ -22,7 +22,7 @@ from typing import Any, Literal, cast
 
 from nrbench import plugins
 from nrbench.jit import load_kernels
-from nrbench.running import guard, phases
+from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import Result
 
@@ -43,7 +43,7 @@ class Request:
         The metrics of the phase ``score``.
     """
 
-    phase: Literal["render", "detect", "synthesize", "score", "report"]
+    phase: Literal["render", "detect", "synthesize", "score", "report", "check"]
     folder: str
     seconds: float
     mib: float
@@ -129,6 +129,8 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
         phases.render(folder, send)
     elif request.phase == "report":
         phases.report(folder, send)
+    elif request.phase == "check":
+        clauses.check(folder, send)
     else:
         phases.synthesize(folder, send_with_memory)
 
