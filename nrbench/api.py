@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,8 +25,9 @@ from nrbench.running.runner import Options, execute, working_metrics
 from nrbench.runs.records import Run
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
-from nrbench.tracking.deformation import Deformation
-from nrbench.views.deformed import find_deformation
+
+if TYPE_CHECKING:
+    from nrbench.tracking.deformation import Deformation
 
 Latticelike = Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None
 """A lattice; its two vectors, and its origin; ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``. None: no lattice is given."""
@@ -119,6 +120,8 @@ def track_lattice(
     (True, True)
     >>> straight, mean = bent.straighten()
     """
+    from nrbench.views.deformed import find_deformation
+
     thorough = plugins.build("detectors", detector, parameters)
     quick = plugins.build("detectors", "dominance", {"reject": "none"})
     return find_deformation(as_image(image), thorough, quick, as_lattice(lattice))

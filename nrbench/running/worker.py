@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import json
 import os
 import select
@@ -27,6 +28,12 @@ from nrbench.jit import load_kernels
 from nrbench.running import guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import Result
+
+DEFERRED = (
+    *("scipy.cluster.vq", "scipy.fft", "scipy.interpolate", "scipy.ndimage", "scipy.optimize", "scipy.signal"),
+    *("scipy.spatial.distance", "scipy.special", "scipy.stats", "skimage.color"),
+)
+"""Modules that scipy and scikit-image import on first use. A worker imports them before it forks."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +143,9 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
 
 
 def warm() -> None:
-    """Import every plugin and load every compiled kernel, so that a forked child finds them ready."""
+    """Import every plugin and all that they use, and load every compiled kernel, before children are forked."""
+    for name in DEFERRED:
+        importlib.import_module(name)
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
         plugins.inventory(kind)
     load_kernels()
