@@ -124,7 +124,9 @@ def _summary(run: Run, written: list[Path]) -> dict[str, Any]:
 
 def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
     """Return the cells of a plan for JSON, and how many a run would reuse and start."""
-    directory, metrics = RunDirectory(root), metrics_of(plan.suite)
+    directory = RunDirectory(root)
+    # Metrics take seconds to import. No cell is cached where there is no run.
+    metrics = metrics_of(plan.suite) if plan.suite.metrics or root.is_dir() else []
     cells = [
         {
             "key": cell.key,
