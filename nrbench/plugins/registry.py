@@ -127,6 +127,13 @@ def names(kind: str) -> list[str]:
     return list(dict.fromkeys([*entry_points_of(kind), *(plugin.name for plugin in from_files(kind))]))
 
 
+def name_of(kind: str, cls: type[Any]) -> str:
+    """Return the name under which a class is registered; empty if it is not. No other plugin is loaded."""
+    value = f"{cls.__module__}:{cls.__qualname__}"
+    named = (name for name, points in entry_points_of(kind).items() if points[0].value == value)
+    return next(named, next((plugin.name for plugin in from_files(kind) if plugin.cls is cls), ""))
+
+
 def inventory(kind: str) -> list[Plugin]:
     """Load every plugin of a kind. Broken and duplicate plugins are included, with their errors."""
     listed = [load(kind, point, i > 0) for points in entry_points_of(kind).values() for i, point in enumerate(points)]
