@@ -17,7 +17,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, as_image, match_channels, match_ndim, quantize
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.plugins.forms import Detection, Observation, Refused, Score, Shape, Synthesis, Task, Texture, Value
-from nrbench.plugins.parameters import validated
+from nrbench.plugins.parameters import LARGEST_SIDE, validated
 from nrbench.streams import pixels_hash, stream
 
 # Runs, suites and their executors are imported by the functions that use them: one picture needs none of them.
@@ -194,7 +194,7 @@ def synthesize(
     BadInput
         For a bad image, lattice, method or parameter.
     """
-    from nrbench.running.phases import checked_synthesis
+    from nrbench.running.outputs import checked_synthesis
 
     plugin = _plugin("synthesizers", method, parameters)
     sample = quantize(_image(image))
@@ -216,7 +216,8 @@ def _image(image: Imagelike, where: str = "image") -> Image:
     if isinstance(image, Texture | Synthesis):
         image = image.image
     elif not isinstance(image, np.ndarray) and np.ndim(image) < 2:
-        raise BadInput(f"{where}: is of type {type(image).__name__}; pass an array, the path of a picture, or a Texture")
+        found = type(image).__name__
+        raise BadInput(f"{where}: is of type {found}; pass an array, the path of a picture, or a Texture")
     return as_image(image, where)
 
 
@@ -238,8 +239,6 @@ def _plugin(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> Any
 
 
 def _checked_shape(shape: Shape) -> Shape:
-    from nrbench.suites.suite import LARGEST_SIDE
-
     try:
         height, width = map(operator.index, shape)
     except (TypeError, ValueError):

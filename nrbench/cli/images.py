@@ -32,9 +32,8 @@ def synth_command(image: Path, method: str, size: str, lattice: str | None, seed
     from nrbench import plugins
     from nrbench.api import synthesize
     from nrbench.imaging.files import read_image, write_image
-    from nrbench.plugins.parameters import parse_spec
-    from nrbench.running.phases import is_picture
-    from nrbench.suites.suite import parse_size
+    from nrbench.plugins.parameters import parse_size, parse_spec
+    from nrbench.running.outputs import is_picture
 
     name, parameters = parse_spec(method)
     check_output(output)

@@ -114,7 +114,7 @@ def _command_path(error: click.ClickException) -> str:
 def _report_exception(error: Exception, debug: bool) -> int:
     from nrbench.errors import BadInput, describe_error
     from nrbench.plugins.forms import Refused
-    from nrbench.running.phases import InvalidOutput
+    from nrbench.running.outputs import InvalidOutput
 
     if debug:
         import traceback

@@ -13,13 +13,13 @@ from typing import Any
 
 from nrbench import plugins
 from nrbench.errors import describe_error
+from nrbench.plugins.parameters import size_text
 from nrbench.running.guarded import write_guarded
 from nrbench.running.runner import is_cached, metrics_of
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED, RunDirectory
 from nrbench.suites.cell import RESULTS_VERSION
 from nrbench.suites.plan import Plan
-from nrbench.suites.suite import size_text
 
 
 def status_counts(run: Run) -> dict[str, int]:

@@ -7,6 +7,7 @@ import importlib.util
 import inspect
 import re
 from dataclasses import dataclass
+from functools import cache
 from importlib.machinery import SourceFileLoader
 from importlib.metadata import EntryPoint
 from typing import Any
@@ -55,20 +56,35 @@ def _of_plugin(plugin: Plugin) -> Summary:
 def _read_source(point: EntryPoint) -> Summary | None:
     """Return the summary of a plugin of nrbench, or None if it cannot be read without an import."""
     distribution, version = distribution_of(point)
-    found = importlib.util.find_spec(point.module) if distribution == "nrbench" else None
+    if distribution != "nrbench":
+        return None
+    try:
+        page, constants = _read_class(point.module, point.attr)
+    except LookupError:
+        return None
+    about, reference = page.partition("\n")[0], bool(constants.get("reference", False))
+    return Summary(point.name, distribution, str(constants.get("version", version)), about, reference)
+
+
+@cache
+def _read_class(module: str, name: str) -> tuple[str, dict[str, Any]]:
+    """Return the docstring of a class, and its constants with those that it inherits; LookupError if it has none."""
+    found = importlib.util.find_spec(module)
     if found is None or not isinstance(found.loader, SourceFileLoader):
-        return None
-    body = _class_body(found.loader.get_source(point.module) or "", point.attr)
-    if body is None or not (page := ast.get_docstring(body)):
-        return None
-    constants = _constants(body)
-    return Summary(
-        point.name,
-        distribution,
-        str(constants.get("version", version)),
-        page.partition("\n")[0],
-        bool(constants.get("reference", False)),
-    )
+        raise LookupError(module)
+    source = found.loader.get_source(module) or ""
+    body = _class_body(source, name)
+    page = ast.get_docstring(body) if body else None
+    if body is None or not page:
+        raise LookupError(name)
+    inherited: dict[str, Any] = {}
+    for base in map(ast.unparse, reversed(body.bases)):
+        place = re.search(rf"^from (\S+) import (?:\([^)]*|[^\n]*)\b{base}\b", source, re.MULTILINE)
+        if place is None:
+            inherited |= _read_class(module, base)[1]
+        elif place[1].startswith((".", "nrbench")):
+            inherited |= _read_class(importlib.util.resolve_name(place[1], found.parent), base)[1]
+    return page, inherited | _constants(body)
 
 
 def _class_body(source: str, name: str) -> ast.ClassDef | None:
@@ -76,9 +92,9 @@ def _class_body(source: str, name: str) -> ast.ClassDef | None:
     start = re.search(rf"^class {name}\b", source, re.MULTILINE)
     if start is None:
         return None
-    end = re.compile(r"^(    (def |@)|[^\s#])", re.MULTILINE).search(source, start.end())
+    end = re.compile(r"^    (def |@)", re.MULTILINE).search(source, start.end())
     try:
-        (found,) = ast.parse(source[start.start() : end.start() if end else None]).body
+        found = ast.parse(source[start.start() : end.start() if end else None]).body[0]
     except (SyntaxError, ValueError):
         return None
     return found if isinstance(found, ast.ClassDef) else None

@@ -30,8 +30,8 @@ from nrbench.running.guard import Message
 from nrbench.runs.store import Result
 
 DEFERRED = (
-    *("scipy.cluster.vq", "scipy.fft", "scipy.interpolate", "scipy.ndimage", "scipy.optimize", "scipy.signal"),
-    *("scipy.spatial.distance", "scipy.special", "scipy.stats", "skimage.color"),
+    *("scipy.cluster.vq", "scipy.fft", "scipy.interpolate", "scipy.linalg", "scipy.ndimage", "scipy.optimize"),
+    *("scipy.signal", "scipy.sparse", "scipy.spatial.distance", "scipy.special", "scipy.stats", "skimage.color"),
 )
 """Modules that scipy and scikit-image import on first use. A worker imports them before it forks."""
 
