@@ -13,6 +13,7 @@ import click
 
 VERBS: Mapping[str, str] = {
     **dict.fromkeys(("run", "plan", "report", "status", "label"), "nrbench.cli.runs"),
+    "compare": "nrbench.cli.comparing",
     **dict.fromkeys(("list", "show"), "nrbench.cli.listing"),
     "synth": "nrbench.cli.images",
     "lattice": "nrbench.cli.lattice",
