@@ -312,12 +312,15 @@ def _print_numbers(lattice: Lattice) -> None:
 def _detect(image: Image, spec: str, output: Path | None, diagnostics: Path | None, as_json: bool) -> None:
     """Print and draw the lattice that one detector finds."""
     from nrbench import plugins
+    from nrbench.cli.progress import waiting
     from nrbench.plugins.forms import NoLatticeFound
     from nrbench.plugins.parameters import parse_spec
 
     name, parameters = parse_spec(spec)
+    detector = plugins.build("detectors", name, parameters)
     try:
-        detection = plugins.build("detectors", name, parameters).detect(image)
+        with waiting(f"{name} looks for the lattice"):
+            detection = detector.detect(image)
     except NoLatticeFound as none:
         title = f"{spec}: no lattice: {none.reason}"
         _draw_diagnostics(none.best.diagnostics if none.best else {}, title, diagnostics)
@@ -352,11 +355,16 @@ def _draw_overlay(image: Image, candidates: Sequence[Alternative], output: Path)
 def _compare_detectors(image: Image, output: Path | None, as_json: bool) -> int:
     """Print and draw the lattices of all detectors; return 1 if one of them failed, else 0."""
     from nrbench import plugins
+    from nrbench.cli.progress import live_progress
     from nrbench.jit import load_kernels
 
     load_kernels()
     names = [plugin.name for plugin in plugins.inventory("detectors") if plugin.cls is not None]
-    results = [_run_detector(image, name) for name in names]
+    results = []
+    with live_progress(patience=True) as progress:
+        for number, name in enumerate(names, 1):
+            results.append(_run_detector(image, name))
+            progress(number, len(names), name)
     if output is not None:
         _draw_comparison(image, results, output)
     if as_json:

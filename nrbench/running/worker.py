@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import json
 import os
 import select
@@ -25,6 +26,12 @@ from nrbench.jit import load_kernels
 from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import Result
+
+DEFERRED = (
+    *("scipy.cluster.vq", "scipy.fft", "scipy.interpolate", "scipy.linalg", "scipy.ndimage", "scipy.optimize"),
+    *("scipy.signal", "scipy.sparse", "scipy.spatial.distance", "scipy.special", "scipy.stats", "skimage.color"),
+)
+"""Modules that scipy and scikit-image import on first use. A worker imports them before it forks."""
 
 
 @dataclass(frozen=True)
@@ -136,13 +143,15 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
 
 
 def warm(compiling: Callable[[], None]) -> None:
-    """Import every plugin and load every compiled kernel, so that a forked child finds them ready.
+    """Import every plugin and all that they use, and load every compiled kernel, before children are forked.
 
     Parameters
     ----------
     compiling
         Called if kernels have to be compiled, which takes minutes, before that begins.
     """
+    for name in DEFERRED:
+        importlib.import_module(name)
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
         plugins.inventory(kind)
     load_kernels(compiling)

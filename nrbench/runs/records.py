@@ -8,9 +8,7 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from nrbench import plugins
 from nrbench.errors import BadInput
@@ -18,6 +16,9 @@ from nrbench.plugins.forms import Column, Value
 from nrbench.runs.store import RUN_FILE, CellFolder, Result, RunDirectory
 from nrbench.storage import read_json
 from nrbench.suites.cell import Cell
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 T = TypeVar("T")
 HEAD = (
@@ -215,6 +216,8 @@ class Run:
 
     def table(self) -> pd.DataFrame:
         """Return the tidy table: one row for each cell, one column for each score."""
+        import pandas as pd
+
         rows = [_row(record, self.columns) for record in self.cells]
         return pd.DataFrame(rows, columns=list(rows[0]) if rows else [*HEAD, *self.columns])
 

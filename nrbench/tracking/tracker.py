@@ -8,10 +8,8 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.interpolate import make_interp_spline
 
 from nrbench.imaging.convert import Image, subtract_color, sum_channels
 from nrbench.imaging.fold import Values
@@ -199,7 +197,7 @@ class Nodes:
         step = [n / count for n, count in zip(self.padded, self.counts, strict=True)]
         at = [points[..., 1] / step[0], points[..., 0] / step[1]]
         return np.stack(
-            [ndimage.map_coordinates(axis, at, order=3, mode="nearest") for axis in np.moveaxis(field, -1, 0)], -1
+            [scipy.ndimage.map_coordinates(axis, at, order=3, mode="nearest") for axis in np.moveaxis(field, -1, 0)], -1
         )
 
 
@@ -507,14 +505,16 @@ def _straighten(planes: Values, nodes: Nodes, field: Field) -> Values:
     down, along = (_spline_weights(at, n) for at, n in ((nodes.y, height), (nodes.x, width)))
     moved = np.einsum("yr,rcd,xc->dyx", down, field, along, optimize=True)
     at = moved[::-1] + np.indices((height, width))
-    return np.stack([ndimage.map_coordinates(plane, at, np.float32, 1) for plane in np.moveaxis(planes, -1, 0)], -1)
+    return np.stack(
+        [scipy.ndimage.map_coordinates(plane, at, np.float32, 1) for plane in np.moveaxis(planes, -1, 0)], -1
+    )
 
 
 def _spline_weights(at: Field, count: int) -> Field:
     """Return the matrix ``(count, n)`` of cubic splines from nodes to pixels, constant beyond the last node."""
     if len(at) == 1:
         return np.ones((count, 1))
-    spline = make_interp_spline(at, np.eye(len(at)), k=min(3, len(at) - 1))
+    spline = scipy.interpolate.make_interp_spline(at, np.eye(len(at)), k=min(3, len(at) - 1))
     return np.asarray(spline(np.clip(np.arange(count), at[0], at[-1])))
 
 
