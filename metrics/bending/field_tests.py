@@ -148,11 +148,9 @@ def _half_planes(places: Points) -> Values:
     for angle in np.arange(_DIRECTIONS) * (math.pi / _DIRECTIONS):
         along = places @ (math.cos(angle), math.sin(angle))
         offsets = np.arange(along.min() + step / 2, along.max(), max(step, 1e-3))
-        beyond = along > offsets[:, np.newaxis]
         # Lines between the same nodes are one line.
-        _, first = np.unique(beyond, axis=0, return_index=True)
-        share = beyond[first].mean(1)
-        kept = np.sort(first[(share >= _LEAST_SIDE) & (share <= 1 - _LEAST_SIDE)])
+        count, first = np.unique((along > offsets[:, np.newaxis]).sum(1), return_index=True)
+        kept = first[(count >= _LEAST_SIDE * len(places)) & (count <= (1 - _LEAST_SIDE) * len(places))]
         sets.append(ndtr((along - offsets[kept, np.newaxis]) / _RAMP))
     return np.concatenate(sets)
 

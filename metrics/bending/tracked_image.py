@@ -57,7 +57,7 @@ class TrackedImage:
 
     @cached_property
     def field(self) -> SampledField:
-        """The displacement field at every second node along both axes, about s apart."""
+        """The displacement field at every second node along both axes, about 0.8 tiles apart."""
         followed = self.followed
         reliable = (followed.correlation > self.level)[::2, ::2]
         if self.dropped is not None:

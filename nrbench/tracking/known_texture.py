@@ -34,7 +34,7 @@ _MOST_PLACES = 144
 _CANDIDATES, _STARTS = 8, 3
 """Number of places that are registered before one is chosen, and number of starts from which the image is followed."""
 _STEP = 0.4
-"""Distance of nodes, and of knots, in s."""
+"""Distance of nodes, and of knots, over the width and the height of a tile."""
 _BEYOND = 1.0
 """Width, in s, of the part of the plane beyond the image from which content may have moved into it."""
 _LEAST_LEVEL = 0.2
@@ -75,7 +75,7 @@ class FollowedImage:
 def follow_texture(image: Image, tile: MeanTile) -> FollowedImage:
     """Follow the lattice of a known texture through an image, from the place where it is bent least.
 
-    Knots on the plane of the undisturbed lattice, 0.4 s apart, are registered with the mean tile one after another,
+    Knots on the plane of the undisturbed lattice, 0.4 tiles apart, are registered with the mean tile one after another,
     each for its place and its affine distortion (:func:`~nrbench.tracking.growth_kernels.grow_knots`). The first one is
     where a window of the image correlates best with the tile as it is. Displacements are known up to a lattice vector,
     which is the same for the whole image. Time is linear in the number of pixels.
@@ -131,11 +131,12 @@ class _Following:
     def of(cls, image: Image, tile: MeanTile) -> _Following:
         lattice = tile.harmonics.lattice
         size = np.array(image.shape[1::-1])
-        offsets, weights, spacing = _window(cell_covariance(lattice))
+        covariance = cell_covariance(lattice)
+        offsets, weights, spacing = _window(covariance)
         planes = subtract_color(image, image.mean((0, 1), dtype=np.float64).astype(np.float32)) @ tile.colors
         blur = _BLUR * spacing
         planes = ndimage.gaussian_filter(planes, (blur, blur, 0), mode="nearest")
-        counts = np.maximum(np.ceil((size - 1) / (_STEP * lattice.s)), 2)
+        counts = np.maximum(np.ceil((size - 1) / (_STEP * np.sqrt(12 * np.diag(covariance)))), 2)
         step = (size - 1) / counts
         # The displacement of the first knot is at most half of each vector of the lattice.
         beyond = np.ceil((np.abs(lattice.matrix).sum(0) / 2 + _BEYOND * lattice.s) / step)
