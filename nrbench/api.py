@@ -121,7 +121,7 @@ def track_lattice(
     """
     thorough = plugins.build("detectors", detector, parameters)
     quick = plugins.build("detectors", "dominance", {"reject": "none"})
-    return find_deformation(as_image(image), thorough, quick, as_lattice(lattice))
+    return find_deformation(as_image(image), thorough, quick, as_lattice(lattice)).deformation
 
 
 def as_lattice(lattice: Latticelike) -> Lattice | None:
