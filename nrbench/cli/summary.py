@@ -13,6 +13,7 @@ from typing import Any
 
 from nrbench import plugins
 from nrbench.errors import describe_error
+from nrbench.plugins.parameters import size_text
 from nrbench.running.guard import Limits
 from nrbench.running.guarded import LIMITS, write_guarded
 from nrbench.running.runner import is_cached, metrics_of
@@ -20,7 +21,6 @@ from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED, RunDirectory
 from nrbench.suites.cell import RESULTS_VERSION
 from nrbench.suites.plan import Plan
-from nrbench.suites.suite import size_text
 
 
 def status_counts(run: Run) -> dict[str, int]:
@@ -132,7 +132,9 @@ def _summary(run: Run, written: list[Path]) -> dict[str, Any]:
 
 def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
     """Return the cells of a plan for JSON, and how many a run would reuse and start."""
-    directory, metrics = RunDirectory(root), metrics_of(plan.suite)
+    directory = RunDirectory(root)
+    # Metrics take seconds to import. No cell is cached where there is no run.
+    metrics = metrics_of(plan.suite) if plan.suite.metrics or root.is_dir() else []
     cells = [
         {
             "key": cell.key,

@@ -17,7 +17,8 @@ from nrbench.errors import BadInput
 from nrbench.imaging.files import write_image
 from nrbench.plugins.forms import FoundLattice
 from nrbench.running.executors import Executor, executor
-from nrbench.running.phases import InvalidOutput, read_output
+from nrbench.running.outputs import InvalidOutput
+from nrbench.running.phases import read_output
 from nrbench.running.progress import Pace, Progress, Step
 from nrbench.running.supervisor import Job, print_notice
 from nrbench.runs.records import Run

@@ -202,16 +202,18 @@ class Supervisor:
     ----------
     tell
         Called with a sentence when the start of the worker takes minutes, because kernels are compiled.
+    forks
+        Whether requests may run in forked children; otherwise each one runs in a fresh interpreter.
     """
 
-    def __init__(self, tell: Callable[[str], None] = print_notice) -> None:
+    def __init__(self, tell: Callable[[str], None] = print_notice, *, forks: bool = True) -> None:
         self._tell = tell
         self._plugins: list[str] = []
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader: threading.Thread | None = None
         self._mark = uuid.uuid4().hex
-        self._forks = True
+        self._forks = forks
         self._ended = False
         self._temporary: Path | None = None
 

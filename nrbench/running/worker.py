@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import json
 import os
 import select
@@ -23,12 +24,17 @@ from typing import Any, Literal, cast
 
 from nrbench import plugins
 from nrbench.jit import load_kernels
-from nrbench.running import guard, phases
+from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import Result
 
 LONGEST = 70
 """Bytes of the path of a folder of temporary files; Python's ``multiprocessing`` adds up to 35 for its sockets."""
+DEFERRED = (
+    *("scipy.cluster.vq", "scipy.fft", "scipy.interpolate", "scipy.linalg", "scipy.ndimage", "scipy.optimize"),
+    *("scipy.signal", "scipy.sparse", "scipy.spatial.distance", "scipy.special", "scipy.stats", "skimage.color"),
+)
+"""Modules that scipy and scikit-image import on first use. A worker imports them before it forks."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,7 @@ class Request:
         The name of the folder of temporary files where the cell's folder has a long path.
     """
 
-    phase: Literal["render", "detect", "synthesize", "score", "report"]
+    phase: Literal["render", "detect", "synthesize", "score", "report", "check"]
     folder: str
     seconds: float
     mib: float
@@ -140,18 +146,22 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
         phases.render(folder, send)
     elif request.phase == "report":
         phases.report(folder, send)
+    elif request.phase == "check":
+        clauses.check(folder, send)
     else:
         phases.synthesize(folder, send_with_memory)
 
 
 def warm(compiling: Callable[[], None]) -> None:
-    """Import every plugin and load every compiled kernel, so that a forked child finds them ready.
+    """Import every plugin and all that they use, and load every compiled kernel, before children are forked.
 
     Parameters
     ----------
     compiling
         Called if kernels have to be compiled, which takes minutes, before that begins.
     """
+    for name in DEFERRED:
+        importlib.import_module(name)
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
         plugins.inventory(kind)
     load_kernels(compiling)

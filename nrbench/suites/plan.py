@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import fnmatch
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, get_args
@@ -56,9 +56,10 @@ class Method:
             name,
             f"{plugin.version}{_fingerprint(instance)}",
             parameters,
-            label(name, parameters, _defaults(plugin.cls), getattr(plugin.cls, "always_shown", ())),
+            getattr(instance, "label", "")
+            or label(name, parameters, _defaults(plugin.cls), getattr(plugin.cls, "always_shown", ())),
             bool(getattr(plugin.cls, "reference", False)),
-            bool(getattr(plugin.cls, "uses_lattice", True)),
+            bool(getattr(instance, "uses_lattice", True)),
         )
 
 
@@ -263,6 +264,7 @@ def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = No
     """
     methods = {spec: Method.parse(spec) for spec in suite.all_methods}
     sources = list({source.name: source for source in map(Source.parse, suite.lattice)}.values())
+    _check_labels(methods.values())
     if not methods:
         raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
     if not sources and any(method.uses_lattice for method in methods.values()):
@@ -276,6 +278,17 @@ def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = No
         for source in (sources if method.uses_lattice else [Source("none")])
     ]
     return Plan(suite, samples, cells)
+
+
+def _check_labels(methods: Iterable[Method]) -> None:
+    """Raise BadInput if two different methods have the same name in the tables."""
+    known: dict[str, Method] = {}
+    for method in methods:
+        other = known.setdefault(method.label, method)
+        if (other.name, other.parameters) != (method.name, method.parameters):
+            raise BadInput(
+                f"two methods have the label {method.label!r} in the tables; give one of them another label="
+            )
 
 
 def draw_samples(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = None) -> list[Sample]:
