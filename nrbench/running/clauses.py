@@ -46,12 +46,10 @@ from nrbench.plugins.forms import (
     Task,
     Texture,
 )
+from nrbench.running.outputs import InvalidOutput, check_source, checked_synthesis
 from nrbench.running.phases import (
     FAULTS,
-    InvalidOutput,
     Send,
-    check_source,
-    checked_synthesis,
     score_observation,
     send_error,
     write_score,
