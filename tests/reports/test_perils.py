@@ -83,7 +83,7 @@ def test_files_are_vector_graphics_and_the_same_again(ranked: Run, comparison: C
     assert [path.name for path in paths] == [
         f"{name}.{kind}" for kind in ("svg", "pdf") for name in ("perils", "levels", "cost", "heat-map")
     ]
-    first = [path.read_bytes() for path in paths[::2]]
+    first = [path.read_bytes() for path in paths if path.stem == "perils"]
     assert [content[:5] for content in first] == [b"<?xml", b"%PDF-"]
     assert b"<image" not in first[0]
     points = perils_points(comparison.summaries)
