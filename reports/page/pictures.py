@@ -81,6 +81,7 @@ class PictureStore:
     single_file: bool = False
     _used: set[str] = field(default_factory=set)
     _shown: dict[Path, PagePicture | None] = field(default_factory=dict)
+    _laid: dict[tuple[Path, Path | None], PagePicture | None] = field(default_factory=dict)
 
     def load(self, path: Path | None) -> PagePicture | None:
         """Return the picture in a PNG file; None if there is no readable picture."""
@@ -111,6 +112,12 @@ class PictureStore:
         PagePicture or None
             None if there is no readable picture, or it has another size than the output: then it is no overlay.
         """
+        key = (output, layer)
+        if key not in self._laid:
+            self._laid[key] = self._overlay(output, layer)
+        return self._laid[key]
+
+    def _overlay(self, output: Path, layer: Path | None) -> PagePicture | None:
         try:
             if layer is None:
                 return None
@@ -126,6 +133,12 @@ class PictureStore:
 
     def source_map(self, path: Path) -> PagePicture | None:
         """Return the map of the sample's places that the pixels of an output come from, by color; None without one."""
+        key = (path, None)
+        if key not in self._laid:
+            self._laid[key] = self._source_map(path)
+        return self._laid[key]
+
+    def _source_map(self, path: Path) -> PagePicture | None:
         try:
             content = path.read_bytes()
             with np.load(io.BytesIO(content)) as arrays:
