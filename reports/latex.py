@@ -36,6 +36,8 @@ _SPECIAL: Mapping[str, str] = {
     "\u2212": "$-$", "\u2013": "--", "\u2026": r"\dots{}", "\u221e": r"$\infty$",
     "\u00d7": r"$\times$", "\u00b0": r"$^\circ$",
 }  # fmt: skip
+_LAST_LATIN = 0x17F
+"""The last letter that every LaTeX prints with T1 fonts."""
 _MARKS: Mapping[str, tuple[str, str]] = {
     "preserved": ("Preserved", r"$\bullet$"),
     "lost": ("Lost", r"$\circ$"),
@@ -134,13 +136,20 @@ def bibliography(run: Run) -> str:
 
 def escape_latex(text: str) -> str:
     """Return text on one line, escaped so that LaTeX prints every character and makes no ligature."""
-    return "".join(_SPECIAL.get(letter, letter) for letter in " ".join(strip_control(text).split()))
+    return "".join(map(_escape_letter, " ".join(strip_control(text).split())))
+
+
+def _escape_letter(letter: str) -> str:
+    r"""Return a letter as LaTeX; one that T1 fonts lack as ``\nrbUnicode{code}{letter}``."""
+    plain = ord(letter) <= _LAST_LATIN or letter in _SPECIAL
+    return _SPECIAL.get(letter, letter) if plain else rf"\nrbUnicode{{{ord(letter):04X}}}{{{letter}}}"
 
 
 def _definitions() -> Iterator[str]:
     yield r"% needs \usepackage{booktabs} and \usepackage[T1]{fontenc}; a paper can define these marks before this file"
     for name, sign in (*_MARKS.values(), *_OTHER.items()):
         yield rf"\providecommand{{\nrb{name}}}{{{sign}}}"
+    yield r"\providecommand{\nrbUnicode}[2]{{\scriptsize U+#1}}% LuaLaTeX and XeLaTeX can print the letter itself, #2"
     yield r"\providecommand{\nrbBest}[1]{\textbf{#1}}"
     yield r"\providecommand{\nrbTie}[1]{\textbf{#1}}"
 

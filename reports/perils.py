@@ -11,6 +11,9 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
+from .plots.cost_plane import has_cost, plot_cost
+from .plots.critical_difference import plot_ranks
+from .plots.heat_map import plot_heat_map
 from .plots.level_plot import plot_levels
 from .plots.perils_plane import plot_perils_plane
 from .statistics.comparison import compare_methods, perils_points
@@ -33,6 +36,9 @@ class PerilsPlane:
 
     ``levels.svg`` and ``levels.pdf`` show the quality of each method by the level of a difficulty, with one panel for
     each difficulty. They are written if the suite has textures at two levels or more of one departure.
+
+    ``ranks.svg`` and ``ranks.pdf`` are the critical-difference diagram, from 10 textures up; ``cost.*`` shows quality
+    against time, ``heat-map.*`` the quality of every method on every texture.
 
     Parameters
     ----------
@@ -58,6 +64,12 @@ class PerilsPlane:
             contents = {"perils": plot_perils_plane(points, kind, self.width)} if points else {}
             if panels:
                 contents["levels"] = plot_levels(panels, kind, self.width)
+            if comparison.tests:
+                contents["ranks"] = plot_ranks(comparison, kind, self.width)
+            if has_cost(comparison):
+                contents["cost"] = plot_cost(comparison, kind, self.width)
+            if comparison.has_ranking:
+                contents["heat-map"] = plot_heat_map(comparison, kind)
             for name, content in contents.items():
                 path = directory / f"{name}.{kind}"
                 write_aside(path, partial(Path.write_bytes, data=content))

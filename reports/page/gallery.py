@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from nrbench.labelling.questions import Question
@@ -187,6 +188,8 @@ def build_gallery(run: Run, comparison: Comparison, pictures: PictureStore) -> l
     """Return a section for every texture of the comparison."""
     names = dict.fromkeys(title for record in run.cells for title in record.pictures)
     titles = [*sort_headlines_first(names), SOURCE_MAP]
+    with ThreadPoolExecutor(2) as pool:  # images are decoded and encoded outside of Python's lock
+        list(pool.map(lambda record: _lay_over(record, titles, pictures), run.cells))
     sections = []
     for row in comparison.rows:
         replicates: dict[int, list[CellRecord]] = {}
@@ -246,7 +249,7 @@ def _output_figure(
     if shade is not None and word == "lost":
         shade = min(shade, _MAX_LOST_SHADE)  # a lost lattice never looks like a preserved one
     output = pictures.load(record.folder / "output.png") if record.status == "ok" else None
-    layers, insets = _lay_over(record, titles, pictures) if output else ([], [])
+    layers, insets = _lay_over(record, titles, pictures)
     return OutputFigure(
         record=record,
         method=_method_of(record),
@@ -270,7 +273,10 @@ def _lay_over(
     record: CellRecord, titles: Sequence[str], pictures: PictureStore
 ) -> tuple[list[PictureLayer], list[tuple[str, PagePicture]]]:
     """Return the layers of an output, and the pictures of its metrics that have another size."""
-    layers, insets = [], []
+    layers: list[PictureLayer] = []
+    insets: list[tuple[str, PagePicture]] = []
+    if record.status != "ok" or not pictures.load(record.folder / "output.png"):
+        return layers, insets
     for index, title in enumerate(titles, 1):
         path = record.pictures.get(title)
         if title == SOURCE_MAP:

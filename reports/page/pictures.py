@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from nrbench.storage import write_aside
 
+from ..plots.marks import find_marks
+
 SMALLEST, LARGEST = 192, 384
 """Widths on the page, px: smaller pictures are magnified, larger ones are reduced."""
 FOLDER = "pictures"
@@ -24,8 +26,6 @@ FOLDER = "pictures"
 _RECIPE = "1"
 """Part of every name in the folder; raise it when the same file would give another picture."""
 _QUALITY, _LAYER_QUALITY, _MAP_QUALITY = 68, 50, 30
-_MARKED = 3
-"""Channels that differ by more levels than this make a pixel of an overlay colored, or different from the output."""
 _SHADE = 190
 """Opacity of the marks of an overlay, of 255."""
 _CORNERS = np.array([[[0, 114, 178], [0, 158, 115]], [[213, 94, 0], [240, 228, 66]]], np.float64)
@@ -81,6 +81,7 @@ class PictureStore:
     single_file: bool = False
     _used: set[str] = field(default_factory=set)
     _shown: dict[Path, PagePicture | None] = field(default_factory=dict)
+    _laid: dict[tuple[Path, Path | None], PagePicture | None] = field(default_factory=dict)
 
     def load(self, path: Path | None) -> PagePicture | None:
         """Return the picture in a PNG file; None if there is no readable picture."""
@@ -106,14 +107,17 @@ class PictureStore:
     def overlay(self, output: Path, layer: Path | None) -> PagePicture | None:
         """Return the marks of a metric's picture over an output, transparent elsewhere.
 
-        A metric draws its marks in color over the output, or over a gray copy of it. Pixels that are gray, or equal to
-        the output, are no marks.
-
         Returns
         -------
         PagePicture or None
             None if there is no readable picture, or it has another size than the output: then it is no overlay.
         """
+        key = (output, layer)
+        if key not in self._laid:
+            self._laid[key] = self._overlay(output, layer)
+        return self._laid[key]
+
+    def _overlay(self, output: Path, layer: Path | None) -> PagePicture | None:
         try:
             if layer is None:
                 return None
@@ -129,6 +133,12 @@ class PictureStore:
 
     def source_map(self, path: Path) -> PagePicture | None:
         """Return the map of the sample's places that the pixels of an output come from, by color; None without one."""
+        key = (path, None)
+        if key not in self._laid:
+            self._laid[key] = self._source_map(path)
+        return self._laid[key]
+
+    def _source_map(self, path: Path) -> PagePicture | None:
         try:
             content = path.read_bytes()
             with np.load(io.BytesIO(content)) as arrays:
@@ -207,9 +217,7 @@ def _encode(pixels: Pixels, quality: int) -> bytes:
 
 def _marks(layer: Pixels, output: Pixels) -> Pixels:
     """Return a metric's picture with an alpha channel that hides what is gray or equal to the output."""
-    spread = layer.max(-1).astype(np.int16) - layer.min(-1)
-    apart = np.abs(layer.astype(np.int16) - output).max(-1)
-    marked = (spread > _MARKED) & (apart > _MARKED)
+    marked = find_marks(layer, output)
     return np.dstack([np.where(marked[..., None], layer, 0), np.where(marked, _SHADE, 0)]).astype(np.uint8)
 
 
@@ -219,4 +227,5 @@ def _place_colors(places: NDArray[np.float64]) -> Pixels:
     x, y = np.moveaxis((places - low) / np.maximum(high - low, 1e-9), -1, 0)[..., None]
     top = _CORNERS[0, 0] * (1 - x) + _CORNERS[0, 1] * x
     bottom = _CORNERS[1, 0] * (1 - x) + _CORNERS[1, 1] * x
-    return np.rint(top * (1 - y) + bottom * y).astype(np.uint8)
+    colors: Pixels = np.rint(top * (1 - y) + bottom * y).astype(np.uint8)
+    return colors

@@ -45,8 +45,10 @@ def draw_captions(axes: Axes, anchors: Floats, texts: Sequence[str], slanted: Se
         bend, end = (frame.x1 + 3, port), (frame.x1 + _GUTTER - 2, place)
         line = back.transform(np.array([anchors[index], bend, end]))
         axes.plot(*line.T, color=GRAY, lw=0.45, zorder=1, transform=axes.transAxes, clip_on=False)
+        x, y = back.transform((frame.x1 + _GUTTER, place))
         axes.text(
-            *back.transform((frame.x1 + _GUTTER, place)),
+            float(x),
+            float(y),
             texts[index],
             transform=axes.transAxes,
             va="center",
@@ -95,7 +97,8 @@ def spread(heights: Floats, gaps: Floats, limits: tuple[float, float] = (-np.inf
     """Return the places nearest to falling ``heights`` that lie at least ``gaps`` apart, within limits if they fit."""
     below = np.concatenate([[0.0], np.cumsum(gaps)])
     level = np.asarray(isotonic_regression(heights + below, increasing=False).x, np.float64)
-    return np.minimum(np.maximum(level, limits[0] + below[-1]), limits[1]) - below
+    within: Floats = np.minimum(np.maximum(level, limits[0] + below[-1]), limits[1]) - below
+    return within
 
 
 def count_crossings(anchors: Floats, ports: Floats, edge: float) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -38,7 +39,8 @@ def make_figure(width: float, height: float) -> Figure:
 
 def render_figure(draw: Callable[[], Figure], kind: str) -> bytes:
     """Return the figure that ``draw`` makes, as a file of a kind (``svg``, ``pdf``, ``png``) without a date."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(_STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")  # an emoji in a name is drawn as a box
         file = io.BytesIO()
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
         draw().savefig(

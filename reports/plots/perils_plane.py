@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -65,14 +66,14 @@ def _perils_figure(points: Sequence[PerilsPoint], width: float) -> Figure:
         "list": _LIST_ROW * len(above) + 6.0 if width < _NARROW else 0.0,
     }
     notes = len(_footnotes(points))
-    heights["key"] += 10.0 * (width < _NARROW) - 8.0 * (not notes) + 9.0 * (notes > 1)
+    heights["key"] += (26.0 + 9.0 * notes) * (width < _NARROW) - 8.0 * (not notes) + 9.0 * (notes > 1)
     total = sum(heights.values())
     figure = make_figure(width, total)
-    beside = 58 if width < _NARROW else 182 if above else 58
+    beside = 12 if width < _NARROW else 182 if above else 58
     left, across = 46 / (72 * width), 1 - (46 + beside) / (72 * width)
     bottom = (heights["key"] + heights["strip"] + heights["list"]) / total
     plane = figure.add_axes((left, bottom, across, heights["plane"] / total))
-    _draw_plane(plane, above)
+    _draw_plane(plane, above, width < _NARROW)
     if below:
         strip = figure.add_axes((left, (heights["key"] + heights["list"]) / total, across, heights["strip"] / total))
         _draw_strip(strip, below)
@@ -83,12 +84,12 @@ def _perils_figure(points: Sequence[PerilsPoint], width: float) -> Figure:
     return figure
 
 
-def _draw_plane(axes: Axes, above: Sequence[PerilsPoint]) -> None:
+def _draw_plane(axes: Axes, above: Sequence[PerilsPoint], narrow: bool) -> None:
     axes.set(xlim=(-0.05, 1.05), ylim=(-0.05, 1.05), xticks=np.linspace(0, 1, 6), yticks=np.linspace(0, 1, 6))
     axes.set_ylabel("randomness")
     for quality in _CONTOURS:
         axes.plot((quality, quality, 1.05), (1.05, quality, quality), color=FAINT, lw=0.6, zorder=0)
-    for height, words, side in ((1.0, "as a fresh draw", "top"), (0.0, "wallpaper", "bottom")):
+    for height, words, side in () if narrow else ((1.0, "as a fresh draw", "top"), (0.0, "wallpaper", "bottom")):
         away = -0.035 if side == "top" else 0.035
         axes.text(1.04, height + away, words, ha="right", va=side, **SMALL)
     axes.text(0, 1.02, "lattice lost or broken", transform=axes.transAxes, style="italic", **SMALL)
@@ -96,7 +97,7 @@ def _draw_plane(axes: Axes, above: Sequence[PerilsPoint]) -> None:
     axes.tick_params(length=3, width=0.7)
     for point in above:
         _draw_point(axes, point, *_position(point))
-    _draw_captions(axes, above)
+    _draw_captions(axes, above, narrow)
 
 
 def _position(point: PerilsPoint) -> tuple[float, float]:
@@ -122,13 +123,13 @@ def _draw_point(axes: Axes, point: PerilsPoint, x: float, y: float) -> None:
     )
 
 
-def _draw_captions(axes: Axes, above: Sequence[PerilsPoint]) -> None:
+def _draw_captions(axes: Axes, above: Sequence[PerilsPoint], narrow: bool) -> None:
     """Label the points, in the order of their heights: in a column beside the plane, or by numbers if it is narrow."""
     groups = _shared_captions(axes, above)
     if not groups:
         return
     anchors = axes.transData.transform([_position(group[0]) for group in groups])
-    if axes.figure.get_figwidth() >= _NARROW:
+    if not narrow:
         texts = [wrap_caption(caption_text(group)) for group in groups]
         draw_captions(axes, anchors, texts, [group[0].method.reference for group in groups])
         return
@@ -139,8 +140,10 @@ def _draw_captions(axes: Axes, above: Sequence[PerilsPoint]) -> None:
     boxes = place_captions(anchors, sizes, _obstacles(axes, above), np.array(axes.get_window_extent().extents))
     back = axes.transData.inverted()
     for number, group, anchor, box in zip(numbers, groups, anchors, boxes, strict=True):
+        x, y = back.transform((box[:2] + box[2:]) / 2)
         axes.text(
-            *back.transform((box[:2] + box[2:]) / 2),
+            float(x),
+            float(y),
             number,
             ha="center",
             va="center",
@@ -234,6 +237,7 @@ def _draw_key(figure: Figure, points: Sequence[PerilsPoint], height: float, belo
     narrow = figure.get_figwidth() < _NARROW
     middle = 0.5 - 2 / (72 * figure.get_figwidth())
     title = "elements in place and whole: the smaller of regularity and integrity"
+    title = title.replace(": ", ":\n") if narrow else title
     figure.text(middle, (below + height - 26) / total, title, ha="center", va="center")
     most = max(point.structure.n for point in points)
     signs = [("o", INK, "method"), ("D", FAINT, "reference, not ranked")]
@@ -247,14 +251,15 @@ def _draw_key(figure: Figure, points: Sequence[PerilsPoint], height: float, belo
         handles=handles,
         ncols=2 if narrow else 5,
         loc="center",
-        bbox_to_anchor=(middle, (below + height - (46 if narrow else 41)) / total),
+        bbox_to_anchor=(middle, (below + height - (58 if narrow else 41)) / total),
         frameon=False,
         fontsize=7,
         handlelength=1.1,
         handletextpad=0.5,
         columnspacing=1.1,
     )
-    for row, words in enumerate(reversed(_footnotes(points))):
+    notes = [line for note in _footnotes(points) for line in (textwrap.wrap(note, 56) if narrow else [note])]
+    for row, words in enumerate(reversed(notes)):
         figure.text(middle, (below + 4 + 9 * row) / total, words, ha="center", **SMALL)
 
 

@@ -246,12 +246,12 @@ def estimate_means(columns: Sequence[NDArray[np.float64]], of: Sequence[int] | N
         found = bootstrap_intervals(np.stack([known[i] for i in indices])).tolist()
         ends |= {index: (low, high) for index, (low, high) in zip(indices, found, strict=True)}
     totals = [len(column) for column in columns] if of is None else of
-    return [
-        Estimate(float(values.mean()), *(ends.get(index) or (None, None)), len(values), total)
-        if len(values)
-        else Estimate(None, of=total)
-        for index, (values, total) in enumerate(zip(known, totals, strict=True))
-    ]
+    estimates = []
+    for index, (values, total) in enumerate(zip(known, totals, strict=True)):
+        low, high = ends.get(index, (None, None))
+        value = float(values.mean()) if len(values) else None
+        estimates.append(Estimate(value, low, high, len(values), total))
+    return estimates
 
 
 def estimate_rate(shares: ArrayLike, of: int) -> Estimate:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 from nrbench.plugins.forms import Column
 
@@ -68,6 +69,7 @@ def describe_direction(column: Column) -> str:
     return {"one": "nearest to 1", "none": "no better way"}.get(column.better, column.better)
 
 
+@cache
 def describe_column(column: Column) -> str:
     """Return the meaning of a column, and on a second line its unit, its range and which values are better."""
     span = f"{format_limit(column.range[0])} to {format_limit(column.range[1])}"

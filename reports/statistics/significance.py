@@ -106,9 +106,8 @@ def signed_rank_p_values(differences: Floats) -> Floats:
     some = np.flatnonzero(size[-1] > 0)
     for exact, columns in ((True, some[distinct[some]]), (False, some[~distinct[some]])):
         if len(columns):
-            tested: Any = wilcoxon(
-                differences[:, columns], axis=0, zero_method="zsplit", method="exact" if exact else "asymptotic"
-            )
+            method: Any = "exact" if exact else "asymptotic"
+            tested: Any = wilcoxon(differences[:, columns], None, "zsplit", method=method, axis=0)
             p[columns] = tested.pvalue
     return p
 

@@ -202,8 +202,7 @@ def test_it_paints_soon(visit: Open) -> None:
     assert page.evaluate("performance.getEntriesByName('first-contentful-paint')[0].startTime") < 1000
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1440, 390])
+@pytest.mark.parametrize(("width", "scheme"), [(1440, "light"), (390, "dark")])
 def test_everyone_can_use_it(visit: Open, width: int, scheme: str) -> None:
     """Axe finds no violation that is serious or critical, color contrast included."""
     page = visit(width, scheme)

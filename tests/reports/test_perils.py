@@ -80,8 +80,10 @@ def test_references_are_points(comparison: Comparison) -> None:
 def test_files_are_vector_graphics_and_the_same_again(ranked: Run, comparison: Comparison, tmp_path: Path) -> None:
     """The plane is written as SVG and PDF, without a date, so that equal runs give equal bytes."""
     paths = PerilsPlane().write(ranked, tmp_path)
-    assert [path.name for path in paths] == ["perils.svg", "levels.svg", "perils.pdf", "levels.pdf"]
-    first = [path.read_bytes() for path in paths[::2]]
+    assert [path.name for path in paths] == [
+        f"{name}.{kind}" for kind in ("svg", "pdf") for name in ("perils", "levels", "cost", "heat-map")
+    ]
+    first = [path.read_bytes() for path in paths if path.stem == "perils"]
     assert [content[:5] for content in first] == [b"<?xml", b"%PDF-"]
     assert b"<image" not in first[0]
     points = perils_points(comparison.summaries)

@@ -1,0 +1,101 @@
+"""Write the outputs of chosen methods on chosen textures as one figure for a paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import partial
+from pathlib import Path
+from typing import ClassVar
+
+from nrbench.errors import BadInput
+from nrbench.runs.records import Run
+from nrbench.storage import write_aside
+
+from .plots.picture_grid import plot_pictures
+from .statistics.comparison import Comparison, Method, TextureRow, compare_methods
+
+
+@dataclass(frozen=True)
+class PictureGrid:
+    """Samples and outputs side by side, as ``figure.pdf`` and ``figure.png``.
+
+    Each row is a texture: its sample, then the output of each method, in the same scale. Below each output stand the
+    mark of the verdict and the quality. The corner of an output shows its worst place magnified, and a frame shows
+    where it lies; outputs without a defect that the metrics located have none.
+
+    Parameters
+    ----------
+    textures
+        Names of textures, or patterns such as ``brick-*``; by default the four that separate the methods most.
+    methods
+        Names of methods, or names with the source of the lattice in parentheses; by default the five best ranked ones.
+    replicate
+        Number of the draw.
+    width
+        Width in inches, from 2 to 12; 3.3 and 7 are the widths of a column and of a page in common styles.
+    insets
+        Whether to magnify the worst places.
+    """
+
+    textures: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+    replicate: int = 0
+    width: float = 7.0
+    insets: bool = True
+
+    version: ClassVar[str] = "1"
+    folder: ClassVar[str] = "report"
+
+    def __post_init__(self) -> None:
+        for name in ("textures", "methods"):
+            value = getattr(self, name)
+            object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
+        if not 2 <= self.width <= 12:
+            raise BadInput(f"report figure: width is {self.width:g}; give 2 to 12 inches")
+
+    def write(self, run: Run, directory: Path) -> list[Path]:
+        """Write the files and return their paths; none if the run has no cells."""
+        comparison = compare_methods(run)
+        rows, methods = _choose_textures(comparison, self.textures), _choose_methods(comparison, self.methods)
+        if not rows or not methods:
+            return []
+        paths = []
+        for kind in ("pdf", "png"):
+            content = plot_pictures(comparison, rows, methods, kind, self.replicate, self.width, self.insets)
+            path = directory / f"figure.{kind}"
+            write_aside(path, partial(Path.write_bytes, data=content))
+            paths.append(path)
+        return paths
+
+
+def _choose_textures(comparison: Comparison, patterns: tuple[str, ...]) -> list[TextureRow]:
+    """Return the rows that a pattern names, or the four on which the scores of ranked methods differ most."""
+    if not patterns:
+        ranked = [i for i, one in enumerate(comparison.summaries) if not one.method.reference]
+
+        def spread(row: TextureRow) -> float:
+            scores = [entry.score for i in ranked if (entry := row.entries[i]) and entry.score is not None]
+            return max(scores) - min(scores) if scores else -1.0
+
+        best = sorted(comparison.rows, key=spread, reverse=True)[:4]
+        return [row for row in comparison.rows if row in best]
+    for pattern in patterns:
+        if not any(fnmatchcase(row.texture, pattern) for row in comparison.rows):
+            names = ", ".join(row.texture for row in comparison.rows)
+            raise BadInput(f"report figure: no texture {pattern!r} in this run; give some of: {names}")
+    return [row for pattern in patterns for row in comparison.rows if fnmatchcase(row.texture, pattern)]
+
+
+def _choose_methods(comparison: Comparison, names: tuple[str, ...]) -> list[Method]:
+    """Return the named methods, or the five best that are no references."""
+    if not names:
+        return [method for method in comparison.methods if not method.reference][:5]
+    found = []
+    for name in names:
+        known = [one for one in comparison.methods if name in (one.label, one.name)]
+        if not known:
+            labels = ", ".join(one.label for one in comparison.methods)
+            raise BadInput(f"report figure: no method {name!r} in this run; give some of: {labels}")
+        found += known
+    return found

@@ -1,0 +1,124 @@
+"""Write the comparison as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from nrbench.errors import strip_control
+from nrbench.runs.records import Run
+from nrbench.storage import write_aside
+
+from .statistics.comparison import Comparison, MethodSummary, compare_methods, describe_scores
+from .statistics.estimates import Estimate
+
+
+@dataclass(frozen=True)
+class JsonSummary:
+    """``comparison.json``: suite, methods with all their means, textures, differences and tests.
+
+    A mean has ``value``, ``low`` and ``high`` (its 95 % interval), ``n`` and ``of``. What is not known is null. Numbers
+    are rounded to 10 digits.
+
+    Parameters
+    ----------
+    tests
+        Whether to test which methods differ. Without tests there is no leading group.
+    baseline
+        The method with which the others are compared, by its name or label; by default the best ranked one.
+    """
+
+    tests: bool = True
+    baseline: str = ""
+
+    version: ClassVar[str] = "1"
+    folder: ClassVar[str] = "tables"
+
+    def write(self, run: Run, directory: Path) -> list[Path]:
+        """Write ``comparison.json`` and return its path."""
+        path, content = directory / "comparison.json", self.render(run).encode("utf-8", "backslashreplace")
+        write_aside(path, lambda aside: aside.write_bytes(content))
+        return [path]
+
+    def render(self, run: Run) -> str:
+        """Return the comparison as JSON; it ends in a newline."""
+        content = _content(run, compare_methods(run, self.tests, self.baseline))
+        return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _content(run: Run, comparison: Comparison) -> dict[str, Any]:
+    suite = run.info.get("suite", {})
+    tests = comparison.tests
+    return {
+        "suite": {name: suite.get(name) for name in ("name", "version", "hash")},
+        "created": run.info.get("created"),
+        "versions": {name: run.info.get("versions", {}).get(name) for name in ("nrbench", "python", "numpy", "scipy")},
+        "cells": dict(comparison.counts),
+        "score": comparison.score,
+        "leading": comparison.leading_legend,
+        "columns": {
+            name: {"meaning": one.meaning, "unit": one.unit, "range": one.range, "better": one.better}
+            for name, one in describe_scores(run).items()
+        },
+        "methods": [_method(one) for one in comparison.summaries],
+        "textures": [
+            {
+                "texture": row.texture,
+                "family": row.family,
+                "kind": row.kind,
+                "regular_share": row.regular_share,
+                "entries": {
+                    method.label: {"verdict": entry.verdict, "score": entry.score, "replicates": len(entry.records)}
+                    for method, entry in zip(comparison.methods, row.entries, strict=True)
+                    if entry
+                },
+            }
+            for row in comparison.rows
+        ],
+        "baseline": comparison.baseline.label if comparison.baseline else None,
+        "differences": [
+            {"method": one.method.label, "quality": vars(one.estimate), "rank_biserial": one.effect, "p_holm": one.p}
+            for one in comparison.against
+        ],
+        "tests": None
+        if tests is None
+        else {
+            "n": tests.n,
+            "p_friedman": tests.friedman,
+            "methods": [comparison.ranked[i].label for i in tests.order],
+            "average_ranks": [tests.ranks[i] for i in tests.order],
+            "cliques": tests.cliques,
+            "p_holm": [[tests.adjusted[i, j] for j in tests.order] for i in tests.order],
+        },
+    }
+
+
+def _method(one: MethodSummary) -> dict[str, Any]:
+    means: dict[str, Estimate] = {"preserved": one.success, "preserved_refusals_left_out": one.success_answered}
+    return {
+        "method": one.method.name,
+        "lattice_source": one.method.lattice_source,
+        "parameters": dict(one.method.parameters),
+        "reference": one.method.reference,
+        "rank": one.rank,
+        "leading": one.leading if one.rank else None,
+        "average_rank": one.average_rank,
+        "cells": dict(one.counts),
+        "means": {name: vars(mean) for name, mean in (means | dict(one.means)).items()},
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return a value that JSON can hold: rounded floats, null for what is not finite, text without control codes."""
+    if isinstance(value, dict):
+        return {strip_control(str(name)): _plain(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    if isinstance(value, (bool, int)) or value is None:
+        return value
+    if isinstance(value, float):
+        return float(f"{value:.10g}") if math.isfinite(value) else None
+    return strip_control(str(value))

@@ -1,0 +1,184 @@
+"""Plot samples and outputs as a grid, with verdicts and magnified defects."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from nrbench.runs.records import CellRecord
+
+from ..statistics.comparison import Comparison, Method, TextureRow
+from ..statistics.verdicts import MARKS, verdict
+from .figure_file import GRAY, INK, make_figure, render_figure
+from .marks import find_marks
+
+_INSET = 0.4
+"""Side of an inset, as a share of the output's."""
+_MAGNIFY = 2.5
+_FRAME = "#D55E00"
+_DEFECTS = ("regularity.defects", "integrity.broken")
+
+Pixels = NDArray[np.uint8]
+
+
+def plot_pictures(
+    comparison: Comparison,
+    rows: Sequence[TextureRow],
+    methods: Sequence[Method],
+    kind: str,
+    replicate: int = 0,
+    width: float = 7.0,
+    insets: bool = True,
+) -> bytes:
+    """Return the grid as a file of a kind (``pdf``, ``png``): a row for each texture, a column for each method.
+
+    Parameters
+    ----------
+    comparison
+        The comparison that has the rows and methods.
+    rows, methods
+        The textures and methods to show.
+    kind
+        The kind of file.
+    replicate
+        Number of the draw.
+    width
+        Width in inches.
+    insets
+        Whether to magnify the worst place of each output.
+    """
+    return render_figure(partial(_figure, comparison, rows, methods, replicate, width, insets), kind)
+
+
+def _figure(
+    comparison: Comparison,
+    rows: Sequence[TextureRow],
+    methods: Sequence[Method],
+    replicate: int,
+    width: float,
+    insets: bool,
+) -> Figure:
+    places = [list(comparison.methods).index(method) for method in methods]
+    left, gap, below, above = 4.0, 4.0, 13.0, 14.0
+    side = (72 * width - 2 * left - gap * len(methods)) / (len(methods) + 1)
+    font = float(np.clip(side / 11, 4.0, 8.0))
+    lines = max(_wrap(method.label, side, font).count("\n") + 1 for method in methods)
+    above += 9.0 * (lines - 1)
+    height = above + (side + below) * len(rows)
+    figure = make_figure(width, height)
+    for i, row in enumerate(rows):
+        records = [_record(row, place, replicate) for place in places]
+        outputs = [_read(one.folder / "output.png") if one and one.status == "ok" else None for one in records]
+        samples = (_read(one.folder / "sample.png") for one in records if one)
+        sample = next((picture for picture in samples if picture is not None), None)
+        largest = max((picture.shape[1] for picture in outputs if picture is not None), default=0)
+        top = above + (side + below) * i
+        for j, picture in enumerate([sample, *outputs]):
+            share = 1.0 if picture is None or not largest else min(1.0, picture.shape[1] / largest)
+            extent = side * share
+            x = left + (side + gap) * j + (side - extent) / 2
+            box = (x / (72 * width), 1 - (top + extent) / height, extent / (72 * width), extent / height)
+            axes = figure.add_axes(box)
+            _draw(axes, picture)
+            if j and picture is not None and insets and (one := records[j - 1]):
+                _draw_inset(axes, picture, one)
+            under = _wrap(row.texture, side, font) if not j else _verdict_words(records[j - 1])
+            y = 1 - (top + extent + 2) / height
+            figure.text((x + extent / 2) / (72 * width), y, under, ha="center", va="top", fontsize=font, color=INK)
+    for j, name in enumerate(["sample", *(method.label for method in methods)]):
+        x = (left + (side + gap) * j + side / 2) / (72 * width)
+        style = "italic" if j and methods[j - 1].reference else "normal"
+        y = 1 - (above - 4) / height
+        figure.text(x, y, _wrap(name, side, font), ha="center", va="bottom", fontsize=font, style=style, color=INK)
+    return figure
+
+
+def _wrap(name: str, side: float, font: float) -> str:
+    """Return a name in lines that are about as wide as a picture, broken behind spaces and hyphens."""
+    return "\n".join(textwrap.wrap(name, max(6, int(side / (0.6 * font))), break_long_words=False))
+
+
+def _record(row: TextureRow, place: int, replicate: int) -> CellRecord | None:
+    entry = row.entries[place]
+    return next((one for one in entry.records if one.replicate == replicate), None) if entry else None
+
+
+def _read(path: Path) -> Pixels | None:
+    try:
+        with PIL.Image.open(path) as image:
+            return np.asarray(image.convert("RGB"))
+    except (OSError, SyntaxError, PIL.Image.DecompressionBombError):
+        return None
+
+
+def _verdict_words(record: CellRecord | None) -> str:
+    if record is None:
+        return "–"
+    score = record.values.get("quality.score")
+    return MARKS[verdict(record)] + ("" if score is None else f" {float(score):.2f}")
+
+
+def _draw(axes: Axes, picture: Pixels | None) -> None:
+    axes.set(xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set(color=GRAY, lw=0.4)
+    if picture is None:
+        axes.plot((0, 1), (0, 1), color=GRAY, lw=0.5)
+        axes.set(xlim=(0, 1), ylim=(0, 1))
+    else:
+        axes.imshow(picture, interpolation="none")
+
+
+def _draw_inset(axes: Axes, picture: Pixels, record: CellRecord) -> None:
+    """Draw the worst place of an output, magnified, in the corner that lies farthest from it."""
+    side = round(min(picture.shape[:2]) * _INSET / _MAGNIFY)
+    found = worst_place(picture, [_read(path) for name in _DEFECTS if (path := record.pictures.get(name))], side)
+    if found is None:
+        return
+    x, y = found
+    axes.add_patch(Rectangle((x - 0.5, y - 0.5), side, side, fill=False, ec=_FRAME, lw=1.0))
+    right, lower = x + side / 2 < picture.shape[1] / 2, y + side / 2 < picture.shape[0] / 2
+    inset = axes.inset_axes(((1 - _INSET) * right, (1 - _INSET) * (not lower), _INSET, _INSET))
+    inset.imshow(picture[y : y + side, x : x + side], interpolation="none")
+    inset.set(xticks=[], yticks=[])
+    for spine in inset.spines.values():
+        spine.set(color=_FRAME, lw=1.2)
+
+
+def worst_place(output: Pixels, layers: Sequence[Pixels | None], side: int) -> tuple[int, int] | None:
+    """Return the corner (x, y) of the square of an output that has the most marks of defects.
+
+    Parameters
+    ----------
+    output
+        The output.
+    layers
+        Pictures of defects over the output; the first with any marks decides.
+    side
+        Side of the square, px.
+
+    Returns
+    -------
+    tuple of int or None
+        None without marks, and if more than half of the output is marked: then no place is the worst.
+    """
+    for layer in layers:
+        if layer is None or layer.shape != output.shape or side < 2:
+            continue
+        marked = find_marks(layer, output)
+        if 0 < marked.mean() <= 0.5:
+            density = uniform_filter(marked.astype(np.float64), side, mode="constant")
+            y, x = np.unravel_index(int(density.argmax()), density.shape)
+            height, width = marked.shape
+            return int(np.clip(x - side // 2, 0, width - side)), int(np.clip(y - side // 2, 0, height - side))
+    return None

@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nrbench.errors import BadInput
+from nrbench.reports.figure import PictureGrid
+from nrbench.reports.page.inline_svg import inline_svg
+from nrbench.reports.page.pictures import PictureStore
+from nrbench.reports.plots.captions import count_crossings, lay_out_leaders, spread
+from nrbench.reports.plots.cost_plane import has_cost, plot_cost
+from nrbench.reports.plots.critical_difference import plot_ranks
+from nrbench.reports.plots.heat_map import plot_heat_map
+from nrbench.reports.plots.marks import find_marks
+from nrbench.reports.plots.picture_grid import worst_place
+from nrbench.reports.statistics.comparison import compare_methods
+from nrbench.runs.records import Run
+
+from .conftest import PERILS
+
+Make = Callable[..., Any]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 16), st.integers(0, 2**31), st.booleans())
+def test_leaders_do_not_cross_and_captions_keep_the_order(count: int, seed: int, tied: bool) -> None:
+    """Captions have the order of their points and do not overlap, and no two leaders cross."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0, 100, (count, 2))
+    if tied:
+        points[:, 1] = rng.choice([20.0, 20.5, 90.0], count)
+    points = points[np.lexsort((points[:, 0], -points[:, 1]))]
+    heights = rng.uniform(4, 12, count)
+    ports, places = lay_out_leaders(points, heights, 101.0, (-20.0, 220.0))
+    assert (np.diff(places) <= -(heights[:-1] + heights[1:]) / 2 + 1e-6).all()
+    assert (np.diff(ports) <= 1e-9).all()
+    assert count_crossings(points, ports, 101.0) == 0
+    assert places.max() <= 220 + 1e-6
+
+
+def test_crossings_are_counted() -> None:
+    """Two leaders that cross are one crossing; two that do not are none."""
+    points = np.array([[0.0, 10.0], [0.0, 0.0]])
+    assert count_crossings(points, np.array([0.0, 10.0]), 20.0) == 1
+    assert count_crossings(points, np.array([10.0, 0.0]), 20.0) == 0
+
+
+def test_spread_moves_as_little_as_needed() -> None:
+    """Places that lie apart stay; two equal ones move by half the gap each."""
+    assert spread(np.array([10.0, 5.0, 0.0]), np.array([2.0, 2.0])).tolist() == [10, 5, 0]
+    assert spread(np.array([5.0, 5.0]), np.array([2.0])).tolist() == [6, 4]
+    assert spread(np.array([5.0, 5.0]), np.array([2.0]), (0.0, 5.0)).tolist() == [5, 3]
+
+
+def _layers() -> tuple[np.ndarray, np.ndarray]:
+    """Return an output and a gray copy of it with an orange square of 10 px at (40, 20)."""
+    output = np.random.default_rng(0).integers(0, 255, (64, 80, 3), dtype=np.uint8)
+    layer = np.repeat((output.mean(-1, keepdims=True) / 2 + 127).astype(np.uint8), 3, 2)
+    layer[20:30, 40:50] = (230, 120, 10)
+    return output, layer
+
+
+def test_marks_are_what_a_metric_drew() -> None:
+    """The marks are the colored square, over a gray copy and over the output itself."""
+    output, layer = _layers()
+    expected = np.zeros((64, 80), bool)
+    expected[20:30, 40:50] = True
+    assert np.array_equal(find_marks(layer, output), expected)
+    assert np.array_equal(find_marks(np.where(expected[..., None], layer, output), output), expected)
+
+
+def test_overlays_are_transparent(tmp_path: Path) -> None:
+    """An overlay shows the marks and hides the rest; a picture of another size is none."""
+    output, layer = _layers()
+    for name, pixels in (("output", output), ("layer", layer), ("other", layer[:40])):
+        PIL.Image.fromarray(pixels).save(tmp_path / f"{name}.png")
+    store = PictureStore(tmp_path / "report")
+    overlay = store.overlay(tmp_path / "output.png", tmp_path / "layer.png")
+    assert overlay is not None
+    import base64
+
+    alpha = np.asarray(PIL.Image.open(io.BytesIO(base64.b64decode(overlay.source.partition(",")[2]))))[..., 3]
+    assert (alpha[20:30, 40:50] > 100).all() and alpha[:16].max() == 0
+    assert store.overlay(tmp_path / "output.png", tmp_path / "other.png") is None
+    assert store.overlay(tmp_path / "output.png", None) is None
+
+
+def test_source_maps_are_colored_by_place(tmp_path: Path) -> None:
+    """Pixels that come from one place have one color, those of other places another; a broken file has no map."""
+    places = np.zeros((32, 32, 2), np.float32)
+    places[:, 16:] = (20, 20)
+    np.savez(tmp_path / "source.npz", source=places)
+    (tmp_path / "bad.npz").write_bytes(b"no archive")
+    store = PictureStore(tmp_path / "report")
+    picture = store.source_map(tmp_path / "source.npz")
+    assert picture is not None and (picture.width, picture.height) == (32, 32)
+    assert store.source_map(tmp_path / "bad.npz") is None
+    assert store.source_map(tmp_path / "absent.npz") is None
+
+
+def test_the_worst_place_has_the_marks() -> None:
+    """The magnified square holds the marks; an output that is marked all over has no worst place."""
+    output, layer = _layers()
+    x, y = worst_place(output, [None, layer], 16) or (0, 0)
+    assert x <= 40 and x + 16 >= 50 and y <= 20 and y + 16 >= 30
+    assert worst_place(output, [np.full_like(output, (250, 100, 0))], 16) is None
+    assert worst_place(output, [output], 16) is None
+
+
+def test_the_grid_shows_what_was_chosen(ranked: Run, tmp_path: Path) -> None:
+    """The grid is a PDF with embedded fonts and a PNG of the given width, the same at every call."""
+    comparison = compare_methods(ranked)
+    report = PictureGrid(textures=(comparison.rows[0].texture,), methods=("good", "oracle"), width=3.3)
+    pdf, png = report.write(ranked, tmp_path)
+    content = pdf.read_bytes()
+    assert b"/FontFile2" in content and b"/Type3" not in content
+    with PIL.Image.open(png) as image:
+        assert image.width == pytest.approx(3.3 * 160, abs=2)
+        assert image.height < image.width
+    assert report.write(ranked, tmp_path)[0].read_bytes() == content
+    assert len(PictureGrid().write(ranked, tmp_path)) == 2
+
+
+@pytest.mark.parametrize("wrong", [{"textures": ("nowhere*",)}, {"methods": ("nobody",)}])
+def test_unknown_choices_name_the_known_ones(ranked: Run, tmp_path: Path, wrong: dict[str, Any]) -> None:
+    """A texture or method that the run lacks is an error that lists those it has."""
+    with pytest.raises(BadInput, match=r"give some of: \w+"):
+        PictureGrid(**wrong).write(ranked, tmp_path)
+    with pytest.raises(BadInput, match="give 2 to 12 inches"):
+        PictureGrid(width=40.0)
+
+
+def test_a_run_without_cells_has_no_figure(make_run: Make, tmp_path: Path) -> None:
+    """Without cells no file is written."""
+    assert PictureGrid().write(make_run([]), tmp_path) == []
+
+
+@pytest.fixture
+def long_run(make_cell: Make, make_run: Make) -> Run:
+    """Return a run of three methods on 12 textures."""
+    rng = np.random.default_rng(0)
+    return make_run([
+        make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, float(rng.uniform(0.6, 0.8) - worse)))
+        for i in range(12)
+        for name, worse in (("a", 0.0), ("b", 0.01), ("c", 0.5))
+    ])  # fmt: skip
+
+
+def test_plots_are_the_same_again_and_embed_fonts(long_run: Run) -> None:
+    """Each plot has the same bytes at every call; the PDF embeds TrueType fonts."""
+    comparison = compare_methods(long_run)
+    assert has_cost(comparison)
+    for plot in (plot_ranks, plot_heat_map, plot_cost):
+        assert plot(comparison, "svg") == plot(comparison, "svg")
+        pdf = plot(comparison, "pdf")
+        assert b"/FontFile2" in pdf and b"/Type3" not in pdf
+
+
+def test_inline_plots_have_no_style_and_ids_of_their_own(long_run: Run) -> None:
+    """Inline plots have no style attribute, no style element, no address, and a prefix before every id."""
+    svg = str(inline_svg(plot_ranks(compare_methods(long_run)), "x"))
+    assert svg.startswith('<svg class="plot" aria-hidden="true"') and svg.rstrip().endswith("</svg>")
+    assert " style=" not in svg and "<style" not in svg and "http" not in svg
+    assert all(name.startswith("x-") for name in re.findall(r' id="([^"]*)"', svg))
+    assert 'class="stroke-ink"' in svg
