@@ -91,6 +91,7 @@ def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
 )
 @click.option("--reuse", type=_PATH, metavar="RUN", help="Copy the results of equal cells from another run.")
 @click.option("--no-report", is_flag=True, help="Write the tables only.")
+@click.option("--columns", metavar="NAME,...", help="The scores of the printed table.  [default: the headlines]")
 def run_command(**arguments: Any) -> int:
     """Run SUITE and print the comparison table.
 
@@ -98,11 +99,15 @@ def run_command(**arguments: Any) -> int:
     """
     import os
 
-    from nrbench.cli.summary import print_summary, write_reports
+    from nrbench.cli.progress import live_progress
+    from nrbench.cli.summary import check_columns, left_out, print_summary, remove_stale_report, write_reports
     from nrbench.running.progress import first_interrupt
     from nrbench.running.runner import Options, execute
 
+    columns = _split(arguments["columns"])
+    check_columns(columns)
     plan, root = _make_plan(arguments)
+    lacking = left_out(root, plan)
     with _show_steps(arguments["as_json"]) as progress, first_interrupt(_tell_interrupted) as stop:
         options = Options(
             jobs=arguments["jobs"] if arguments["jobs"] is not None else os.cpu_count() or 1,
@@ -111,9 +116,24 @@ def run_command(**arguments: Any) -> int:
             **{key: arguments[key] for key in ("scheduler", "timeout", "memory", "retry_failed", "reuse")},
         )
         run = execute(plan, root, options, progress)
-    written, broken = write_reports(run, tables_only=arguments["no_report"])
-    failed = print_summary(run, written, arguments["as_json"])
+    stale = remove_stale_report(run) if arguments["no_report"] else None
+    with live_progress(patience=True) as show:
+        told = None if arguments["as_json"] else show
+        written, broken = write_reports(run, tables_only=arguments["no_report"], progress=told)
+    failed = print_summary(run, written, arguments["as_json"], columns)
+    if lacking:
+        print(
+            f"nrbench: {root} holds {lacking} more cells of an earlier command, which the tables leave out; run that "
+            "command again to see them, or use another --out for this one",
+            file=sys.stderr,
+        )
+    if stale:
+        print(f"nrbench: {stale} was of an earlier command and is removed; `nrbench report {root}`", file=sys.stderr)
     return int(failed or broken)
+
+
+def _split(names: str | None) -> list[str]:
+    return [name.strip() for name in (names or "").split(",") if name.strip()]
 
 
 def _tell_interrupted() -> None:
@@ -152,7 +172,13 @@ def plan_command(**arguments: Any) -> None:
 @click.command("report")
 @click.argument("run", type=_PATH)
 @click.argument("more", nargs=-1, type=_PATH, metavar="")
-@click.option("--format", "formats", metavar="html,csv,...", help="The reports to write.  [default: all]")
+@click.option(
+    "--format",
+    "formats",
+    multiple=True,
+    metavar="NAME[:param=value,...],...",
+    help="The reports to write, e.g. html,latex:labels=...; repeatable.  [default: all]",
+)
 @click.option(
     "--labels",
     multiple=True,
@@ -160,9 +186,10 @@ def plan_command(**arguments: Any) -> None:
     metavar="FILE...",
     help="Files with people's answers, one for each person. The reports then compare the verdicts with them.",
 )
-def report_command(run: Path, more: tuple[Path, ...], formats: str | None, labels: tuple[Path, ...]) -> int:
+def report_command(run: Path, more: tuple[Path, ...], formats: tuple[str, ...], labels: tuple[Path, ...]) -> int:
     """Write the reports of RUN again from its files. No cell is run."""
-    from nrbench.cli.summary import write_reports
+    from nrbench.cli.progress import live_progress
+    from nrbench.cli.summary import parse_formats, write_reports
     from nrbench.labelling.labels import read_people
     from nrbench.runs.records import Run
     from nrbench.runs.store import RunDirectory
@@ -172,7 +199,9 @@ def report_command(run: Path, more: tuple[Path, ...], formats: str | None, label
     RunDirectory(run).info()
     record, files = Run(run), (*labels, *more)
     read_people(record, files)
-    written, broken = write_reports(record, formats, labels=files)
+    wanted = parse_formats(formats) if formats else None
+    with live_progress(patience=True) as progress:
+        written, broken = write_reports(record, wanted, labels=files, progress=progress)
     for path in written:
         print(path)
     return int(broken)
