@@ -259,7 +259,12 @@ class Run:
         return self._tables()["summary"].set_index(["method", "lattice_source"])
 
     def plot(self, width: float = 5.5) -> Plot:
-        """Return the perils plane, in which each method is a point; ``width`` in inches.
+        """Return the perils plane, in which each method is a point.
+
+        Parameters
+        ----------
+        width
+            Width in inches, from 3 to 12.
 
         Examples
         --------
