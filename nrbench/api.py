@@ -145,7 +145,7 @@ def track_lattice(
 
     thorough = _plugin("detectors", detector, parameters)
     quick = plugins.build("detectors", "dominance", {"reject": "none"})
-    return find_deformation(_image(image), thorough, quick, as_lattice(lattice))
+    return find_deformation(_image(image), thorough, quick, as_lattice(lattice)).deformation
 
 
 def as_lattice(lattice: Latticelike) -> Lattice | None:

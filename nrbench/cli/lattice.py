@@ -143,18 +143,16 @@ class _Result:
 
     @classmethod
     def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> _Result:
-        """Return the result of a detector; (0, 0) stands for an unknown origin."""
-        from nrbench.suites.surveying import known_vectors
-
-        known = "origin" in known_vectors(detection.lattice)
-        return cls(detector, detection.lattice, detection, has_origin=known, seconds=seconds)
+        """Return the result of a detector."""
+        return cls(detector, detection.lattice, detection, has_origin=detection.has_origin, seconds=seconds)
 
     @property
     def vectors(self) -> dict[str, Any]:
         """The two vectors for JSON, and the origin where it is known."""
+        from nrbench.suites.surveying import known_vectors
+
         assert self.lattice is not None
-        known = ("t1", "t2", "origin") if self.has_origin else ("t1", "t2")
-        return {name: value for name, value in self.lattice.as_dict().items() if name in known}
+        return {name: list(vector) for name, vector in known_vectors(self.lattice, self.has_origin).items()}
 
     @property
     def candidates(self) -> list[Alternative]:
@@ -242,9 +240,7 @@ def _notes(candidate: Alternative) -> str:
 
 def _of_alternative(candidate: Alternative) -> _Result:
     """Return a result without a detector, for the forms of its vectors."""
-    from nrbench.suites.surveying import known_vectors
-
-    return _Result("", candidate.lattice, has_origin="origin" in known_vectors(candidate.lattice))
+    return _Result("", candidate.lattice, has_origin=candidate.has_origin)
 
 
 def _describe(candidate: Alternative) -> str:

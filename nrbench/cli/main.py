@@ -18,6 +18,7 @@ VERBS: Mapping[str, str] = {
     "synth": "nrbench.cli.images",
     "lattice": "nrbench.cli.lattice",
     **dict.fromkeys(("score", "render"), "nrbench.cli.images"),
+    **dict.fromkeys(("check", "new"), "nrbench.cli.authoring"),
 }
 """Each verb, and the module that holds its function ``VERB_command``."""
 

@@ -74,6 +74,14 @@ def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
 )
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Run the cells on a Dask cluster.")
 @click.option(
+    "--worker-wait",
+    type=click.FloatRange(0, 1e7, min_open=True),
+    default=600.0,
+    show_default=True,
+    metavar="S",
+    help="End the run if the Dask cluster has no worker for so many seconds.",
+)
+@click.option(
     "--timeout",
     type=click.FloatRange(0, 1e7, min_open=True),
     default=120.0,
@@ -101,34 +109,42 @@ def run_command(**arguments: Any) -> int:
 
     from nrbench.cli.progress import live_progress
     from nrbench.cli.summary import check_columns, left_out, print_summary, remove_stale_report, write_reports
+    from nrbench.running.cluster import ClusterLost
     from nrbench.running.progress import first_interrupt
     from nrbench.running.runner import Options, execute
+    from nrbench.running.supervisor import print_notice
+    from nrbench.runs.records import Run
 
     columns = _split(arguments["columns"])
     check_columns(columns)
     plan, root = _make_plan(arguments)
     lacking = left_out(root, plan)
-    with _show_steps(arguments["as_json"]) as progress, first_interrupt(_tell_interrupted) as stop:
+    tell = _tell_as_json if arguments["as_json"] else print_notice
+    with _show_steps(arguments["as_json"]) as progress, first_interrupt(lambda: tell(_INTERRUPTED)) as stop:
         options = Options(
             jobs=arguments["jobs"] if arguments["jobs"] is not None else os.cpu_count() or 1,
             argv=["nrbench", *sys.argv[1:]],
             stop=stop,
-            **{key: arguments[key] for key in ("scheduler", "timeout", "memory", "retry_failed", "reuse")},
+            tell=tell,
+            **{key: arguments[key] for key in _RUN_OPTIONS},
         )
-        run = execute(plan, root, options, progress)
+        try:
+            run = execute(plan, root, options, progress)
+        except ClusterLost as error:
+            run = Run(root)
+            tell(f"{error}; run the same command again to resume")
     stale = remove_stale_report(run) if arguments["no_report"] else None
     with live_progress(patience=True) as show:
         told = None if arguments["as_json"] else show
         written, broken = write_reports(run, tables_only=arguments["no_report"], progress=told)
     failed = print_summary(run, written, arguments["as_json"], columns)
     if lacking:
-        print(
-            f"nrbench: {root} holds {lacking} more cells of an earlier command, which the tables leave out; run that "
-            "command again to see them, or use another --out for this one",
-            file=sys.stderr,
+        tell(
+            f"{root} holds {lacking} more cells of an earlier command, which the tables leave out; run that command "
+            "again to see them, or use another --out for this one"
         )
     if stale:
-        print(f"nrbench: {stale} was of an earlier command and is removed; `nrbench report {root}`", file=sys.stderr)
+        tell(f"{stale} was of an earlier command and is removed; `nrbench report {root}` writes it again")
     return int(failed or broken)
 
 
@@ -136,8 +152,12 @@ def _split(names: str | None) -> list[str]:
     return [name.strip() for name in (names or "").split(",") if name.strip()]
 
 
-def _tell_interrupted() -> None:
-    print("nrbench: the cells that are running will end; press Ctrl-C again to stop at once", file=sys.stderr)
+_RUN_OPTIONS = ("scheduler", "worker_wait", "timeout", "memory", "retry_failed", "reuse")
+_INTERRUPTED = "the cells that are running will end; press Ctrl-C again to stop at once"
+
+
+def _tell_as_json(text: str) -> None:
+    print(json.dumps({"event": "notice", "message": text}), file=sys.stderr, flush=True)
 
 
 @contextmanager

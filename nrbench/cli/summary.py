@@ -36,12 +36,12 @@ def failures(run: Run) -> list[str]:
 
 
 def unfinished(run: Run) -> list[str]:
-    """Return one line for each cell without a result, which a run that has ended must not have."""
-    return [
-        f"{_where(record)}: has no result; something removed it: run the same command again"
-        for record in run.cells
-        if record.status == "missing"
-    ]
+    """Return a line if cells have no result, because a cluster was lost or something removed them."""
+    missing = [_where(record) for record in run.cells if record.status == "missing"]
+    if not missing:
+        return []
+    which = missing[0] if len(missing) == 1 else f"{len(missing)} of {len(run.cells)} cells, such as {missing[0]}"
+    return [f"no result: {which}; run the same command again"]
 
 
 def _where(record: CellRecord) -> str:

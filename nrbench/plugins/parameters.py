@@ -74,6 +74,19 @@ def label(name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any],
     return f"{name}:{','.join(changed)}" if changed else name
 
 
+def checked_label(text: str) -> str:
+    """Return a name that a user gives to a method for the tables.
+
+    Raises
+    ------
+    BadInput
+        If it is longer than 60 characters, or has line breaks or other control characters.
+    """
+    if len(text) > 60 or not text.isprintable():
+        raise BadInput(f"label is {text[:60]!r}; give at most 60 printable characters")
+    return text
+
+
 def fill_preset(cls: type[Any], parameters: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return the parameters with those of the chosen preset filled in; given ones take precedence.
 

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import importlib.util
 import inspect
+import json
 import re
 import sys
 import traceback
@@ -263,11 +264,23 @@ def _field_fault(kind: str, cls: Any) -> str:
             return f"{label} {PRESET!r} has the name by which presets are chosen; rename it"
         if not _has_default(field) and kind in ("detectors", "metrics", "reports"):
             return f"{label} {field.name!r} has no default; give it one"
+        if _has_default(field) and not _is_plain(field):
+            return f"{label} {field.name!r} has a default that JSON cannot hold; use numbers, text or None"
     return ""
 
 
 def _has_default(field: dataclasses.Field[Any]) -> bool:
     return field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
+
+
+def _is_plain(field: dataclasses.Field[Any]) -> bool:
+    """Return whether JSON can hold the default of a parameter, which the keys and the tables need."""
+    try:
+        made = field.default_factory() if callable(field.default_factory) else field.default
+        json.dumps(_plain(made))
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def _method_fault(kind: str, cls: Any) -> str:

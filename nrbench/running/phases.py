@@ -244,7 +244,7 @@ def score(folder: Path, metrics: Iterable[str], send: Send) -> None:
     observation = observe(where, _read_cell(where))
     for metric in metrics:
         try:
-            _write_score(where, metric, score_observation(observation, metric))
+            write_score(where, metric, score_observation(observation, metric))
         except FAULTS as error:
             if storage_fault(error) is not None:
                 send_error(error, send)
@@ -254,7 +254,8 @@ def score(folder: Path, metrics: Iterable[str], send: Send) -> None:
         send({"scored": metric})
 
 
-def _write_score(where: CellFolder, metric: str, score: Score) -> None:
+def write_score(where: CellFolder, metric: str, score: Score) -> None:
+    """Write the file of a score, and its pictures beside it."""
     where.scores.mkdir(exist_ok=True)
     pictures = {}
     for title, picture in score.pictures.items():
@@ -264,15 +265,22 @@ def _write_score(where: CellFolder, metric: str, score: Score) -> None:
     write_json(where.score_file(metric), {"metric": metric, **content, "pictures": pictures})
 
 
-def score_observation(observation: Observation, metric: str) -> Score:
+def score_observation(observation: Observation, metric: str, parameters: Mapping[str, Any] | None = None) -> Score:
     """Return a metric's score of an observation, its values checked and converted to plain Python.
+
+    Parameters
+    ----------
+    observation, metric
+        What is scored, and the name of the metric.
+    parameters
+        Parameters of the metric that differ from its defaults.
 
     Raises
     ------
     ValueError
         When a declared column is missing, None without a reason, or neither a finite number nor a truth value.
     """
-    plugin = plugins.build("metrics", metric)
+    plugin = plugins.build("metrics", metric, parameters)
     rng = stream("metric", pixels_hash(observation.output), metric)
     score: Score = plugin.score(observation.with_stream(rng))
     if not isinstance(score, Score):

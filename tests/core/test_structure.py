@@ -25,7 +25,7 @@ FLOORS = (
     ("nrbench.cli", "nrbench.__main__"),
     ("nrbench.api",),
     ("nrbench.reports",),
-    ("nrbench.labelling",),
+    ("nrbench.labelling", "nrbench.authoring"),
     ("nrbench.running",),
     ("nrbench.runs",),
     ("nrbench.suites",),
