@@ -11,9 +11,11 @@ suite=${4:-default}
 nrbench=${NRBENCH:-nrbench}
 
 if [ -n "$file" ]; then
-  methods=$("$nrbench" show "$suite" --json | python3 -c '
-import json, sys
-print(*(f"-m {name}" for name in json.load(sys.stdin)[0]["methods"]))')
+  if [ -f "$suite" ]; then cat "$suite"; else "$nrbench" show "$suite" --toml; fi > "${TMPDIR:-/tmp}/suite-$$.toml"
+  methods=$(python3 -c '
+import sys, tomllib
+print(*(f"-m {name}" for name in tomllib.load(open(sys.argv[1], "rb")).get("methods", [])))' "${TMPDIR:-/tmp}/suite-$$.toml")
+  rm "${TMPDIR:-/tmp}/suite-$$.toml"
   # shellcheck disable=SC2086
   "$nrbench" --plugin "$file" run "$suite" $methods -m "$method" --out "$run"
 else
@@ -22,19 +24,5 @@ fi
 "$nrbench" ${file:+--plugin "$file"} report "$run" --format latex,perils:width=3.4,csv
 
 mkdir -p "$run/paper"
-cp "$run"/tables/*.tex "$run/report/perils.pdf" "$run/paper/"
-python3 - "$run" "$nrbench" > "$run/paper/methods.bib" <<'PYTHON'
-import json
-import subprocess
-import sys
-from pathlib import Path
-
-info = json.loads((Path(sys.argv[1]) / "run.json").read_text("utf-8"))
-names = sorted({cell["method"] for cell in info["cells"]})
-for name in names:
-    shown = subprocess.run([sys.argv[2], "show", name, "--json"], capture_output=True, text=True)
-    for page in json.loads(shown.stdout or "[]"):
-        if page["kind"] == "synthesizers" and page["bibtex"]:
-            print(page["bibtex"] + "\n")
-PYTHON
+cp "$run"/tables/*.tex "$run"/tables/*.bib "$run/report/perils.pdf" "$run/paper/"
 echo "the files of the paper: $run/paper"
