@@ -3,6 +3,8 @@
 #   make test   set up, then lint, types and tests
 # And: make benchmark   set up, run every benchmark in a short form, print what each costs
 #      make soak        set up, kill, starve and copy runs for about an hour, print whether they came back whole
+#      make docs        set up, build the documentation as a site in build/docs; a warning is an error
+#      make dist        set up, build wheel and sdist in dist/
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -11,7 +13,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 SOURCES := $(shell find nrbench synthesizers metrics datasets_procedural reports -name '*.py' -o -name '*.pyi' -o -name '*.toml' -o -path '*templates/*')
 
-.PHONY: run test lint types unit benchmark soak clean
+.PHONY: run test lint types unit benchmark soak docs dist clean
 
 run: $(VENV)/.installed
 	$(BIN)/nrbench run --out runs/default
@@ -34,6 +36,14 @@ benchmark: $(VENV)/.installed-test
 soak: $(VENV)/.installed-test
 	env -u PYTHONSAFEPATH $(BIN)/python benchmarks/soak.py
 
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
+	@echo "the site: build/docs/index.html"
+
+dist: $(VENV)/.installed-docs
+	rm -rf dist build/lib build/bdist*
+	$(BIN)/python -m build --outdir dist .
+
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
@@ -47,5 +57,10 @@ $(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml $(SOURCES)
 	$(BIN)/pip install --quiet --upgrade ".[test]"
 	@touch $@ $(VENV)/.installed
 
+$(VENV)/.installed-docs: $(VENV)/bin/python pyproject.toml $(SOURCES)
+	rm -rf build/lib build/bdist*
+	$(BIN)/pip install --quiet --upgrade ".[docs]"
+	@touch $@
+
 clean:
-	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache

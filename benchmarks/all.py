@@ -51,6 +51,7 @@ BENCHMARKS = (
         "What straightening and bending again keeps of displacements, and what it gains",
         "geometry.py",
     ),
+    Benchmark("commands.py", "What short commands cost from cold"),
     Benchmark("overhead.py", "What a cell costs beyond its method and metrics"),
     Benchmark("correlation.py", "The autocorrelation beside scikit-image's masked correlation"),
     Benchmark(

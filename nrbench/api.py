@@ -48,8 +48,13 @@ def texture(model: Pluginlike, shape: Shape = (128, 128), seed: int = 0, **param
         (height, width) in px.
     seed
         Equal seeds give equal pixels.
-    parameters
+    **parameters
         The model's parameters.
+
+    Returns
+    -------
+    Texture
+        The image with its truth.
 
     Raises
     ------
@@ -78,8 +83,13 @@ def detect_lattice(image: Imagelike, detector: Pluginlike = "consensus", **param
         An :data:`Imagelike`.
     detector
         A detector plugin: its name, its class, or an instance.
-    parameters
+    **parameters
         The detector's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
+
+    Returns
+    -------
+    Detection
+        The lattice, its confidence, the alternatives and the diagnostics.
 
     Raises
     ------
@@ -109,8 +119,13 @@ def track_lattice(
         detected, in the whole image and in overlapping views.
     detector
         The detector that finds the lattice and confirms it on the straightened image.
-    parameters
+    **parameters
         The detector's parameters.
+
+    Returns
+    -------
+    Deformation
+        The lattice, followed through the image.
 
     Raises
     ------
@@ -179,7 +194,7 @@ def synthesize(
         Equal seeds give equal pixels.
     progress
         Called with the fraction that is done, in [0, 1].
-    parameters
+    **parameters
         The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
     Returns
@@ -288,6 +303,11 @@ def score(
         Names of the metrics; empty for all.
     progress
         Called after each metric with the number of metrics done, of all, and the name of the last one.
+
+    Returns
+    -------
+    Sheet
+        The scores, and why some have no value.
     """
     pair = quantize(_image(sample, "sample")), quantize(_image(output, "output"))
     pair = match_channels(*pair), match_channels(*pair[::-1])
@@ -372,8 +392,13 @@ def run(
     options
         How to run: jobs, limits, and so on. An interrupt (Ctrl-C) stops at once. ``options.stop.set()``, called in
         ``progress`` or in another thread, lets the running cells end first. Both raise KeyboardInterrupt.
-    changes
+    **changes
         Other keys of the suite: ``seed``, ``replicates``, ``sample``, ``size``.
+
+    Returns
+    -------
+    Run
+        The run, as :func:`load` returns it.
 
     Raises
     ------
@@ -402,6 +427,11 @@ def load(path: str | os.PathLike[str]) -> Run:
     ----------
     path
         The run directory.
+
+    Returns
+    -------
+    Run
+        Its cells, tables and plot.
 
     Raises
     ------

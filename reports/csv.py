@@ -108,6 +108,10 @@ class CsvTables:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the tables and return their paths."""
+        return [_write(table, directory / f"{name}.csv") for name, table in self.tables(run).items()]
+
+    def tables(self, run: Run) -> dict[str, pd.DataFrame]:
+        """Return the tables by the names of their files."""
         comparison = compare_methods(run, self.tests, self.baseline)
         tables = {
             "cells": cells_table(run),
@@ -137,7 +141,7 @@ class CsvTables:
         answers = tabulate_answers(run)
         if not answers.empty:
             tables |= {"detections": answers, "detectors": detectors_table(answers)}
-        return [_write(table, directory / f"{name}.csv") for name, table in tables.items()]
+        return tables
 
 
 def cells_table(run: Run) -> pd.DataFrame:

@@ -16,7 +16,7 @@ from nrbench.storage import write_aside
 
 from .statistics import format as text_format
 from .statistics.comparison import LEADING_SIGN, compare_methods, list_patch_terms
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, SHARES_LEGEND
+from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, SHARES_LEGEND, count_reasons
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"
 _FILTERS = ("format_interval", "describe_column")
@@ -57,6 +57,7 @@ class MarkdownTables:
             .get_template("comparison.md")
             .render(
                 comparison=compare_methods(run, self.tests, self.baseline),
+                reasons=count_reasons(run),
                 patch_terms=list_patch_terms(run),
                 leading_sign=LEADING_SIGN,
                 meanings=MEANINGS,

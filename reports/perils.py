@@ -75,3 +75,16 @@ class PerilsPlane:
                 write_aside(path, partial(Path.write_bytes, data=content))
                 paths.append(path)
         return paths
+
+    def render(self, run: Run, kind: str) -> bytes:
+        """Return the perils plane as a file of a kind: ``svg``, ``pdf`` or ``png``.
+
+        Raises
+        ------
+        BadInput
+            If no method of the run has a quality.
+        """
+        points = perils_points(compare_methods(run).summaries)
+        if not points:
+            raise BadInput(f"{run.root}: no method has a quality, so there is nothing to plot")
+        return plot_perils_plane(points, kind, self.width)

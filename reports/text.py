@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from nrbench.errors import BadInput, strip_control
+from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
@@ -26,12 +27,15 @@ from .statistics.comparison import (
     MethodSummary,
     SummaryRow,
     compare_methods,
+    other_score_rows,
 )
 from .statistics.detections import DetectorSummary, compare_detectors
 from .statistics.estimates import Estimate
-from .statistics.format import format_number, format_percent
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, SHARES_LEGEND
+from .statistics.format import format_number, format_percent, pluralize
+from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MARKS, SHARES_LEGEND, count_reasons
 
+_MOST_REASONS = 8
+"""Number of reasons that are printed."""
 _SUPERSCRIPT = str.maketrans("0123456789,", "⁰¹²³⁴⁵⁶⁷⁸⁹˒")
 _DETECTOR_LEGEND = (
     "Shares over draws, with Wilson's 95 % intervals. Exact: the smallest lattice of the texture was found. "
@@ -50,6 +54,8 @@ class TextTable:
     ----------
     width
         Characters in a line, at least 40; columns that do not fit follow in a further table below.
+    columns
+        The scores of the table of methods, as in ``columns.csv``; empty for the headlines.
     tests
         Whether to test which methods differ. Without tests there is no leading group.
     baseline
@@ -57,6 +63,7 @@ class TextTable:
     """
 
     width: int = 120
+    columns: tuple[str, ...] = ()
     tests: bool = True
     baseline: str = ""
 
@@ -80,19 +87,30 @@ class TextTable:
         file = StringIO()
         console = Console(file=file, width=self.width, color_system=None, force_terminal=False, emoji=False)
         console.print(Text(comparison.title))
-        if comparison.scored:
+        if comparison.scored or self.columns:
+            lines = self._lines(run, comparison)
             for build, count in (
-                (_summary_table, len(comparison.summary_rows)),
-                (_texture_table, len(comparison.methods)),
+                (partial(_summary_table, lines=lines), len(lines)),
+                (_texture_table, len(comparison.methods) if comparison.scored else 0),
             ):
                 for table in _split_table(partial(build, comparison), count, console):
                     console.print(table)
-            for line in _legend(comparison):
+            for line in [*_legend(comparison), *_reasons(run)]:
                 console.print(Text(line))
         if detectors:
             console.print(_detector_table(detectors.summaries))
             console.print(Text(_DETECTOR_LEGEND))
         return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
+
+    def _lines(self, run: Run, comparison: Comparison) -> Sequence[SummaryRow]:
+        """Return the numbers of the table of methods; raise BadInput for a column that no method has."""
+        if not self.columns:
+            return comparison.summary_rows
+        known = {row.name: row for row in (*comparison.summary_rows, *other_score_rows(run, comparison.summaries))}
+        for name in self.columns:
+            if name not in known:
+                raise BadInput(f"column {name!r}: no method of this run has such a score{nearest(name, known)}")
+        return [known[name] for name in self.columns]
 
 
 def _split_table(build: Callable[[int, int], Table], count: int, console: Console) -> Iterator[Table]:
@@ -110,9 +128,9 @@ def _fits(table: Table, console: Console) -> bool:
     return Measurement.get(console, console.options.update(max_width=10_000), table).maximum <= console.width
 
 
-def _summary_table(comparison: Comparison, start: int, stop: int) -> Table:
+def _summary_table(comparison: Comparison, start: int, stop: int, lines: Sequence[SummaryRow]) -> Table:
     """Return one row a method, with some of its numbers; references stand apart."""
-    lines = comparison.summary_rows[start:stop]
+    lines = lines[start:stop]
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("method", overflow="fold")
     for line in lines:
@@ -199,3 +217,13 @@ def _legend(comparison: Comparison) -> Iterator[str]:
         yield f"{BASELINE_SIGN} {BASELINE_LEGEND} ({SHARES_LEGEND})."
     for index, note in enumerate(comparison.notes, 1):
         yield f"{str(index).translate(_SUPERSCRIPT)} {strip_control(note)}"
+
+
+def _reasons(run: Run) -> Iterator[str]:
+    """Yield the reasons for which cells have no verdict, each with the number of its cells."""
+    reasons = count_reasons(run)
+    for word, reason, count in reasons[:_MOST_REASONS]:
+        yield f"{MARKS[word]} {pluralize(count, 'cell')} {word}: {strip_control(reason)}"
+    if len(reasons) > _MOST_REASONS:
+        cells = sum(count for *_, count in reasons[_MOST_REASONS:])
+        yield f"and {pluralize(cells, 'cell')} for {len(reasons) - _MOST_REASONS} other reasons: see cells.csv"

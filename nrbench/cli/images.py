@@ -78,11 +78,14 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
     from nrbench.cli.progress import waiting
     from nrbench.errors import BadInput
     from nrbench.plugins.forms import NoLatticeFound
-    from nrbench.plugins.parameters import parse_spec
+    from nrbench.plugins.parameters import nearest, parse_spec
 
-    name, parameters = parse_spec(text) if text and "," not in text.partition(":")[0] else ("", {})
-    if name not in plugins.names("detectors"):
+    if text is None or "," in text.partition(":")[0]:
         return as_lattice(text)
+    name, parameters = parse_spec(text)
+    if name not in plugins.names("detectors"):
+        near = nearest(name, plugins.names("detectors"))
+        raise BadInput(f"--lattice {text!r}: give x1,y1,x2,y2 in px, or a detector{near}")
     try:
         with waiting(f"{name} looks for the lattice"):
             found = detect_lattice(sample, name, **parameters)

@@ -55,7 +55,8 @@ def _plugin_entry(plugin: Summary) -> dict[str, Any]:
 @click.command("show")
 @click.argument("name")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
-def show_command(name: str, as_json: bool) -> None:
+@click.option("--toml", "as_toml", is_flag=True, help="Print the file of a suite, to start one of your own from.")
+def show_command(name: str, as_json: bool, as_toml: bool) -> None:
     """Show a plugin or a suite.
 
     For a plugin, print its page, its parameters with defaults, its presets, its columns, and the BibTeX entry of its
@@ -65,6 +66,13 @@ def show_command(name: str, as_json: bool) -> None:
     from nrbench.plugins.parameters import nearest
     from nrbench.suites.suite import builtin
 
+    if as_json and as_toml:
+        raise BadInput("--json and --toml: choose one of them")
+    if as_toml:
+        if name not in builtin():
+            raise BadInput(f"--toml {name!r}: no suite has that name{nearest(name, builtin())}")
+        print(builtin()[name].read_text("utf-8"), end="")
+        return
     pages = _pages(name)
     if not pages:
         raise BadInput(

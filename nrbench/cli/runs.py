@@ -107,6 +107,7 @@ def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
 )
 @click.option("--reuse", type=_PATH, metavar="RUN", help="Copy the results of equal cells from another run.")
 @click.option("--no-report", is_flag=True, help="Write the tables only.")
+@click.option("--columns", metavar="NAME,...", help="The scores of the printed table.  [default: the headlines]")
 def run_command(**arguments: Any) -> int:
     """Run SUITE and print the comparison table.
 
@@ -114,7 +115,8 @@ def run_command(**arguments: Any) -> int:
     """
     import os
 
-    from nrbench.cli.summary import print_summary, write_reports
+    from nrbench.cli.progress import live_progress
+    from nrbench.cli.summary import check_columns, left_out, print_summary, remove_stale_report, write_reports
     from nrbench.running.cluster import ClusterLost
     from nrbench.running.guard import Limits
     from nrbench.running.progress import first_interrupt
@@ -122,7 +124,10 @@ def run_command(**arguments: Any) -> int:
     from nrbench.running.supervisor import print_notice
     from nrbench.runs.records import Run
 
+    columns = _split(arguments["columns"])
+    check_columns(columns)
     plan, root = _make_plan(arguments)
+    lacking = left_out(root, plan)
     tell = _tell_as_json if arguments["as_json"] else print_notice
     with _show_steps(arguments["as_json"]) as progress, first_interrupt(lambda: tell(_INTERRUPTED)) as stop:
         options = Options(
@@ -138,9 +143,23 @@ def run_command(**arguments: Any) -> int:
             run = Run(root)
             tell(f"{error}; run the same command again to resume")
     limits = Limits(options.timeout, options.memory)
-    written, broken = write_reports(run, tables_only=arguments["no_report"], limits=limits)
-    failed = print_summary(run, written, arguments["as_json"])
+    stale = remove_stale_report(run) if arguments["no_report"] else None
+    with live_progress(patience=True) as show:
+        told = None if arguments["as_json"] else show
+        written, broken = write_reports(run, tables_only=arguments["no_report"], limits=limits, progress=told)
+    failed = print_summary(run, written, arguments["as_json"], columns)
+    if lacking:
+        tell(
+            f"{root} holds {lacking} more cells of an earlier command, which the tables leave out; run that command "
+            "again to see them, or use another --out for this one"
+        )
+    if stale:
+        tell(f"{stale} was of an earlier command and is removed; `nrbench report {root}` writes it again")
     return int(failed or broken)
+
+
+def _split(names: str | None) -> list[str]:
+    return [name.strip() for name in (names or "").split(",") if name.strip()]
 
 
 _RUN_OPTIONS = ("scheduler", "worker_wait", "timeout", "memory", "retry_failed", "reuse")
@@ -183,7 +202,13 @@ def plan_command(**arguments: Any) -> None:
 @click.command("report")
 @click.argument("run", type=_PATH)
 @click.argument("more", nargs=-1, type=_PATH, metavar="")
-@click.option("--format", "formats", metavar="html,csv,...", help="The reports to write.  [default: all]")
+@click.option(
+    "--format",
+    "formats",
+    multiple=True,
+    metavar="NAME[:param=value,...],...",
+    help="The reports to write, e.g. html,latex:labels=...; repeatable.  [default: all]",
+)
 @click.option(
     "--labels",
     multiple=True,
@@ -193,13 +218,19 @@ def plan_command(**arguments: Any) -> None:
 )
 @_limit_options
 def report_command(
-    run: Path, more: tuple[Path, ...], formats: str | None, labels: tuple[Path, ...], timeout: float, memory: float
+    run: Path,
+    more: tuple[Path, ...],
+    formats: tuple[str, ...],
+    labels: tuple[Path, ...],
+    timeout: float,
+    memory: float,
 ) -> int:
     """Write the reports of RUN again from its files. No cell is run.
 
     The limits hold for reports of other packages.
     """
-    from nrbench.cli.summary import write_reports
+    from nrbench.cli.progress import live_progress
+    from nrbench.cli.summary import parse_formats, write_reports
     from nrbench.labelling.labels import read_people
     from nrbench.running.guard import Limits
     from nrbench.runs.records import Run
@@ -210,7 +241,10 @@ def report_command(
     RunDirectory(run).info()
     record, files = Run(run), (*labels, *more)
     read_people(record, files)
-    written, broken = write_reports(record, formats, labels=files, limits=Limits(timeout, memory))
+    wanted = parse_formats(formats) if formats else None
+    limits = Limits(timeout, memory)
+    with live_progress(patience=True) as progress:
+        written, broken = write_reports(record, wanted, labels=files, limits=limits, progress=progress)
     for path in written:
         print(path)
     return int(broken)

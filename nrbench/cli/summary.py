@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import shutil
 import sys
 from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from nrbench import plugins
-from nrbench.errors import describe_error
-from nrbench.plugins.parameters import size_text
+from nrbench.errors import BadInput, describe_error
+from nrbench.plugins.parameters import nearest, parse_spec, size_text
 from nrbench.running.guard import Limits
 from nrbench.running.guarded import LIMITS, write_guarded
 from nrbench.running.runner import is_cached, metrics_of
 from nrbench.runs.records import CellRecord, Run
-from nrbench.runs.store import FAILED, RunDirectory
+from nrbench.runs.store import FAILED, RUN_FILE, RunDirectory
+from nrbench.storage import read_json
 from nrbench.suites.cell import RESULTS_VERSION
 from nrbench.suites.plan import Plan
 
@@ -53,16 +56,55 @@ def _failures_of(record: CellRecord) -> list[str]:
     return lines + [f"{where}: {line}" for line in sorted(failed)]
 
 
+def parse_formats(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Read formats as ``html,latex:param=value,...,csv`` into their parameters by name.
+
+    A comma starts a new format only if the name of a report follows it.
+
+    Raises
+    ------
+    BadInput
+        For an unknown report, or parameters that cannot be read.
+    """
+    names = "|".join(map(re.escape, sorted(plugins.names("reports"), key=len, reverse=True)))
+    specs = [spec for text in texts for spec in re.split(rf",(?=(?:{names})(?:[:,]|$))", text)]
+    formats = dict(map(parse_spec, specs))
+    for name in formats:
+        plugins.find("reports", name.rpartition(",")[2])
+    return formats
+
+
 def write_reports(
     run: Run,
-    formats: str | None = None,
+    formats: Mapping[str, Mapping[str, Any]] | None = None,
     tables_only: bool = False,
     labels: tuple[Path, ...] = (),
     limits: Limits = LIMITS,
+    progress: Callable[[int, int, str], None] | None = None,
 ) -> tuple[list[Path], bool]:
-    """Write the reports of a run in the given formats, or in all; return the paths, and whether any report failed.
+    """Write the reports of a run.
 
-    ``limits`` are those of a report of another package.
+    Parameters
+    ----------
+    run
+        The run.
+    formats
+        The parameters of each report, by its name; None for all reports.
+    tables_only
+        Whether reports other than tables are left out.
+    labels
+        Files with people's answers.
+    limits
+        Limits of each report of another package.
+    progress
+        Called after each report with the number of reports done, of all, and the name of the last one.
+
+    Returns
+    -------
+    written
+        The paths.
+    broken
+        Whether any report failed.
     """
     made_by = run.info.get("results_version")
     if made_by != RESULTS_VERSION:
@@ -71,13 +113,14 @@ def write_reports(
             "scores are left out; run the same command again, or use the nrbench that made it",
             file=sys.stderr,
         )
-    loading = [plugin.name for plugin in plugins.inventory("reports") if plugin.cls is not None]
+    if formats is None:
+        formats = {plugin.name: {} for plugin in plugins.inventory("reports") if plugin.cls is not None}
+    reports = {name: _build_report(name, labels, given) for name, given in formats.items()}
+    wanted = {name: one for name, one in reports.items() if not tables_only or _folder(one) == "tables"}
     written: list[Path] = []
     broken = False
-    for name, report in [(name, _build_report(name, labels)) for name in (formats.split(",") if formats else loading)]:
-        folder = getattr(report, "folder", "report")
-        if tables_only and folder != "tables":
-            continue
+    for number, (name, report) in enumerate(wanted.items(), 1):
+        folder = _folder(report)
         own = plugins.find("reports", name).own
         try:
             files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder, limits)
@@ -85,22 +128,62 @@ def write_reports(
         except (Exception, SystemExit) as error:
             broken = True
             print(f"nrbench: report {name} failed: {describe_error(error)}", file=sys.stderr)
+        if progress:
+            progress(number, len(wanted), name)
     return written, broken
 
 
-def _build_report(name: str, labels: tuple[Path, ...]) -> Any:
-    """Return a report, with people's answers if it has a parameter ``labels``."""
+def _folder(report: Any) -> str:
+    return str(getattr(report, "folder", "report"))
+
+
+def _build_report(name: str, labels: tuple[Path, ...], given: Mapping[str, Any]) -> Any:
+    """Return a report with its parameters, and with people's answers if it has a parameter ``labels``."""
     cls: Any = plugins.find("reports", name).cls
     takes_labels = "labels" in {field.name for field in fields(cls)}
-    return plugins.build("reports", name, {"labels": labels} if labels and takes_labels else {})
+    return plugins.build("reports", name, {"labels": labels, **given} if labels and takes_labels else given)
 
 
-def print_summary(run: Run, written: list[Path], as_json: bool) -> bool:
-    """Print the reports for a terminal, or JSON, and all failures; return whether anything failed."""
+def check_columns(names: Sequence[str]) -> None:
+    """Raise :class:`~nrbench.errors.BadInput` unless each name may be a column of the table of methods."""
+    for name in names:
+        metric, dot, column = name.partition(".")
+        if dot and column not in getattr(plugins.find("metrics", metric).cls, "columns", {}):
+            known = [f"{metric}.{each}" for each in plugins.build("metrics", metric).columns]
+            raise BadInput(f"column {name!r} is not known{nearest(name, known)}")
+        if not dot and name not in _OWN_COLUMNS:
+            example = "write METRIC.COLUMN, see `nrbench show METRIC`"
+            raise BadInput(f"column {name!r} is not known; {example}, or one of: {', '.join(_OWN_COLUMNS)}")
+
+
+_OWN_COLUMNS = ("quality", "preserved", "seconds", "peak_mib")
+
+
+def left_out(root: Path, plan: Plan) -> int:
+    """Return how many cells of an earlier run in a directory are not in a plan, so that its tables will lack them."""
+    known = (read_json(root / RUN_FILE) if (root / RUN_FILE).is_file() else None) or {}
+    keys = {cell.key for cell, _ in plan.cells}
+    return sum(cell.get("key") not in keys for cell in known.get("cells", []) if isinstance(cell, dict))
+
+
+def remove_stale_report(run: Run) -> Path | None:
+    """Remove the HTML report of an earlier run in the same directory; return its path, or None if there is none."""
+    page = run.root / "report" / "report.html"
+    if not page.is_file():
+        return None
+    page.unlink()
+    return page
+
+
+def print_summary(run: Run, written: list[Path], as_json: bool, columns: Sequence[str] = ()) -> bool:
+    """Print the reports for a terminal, or JSON, and all failures; return whether anything failed.
+
+    ``columns`` are the scores of the table; empty for the headlines.
+    """
     if as_json:
         print(json.dumps(_summary(run, written), indent=1))
     else:
-        _print_terminal_reports(run)
+        _print_terminal_reports(run, columns)
         page = next((path for path in written if path.suffix == ".html"), None)
         print(f"report: {page.resolve()}" if page else f"tables: {(run.root / 'tables').resolve()}")
     failed = failures(run) + unfinished(run)
@@ -109,12 +192,17 @@ def print_summary(run: Run, written: list[Path], as_json: bool) -> bool:
     return bool(failed)
 
 
-def _print_terminal_reports(run: Run) -> None:
-    """Print each report whose class variable ``terminal`` is true; its method ``render`` returns the text."""
+def _print_terminal_reports(run: Run, columns: Sequence[str]) -> None:
+    """Print each report whose class variable ``terminal`` is true; its method ``render`` returns the text.
+
+    Such a report has the parameter ``width``, and may have ``columns``.
+    """
     width = max(40, shutil.get_terminal_size((120, 40)).columns)
     for plugin in plugins.inventory("reports"):
         if getattr(plugin.cls, "terminal", False):
-            print(plugins.build("reports", plugin.name, {"width": width}).render(run), end="")
+            takes_columns = "columns" in {field.name for field in fields(plugin.cls)}  # type: ignore[arg-type]
+            given = {"width": width, **({"columns": tuple(columns)} if columns and takes_columns else {})}
+            print(plugins.build("reports", plugin.name, given).render(run), end="")
 
 
 def _summary(run: Run, written: list[Path]) -> dict[str, Any]:

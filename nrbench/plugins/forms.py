@@ -259,7 +259,13 @@ T = TypeVar("T")
 
 
 class Refused(Exception):
-    """Raised by a method whose input lies outside its domain; tables show N/A, and the cell is no failure."""
+    """Raised by a method whose input lies outside its domain; tables show N/A, and the cell is no failure.
+
+    Parameters
+    ----------
+    reason
+        One sentence that says what is outside the domain.
+    """
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -467,11 +473,11 @@ class Observation:
         Fresh draws of the texture at any shape; None for photographs.
     rng
         The random stream of this metric.
-    detected
-        The answer of the detector that the lattice comes from; None if it comes from no detector.
     cost
         Further costs by name: ``cpu_seconds``, ``detection_seconds``, ``peak_mib``; ``side_by_side`` is 1 if other
         cells ran at the same time.
+    detected
+        The answer of the detector that the lattice comes from; None if it comes from no detector.
     """
 
     sample: Image

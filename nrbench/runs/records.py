@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import json
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column, Value
 from nrbench.runs.store import RUN_FILE, CellFolder, Result, RunDirectory
-from nrbench.storage import read_json
+from nrbench.storage import read_json, write_aside
 from nrbench.suites.cell import Cell
 
 if TYPE_CHECKING:
@@ -26,6 +27,10 @@ HEAD = (
     *("reference", "status", "phase", "message", "note", "seconds", "peak_mib", "key"),
 )
 """The table's columns before the scores."""
+
+
+_SHOWN = ("quality", "quality.regularity", "quality.integrity", "quality.randomness", "seconds")
+"""The means that a notebook shows."""
 
 
 @dataclass(frozen=True)
@@ -163,8 +168,49 @@ class CellRecord:
 
 
 @dataclass(frozen=True)
+class Plot:
+    """A plot of a run, which notebooks show.
+
+    Parameters
+    ----------
+    run
+        The run.
+    width
+        Width in inches, from 3 to 12.
+    """
+
+    run: Run
+    width: float = 5.5
+
+    def save(self, path: str | Path) -> Path:
+        """Write the plot as SVG, PDF or PNG, by the ending of the path, and return the path.
+
+        Raises
+        ------
+        BadInput
+            For another ending.
+        """
+        target = Path(path)
+        kind = target.suffix.lower().removeprefix(".")
+        if kind not in ("svg", "pdf", "png"):
+            raise BadInput(f"{path}: end the name in .svg, .pdf or .png")
+        content = self._render(kind)
+        write_aside(target, lambda aside: aside.write_bytes(content))
+        return target
+
+    def _render(self, kind: str) -> bytes:
+        content: bytes = plugins.build("reports", "perils", {"width": self.width}).render(self.run, kind)
+        return content
+
+    def _repr_svg_(self) -> str:
+        return self._render("svg").decode("utf-8")
+
+
+@dataclass(frozen=True)
 class Run:
     """A run on disk.
+
+    A notebook shows it as the table of methods.
 
     Parameters
     ----------
@@ -220,6 +266,41 @@ class Run:
 
         rows = [_row(record, self.columns) for record in self.cells]
         return pd.DataFrame(rows, columns=list(rows[0]) if rows else [*HEAD, *self.columns])
+
+    def comparison(self) -> pd.DataFrame:
+        """Return textures by methods: the verdict and the quality of each method on each texture."""
+        return self._tables()["comparison"].set_index("texture")
+
+    def summary(self) -> pd.DataFrame:
+        """Return one row for each method: rank, counts, success rate and means, with 95 % intervals over textures."""
+        return self._tables()["summary"].set_index(["method", "lattice_source"])
+
+    def plot(self, width: float = 5.5) -> Plot:
+        """Return the perils plane, in which each method is a point.
+
+        Parameters
+        ----------
+        width
+            Width in inches, from 3 to 12.
+
+        Examples
+        --------
+        In a notebook, ``run.plot()`` as the last line of a cell shows it; ``run.plot().save("plane.pdf")`` writes it.
+        """
+        return Plot(self, width)
+
+    def _tables(self) -> dict[str, pd.DataFrame]:
+        tables: dict[str, pd.DataFrame] = plugins.build("reports", "csv").tables(self)
+        return tables
+
+    def _repr_html_(self) -> str:
+        """Return the table of methods as HTML, for notebooks."""
+        suite = self.info.get("suite", {})
+        title = f"{suite.get('name', 'run')} {suite.get('version', '')} in {self.root}: {len(self.cells)} cells"
+        shown = self.summary()
+        names = ["rank", "cells", "ok", "refused", "failed", "preserved", *_SHOWN]
+        table = shown[[name for name in names if name in shown]]
+        return f"<p>{html.escape(title)}</p>{table.to_html(float_format='{:.3g}'.format, na_rep='–', escape=True)}"
 
 
 def _read_cell(where: CellFolder, entry: Mapping[str, Any]) -> Cell:

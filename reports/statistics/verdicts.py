@@ -6,6 +6,7 @@ is valid on its texture.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -45,6 +46,7 @@ MEANINGS: Mapping[str, str] = {
     "missing": "not run yet",
     "mixed": "replicates disagree",
 }
+_EXPLAINED = frozenset(("refused", "undecided", "failed", "unscored"))
 QUALITY = "quality.score"
 REGULARITY, INTEGRITY, RANDOMNESS = PERILS = ("quality.regularity", "quality.integrity", "quality.randomness")
 RANKING, STRUCTURE = "quality", "perils.structure"
@@ -87,6 +89,19 @@ def explain_verdict(record: CellRecord, column: str = PRESERVED) -> str:
         where = f"{record.status} in {record.phase}" if record.phase else record.status
         return f"{where}: {record.message}" if record.message else where
     return record.reasons.get(column, "")
+
+
+def count_reasons(run: Run) -> list[tuple[str, str, int]]:
+    """Count the distinct reasons for which cells are neither preserved nor lost.
+
+    Returns
+    -------
+    list of (str, str, int)
+        The verdict, a key of :data:`MARKS`, the reason, and the number of cells; the most frequent first.
+    """
+    told = ((verdict(record), explain_verdict(record)) for record in run.cells)
+    counts = Counter((word, " ".join(reason.split())) for word, reason in told if word in _EXPLAINED)
+    return [(word, reason, count) for (word, reason), count in counts.most_common()]
 
 
 def method_label(method: str, lattice_source: str) -> str:

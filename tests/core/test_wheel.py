@@ -105,3 +105,19 @@ def test_it_runs_from_an_empty_directory(wheel: Path, tmp_path: Path) -> None:
     assert {name.partition(".")[0] for name in row if "." in name} == set(METRICS)
     assert row["regularity.score"] and row["appearance.gradient"] and row["source.used"]
     assert "report.html" in report
+
+
+def test_the_source_distribution_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
+    """The sdist holds all that the wheel is built from: the wheel that is built from it has the same files."""
+    pytest.importorskip("build", reason="build is not installed: pip install nrbench[test]")
+    source = wheel.parents[1]
+    command = [sys.executable, "-m", "build", "--sdist", "--no-isolation", "--outdir", str(tmp_path), str(source)]
+    subprocess.run(command, check=True, capture_output=True)
+    archive = next(tmp_path.glob("*.tar.gz"))
+    shutil.unpack_archive(archive, tmp_path / "unpacked", filter="data")
+    place = next((tmp_path / "unpacked").iterdir())
+    assert (place / "LICENSE").is_file() and (place / "README.md").is_file()
+    options = ["--no-deps", "--no-build-isolation", "--quiet", "--wheel-dir", str(tmp_path / "dist")]
+    subprocess.run([sys.executable, "-m", "pip", "wheel", str(place), *options], check=True, capture_output=True)
+    rebuilt = next((tmp_path / "dist").glob("*.whl"))
+    assert zipfile.ZipFile(rebuilt).namelist() == zipfile.ZipFile(wheel).namelist()

@@ -80,3 +80,20 @@ def test_methods_are_ranked(ranked: Run) -> None:
     assert first == sorted(first)
     assert lines[first[0]].startswith(" close ★")
     assert any("leading group" in line for line in lines)
+
+
+def test_reasons_are_counted(every_ending: Run) -> None:
+    """Each distinct reason for which cells have no verdict stands under the table, with the number of its cells."""
+    text = TextTable(width=200).render(every_ending)
+    assert "? 1 cell undecided: undecided: too little power" in text
+    assert "(!) 1 cell unscored: failed: KeyError: 'x'" in text
+    assert "N/A 1 cell refused: refused in score: refused because of" in text
+
+
+def test_columns_of_choice(every_ending: Run) -> None:
+    """The table of methods has the named columns only; an unknown one is refused with the nearest name."""
+    text = TextTable(width=200, columns=("randomness.variation", "seconds")).render(every_ending)
+    head = next(line for line in text.splitlines() if line.startswith("method") or " method " in line)
+    assert "variation" in head and "seconds" in head and "score" not in head
+    with pytest.raises(BadInput, match="did you mean 'seconds'"):
+        TextTable(columns=("second",)).render(every_ending)

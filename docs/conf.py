@@ -1,0 +1,28 @@
+"""The documentation as a site: the pages of this folder, and the docstrings of the public names."""
+
+from __future__ import annotations
+
+from importlib.metadata import version as installed_version
+
+project = "nrbench"
+author = copyright = "The nrbench developers"
+version = release = installed_version("nrbench")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "numpydoc", "sphinx_copybutton"]
+exclude_patterns = ["_build"]
+myst_enable_extensions = ["colon_fence"]
+myst_heading_anchors = 3
+suppress_warnings = ["myst.header", "toc.empty_glob"]
+
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+numpydoc_show_class_members = False
+numpydoc_validation_checks = {"GL03", "GL06", "GL07", "GL08", "PR01", "PR02", "PR03", "PR06", "PR10", "SS01", "YD01"}
+# Methods of these classes say all in one sentence; the forms of plugins have no constructor.
+numpydoc_validation_exclude = {r"\.__", r"\.Lattice\.", r"\.Deformation\.", r"\.Score\.", r"\.plugins\.forms\."}
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"nrbench {version}"
+html_theme_options = {"show_toc_level": 2, "navigation_with_keys": True, "secondary_sidebar_items": ["page-toc"]}
+html_show_sourcelink = False
+html_sidebars = {"**": []}  # all pages stand in the bar at the top

@@ -1,0 +1,28 @@
+#!/bin/sh
+# From nothing to the table of a paper.
+#   sh docs/paper_table.sh [RUN] [FILE.py METHOD] [SUITE]
+# It runs SUITE (default: default) with its methods, and METHOD of FILE.py beside them if these are given. Then it writes the
+# tables as LaTeX, the perils plane as PDF in the width of a column, and the BibTeX entries of the methods to RUN/paper.
+set -eu
+run=${1:-runs/paper}
+file=${2:-}
+method=${3:-}
+suite=${4:-default}
+nrbench=${NRBENCH:-nrbench}
+
+if [ -n "$file" ]; then
+  if [ -f "$suite" ]; then cat "$suite"; else "$nrbench" show "$suite" --toml; fi > "${TMPDIR:-/tmp}/suite-$$.toml"
+  methods=$(python3 -c '
+import sys, tomllib
+print(*(f"-m {name}" for name in tomllib.load(open(sys.argv[1], "rb")).get("methods", [])))' "${TMPDIR:-/tmp}/suite-$$.toml")
+  rm "${TMPDIR:-/tmp}/suite-$$.toml"
+  # shellcheck disable=SC2086
+  "$nrbench" --plugin "$file" run "$suite" $methods -m "$method" --out "$run"
+else
+  "$nrbench" run "$suite" --out "$run"
+fi
+"$nrbench" ${file:+--plugin "$file"} report "$run" --format latex,perils:width=3.4,csv
+
+mkdir -p "$run/paper"
+cp "$run"/tables/*.tex "$run"/tables/*.bib "$run/report/perils.pdf" "$run/paper/"
+echo "the files of the paper: $run/paper"

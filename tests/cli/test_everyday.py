@@ -1,0 +1,176 @@
+"""What a person meets every day: progress, brief scores, columns of choice, runs that share a directory."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nrbench
+from nrbench.api import run
+from nrbench.cli.main import main
+from nrbench.cli.progress import _Clock, live_progress, waiting
+from nrbench.cli.summary import parse_formats
+from nrbench.errors import BadInput
+from nrbench.imaging.files import read_image, write_image
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Detection, NoLatticeFound
+from nrbench.running.runner import Options
+
+
+def call(command: str) -> int:
+    """Run the command line and return its exit code."""
+    with pytest.raises(SystemExit) as ended:
+        main(command.split())
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture
+def brick(tmp_path: Path) -> Lattice:
+    """Write ``brick.png`` and ``out.png``, two draws of a wall; return their lattice."""
+    for name, seed in (("brick", 0), ("out", 1)):
+        texture = nrbench.texture("brick", shape=(96, 96), seed=seed, color=0.2)
+        write_image(tmp_path / f"{name}.png", texture.image)
+    assert texture.lattice is not None
+    return Lattice(texture.lattice.t1, texture.lattice.t2)
+
+
+def test_the_clock_estimates_the_time_left() -> None:
+    """A quarter done in 5 s leaves 15 s; without a fraction the time that has passed is shown."""
+    clock = _Clock("rsgf, 512x512")
+    assert clock.line(5.2) == "rsgf, 512x512: 5 s"
+    clock.set(0.25)
+    clock.set(0.1)  # never goes back
+    assert clock.line(5.0) == "rsgf, 512x512: 25 %, about 15 s left"
+
+
+def test_a_short_wait_shows_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step shorter than two seconds prints nothing; a longer one prints a line, and the error passes."""
+    with waiting("short"):
+        pass
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("nrbench.cli.progress.PATIENCE", 0.01)
+    with pytest.raises(KeyError), waiting("long") as progress:
+        progress(0.5)
+        __import__("time").sleep(0.1)
+        raise KeyError
+    assert capsys.readouterr().err.startswith("long: 50 %, about 1 s left\n")
+
+
+def test_patient_progress_waits(capsys: pytest.CaptureFixture[str]) -> None:
+    """The first steps of a quick command print nothing where standard error is no terminal."""
+    with live_progress(patience=True) as show:
+        show(1, 2, "first")
+    with live_progress() as show:
+        show(1, 2, "first")
+    assert capsys.readouterr().err == "[1/2] first\n"
+
+
+def test_synth_keeps_its_input(brick: Lattice, capsys: pytest.CaptureFixture[str]) -> None:
+    """`-o` with the name of the sample is refused, however it is spelled, and the sample is unchanged."""
+    before = Path("brick.png").read_bytes()
+    assert call("synth brick.png -m quilting --size 64x64 -o ./brick.png") == 2
+    assert "is the picture itself" in capsys.readouterr().err and Path("brick.png").read_bytes() == before
+
+
+def test_synth_takes_a_detector(
+    brick: Lattice, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`--lattice DETECTOR` gives the lattice that the detector finds, and prints it as numbers to copy."""
+    numbers = ",".join(map(repr, brick.numbers))
+    monkeypatch.setattr("nrbench.detectors.consensus.Consensus.detect", lambda self, image: Detection(brick, 0.9))
+    assert call("synth brick.png -m tiling --size 128x128 --lattice consensus -o found.png") == 0
+    assert "--lattice 27.3,0,13.65,12.2  (consensus)" in capsys.readouterr().err
+    assert call(f"synth brick.png -m tiling --size 128x128 --lattice {numbers} -o given.png") == 0
+    np.testing.assert_array_equal(read_image("found.png"), read_image("given.png"))
+
+    def refuse(self: object, image: object) -> Detection:
+        raise NoLatticeFound("all is noise")
+
+    monkeypatch.setattr("nrbench.detectors.consensus.Consensus.detect", refuse)
+    assert call("synth brick.png -m tiling --size 128x128 --lattice consensus -o none.png") == 2
+    assert "no lattice found (all is noise)" in capsys.readouterr().err
+    assert call("synth brick.png -m tiling --size 128x128 --lattice consensu -o none.png") == 2
+    assert "did you mean 'consensus'" in capsys.readouterr().err
+
+
+def test_synth_warns_of_another_lattice(
+    brick: Lattice, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A method whose own lattice is none of consensus is told; the same lattice and a supercell are not."""
+    doubled = Lattice((2 * brick.t1[0], 0), brick.t2)
+    command = "synth brick.png -m shuffle --size 128x128 -o made.png"
+    half = Lattice((brick.t1[0] / 2, 0), brick.t2)
+    monkeypatch.setattr("nrbench.detectors.consensus.Consensus.detect", lambda self, image: Detection(brick, 0.9))
+    for used, warns in ((brick, False), (doubled, False), (half, True)):
+        found = nrbench.Synthesis(np.zeros((128, 128, 3), np.float32), lattice=used)
+        monkeypatch.setattr("nrbench.synthesizers.shuffle.Shuffle.synthesize", lambda self, task, found=found: found)
+        assert call(command) == 0
+        assert ("warning" in capsys.readouterr().err) == warns
+
+
+def test_score_is_brief(brick: Lattice, capsys: pytest.CaptureFixture[str]) -> None:
+    """`score` prints the verdict first, then five numbers; `--metrics` prints all scores of the chosen metrics."""
+    lattice = ",".join(map(repr, brick.numbers))
+    assert call(f"score brick.png out.png --lattice {lattice}") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "the lattice is preserved" or lines[0].startswith("the lattice is not judged")
+    assert [line.split()[0] for line in lines[1:6]] == [
+        "regularity.preserved",
+        *(f"quality.{name}" for name in ("score", "regularity", "integrity", "randomness")),
+    ]
+    assert "--all" in lines[-1]
+    assert call("score brick.png out.png --metrics appearance --json") == 0
+    names = set(json.loads(capsys.readouterr().out)) - {"reasons"}
+    assert names and all(name.startswith("appearance.") for name in names)
+    assert call("score brick.png out.png --metrics appearanc") == 2
+    assert call("score brick.png out.png --metrics appearance --all") == 2
+
+
+def test_formats_take_parameters() -> None:
+    """A comma separates formats where the name of a report follows, and else belongs to the value."""
+    assert parse_formats(["html,csv"]) == {"html": {}, "csv": {}}
+    assert parse_formats(["perils:width=3.4,text:columns=quality,seconds,csv", "markdown"]) == {
+        "perils": {"width": "3.4"},
+        "text": {"columns": "quality,seconds"},
+        "csv": {},
+        "markdown": {},
+    }
+    with pytest.raises(BadInput, match="report 'pdf' is not known"):
+        parse_formats(["html,pdf"])
+
+
+def test_runs_that_share_a_directory(capsys: pytest.CaptureFixture[str]) -> None:
+    """A narrower run says how many cells its tables leave out, and leaves no report that contradicts them."""
+    run("core", methods=["quilting", "scatter"], textures="brick-mild", out="R", options=Options(jobs=0),
+        size="128x128", metrics=["appearance"])  # fmt: skip
+    suite = nrbench.load("R").info["suite"]["content"]
+    assert suite["methods"] == ["quilting", "scatter"]
+    Path("R/report").mkdir()
+    Path("R/report/report.html").write_text("old")
+    Path("suite.toml").write_text(
+        'name = "core"\nversion = 1\nsample = "128x128"\nsize = "128x128"\nmethods = ["quilting"]\nlattice = ["own"]\n'
+        'metrics = ["appearance"]\n[[texture]]\nname = "wall"\ndataset = "brick"\n'
+    )
+    assert call("run suite.toml --out R --jobs 0 --no-report --columns appearance.sharpness,seconds") == 0
+    printed = capsys.readouterr()
+    assert "holds 2 more cells of an earlier command" in printed.err and "is removed" in printed.err
+    assert not Path("R/report/report.html").exists() and "appearance.sharpness" in printed.out
+    assert call("run suite.toml --out R --jobs 0 --no-report") == 0
+    assert "more cells" not in capsys.readouterr().err
+    assert call("run suite.toml --out R --columns appearance.sharpnes") == 2
+    assert "did you mean 'appearance.sharpness'" in capsys.readouterr().err
+    assert call("run suite.toml --out R --columns sharpness") == 2
+
+
+def test_show_prints_the_file_of_a_suite(capsys: pytest.CaptureFixture[str]) -> None:
+    """What `show SUITE --toml` prints is a suite with the same content."""
+    assert call("show core --toml") == 0
+    Path("mine.toml").write_text(capsys.readouterr().out, "utf-8")
+    from nrbench.suites.suite import load_suite
+
+    assert load_suite("mine.toml").hash == load_suite("core").hash
+    assert call("show rsgf --toml") == 2
+    assert call("show core --toml --json") == 2

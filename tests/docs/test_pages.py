@@ -1,0 +1,90 @@
+"""The pages of the documentation: their examples run, and the site builds."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from nrbench import plugins
+from nrbench.cli.main import main
+
+DOCS = Path(__file__).parents[2] / "docs"
+BLOCK = re.compile(r"<!-- (run|file (\S+)) -->\n```(\w+)\n(.*?)```", re.DOTALL)
+PAGES = sorted(page.name for page in DOCS.glob("*.md") if BLOCK.search(page.read_text("utf-8")))
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run cells in this process by the metrics of the headlines, and forget plugins of files afterwards."""
+    headlines = ["regularity", "integrity", "randomness", "quality"]
+    monkeypatch.setattr("nrbench.running.runner.working_metrics", lambda: headlines)
+    monkeypatch.setattr("os.cpu_count", lambda: 0)
+    monkeypatch.setattr(plugins.registry, "_files", {})
+
+
+def run_commands(text: str) -> None:
+    """Run each line of a block as a command; none may fail."""
+    for line in text.strip().splitlines():
+        program, *words = shlex.split(line, comments=True)
+        assert program == "nrbench"
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+        assert not ended.value.code, line
+
+
+def test_some_pages_have_examples() -> None:
+    """The tutorial and the page on suites are executed."""
+    assert {"tutorial.md", "suites.md"} <= set(PAGES)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_the_examples_of_a_page_run(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """The blocks of a page that are marked run one after another in an empty directory."""
+    names: dict[str, object] = {}
+    for kind, file, language, text in BLOCK.findall((DOCS / name).read_text("utf-8")):
+        if file:
+            Path(file).write_text(text, "utf-8")
+        elif language == "python":
+            exec(compile(text, f"{name} ({kind})", "exec"), names)
+        else:
+            assert language == "bash"
+            run_commands(text)
+    assert capsys.readouterr().out
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    """Every link of a page to a file leads to one."""
+    for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text("utf-8")):
+        assert (page.parent / target).exists(), target
+
+
+def test_scripts_are_valid() -> None:
+    """The script that leads to a paper's table can be read by a shell."""
+    subprocess.run(["sh", "-n", str(DOCS / "paper_table.sh")], check=True)
+
+
+def test_the_site_builds(tmp_path: Path) -> None:
+    """The site builds, and a warning is an error."""
+    for needed in ("sphinx", "pydata_sphinx_theme", "myst_parser", "numpydoc", "sphinx_copybutton"):
+        pytest.importorskip(needed, reason=f"{needed} is not installed: pip install nrbench[docs]")
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-b",
+        "html",
+        str(DOCS),
+        str(tmp_path / "out"),
+    ]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert "nrbench.synthesize" in (tmp_path / "out" / "api.html").read_text("utf-8")
