@@ -158,9 +158,9 @@ def _invert(displacement: Points, tracked: TrackedImage) -> Points:
     counts = [max(math.ceil((n - 1) / (_SPACING * s)), 3) + 1 for n in (height, width)]
     few = np.linspace(0, height - 1, counts[0]), np.linspace(0, width - 1, counts[1])
     points = np.stack(np.meshgrid(few[1], few[0]), -1)
-    places, last = points.copy(), (width - 1.0, height - 1.0)
+    places = points.copy()
     for _ in range(_STEPS):
-        read = interpolate(table, np.clip(places, 0, last)).astype(np.float64)
+        read = interpolate(table, places).astype(np.float64)
         slopes = np.eye(2) - np.stack([read[..., 2:4], read[..., 4:6]], -1)
         rest = places - read[..., :2] - points
         step = np.linalg.solve(slopes, rest[..., np.newaxis])[..., 0]

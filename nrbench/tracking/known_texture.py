@@ -186,7 +186,7 @@ class _Following:
         lattice, offsets, weights = self.tile.harmonics.lattice, self.window.offsets, self.window.weights
         size, reach = np.array(self.planes.shape[1::-1]), np.abs(offsets).max(0)
         middles = self._middles(size, reach, 1.5 * lattice.s)
-        read = interpolate(self.planes, np.clip(middles[:, np.newaxis] + offsets, 0, size - 1))
+        read = interpolate(self.planes, middles[:, np.newaxis] + offsets)
         read -= np.tensordot(read, weights, (1, 0))[:, np.newaxis]
         strength = np.sqrt(
             np.maximum(np.tensordot(read**2, weights, (1, 0)).sum(1), 1e-12) * max(self.tile.power, 1e-12)
