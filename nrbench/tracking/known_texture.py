@@ -136,7 +136,8 @@ class _Following:
         planes = subtract_color(image, image.mean((0, 1), dtype=np.float64).astype(np.float32)) @ tile.colors
         blur = _BLUR * spacing
         planes = ndimage.gaussian_filter(planes, (blur, blur, 0), mode="nearest")
-        counts = np.maximum(np.ceil((size - 1) / (_STEP * np.sqrt(12 * np.diag(covariance)))), 2)
+        # An even number of steps, so that every second node is the start of a grid that reaches all borders, too.
+        counts = 2 * np.maximum(np.ceil((size - 1) / (2 * _STEP * np.sqrt(12 * np.diag(covariance)))), 1)
         step = (size - 1) / counts
         # The displacement of the first knot is at most half of each vector of the lattice.
         beyond = np.ceil((np.abs(lattice.matrix).sum(0) / 2 + _BEYOND * lattice.s) / step)
