@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.imaging.fold import Tile, Values, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
@@ -104,14 +104,16 @@ class Knots:
 
     def is_near(self, cells: Points) -> NDArray[np.bool_]:
         """Return whether most of the four knots around cell coordinates ``(..., 2)`` are known."""
-        weight = ndimage.map_coordinates(self.known.astype(np.float64), self.positions(cells), order=1, mode="constant")
+        weight = scipy.ndimage.map_coordinates(
+            self.known.astype(np.float64), self.positions(cells), order=1, mode="constant"
+        )
         return np.asarray(weight > 0.49)
 
     def locate(self, cells: Points) -> Points:
         """Return the places (x, y) px of cell coordinates ``(..., 2)``, by cubic splines through the knots."""
         at = self.positions(cells)
         planes = np.moveaxis(self._continued, -1, 0)
-        return np.stack([ndimage.map_coordinates(plane, at, order=3, mode="nearest") for plane in planes], -1)
+        return np.stack([scipy.ndimage.map_coordinates(plane, at, order=3, mode="nearest") for plane in planes], -1)
 
     @cached_property
     def _continued(self) -> Points:

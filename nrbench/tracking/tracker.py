@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.interpolate import make_interp_spline
 
 from nrbench.imaging.convert import Image, subtract_color, sum_channels
 from nrbench.imaging.fold import Values, interpolate
@@ -188,11 +186,13 @@ class Nodes:
         step = [n / count for n, count in zip(self.padded, self.counts, strict=True)]
         # ndimage pads by as many values before it filters, because the filter itself does not know this border.
         padded = np.pad(field, ((_PADDING, _PADDING), (_PADDING, _PADDING), (0, 0)), mode="edge")
-        planes = [ndimage.spline_filter(axis, mode="nearest") for axis in np.moveaxis(padded, -1, 0)]
+        planes = [scipy.ndimage.spline_filter(axis, mode="nearest") for axis in np.moveaxis(padded, -1, 0)]
 
         def interpolate_at(points: Points) -> Field:
             at = [points[..., 1] / step[0] + _PADDING, points[..., 0] / step[1] + _PADDING]
-            found = [ndimage.map_coordinates(plane, at, order=3, mode="nearest", prefilter=False) for plane in planes]
+            found = [
+                scipy.ndimage.map_coordinates(plane, at, order=3, mode="nearest", prefilter=False) for plane in planes
+            ]
             return np.stack(found, -1)
 
         return interpolate_at
@@ -469,7 +469,7 @@ def _spline_weights(at: Field, count: int) -> Field:
     """Return the matrix ``(count, n)`` of cubic splines from nodes to pixels, constant beyond the last node."""
     if len(at) == 1:
         return np.ones((count, 1))
-    spline = make_interp_spline(at, np.eye(len(at)), k=min(3, len(at) - 1))
+    spline = scipy.interpolate.make_interp_spline(at, np.eye(len(at)), k=min(3, len(at) - 1))
     return np.asarray(spline(np.clip(np.arange(count), at[0], at[-1])))
 
 
