@@ -35,6 +35,10 @@ to it, and ``nrbench report`` shows its pictures.
 ``departures``
     The textures of ``response``, bent, jittered and colored at eight levels. Prints Spearman's correlation of the level
     with the columns of ``deformation``, ``geometry_appearance`` and ``self_similarity`` over fresh draws.
+``bends``
+    Brick, weave and hexagon, bent by 0.25, 0.5 and 1, each sample with a fresh draw, a fresh draw with a phase step of
+    0.25 s, and a draw of the same model that is not bent. Prints how they are judged, and the quality of the fresh draw
+    of the first sample. ``--bends`` takes some of them. This study is no run.
 ``references``
     Fresh draws and the baselines on the textures of type I of ``core`` and ``report2004``. Prints how many of a second
     set of fresh draws lie in the 95 % band of the first, and in which columns each baseline lies outside the 99 % band.
@@ -65,11 +69,14 @@ from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image
 from nrbench.metrics.integrity import Integrity
+from nrbench.metrics.quality import Quality
 from nrbench.metrics.regularity import Regularity
-from nrbench.plugins.forms import Again, Shape
+from nrbench.metrics.verdict.bent import bent_reference_from_model, compute_bent_verdict
+from nrbench.plugins.forms import Again, Observation, Shape, Task, Texture
 from nrbench.running.progress import Step
 from nrbench.streams import stream
 from nrbench.suites.suite import load_suite, validated_suite
+from nrbench.synthesizers.planted import Planted
 
 Row = dict[str, Any]
 FIRST_SEED = {"calibration": 0, "report": 100_000}
@@ -660,6 +667,47 @@ def outside_share(table: pd.DataFrame, column: str, kind: str) -> str:
     return f"{np.mean(outside):.2f} ({len(outside)})" if outside else "-"
 
 
+def study_bends(options: argparse.Namespace) -> None:
+    """Print how fresh draws, phase steps and straightened draws of bent textures are judged."""
+    outputs = "fresh: preserved, lost, undecided", "step of 0.25 s: lost, undecided", "not bent: too regular"
+    print_head("texture", "bend", "px", "n", *outputs, "amplitude of fresh draws", "quality of a fresh draw")
+    for side in options.sides:
+        for bend in options.bends:
+            for kind in (Brick, Weave, Hexagon):
+                judge_bent(kind(color=0.2, noise=0.03, bend=bend), side, options)
+
+
+def judge_bent(model: Model, side: int, options: argparse.Namespace) -> None:
+    """Print a row of the table of :func:`study_bends`."""
+    name, shape = type(model).__name__.lower(), (side, side)
+    fresh, steps, straight, amplitudes, quality = [], [], [], [], None
+    for number in range(options.replicates):
+        seed = FIRST_SEED[options.half] + number
+        sample = model.render((128, 128), stream("render", f"bends-{name}", seed))
+        sample = replace(sample, image=quantize(sample.image))
+
+        def again(wanted: Shape, k: int, sample: Texture = sample, seed: int = seed) -> Texture:
+            return model.again(sample, wanted, stream("again", f"bends-{name}", seed, k))
+
+        assert sample.lattice is not None
+        reference = bent_reference_from_model(sample, sample.lattice, again)
+        task = Task(sample.image, shape, None, stream("synthesis", f"bends-{name}", seed), again=again)
+        still = replace(model, bend=0.0).again(sample, shape, stream("again", f"bends-{name}", seed, "still"))
+        images = again(shape, 0).image, Planted("phase-step", 0.25).synthesize(task).image, still.image
+        judged = [compute_bent_verdict(quantize(np.clip(image, 0, 1)), reference) for image in images]
+        fresh.append(judged[0].preserved)
+        amplitudes.append(judged[0].amplitude_ratio)
+        steps.append(judged[1].preserved)
+        straight.append(judged[2].preserved is not False and judged[2].too_regular)
+        if not number:
+            observation = Observation(sample.image, quantize(images[0]), sample, again=again)
+            quality = Quality().score(observation).values["score"]
+    verdicts = ", ".join(str(fresh.count(one)) for one in (True, False, None))
+    found = f"{steps.count(False)}, {steps.count(None)}"
+    spread = f"{min(amplitudes):.2f} to {max(amplitudes):.2f}"
+    print_row(name, model.bend, side, len(fresh), verdicts, found, sum(straight), spread, show_value(quality))
+
+
 def study_departures(options: argparse.Namespace) -> None:
     """Print how deformation, geometry, appearance and self-similarity follow the departures of a model."""
     bases = [texture_row(FIRST_SEED["report"] + number) for number in RESPONSE_TEXTURES]
@@ -745,6 +793,7 @@ STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "silence": study_silence,
     "invariance": study_invariance,
     "departures": study_departures,
+    "bends": study_bends,
     "references": study_references,
 }
 
@@ -757,6 +806,7 @@ def main() -> None:
     parser.add_argument("--replicates", type=int, default=3, help="samples of each texture, and outputs of each method")
     parser.add_argument("--sides", type=int, nargs="+", default=[256], help="width and height of the outputs in px")
     parser.add_argument("--half", choices=FIRST_SEED, default="report", help="which textures and seeds")
+    parser.add_argument("--bends", type=float, nargs="+", default=[0.25, 0.5, 1.0], help="of bends: strengths")
     parser.add_argument("--textures", nargs="*", help="of references: patterns of texture names")
     parser.add_argument("--pictures", help="of photographs: a folder with truth.csv")
     parser.add_argument("--suites", nargs="*", default=[*SUITES, TYPES], help="of perils")

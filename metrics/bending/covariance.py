@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
+from scipy.spatial.distance import cdist
 from scipy.special import j0
 
 from nrbench.lattice.geometry import Points
@@ -147,7 +148,7 @@ class Covariance:
 
     def between(self, places: Points, others: Points) -> Values:
         """Return the covariance of the field without errors at places ``(n, 2)`` and others ``(m, 2)``, in s."""
-        apart = np.hypot(*np.moveaxis(places[:, np.newaxis] - others[np.newaxis], -1, 0))
+        apart = cdist(places, others)
         table = np.arange(0, float(apart.max(initial=0.0)) + 2 * _STEP, _STEP)
         return np.asarray(np.interp(apart, table, j0(table[:, np.newaxis] * _wave_numbers()) @ self.weights))
 

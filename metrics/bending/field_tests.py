@@ -131,11 +131,16 @@ def _block_starts(side: int) -> list[int]:
     return [int(start) for start in np.unique(np.linspace(0, max(side - _BLOCK, 0), count).astype(int))]
 
 
-def _precision(places: Points, covariance: Covariance) -> Values:
-    """Return the inverse of the covariance matrix of displacements along one axis, with a free mean."""
+def _node_covariance(places: Points, covariance: Covariance) -> Values:
+    """Return the covariance matrix of displacements along one axis, with a free mean."""
     matrix = covariance.between(places, places) + _FREE**2
     matrix[np.diag_indices_from(matrix)] += covariance.noise
-    return np.asarray(scipy.linalg.inv(matrix, overwrite_a=True, check_finite=False))
+    return matrix
+
+
+def _precision(places: Points, covariance: Covariance) -> Values:
+    """Return the inverse of the covariance matrix of displacements along one axis, with a free mean."""
+    return np.asarray(scipy.linalg.inv(_node_covariance(places, covariance), overwrite_a=True, check_finite=False))
 
 
 def _half_planes(places: Points) -> Values:
@@ -212,7 +217,8 @@ def smooth_field(field: SampledField, covariance: Covariance, places: Points) ->
                 continue
             nodes, values = field.places.reshape(-1, 2)[block], field.displacement.reshape(-1, 2)[block]
             cross = covariance.between(places[wanted], nodes) + _FREE**2
-            result[wanted] = cross @ (_precision(nodes, covariance) @ values)
+            matrix = _node_covariance(nodes, covariance)
+            result[wanted] = cross @ scipy.linalg.solve(matrix, values, overwrite_a=True, assume_a="pos")
     return result
 
 

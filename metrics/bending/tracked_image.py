@@ -30,8 +30,11 @@ _MARGIN = 0.45
 """Distance, in s, from the border of the image from which nodes must be found."""
 _SPACING = 0.25
 """Distance, in s, of the places at which the displacements are inverted."""
-_STEPS, _LONGEST = 12, 0.25
-"""Number of Newton steps of the inversion, and the length of the longest one, in s."""
+_MOST_STEPS, _LONGEST, _EXACT = 15, 0.25, 0.02
+"""Largest number of Newton steps of the inversion, the length of the longest one, in s, and that, in px, below which
+the places count as exact."""
+_LEAST_DETERMINANT = 0.05
+"""Least area of the image, over that on the plane, that a Newton step assumes."""
 
 
 @dataclass(frozen=True)
@@ -96,13 +99,6 @@ def track_image(image: Image, tile: MeanTile, level: float, covariance: Covarian
     return _drop(TrackedImage(follow_texture(image, tile), tile.harmonics.lattice.s, level), covariance)
 
 
-def _smooth_displacement(tracked: TrackedImage, covariance: Covariance) -> Points:
-    """Return the smooth displacement at all nodes, px, ``(rows, columns, 2)``."""
-    places = tracked.followed.nodes
-    smooth = smooth_field(tracked.field, covariance, places.reshape(-1, 2) / tracked.s)
-    return smooth.reshape(places.shape) * tracked.s
-
-
 @dataclass(frozen=True)
 class StraightenedImage:
     """An image without its smooth displacement, cropped to where it is known.
@@ -129,7 +125,7 @@ def straighten(tracked: TrackedImage, covariance: Covariance) -> StraightenedIma
     """Return the image without the smooth part of its displacement."""
     image = tracked.followed.image
     height, width = image.shape[:2]
-    sources = _invert(_smooth_displacement(tracked, covariance), tracked)
+    sources = _invert(tracked, covariance)
     inside = np.asarray(((sources >= 0) & (sources <= (width - 1, height - 1))).all(-1))
     y0, y1, x0, x1 = largest_box(inside)
     sources = np.ascontiguousarray(sources[y0:y1, x0:x1])
@@ -139,33 +135,32 @@ def straighten(tracked: TrackedImage, covariance: Covariance) -> StraightenedIma
     return StraightenedImage(values, (x0, y0), sources, tracked)
 
 
-def _invert(displacement: Points, tracked: TrackedImage) -> Points:
+def _invert(tracked: TrackedImage, covariance: Covariance) -> Points:
     """Return the place (x, y) px in the image of each pixel of the plane, ``(H, W, 2)``, by Newton's method.
 
-    Parameters
-    ----------
-    displacement
-        ``(rows, columns, 2)`` px: that of the content at each node of the image.
-    tracked
-        The image.
+    The displacement is the smooth part of that of the tracked image.
     """
     height, width = tracked.followed.image.shape[:2]
-    nodes, s = tracked.followed.nodes, tracked.s
-    sides = nodes[:, 0, 1], nodes[0, :, 0]
+    field, s = tracked.field, tracked.s
+    smooth = smooth_field(field, covariance, field.places.reshape(-1, 2)).reshape(field.places.shape) * s
     pixels = np.arange(float(height)), np.arange(float(width))
-    field = _spread(displacement, sides, pixels)
-    table = np.concatenate([field, *np.gradient(field, axis=(1, 0))], -1).astype(np.float32)
+    displacement = _spread(smooth, (field.places[:, 0, 1] * s, field.places[0, :, 0] * s), pixels)
+    table = np.concatenate([displacement, *np.gradient(displacement, axis=(1, 0))], -1).astype(np.float32)
     counts = [max(math.ceil((n - 1) / (_SPACING * s)), 3) + 1 for n in (height, width)]
     few = np.linspace(0, height - 1, counts[0]), np.linspace(0, width - 1, counts[1])
     points = np.stack(np.meshgrid(few[1], few[0]), -1)
-    places, last = points.copy(), (width - 1.0, height - 1.0)
-    for _ in range(_STEPS):
-        read = interpolate(table, np.clip(places, 0, last)).astype(np.float64)
-        slopes = np.eye(2) - np.stack([read[..., 2:4], read[..., 4:6]], -1)
-        rest = places - read[..., :2] - points
-        step = np.linalg.solve(slopes, rest[..., np.newaxis])[..., 0]
+    places = points.copy()
+    for _ in range(_MOST_STEPS):
+        x, y, xx, yx, xy, yy = np.moveaxis(interpolate(table, places).astype(np.float64), -1, 0)
+        off_x, off_y = places[..., 0] - x - points[..., 0], places[..., 1] - y - points[..., 1]
+        determinant = (1 - xx) * (1 - yy) - xy * yx
+        step = np.stack([(1 - yy) * off_x + xy * off_y, yx * off_x + (1 - xx) * off_y], -1)
+        # Where the content is stretched so far that it nearly folds over, a step is short instead of infinite.
+        step /= np.maximum(determinant, _LEAST_DETERMINANT)[..., np.newaxis]
         length = np.hypot(step[..., 0], step[..., 1])
         places -= step * np.minimum(1, _LONGEST * s / np.maximum(length, 1e-9))[..., np.newaxis]
+        if length.max() < _EXACT:
+            break
     return _spread(places, few, pixels)
 
 

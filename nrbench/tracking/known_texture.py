@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from nrbench.imaging.convert import Image, subtract_color
 from nrbench.imaging.fold import Values, interpolate
@@ -135,8 +134,9 @@ class _Following:
         offsets, weights, spacing = _window(covariance)
         planes = subtract_color(image, image.mean((0, 1), dtype=np.float64).astype(np.float32)) @ tile.colors
         blur = _BLUR * spacing
-        planes = ndimage.gaussian_filter(planes, (blur, blur, 0), mode="nearest")
-        counts = np.maximum(np.ceil((size - 1) / (_STEP * np.sqrt(12 * np.diag(covariance)))), 2)
+        planes = scipy.ndimage.gaussian_filter(planes, (blur, blur, 0), mode="nearest")
+        # An even number of steps, so that every second node is the start of a grid that reaches all borders, too.
+        counts = 2 * np.maximum(np.ceil((size - 1) / (2 * _STEP * np.sqrt(12 * np.diag(covariance)))), 1)
         step = (size - 1) / counts
         # The displacement of the first knot is at most half of each vector of the lattice.
         beyond = np.ceil((np.abs(lattice.matrix).sum(0) / 2 + _BEYOND * lattice.s) / step)
@@ -186,7 +186,7 @@ class _Following:
         lattice, offsets, weights = self.tile.harmonics.lattice, self.window.offsets, self.window.weights
         size, reach = np.array(self.planes.shape[1::-1]), np.abs(offsets).max(0)
         middles = self._middles(size, reach, 1.5 * lattice.s)
-        read = interpolate(self.planes, np.clip(middles[:, np.newaxis] + offsets, 0, size - 1))
+        read = interpolate(self.planes, middles[:, np.newaxis] + offsets)
         read -= np.tensordot(read, weights, (1, 0))[:, np.newaxis]
         strength = np.sqrt(
             np.maximum(np.tensordot(read**2, weights, (1, 0)).sum(1), 1e-12) * max(self.tile.power, 1e-12)
@@ -230,7 +230,7 @@ class _Following:
             return FollowedImage(self.image, nodes, np.zeros_like(nodes), np.zeros(nodes.shape[:2]))
         places, points, weights = found[known][:, :2], self.points[known], found[known][:, 6]
         inverse = np.linalg.inv(found[known][:, 2:6].reshape(-1, 2, 2))
-        _, nearest = cKDTree(places).query(nodes, range(1, min(_NEIGHBORS, len(places)) + 1))
+        _, nearest = scipy.spatial.cKDTree(places).query(nodes, range(1, min(_NEIGHBORS, len(places)) + 1))
         distance = np.hypot(*np.moveaxis(nodes[:, :, np.newaxis] - places[nearest], -1, 0))
         steps = np.einsum("yxkab,yxkb->yxka", inverse[nearest], nodes[:, :, np.newaxis] - places[nearest])
         reach = float(np.hypot(*self._step)) / 2

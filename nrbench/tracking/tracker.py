@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, subtract_color, sum_channels
-from nrbench.imaging.fold import Values
+from nrbench.imaging.fold import Values, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.unwrapping_kernels import grow
 
@@ -41,6 +42,8 @@ _FIRST_STEPS, _NEXT_STEPS = 4, 2
 """Newton steps after unwrapping, and in each refinement."""
 _LONGEST_STEP = 0.12
 """Longest Newton step, in units of s."""
+_PADDING = 12
+"""Number of nodes that are added at each border before a field is interpolated, as many as ``ndimage`` adds."""
 _REACH = 3.0
 """Width of the padding of the image, in standard deviations of a window."""
 _NODES_PER_TILE = 2.0
@@ -176,11 +179,23 @@ class Nodes:
 
     def interpolate(self, field: Field, points: Points) -> Field:
         """Return the field at points (x, y) px by cubic splines; beyond the last node it is constant."""
+        return self.splines(field)(points)
+
+    def splines(self, field: Field) -> Callable[[Points], Field]:
+        """Return the function of points (x, y) px that interpolates the field as :meth:`interpolate` does."""
         step = [n / count for n, count in zip(self.padded, self.counts, strict=True)]
-        at = [points[..., 1] / step[0], points[..., 0] / step[1]]
-        return np.stack(
-            [scipy.ndimage.map_coordinates(axis, at, order=3, mode="nearest") for axis in np.moveaxis(field, -1, 0)], -1
-        )
+        # ndimage pads by as many values before it filters, because the filter itself does not know this border.
+        padded = np.pad(field, ((_PADDING, _PADDING), (_PADDING, _PADDING), (0, 0)), mode="edge")
+        planes = [scipy.ndimage.spline_filter(axis, mode="nearest") for axis in np.moveaxis(padded, -1, 0)]
+
+        def interpolate_at(points: Points) -> Field:
+            at = [points[..., 1] / step[0] + _PADDING, points[..., 0] / step[1] + _PADDING]
+            found = [
+                scipy.ndimage.map_coordinates(plane, at, order=3, mode="nearest", prefilter=False) for plane in planes
+            ]
+            return np.stack(found, -1)
+
+        return interpolate_at
 
 
 def cell_covariance(lattice: Lattice) -> Points:
@@ -399,8 +414,11 @@ def correlation_surfaces(product: NDArray[np.complex64], harmonics: Harmonics) -
 
 def _shift(product: NDArray[np.complex64], harmonics: Harmonics, displacement: Field) -> NDArray[np.complex64]:
     """Return the product ``(K, rows, columns)`` for content that is moved back by the displacement of its node."""
-    phase = np.tensordot(2 * math.pi * harmonics.frequencies, displacement, (1, 2))
-    return np.asarray(product * np.exp(1j * phase.astype(np.float32)))
+    phase = np.tensordot(2 * math.pi * harmonics.frequencies, displacement, (1, 2)).astype(np.float32)
+    # Sine and cosine of single precision take a fraction of the time of a complex exponential.
+    turn = np.empty(phase.shape, np.complex64)
+    turn.real, turn.imag = np.cos(phase), np.sin(phase)
+    return np.asarray(product * turn)
 
 
 def _refine(product: NDArray[np.complex64], harmonics: Harmonics, start: Field, steps: int) -> Field:
@@ -430,9 +448,9 @@ def _newton_step(slope: Field, bend: Field, longest: float) -> Field:
 
 def _invert_field(nodes: Nodes, displaced: Field) -> Field:
     """Return the displacements at undisturbed positions, from the displacements at positions in the image."""
-    field = displaced
+    field, displacement = displaced, nodes.splines(displaced)
     for _ in range(8):
-        field = (field + nodes.interpolate(displaced, nodes.places + field)) / 2
+        field = (field + displacement(nodes.places + field)) / 2
     return field
 
 
@@ -441,10 +459,10 @@ def _straighten(planes: Values, nodes: Nodes, field: Field) -> Values:
     height, width = planes.shape[:2]
     down, along = (_spline_weights(at, n) for at, n in ((nodes.y, height), (nodes.x, width)))
     moved = np.einsum("yr,rcd,xc->dyx", down, field, along, optimize=True)
-    at = moved[::-1] + np.indices((height, width))
-    return np.stack(
-        [scipy.ndimage.map_coordinates(plane, at, np.float32, 1) for plane in np.moveaxis(planes, -1, 0)], -1
-    )
+    places = np.moveaxis(moved, 0, -1) + np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
+    straight = interpolate(planes, places)
+    straight[((places < 0) | (places > (width - 1, height - 1))).any(-1)] = 0
+    return straight
 
 
 def _spline_weights(at: Field, count: int) -> Field:
