@@ -26,7 +26,7 @@ from nrbench.runs.records import Run
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
 from nrbench.tracking.deformation import Deformation
-from nrbench.views.deformed import find_deformation
+from nrbench.views.deformed import Followed, find_deformation
 
 Latticelike = Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None
 """A lattice; its two vectors, and its origin; ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``. None: no lattice is given."""
@@ -119,9 +119,28 @@ def track_lattice(
     (True, True)
     >>> straight, mean = bent.straighten()
     """
-    thorough = plugins.build("detectors", detector, parameters)
+    return follow_lattice(as_image(image), as_lattice(lattice), detector, parameters).deformation
+
+
+def follow_lattice(
+    image: Image,
+    lattice: Lattice | None = None,
+    detector: str = "consensus",
+    parameters: Mapping[str, Any] | None = None,
+    only_promising: bool = False,
+) -> Followed:
+    """Return the deformation of an image as :func:`track_lattice`, with the detection in the straightened image.
+
+    Parameters
+    ----------
+    image, lattice, only_promising
+        As for :func:`nrbench.views.deformed.find_deformation`.
+    detector, parameters
+        The detector's name and its parameters.
+    """
+    thorough = plugins.build("detectors", detector, parameters or {})
     quick = plugins.build("detectors", "dominance", {"reject": "none"})
-    return find_deformation(as_image(image), thorough, quick, as_lattice(lattice)).deformation
+    return find_deformation(image, thorough, quick, lattice, only_promising)
 
 
 def as_lattice(lattice: Latticelike) -> Lattice | None:

@@ -6,7 +6,7 @@ import json
 import textwrap
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.lattice.geometry import Lattice
     from nrbench.plugins.forms import Alternative, Detection
+    from nrbench.tracking.deformation import Deformation
+    from nrbench.views.deformed import Followed
 
 WHOLE = 1024
 """px; largest side of an image that a comparison of detectors shows as a whole."""
@@ -121,16 +123,18 @@ def lattice_command(
     if pick or lattice is not None:
         _use_given(picture, lattice, output, as_json)
     else:
-        _detect(picture, detector or "consensus", output, diagnostics, as_json)
+        _detect(picture, detector, output, diagnostics, as_json)
     return 0
 
 
 @dataclass(frozen=True)
-class _Result:
+class Result:
     """The result of a detector or of the user: a lattice, or why there is none.
 
     ``detection`` is that of a detector. ``has_origin`` says whether the origin is known. ``seconds`` is set in a
-    comparison. ``failed`` marks a detector that raised an error.
+    comparison. ``failed`` marks a detector that raised an error. ``deformation`` is that of a bent image, of which
+    ``lattice`` is the mean lattice, and ``detection`` what the detector found in the straightened image, whose own
+    lattice is ``straightened`` if it was written. ``detector`` is empty if a lattice was given that was followed.
     """
 
     detector: str
@@ -140,11 +144,21 @@ class _Result:
     has_origin: bool = False
     seconds: float | None = None
     failed: bool = False
+    deformation: Deformation | None = None
+    straightened: Lattice | None = None
 
     @classmethod
-    def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> _Result:
+    def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> Result:
         """Return the result of a detector."""
         return cls(detector, detection.lattice, detection, has_origin=detection.has_origin, seconds=seconds)
+
+    @classmethod
+    def of_followed(cls, detector: str, followed: Followed, has_origin: bool) -> Result:
+        """Return the mean lattice of an image that may be bent, with or without its origin."""
+        mean, detection = followed.deformation.lattice, followed.detection
+        if detection is not None:
+            detection = replace(detection, lattice=mean, has_origin=has_origin)
+        return cls(detector, mean, detection, has_origin=has_origin, deformation=followed.deformation)
 
     @property
     def vectors(self) -> dict[str, Any]:
@@ -175,14 +189,21 @@ class _Result:
         else:
             confidence = "" if self.detection is None else f", confidence {self.detection.confidence:.3f}"
             role = f", {self.detection.role} lattice" if self.detection and self.detection.role else ""
-            print(f"{self.text()}, {self.detector}{confidence}{role}")
+            print(f"{self._start()}{self.detector and f', {self.detector}'}{confidence}{role}")
             for number, candidate in enumerate(self.candidates[1:], 2):
                 print(f"candidate {number}: {_describe(candidate)}")
+
+    def _start(self) -> str:
+        """Return the vectors as text, and how the lattice is deformed if it was followed."""
+        from nrbench.cli.straightening import describe_deformation
+
+        return self.text() if self.deformation is None else describe_deformation(self.deformation)
 
     def _found_dict(self) -> dict[str, Any]:
         """Return the lattice for JSON, with the alternatives and the probabilities of a detector."""
         if self.detection is None:
-            return {**self.vectors, "detector": self.detector, "confidence": None}
+            start = {"detector": self.detector, "confidence": None} if self.detector else {}
+            return {**self.vectors, **start, **self._deformation_dict()}
         from nrbench.suites.surveying import candidate_dict
 
         probabilities = self.detection.probabilities
@@ -193,7 +214,14 @@ class _Result:
             "probabilities": probabilities and probabilities._asdict(),
             "role": self.detection.role,
             "alternatives": [candidate_dict(each) for each in self.detection.alternatives],
+            **self._deformation_dict(),
         }
+
+    def _deformation_dict(self) -> dict[str, Any]:
+        if self.deformation is None:
+            return {}
+        straight = {} if self.straightened is None else {"straightened": self.straightened.as_dict()}
+        return {"deformation": {**self.deformation.as_dict(), **straight}}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of a comparison for JSON."""
@@ -238,9 +266,9 @@ def _notes(candidate: Alternative) -> str:
     return ", ".join(filter(None, (candidate.relation, candidate.role and f"{candidate.role} lattice")))
 
 
-def _of_alternative(candidate: Alternative) -> _Result:
+def _of_alternative(candidate: Alternative) -> Result:
     """Return a result without a detector, for the forms of its vectors."""
-    return _Result("", candidate.lattice, has_origin=candidate.has_origin)
+    return Result("", candidate.lattice, has_origin=candidate.has_origin)
 
 
 def _describe(candidate: Alternative) -> str:
@@ -295,7 +323,7 @@ def _use_given(image: Image, numbers: str | None, output: Path | None, as_json: 
         lattice, has_origin = Lattice.parse(numbers), numbers.count(",") == 5
     if output is not None:
         write_image(output, draw_lattice(image, lattice))
-    _Result("picked" if numbers is None else "given", lattice, has_origin=has_origin).print(as_json)
+    Result("picked" if numbers is None else "given", lattice, has_origin=has_origin).print(as_json)
 
 
 def _print_numbers(lattice: Lattice) -> None:
@@ -305,23 +333,37 @@ def _print_numbers(lattice: Lattice) -> None:
     click.echo(f"for other verbs: --lattice {text}", err=True)
 
 
-def _detect(image: Image, spec: str, output: Path | None, diagnostics: Path | None, as_json: bool) -> None:
-    """Print and draw the lattice that one detector finds."""
+def _detect(image: Image, chosen: str | None, output: Path | None, diagnostics: Path | None, as_json: bool) -> None:
+    """Print and draw the lattice that one detector finds.
+
+    If the default detector finds none, the mean lattice of a bent image is looked for.
+    """
     from nrbench import plugins
+    from nrbench.cli.straightening import draw_deformed_lattice, find_bent_lattice
+    from nrbench.imaging.files import write_image
     from nrbench.plugins.forms import NoLatticeFound
     from nrbench.plugins.parameters import parse_spec
 
+    spec = chosen or "consensus"
     name, parameters = parse_spec(spec)
     try:
         detection = plugins.build("detectors", name, parameters).detect(image)
     except NoLatticeFound as none:
+        bent = find_bent_lattice(image, name) if chosen is None else None
+        if bent is not None:
+            title = f"{spec}, of the straightened image: {bent.text()}"
+            _draw_diagnostics(bent.detection.diagnostics if bent.detection else {}, title, diagnostics)
+            if output is not None and bent.deformation is not None:
+                write_image(output, draw_deformed_lattice(image, bent.deformation))
+            bent.print(as_json)
+            return
         title = f"{spec}: no lattice: {none.reason}"
         _draw_diagnostics(none.best.diagnostics if none.best else {}, title, diagnostics)
         if output is not None:
             click.echo(f"{output}: not written, there is no lattice to draw", err=True)
-        _Result(name, None, reason=none.reason).print(as_json)
+        Result(name, None, reason=none.reason).print(as_json)
         return
-    result = _Result.of_detection(name, detection)
+    result = Result.of_detection(name, detection)
     title = f"{spec}: {result.text()}, confidence {detection.confidence:.3f}"
     _draw_diagnostics(detection.diagnostics, title, diagnostics)
     if output is not None:
@@ -363,7 +405,7 @@ def _compare_detectors(image: Image, output: Path | None, as_json: bool) -> int:
     return int(any(result.failed for result in results))
 
 
-def _run_detector(image: Image, name: str) -> _Result:
+def _run_detector(image: Image, name: str) -> Result:
     """Return the result of a detector; an error of the detector is a failed result."""
     from nrbench import plugins
     from nrbench.errors import BadInput
@@ -374,15 +416,15 @@ def _run_detector(image: Image, name: str) -> _Result:
     try:
         detection = detector.detect(image)
     except NoLatticeFound as none:
-        return _Result(name, None, reason=none.reason, seconds=time.perf_counter() - start)
+        return Result(name, None, reason=none.reason, seconds=time.perf_counter() - start)
     except BadInput:
         raise
     except Exception as error:
-        return _Result(name, None, reason=f"failed: {type(error).__name__}: {error}", failed=True)
-    return _Result.of_detection(name, detection, time.perf_counter() - start)
+        return Result(name, None, reason=f"failed: {type(error).__name__}: {error}", failed=True)
+    return Result.of_detection(name, detection, time.perf_counter() - start)
 
 
-def _draw_comparison(image: Image, results: Sequence[_Result], output: Path) -> None:
+def _draw_comparison(image: Image, results: Sequence[Result], output: Path) -> None:
     """Write a sheet with a captioned picture for each candidate of each detector; of a large image, its middle."""
     from nrbench.imaging.drawing import contact_sheet, draw_lattice, zoom_panels
     from nrbench.imaging.files import write_image

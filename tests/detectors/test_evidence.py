@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.detectors.agreement.evidence import PAD, REACH, Evidence
+from nrbench.detectors.agreement.evidence import PAD, REACH, Evidence, reduced_basis
 from nrbench.detectors.agreement.evidence_kernels import between, reduce_all
 from nrbench.detectors.agreement.search import finer_bases
 from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
 from nrbench.imaging.correlation import half_autocorrelation
-from nrbench.lattice.geometry import Lattice, reduced_basis
+from nrbench.lattice.geometry import Lattice
 
 
 def waves(shape: tuple[int, int], basis: NDArray[np.float64]) -> NDArray[np.float32]:
