@@ -12,12 +12,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
+from nrbench.detectors.consensus import Consensus
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, match_channels
 from nrbench.imaging.files import read_image, write_image
-from nrbench.plugins.forms import Synthesis, Task
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Synthesis, Task, require_lattice
+from nrbench.plugins.parameters import checked_label
 
-FIELDS = ("sample", "output", "width", "height", "seed")
+LATTICE_FIELDS = ("lattice", "t1x", "t1y", "t2x", "t2y", "originx", "originy")
+FIELDS = ("sample", "output", "width", "height", "seed", *LATTICE_FIELDS)
 TAIL = 2000
 """Number of characters at the end of the program's messages that an error quotes."""
 
@@ -34,16 +40,26 @@ class Command:
     run
         The command line, e.g. ``"tool {sample} {output} --size {width}x{height} --seed {seed}"``. ``{sample}`` and
         ``{output}`` become paths of PNG files, ``{seed}`` a number below 2^31 that is drawn from the task's random
-        stream.
+        stream. A command that takes the lattice of the sample has ``{lattice}``, which becomes ``x1,y1,x2,y2`` px, or
+        ``{t1x} {t1y} {t2x} {t2y}``; ``{originx} {originy}`` are the origin. With the lattice source ``own``,
+        ``consensus`` detects the lattice, and a sample without one is refused.
+    label
+        The name of the method in tables; by default the whole command line.
     """
 
     run: str
+    label: str = ""
 
     reference: ClassVar[bool] = False
-    uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
 
+    @property
+    def uses_lattice(self) -> bool:
+        """Whether the command has a field of the lattice."""
+        return bool(_fields(self.run) & set(LATTICE_FIELDS))
+
     def __post_init__(self) -> None:
+        checked_label(self.label)
         unknown = _fields(self.run) - set(FIELDS)
         if unknown:
             raise BadInput(f"run has {{{min(unknown)}}}; known are {', '.join(f'{{{name}}}' for name in FIELDS)}")
@@ -56,17 +72,22 @@ class Command:
 
         Raises
         ------
+        Refused
+            When the command takes the lattice, none is given, and none is found.
         BadInput
             When there is no such program.
         RuntimeError
             When the program fails (with the end of its messages) or writes no picture.
         """
+        lattice, seconds = None, 0.0
+        if self.uses_lattice:
+            lattice, seconds = require_lattice(task, Consensus(), "the command takes one")
         with tempfile.TemporaryDirectory(prefix="nrbench-") as folder:
             sample, output = Path(folder, "sample.png"), Path(folder, "output.png")
             write_image(sample, task.sample)
-            words = self._words(task, sample, output)
+            words = self._words(task, sample, output, lattice)
             _execute(words, Path(folder, "work"))
-            return Synthesis(_read(output, words[0], task.sample))
+            return Synthesis(_read(output, words[0], task.sample), lattice, detection_seconds=seconds)
 
     def fingerprint(self) -> str:
         """Return a hash of the program and of the files that the command names: a changed file makes another method."""
@@ -78,10 +99,13 @@ class Command:
                     digest.update(hashlib.file_digest(content, "blake2b").digest())
         return digest.hexdigest()
 
-    def _words(self, task: Task, sample: Path, output: Path) -> list[str]:
+    def _words(self, task: Task, sample: Path, output: Path, lattice: Lattice | None) -> list[str]:
         height, width = task.shape
-        values = {"sample": sample, "output": output, "width": width, "height": height}
+        values: dict[str, object] = {"sample": sample, "output": output, "width": width, "height": height}
         values["seed"] = int(task.rng.integers(2**31))
+        if lattice is not None:
+            numbers = [np.format_float_positional(x, trim="-") for x in (*lattice.t1, *lattice.t2, *lattice.origin)]
+            values |= dict(zip(LATTICE_FIELDS, (",".join(numbers[:4]), *numbers), strict=True))
         return [_absolute(word).format(**values) for word in shlex.split(self.run)]
 
 

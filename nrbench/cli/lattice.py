@@ -339,6 +339,7 @@ def _detect(image: Image, chosen: str | None, output: Path | None, diagnostics: 
     If the default detector finds none, the mean lattice of a bent image is looked for.
     """
     from nrbench import plugins
+    from nrbench.cli.progress import waiting
     from nrbench.cli.straightening import draw_deformed_lattice, find_bent_lattice
     from nrbench.imaging.files import write_image
     from nrbench.plugins.forms import NoLatticeFound
@@ -346,10 +347,15 @@ def _detect(image: Image, chosen: str | None, output: Path | None, diagnostics: 
 
     spec = chosen or "consensus"
     name, parameters = parse_spec(spec)
+    detector = plugins.build("detectors", name, parameters)
     try:
-        detection = plugins.build("detectors", name, parameters).detect(image)
+        with waiting(f"{name} looks for the lattice"):
+            detection = detector.detect(image)
     except NoLatticeFound as none:
-        bent = find_bent_lattice(image, name) if chosen is None else None
+        bent = None
+        if chosen is None:
+            with waiting(f"{name} looks for a bent lattice"):
+                bent = find_bent_lattice(image, name)
         if bent is not None:
             title = f"{spec}, of the straightened image: {bent.text()}"
             _draw_diagnostics(bent.detection.diagnostics if bent.detection else {}, title, diagnostics)
@@ -390,11 +396,16 @@ def _draw_overlay(image: Image, candidates: Sequence[Alternative], output: Path)
 def _compare_detectors(image: Image, output: Path | None, as_json: bool) -> int:
     """Print and draw the lattices of all detectors; return 1 if one of them failed, else 0."""
     from nrbench import plugins
+    from nrbench.cli.progress import live_progress
     from nrbench.jit import load_kernels
 
     load_kernels()
     names = [plugin.name for plugin in plugins.inventory("detectors") if plugin.cls is not None]
-    results = [_run_detector(image, name) for name in names]
+    results = []
+    with live_progress(patience=True) as progress:
+        for number, name in enumerate(names, 1):
+            results.append(_run_detector(image, name))
+            progress(number, len(names), name)
     if output is not None:
         _draw_comparison(image, results, output)
     if as_json:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+import skimage
 from numpy.typing import NDArray
-from skimage.color import rgb2ypbpr
 
 from nrbench.detectors.autocorrelation.surrogates import measure_surrogates
 from nrbench.errors import checker
@@ -174,7 +174,7 @@ class Frdft:
 
     def _read_lowest(self, image: Image) -> Detection:
         """Return the upright tile of an image by equation 7 of the paper."""
-        planes = rgb2ypbpr(image.astype(np.float64)) if image.shape[2] == 3 else image.astype(np.float64)
+        planes = skimage.color.rgb2ypbpr(image.astype(np.float64)) if image.shape[2] == 3 else image.astype(np.float64)
         waves = analyze(
             planes, self.threshold or None, "free", "each", self.false_alarms, most=self.waves, signal="analytic"
         )

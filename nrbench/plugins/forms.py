@@ -392,12 +392,20 @@ def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Latti
 
 
 def timed_detection(detector: Detector, image: Image) -> FoundLattice:
-    """Detect the lattice of an image, and measure the wall seconds; if there is none, return the reason."""
+    """Detect the lattice of an image, and measure the wall seconds; if there is none, return the reason.
+
+    Raises
+    ------
+    TypeError
+        When the detector returns no :class:`Detection`.
+    """
     start = time.perf_counter()
     try:
-        found = detector.detect(image)
+        found: object = detector.detect(image)
     except NoLatticeFound as none:
         return FoundLattice(None, time.perf_counter() - start, none.reason)
+    if not isinstance(found, Detection):
+        raise TypeError(f"returned {type(found).__name__} instead of a Detection")
     return FoundLattice(found.lattice, time.perf_counter() - start, confidence=float(found.confidence))
 
 
@@ -410,7 +418,10 @@ class Synthesizer(Protocol):
     ``reference``
         True: the method receives ``task.again`` and ``task.recompose``, and is never ranked.
     ``uses_lattice``
-        False: the lattice axis of a suite does not apply.
+        False: the lattice axis of a suite does not apply. It may be a property that depends on the parameters.
+    ``label``
+        The name of the method in tables, a parameter or a property; if it is empty, the tables show the plugin's name
+        and the parameters that differ from their defaults. Two methods of a run may not have the same one.
     ``needs_lattice``
         False: the method runs without a lattice if the detector of the lattice axis finds none. Otherwise the cell is
         refused.

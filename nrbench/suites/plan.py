@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import fnmatch
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, get_args
@@ -56,9 +56,10 @@ class Method:
             name,
             f"{plugin.version}{_fingerprint(instance)}",
             parameters,
-            label(name, parameters, _defaults(plugin.cls), getattr(plugin.cls, "always_shown", ())),
+            getattr(instance, "label", "")
+            or label(name, parameters, _defaults(plugin.cls), getattr(plugin.cls, "always_shown", ())),
             bool(getattr(plugin.cls, "reference", False)),
-            bool(getattr(plugin.cls, "uses_lattice", True)),
+            bool(getattr(instance, "uses_lattice", True)),
         )
 
 
@@ -194,8 +195,8 @@ class Sample:
         Shape (height, width) of the outputs.
     again_hash
         Of a photograph: hash of a region that does not touch the sample; empty if there is none.
-    fault
-        Why drawing failed, or empty.
+    fault, log
+        Why drawing failed, and what the dataset printed then; empty if it did not fail.
     region
         The region of ``again_hash`` if a plugin of others cut it.
     """
@@ -206,6 +207,7 @@ class Sample:
     shape: Shape
     again_hash: str = ""
     fault: str = ""
+    log: str = ""
     region: Image | None = None
 
     @cached_property
@@ -262,6 +264,7 @@ def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = No
     """
     methods = {spec: Method.parse(spec) for spec in suite.all_methods}
     sources = list({source.name: source for source in map(Source.parse, suite.lattice)}.values())
+    _check_labels(methods.values())
     if not methods:
         raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
     if not sources and any(method.uses_lattice for method in methods.values()):
@@ -275,6 +278,17 @@ def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = No
         for source in (sources if method.uses_lattice else [Source("none")])
     ]
     return Plan(suite, samples, cells)
+
+
+def _check_labels(methods: Iterable[Method]) -> None:
+    """Raise BadInput if two different methods have the same name in the tables."""
+    known: dict[str, Method] = {}
+    for method in methods:
+        other = known.setdefault(method.label, method)
+        if (other.name, other.parameters) != (method.name, method.parameters):
+            raise BadInput(
+                f"two methods have the label {method.label!r} in the tables; give one of them another label="
+            )
 
 
 def draw_samples(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = None) -> list[Sample]:
@@ -306,7 +320,8 @@ def _draw(suite: Suite, row: TextureRow, origin: Origin, replicate: int, draw: D
         else:
             texture, again = chosen(recipe, shape)
     except BadInput as error:
-        return Sample(row, recipe, None, shape, fault=str(error))
+        log = "\n".join(getattr(error, "__notes__", ()))
+        return Sample(row, recipe, None, shape, fault=str(error), log=log)
     except (Exception, SystemExit) as error:
         return Sample(row, recipe, None, shape, fault=describe_error(error))
     texture = dataclasses.replace(texture, name=row.name)

@@ -7,7 +7,10 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
-from nrbench.plugins.forms import Synthesis, Task
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Refused, Synthesis, Task
+from nrbench.suites.plan import Method, make_plan
+from nrbench.suites.suite import validated_suite
 from nrbench.synthesizers.command import Command
 
 TILES = """
@@ -132,3 +135,41 @@ def test_templates_that_cannot_work_are_refused_at_once(command: str, hint: str)
     with pytest.raises(BadInput) as raised:
         Command(run=command)
     assert hint in str(raised.value)
+
+
+SPY = "import sys; open(r'{place}', 'w').write(' '.join(sys.argv[6:])); sys.argv[6:] = []"
+GIVEN = Lattice((10.5, 0.0), (-2.25, 1e-5 + 8), (1.0, 2.0))
+
+
+def test_the_lattice_reaches_the_program(tmp_path: Path, sample: Image) -> None:
+    """`{lattice}` is four numbers without exponents, `{t1x}` and the others are its parts, and the result names it."""
+    spy = SPY.format(place=tmp_path / "words") + TILES
+    method = Command(run=f"{script(tmp_path, spy)} {FIELDS} {{lattice}} {{t2x}} {{originy}}")
+    assert method.uses_lattice
+    made = method.synthesize(Task(sample, (30, 50), GIVEN, np.random.default_rng(0)))
+    assert (tmp_path / "words").read_text() == "10.5,0,-2.25,8.00001 -2.25 2"
+    assert made.lattice == GIVEN
+
+
+def test_without_a_lattice_a_command_that_takes_one_is_refused(tmp_path: Path, sample: Image) -> None:
+    """Noise has no lattice: the program does not start. A command without such a field uses no lattice."""
+    with pytest.raises(Refused, match="the command takes one"):
+        run(f"{script(tmp_path, TILES)} {FIELDS} {{lattice}}", sample)
+    assert not Command(run="tool {sample} {output}").uses_lattice
+
+
+def test_a_label_names_the_method_in_tables() -> None:
+    """`label=` replaces the command line in tables; the lattice axis applies if the command takes the lattice."""
+    method = Method.parse("command:run=tool {sample} {output} --t1 {t1x} {t1y},label=my tool")
+    assert (method.label, method.uses_lattice) == ("my tool", True)
+    assert Method.parse("command:run=tool {sample} {output}").label == "command:run=tool {sample} {output}"
+    with pytest.raises(BadInput, match="printable"):
+        Command(run="tool {sample} {output}", label="two\nlines")
+
+
+def test_two_methods_of_one_label_are_refused() -> None:
+    """Two columns of one name could not be told apart."""
+    one, other = (f"command:run={tool} {{sample}} {{output}},label=mine" for tool in ("a", "b"))
+    content = {"name": "x", "methods": [one, other], "texture": [{"name": "wall", "dataset": "brick"}]}
+    with pytest.raises(BadInput, match="two methods have the label 'mine'"):
+        make_plan(validated_suite(content, "x"))

@@ -1,0 +1,1 @@
+"""Packages for authors of plugins to start from."""

@@ -1,0 +1,102 @@
+"""The commands check and new, for authors of plugins."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+KINDS = ("synthesizers", "detectors", "metrics", "datasets", "reports")
+ONE_OF = ("synthesizer", "detector", "metric", "dataset", "report")
+
+
+@click.command("check")
+@click.argument("plugin", required=False, metavar="[PLUGIN[:PARAM=VALUE,...]]")
+@click.option("--kind", type=click.Choice(KINDS), help="Check the plugin of this kind only.")
+@click.option(
+    "--timeout",
+    type=click.FloatRange(0, 1e7, min_open=True),
+    default=120.0,
+    show_default=True,
+    metavar="S",
+    help="Limit of the wall time of one clause, seconds.",
+)
+@click.option(
+    "--memory",
+    type=click.FloatRange(1, 1e7),
+    default=4096.0,
+    show_default=True,
+    metavar="MiB",
+    help="Limit of the memory of one clause, in addition to that of an idle worker.",
+)
+@click.option("--clause", "only", multiple=True, metavar="NAME", help="Check this clause only; repeatable.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
+def check_command(
+    plugin: str | None, kind: str | None, timeout: float, memory: float, only: tuple[str, ...], as_json: bool
+) -> int:
+    """Check that PLUGIN fulfils every clause of its form.
+
+    Each clause runs in a child process, so a plugin that crashes or hangs fails one clause. PLUGIN may also be a file,
+    FILE.py: then all plugins that it defines are checked, as they are with `--plugin FILE.py` and no name. The exit
+    code is 1 if a clause fails.
+    """
+    from nrbench import plugins
+    from nrbench.plugins.parameters import parse_spec
+    from nrbench.running.conformance import check_plugin, find_plugins
+    from nrbench.running.guard import Limits
+
+    if plugin is not None and plugin.endswith(".py"):
+        plugins.add_file(plugin)
+        plugin = None
+    files = plugins.files()
+    if plugin is None and not files:
+        raise click.UsageError("name a plugin, or load a file of plugins with --plugin FILE.py")
+    name, parameters = parse_spec(plugin) if plugin else ("", {})
+    results: list[dict[str, Any]] = []
+    failed = 0
+    for one, found in find_plugins(name, kind, files):
+        findings = check_plugin(one, found, parameters, Limits(timeout, memory), only=only)
+        if not as_json:
+            print(f"{plugins.FORMS[one].noun} {found}")
+        clauses = []
+        for finding in findings:
+            clauses.append(finding)
+            if not as_json:
+                print(f"  {finding.verdict}  {finding.clause:<13} {finding.reason}", flush=True)
+        failures = [finding for finding in clauses if finding.verdict == "fail"]
+        failed += len(failures)
+        results.append({"kind": one, "name": found, "clauses": [dataclasses.asdict(finding) for finding in clauses]})
+        if not as_json:
+            _print_failures(failures, len(clauses))
+    if as_json:
+        print(json.dumps({"plugins": results, "failed": failed}, indent=1))
+    return int(failed > 0)
+
+
+def _print_failures(failures: list[Any], clauses: int) -> None:
+    """Print what each violated clause demands, with the end of the log."""
+    for finding in failures:
+        print(f"\n{finding.clause}: {finding.demand}")
+        for line in finding.log.strip().splitlines()[-20:]:
+            print(f"    {line}")
+    print(f"\n{len(failures)} of {clauses} clauses failed" if failures else f"no clause of {clauses} failed")
+
+
+@click.command("new")
+@click.argument("kind", type=click.Choice(ONE_OF))
+@click.argument("name")
+@click.option("-o", "folder", type=click.Path(path_type=Path), metavar="DIR", help="The new folder.  [default: NAME]")
+def new_command(kind: str, name: str, folder: Path | None) -> None:
+    """Write a package with a plugin called NAME to start from.
+
+    The package has a module that works, its test, a README, and a pyproject.toml with the entry point.
+    """
+    from nrbench.authoring.packages import write_package
+
+    for path in write_package(kind, name, folder):
+        print(path)
+    where = folder if folder is not None else Path(name)
+    print(f"next: pip install -e {where.absolute()}, then nrbench check {name}")

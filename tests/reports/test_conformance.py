@@ -1,0 +1,27 @@
+"""Every report fulfils every clause of its form."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from conformance import violations
+
+from nrbench import plugins
+from nrbench.running import conformance
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Make the run of the clauses once."""
+    made = conformance._make_run(tmp_path_factory.mktemp("reports") / "run")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(conformance, "_make_run", lambda root: made)
+        yield
+
+
+@pytest.mark.parametrize("name", [plugin.name for plugin in plugins.inventory("reports") if plugin.own])
+def test_a_report_conforms(name: str) -> None:
+    """The report fails no clause; that of the terminal alone is printed, and plain text has no markup."""
+    slow = ("randomness", "side effects") if name in ("perils", "html") else ()
+    assert violations("reports", name, {}, slow, ("terminal", "markup") if name == "text" else ("terminal",)) == []

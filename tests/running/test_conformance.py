@@ -1,0 +1,182 @@
+"""``nrbench check``: a plugin that violates a clause fails this clause, and no other one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from nrbench import plugins
+from nrbench.cli.main import main
+from nrbench.errors import BadInput
+from nrbench.running.clauses import CLAUSES
+from nrbench.running.conformance import Finding, check_plugin, find_plugins
+from nrbench.running.supervisor import InProcessRunner
+
+VIOLATORS = Path(__file__).with_name("violators.py")
+SHARED = {
+    "determinism": "determinism",
+    "state": "determinism",
+    "randomness": "randomness",
+    "python": "randomness",
+    "seeds": "randomness",
+    "files": "side effects",
+    "environment": "side effects",
+    "threads": "side effects",
+    "read-only": "read-only",
+}
+OWN = {
+    "synthesizers": {
+        "range": "output",
+        "shape": "output",
+        "gray": "gray",
+        "lattice": "own lattice",
+        "lie": "source map",
+        "refusals": "refusals",
+        "mute": "refusals",
+        "progress": "progress",
+        "backward": "progress",
+    },
+    "detectors": {
+        "text": "detection",
+        "confidence": "detection",
+        "gray": "gray",
+        "no guess": "no guess",
+        "odd images": "odd images",
+    },
+    "metrics": {
+        "float": "score",
+        "reason": "score",
+        "json": "score",
+        "gray": "gray",
+        "range": "range",
+        "little known": "little known",
+    },
+    "datasets": {
+        "shape": "texture",
+        "shapes": "shapes",
+        "truth": "truth",
+        "fresh draws": "fresh draws",
+        "size": "fresh draws",
+        "recomposition": "recomposition",
+    },
+    "reports": {
+        "none": "files",
+        "missing": "files",
+        "inside": "inside",
+        "no results": "no results",
+        "markup": "markup",
+        "terminal": "terminal",
+    },
+}
+NAMES = {
+    "synthesizers": "badmethod",
+    "detectors": "baddetector",
+    "metrics": "badmetric",
+    "datasets": "baddataset",
+    "reports": "badreport",
+}
+CASES = [
+    (kind, how, clause)
+    for kind, own in OWN.items()
+    for how, clause in {**SHARED, **own}.items()
+    if not (kind == "reports" and how == "read-only")  # a report receives no arrays
+]
+
+
+@pytest.fixture(autouse=True)
+def violators() -> Iterator[None]:
+    """Register the plugins that violate clauses."""
+    plugins.add_file(VIOLATORS)
+    yield
+    plugins.registry._files.pop(VIOLATORS.resolve(), None)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Make the run of the reports' clauses once."""
+    from nrbench.running import conformance
+
+    made = conformance._make_run(tmp_path_factory.mktemp("reports") / "run")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(conformance, "_make_run", lambda root: made)
+        yield
+
+
+def failed(kind: str, name: str, how: str = "") -> dict[str, str]:
+    """Return the reasons of the clauses that a plugin fails, checked in this process."""
+    parameters = {"how": how} if how else {}
+    findings = check_plugin(kind, name, parameters, runner=InProcessRunner())
+    return {finding.clause: finding.reason for finding in findings if finding.verdict == "fail"}
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_a_plugin_that_behaves_passes(kind: str) -> None:
+    """Without a violation the plugins of these tests fail no clause, and every clause was checked."""
+    findings = list(check_plugin(kind, NAMES[kind], runner=InProcessRunner()))
+    assert [finding.clause for finding in findings] == [clause.name for clause in CLAUSES[kind]]
+    assert [finding for finding in findings if finding.verdict == "fail"] == []
+
+
+@pytest.mark.parametrize(("kind", "how", "clause"), CASES)
+def test_a_violation_fails_its_clause_alone(kind: str, how: str, clause: str) -> None:
+    """Each planted violation fails the clause that forbids it, and no other one."""
+    assert list(failed(kind, NAMES[kind], how)) == [clause]
+
+
+@pytest.mark.parametrize(
+    ("name", "clause"), [("nameless", "docstring"), ("miscited", "paper"), ("forgetful", "parameters")]
+)
+def test_a_page_and_parameters_are_checked(name: str, clause: str) -> None:
+    """A parameter without description, a paper that is no BibTeX, and a parameter that JSON cannot hold fail."""
+    assert list(failed("synthesizers", name)) == [clause]
+
+
+def test_an_error_names_the_line_of_the_plugin() -> None:
+    """The reason of a clause that an error ends holds the error and the line of the plugin."""
+    assert "IndexError: too small (violators.py, line " in failed("synthesizers", "badmethod", "refusals")["refusals"]
+
+
+def test_clauses_can_be_chosen() -> None:
+    """A chosen clause is checked with those that it depends on; an unknown one names the nearest."""
+    chosen = check_plugin("synthesizers", "badmethod", runner=InProcessRunner(), only=["gray"])
+    assert [finding.clause for finding in chosen] == ["output", "gray"]
+    with pytest.raises(BadInput, match=r"clause 'grey' of methods is not known \(did you mean 'gray'"):
+        list(check_plugin("synthesizers", "badmethod", only=["grey"]))
+
+
+def test_an_unknown_plugin_names_the_nearest() -> None:
+    """A misspelt name is answered with the one that was meant; a kind leaves out the others."""
+    with pytest.raises(BadInput, match=r"'badmethd' is not known \(did you mean 'badmethod'"):
+        find_plugins("badmethd")
+    assert find_plugins("badmethod") == [("synthesizers", "badmethod")]
+    with pytest.raises(BadInput, match="not known"):
+        find_plugins("badmethod", "metrics")
+
+
+def check(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Finding]]:
+    """Run ``nrbench check --json``; return the exit code and the findings."""
+    with pytest.raises(SystemExit) as left:
+        main(["check", *words.split(), "--json"])
+    (one,) = json.loads(capsys.readouterr().out)["plugins"]
+    return int(left.value.code or 0), {item["clause"]: Finding(**item) for item in one["clauses"]}
+
+
+def test_a_crash_fails_one_clause(capsys: pytest.CaptureFixture[str]) -> None:
+    """A method that ends its process fails the clause that called it; the others are checked or depend on it."""
+    code, found = check("badmethod:how=crash", capsys)
+    assert code == 1
+    assert found["output"].verdict == "fail" and "crash: exited with code 7" in found["output"].reason
+    assert [name for name, one in found.items() if one.verdict == "fail"] == ["output"]
+    assert found["docstring"].verdict == "pass" and found["gray"].verdict == "skip"
+
+
+def test_another_interpreter_must_give_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    """An output that depends on the hash of a word fails `processes` alone; a clause that hangs fails at its limit."""
+    code, found = check("badmethod:how=processes --clause processes --clause gray", capsys)
+    assert (code, [name for name, one in found.items() if one.verdict == "fail"]) == (1, ["processes"])
+    code, found = check("badmethod:how=slow --clause time --clause progress --timeout 2", capsys)
+    assert code == 1 and "timeout: took longer than 2 s" in found["time"].reason
+    assert found["output"].verdict == "pass"

@@ -1,0 +1,40 @@
+"""The check of ``nrbench check`` in this process, for tests of the plugins of nrbench."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from nrbench.running.clauses import CLAUSES
+from nrbench.running.conformance import check_plugin
+from nrbench.running.supervisor import InProcessRunner
+
+ALWAYS = frozenset({"time", "processes"})
+"""Clauses that are left out: one measures only, and one needs two interpreters."""
+
+
+def violations(
+    kind: str,
+    name: str,
+    parameters: Mapping[str, Any] | None = None,
+    left_out: Collection[str] = (),
+    may_skip: Collection[str] = (),
+) -> list[str]:
+    """Return a line for each clause that a plugin fails, or that is skipped and may not be.
+
+    Parameters
+    ----------
+    kind, name, parameters
+        The plugin.
+    left_out
+        Further clauses that are not checked, to save time.
+    may_skip
+        Clauses that may not apply.
+    """
+    clauses = [clause.name for clause in CLAUSES[kind] if clause.name not in {*ALWAYS, *left_out}]
+    findings = check_plugin(kind, name, parameters, runner=InProcessRunner(), only=clauses)
+    return [
+        f"{finding.verdict} {finding.clause}: {finding.reason}"
+        for finding in findings
+        if finding.verdict == "fail" or (finding.verdict == "skip" and finding.clause not in {"paper", *may_skip})
+    ]

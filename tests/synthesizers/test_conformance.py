@@ -1,0 +1,50 @@
+"""Every method fulfils every clause of its form."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conformance import violations
+
+from nrbench import plugins
+from nrbench.imaging.files import write_image
+from nrbench.running.clauses import Method
+from nrbench.synthesizers.precomputed import name_for
+
+TILE = """
+import sys
+import numpy as np
+import PIL.Image
+sample, output, width, height = sys.argv[1:]
+pixels = np.asarray(PIL.Image.open(sample))
+PIL.Image.fromarray(np.tile(pixels, (50, 50) + (1,) * (pixels.ndim - 2))[: int(height), : int(width)]).save(output)
+"""
+OPTIONAL = ("own lattice", "source map", "progress")
+SLOW = {"fftm-patch": ("randomness", "side effects"), "fftm-pixel": ("side effects",), "graph-cuts": ("side effects",)}
+INSTALLED = [plugin.name for plugin in plugins.inventory("synthesizers") if plugin.own]
+
+
+@pytest.mark.parametrize("name", [name for name in INSTALLED if name not in ("command", "precomputed")])
+def test_a_method_conforms(name: str) -> None:
+    """The method fails no clause; it gives no source map and no progress at most."""
+    assert violations("synthesizers", name, {}, SLOW.get(name, ()), OPTIONAL) == []
+
+
+def test_a_program_conforms(tmp_path: Path) -> None:
+    """A program that repeats the sample fulfils every clause by way of `command`."""
+    (tmp_path / "tile.py").write_text(TILE)
+    run = f"'{sys.executable}' '{tmp_path / 'tile.py'}' {{sample}} {{output}} {{width}} {{height}}"
+    slow = ("determinism", "randomness", "side effects", "refusals")
+    assert violations("synthesizers", "command", {"run": run}, slow, OPTIONAL) == []
+
+
+def test_pictures_conform(tmp_path: Path) -> None:
+    """Outputs in a folder fulfil every clause by way of `precomputed`."""
+    subject: Any = Method("precomputed", {"directory": str(tmp_path)})
+    for seed, channels in ((0, 3), (5, 3), (0, 1)):
+        task = subject.task(seed, channels)
+        write_image(tmp_path / name_for(task.sample, task.shape), task.sample[:1, :1].repeat(96, 0).repeat(112, 1))
+    assert violations("synthesizers", "precomputed", {"directory": str(tmp_path)}, (), OPTIONAL) == []
