@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from nrbench.cli.lattice import Result
+from nrbench.cli.lattice_results import Result
 
 if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
@@ -76,18 +76,6 @@ def find_bent_lattice(image: Image, detector: str) -> Result | None:
     except NoLatticeFound:
         return None
     return Result.of_followed(detector, followed, has_origin=False) if followed.deformation.bent else None
-
-
-def describe_deformation(found: Deformation) -> str:
-    """Return the mean lattice and the deformation in one line of text."""
-    t1, t2 = (f"({x:.3f}, {y:.3f})" for x, y in (found.lattice.t1, found.lattice.t2))
-    vectors = f"t1 = {t1} px, t2 = {t2} px"
-    if not found.covered:
-        return f"{vectors}, could not be followed: whether the image is bent is not known"
-    if not found.bent:
-        return f"{vectors}, not bent"
-    kind = "smooth displacements" if found.homography is None else "a homography (perspective)"
-    return f"mean lattice {vectors}, bent by {kind} of amplitude {found.amplitude:.2f} s"
 
 
 def draw_deformed_lattice(image: Image, found: Deformation) -> Image:

@@ -11,8 +11,9 @@ import pytest
 import skimage.io
 
 import nrbench
+from nrbench.cli.lattice_results import describe_deformation
 from nrbench.cli.main import main
-from nrbench.cli.straightening import describe_deformation, find_bent_lattice
+from nrbench.cli.straightening import find_bent_lattice
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.imaging.fold import interpolate
