@@ -35,6 +35,7 @@ from nrbench.detectors.agreement.short_list import (
     Rival,
     ShortList,
     is_same,
+    reclassify,
     relate_bases,
     share_certainty,
 )
@@ -185,7 +186,7 @@ class Consensus:
     surrogates: int = 12
     false_alarms: float = 0.02
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
 
     def __post_init__(self) -> None:
         for name in ("max_loss", "relief", "least"):
@@ -250,7 +251,7 @@ class Consensus:
         for factor, rivals in details:
             order = self.order(rivals)
             orders.append(order)
-            rating = (order[0].merit >= self.least, share_certainty(order)[0].exact)
+            rating = (order[0].merit >= self.least, reclassify(order[0].probabilities).exact)
             is_visible = factor == 1 or np.hypot(*order[0].basis[0]) >= MIN_PERIOD * factor
             if is_visible and rating > highest:
                 best, highest = len(orders) - 1, rating
@@ -459,7 +460,9 @@ class _Search:
         if min(own.lags, others.lags) < FEWEST or self.pooled.tiles(coarser) < FEWEST or own.mean <= 0:
             return 0.0
         split, error = own.mean - others.mean, math.sqrt(own.variance / own.lags + others.variance / others.lags)
-        return split / max(error, 1e-6) if split > COLOR_SPLIT * own.mean else 0.0
+        # Long threads of equal color make some supercells match, but the vectors of these scatter widely.
+        scatter = self.detector.scatter / 2 * math.sqrt(own.variance + others.variance)
+        return split / max(error, 1e-6) if split > max(COLOR_SPLIT * own.mean, scatter) else 0.0
 
     def is_striped(self, basis: Points) -> bool:
         """Return whether the lattice lies on a ridge of the colors' correlation, if the colors repeat as well.
