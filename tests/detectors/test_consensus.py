@@ -411,6 +411,7 @@ def test_probabilities_follow_the_traits() -> None:
     """A strong lattice that three detectors propose is exact; one whose supercells correlate better is a subcell."""
     strong = Traits(4.0, 4.6, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
     assert classify(strong).exact > 0.9
-    alone = strong._replace(structure_split=1.0, split_2=1.0, gncc=0.0, frdft=0.0, dominance=0.0, coarser=3.0)
+    alone = strong._replace(gncc=0.0, frdft=0.0, dominance=0.0, coarser=3.0)
+    alone = alone._replace(structure_split=1.0, split_2=1.0, alternation=3.0)
     assert classify(alone).exact < 0.3
     assert sum(classify(alone)) == pytest.approx(1)
