@@ -39,7 +39,7 @@ from nrbench.imaging.convert import quantize
 from nrbench.jit import load_kernels
 from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import NoLatticeFound, Probabilities
+from nrbench.plugins.forms import Probabilities
 
 PENALTY = 0.3
 FOLDS = 6
@@ -54,28 +54,33 @@ class Rated(NamedTuple):
     ----------
     case
         The texture without its image.
-    rivals
-        The lattices that were rated, the best stable one first.
+    details
+        For each detail at which there are any: the factor by which the image was shrunk, and the lattices that were
+        rated, the best stable one first.
     truths
-        For each lattice that a person may measure (at least one; None for no lattice), the class of each rival.
+        For each lattice that a person may measure (at least one; None for no lattice), the class of each rival of all
+        details.
     """
 
     case: Case
-    rivals: list[Rival]
+    details: list[tuple[int, list[Rival]]]
     truths: list[list[str]]
+
+    @property
+    def rivals(self) -> list[Rival]:
+        """The lattices of all details."""
+        return [rival for _, rivals in self.details for rival in rivals]
 
 
 def rate(cases: Iterable[Case]) -> Iterator[Rated]:
-    """Yield the rated lattices of each texture that has any."""
+    """Yield the rated lattices of each texture."""
     detector = Consensus(reject="none")
     for case in cases:
         image = quantize(case.image)
-        try:
-            rivals = detector.list_rivals(image)
-        except NoLatticeFound:
-            continue
-        truths = [[_class_of(rival, truth, image.shape[:2]) for rival in rivals] for truth in case.lattices or [None]]
-        yield Rated(case._replace(image=image[:1, :1]), rivals, truths)
+        details = detector.list_rivals(image)
+        every = [rival for _, rivals in details for rival in rivals]
+        truths = [[_class_of(rival, truth, image.shape[:2]) for rival in every] for truth in case.lattices or [None]]
+        yield Rated(case._replace(image=image[:1, :1]), details, truths)
 
 
 def _class_of(rival: Rival, truth: Lattice | None, shape: tuple[int, int]) -> str:
@@ -115,19 +120,25 @@ def _fit_chosen(rated: Sequence[Rated]) -> Weights:
         for one in rated:
             if one.case.family in out:
                 order, truths = _choose(one, found)
-                if not order[0].role:
+                if order and not order[0].role:
                     terms = [1.0, *short_list.compare_logarithms(order[0].probabilities)]
                     rows += [(terms, truth[0], 1 / len(truths)) for truth in truths]
     return _regress(rows, PENALTY / 10)
 
 
 def _choose(one: Rated, used: Weights) -> tuple[list[Rival], list[list[str]]]:
-    """Return the rivals with the given weights, the chosen one first, and the classes in the same order."""
+    """Return the rivals with the given weights, the chosen one first, and their classes; none if there are none."""
     with _replaced(weights.WEIGHTS, used):
-        rivals = [rival._replace(probabilities=classify(rival.traits)) for rival in one.rivals]
-    order = Consensus().order(rivals)
-    numbers = [next(n for n, rival in enumerate(rivals) if rival.basis is chosen.basis) for chosen in order]
-    return order, [[truth[number] for number in numbers] for truth in one.truths]
+        details = [
+            (factor, [rival._replace(probabilities=classify(rival.traits)) for rival in rivals])
+            for factor, rivals in one.details
+        ]
+    choice = Consensus().choose(details)
+    if choice is None:
+        return [], []
+    every = [rival for _, rivals in details for rival in rivals]
+    numbers = [next(n for n, rival in enumerate(every) if rival.basis is chosen.basis) for chosen in choice.rivals]
+    return choice.rivals, [[truth[number] for number in numbers] for truth in one.truths]
 
 
 @contextmanager
@@ -177,8 +188,10 @@ class Outcome(NamedTuple):
 def judge(rated: Sequence[Rated], used: tuple[Weights, Weights]) -> Iterator[Outcome]:
     """Yield what the detector says of each texture with the given weights."""
     for one in rated:
-        order, truths = _choose(one, used[0])
         with _replaced(weights.CHOSEN, used[1]):
+            order, truths = _choose(one, used[0])
+            if not order:
+                continue
             said, certainties = short_list.share_certainty(order)
         first = sorted(range(len(certainties)), key=lambda number: -certainties[number])[:2]
         for truth in truths:
@@ -250,7 +263,7 @@ def main() -> None:
     first, second = (
         load(options.keep and options.keep / f"{seed}.pickle", seed, options.count, options.kinds) for seed in (11, 12)
     )
-    noise = [np.exp(one.rivals[0].traits.sigmas) for one in first + second if one.case.family == "noise"]
+    noise = [np.exp(one.rivals[0].traits.sigmas) for one in first + second if one.rivals and one.case.family == "noise"]
     print(f"noise: the best lattice reaches {max(noise, default=0):.1f} sigmas in {len(noise)} draws")
     print("weights:", Traits._fields)
     found = fit(first)

@@ -1,7 +1,7 @@
 """Textures of kinds that the models of ``datasets_procedural`` lack, for benchmarks of lattice detectors.
 
 Cloth whose colors repeat over a larger cell than its threads, cells with two similar halves, textures on curved and
-tilted surfaces, photographs in other colors, and stones without a lattice.
+tilted surfaces, large elements under fine grain, photographs in other colors, and stones without a lattice.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ MODELS = (
 )
 SPECTRA = ("white", "pink", "brown", "blobs", "grass")
 SIDES = (64, 96, 128, 192, 256)
+SMALL = (96, 128, 160)
+"""px; sides of the images that are enlarged."""
 
 
 class Case(NamedTuple):
@@ -94,6 +96,7 @@ def draw_kinds(rng: np.random.Generator, count: int) -> Iterator[Case]:
             yield _draw_model(rng, model, side, bend=bend, jitter=0.0)._replace(kind="bent")
             yield _warp(_draw_model(rng, model, side + 64), rng)
             yield _recolor(_draw_model(rng, model, side), rng)
+            yield _enlarge(_draw_model(rng, model, int(rng.choice(SMALL))), rng)
         for _ in range(6):
             yield _dye(rng)
             yield _halve(rng)
@@ -144,6 +147,20 @@ def _recolor(case: Case, rng: np.random.Generator) -> Case:
     image = ndimage.gaussian_filter(image, (*2 * [rng.uniform(0, 1.5)], 0))
     image = image + rng.normal(0, rng.uniform(0, 0.04), image.shape)
     return case._replace(kind="recolored", image=np.clip(image, 0, 1).astype(np.float32))
+
+
+def _enlarge(case: Case, rng: np.random.Generator) -> Case:
+    """Return the image enlarged, with fine grain: large elements seen from near."""
+    scale, side = rng.uniform(2, 3), case.image.shape[0]
+    at = np.arange(int(scale * side)) / scale
+    image = _sample(case.image, *np.meshgrid(at, at))
+    grain = ndimage.gaussian_filter(rng.standard_normal((*image.shape[:2], 1)), (*2 * [rng.uniform(0.4, 1.2)], 0))
+    if rng.random() < 0.5:  # specks, as of stone
+        grain = np.where(grain > 1.5 * grain.std(), -1.0, 0.0)
+    image = image + rng.uniform(0.02, 0.15) * grain / grain.std()
+    assert case.lattice is not None
+    lattice = Lattice.from_basis(scale * case.lattice.matrix)
+    return case._replace(kind="enlarged", image=np.clip(image, 0, 1).astype(np.float32), lattice=lattice)
 
 
 def _every(number: int) -> Callable[..., NDArray[np.int64]]:
@@ -209,7 +226,7 @@ def _halve(rng: np.random.Generator) -> Case:
     """Return a texture whose cell has two similar halves."""
     height, width = (int(n) for n in rng.integers(10, 28, 2))
     first = _motif(rng, (height, width))
-    second = first + rng.uniform(0.35, 0.9) * _motif(rng, (height, width))
+    second = first + rng.uniform(0.15, 0.9) * _motif(rng, (height, width))
     bands = 0.15 * np.sin(2 * np.pi * np.arange(2 * width) / width)[:, np.newaxis] * (rng.random() < 0.5)
     cell = np.concatenate([first, second], 1) + bands
     side = int(rng.choice(SIDES[2:]))

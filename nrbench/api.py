@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from nrbench.runs.records import Run
     from nrbench.suites.suite import Suite
     from nrbench.tracking.deformation import Deformation
+    from nrbench.views.deformed import Followed
 
 Imagelike = Any
 """An image: an array of uint8, uint16 or float in [0, 1], with or without a channel axis; the path of a picture; or a
@@ -141,11 +142,30 @@ def track_lattice(
     (True, True)
     >>> straight, mean = bent.straighten()
     """
+    return follow_lattice(_image(image), as_lattice(lattice), detector, parameters).deformation
+
+
+def follow_lattice(
+    image: Image,
+    lattice: Lattice | None = None,
+    detector: Pluginlike = "consensus",
+    parameters: Mapping[str, Any] | None = None,
+    only_promising: bool = False,
+) -> Followed:
+    """Return the deformation of an image as :func:`track_lattice`, with the detection in the straightened image.
+
+    Parameters
+    ----------
+    image, lattice, only_promising
+        As for :func:`nrbench.views.deformed.find_deformation`.
+    detector, parameters
+        As for :func:`track_lattice`.
+    """
     from nrbench.views.deformed import find_deformation
 
-    thorough = _plugin("detectors", detector, parameters)
+    thorough = _plugin("detectors", detector, parameters or {})
     quick = plugins.build("detectors", "dominance", {"reject": "none"})
-    return find_deformation(_image(image), thorough, quick, as_lattice(lattice)).deformation
+    return find_deformation(image, thorough, quick, lattice, only_promising)
 
 
 def as_lattice(lattice: Latticelike) -> Lattice | None:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import json
-import textwrap
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from nrbench.cli.lattice_results import Result
+
 if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.lattice.geometry import Lattice
-    from nrbench.plugins.forms import Alternative, Detection
+    from nrbench.plugins.forms import Alternative
 
 WHOLE = 1024
 """px; largest side of an image that a comparison of detectors shows as a whole."""
@@ -121,130 +121,8 @@ def lattice_command(
     if pick or lattice is not None:
         _use_given(picture, lattice, output, as_json)
     else:
-        _detect(picture, detector or "consensus", output, diagnostics, as_json)
+        _detect(picture, detector, output, diagnostics, as_json)
     return 0
-
-
-@dataclass(frozen=True)
-class _Result:
-    """The result of a detector or of the user: a lattice, or why there is none.
-
-    ``detection`` is that of a detector. ``has_origin`` says whether the origin is known. ``seconds`` is set in a
-    comparison. ``failed`` marks a detector that raised an error.
-    """
-
-    detector: str
-    lattice: Lattice | None
-    detection: Detection | None = None
-    reason: str = ""
-    has_origin: bool = False
-    seconds: float | None = None
-    failed: bool = False
-
-    @classmethod
-    def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> _Result:
-        """Return the result of a detector."""
-        return cls(detector, detection.lattice, detection, has_origin=detection.has_origin, seconds=seconds)
-
-    @property
-    def vectors(self) -> dict[str, Any]:
-        """The two vectors for JSON, and the origin where it is known."""
-        from nrbench.suites.surveying import known_vectors
-
-        assert self.lattice is not None
-        return {name: list(vector) for name, vector in known_vectors(self.lattice, self.has_origin).items()}
-
-    @property
-    def candidates(self) -> list[Alternative]:
-        """The first candidates of a detector, the chosen lattice among them."""
-        from nrbench.suites.surveying import SHOWN, rank_candidates
-
-        return rank_candidates(self.detection)[:SHOWN] if self.detection else []
-
-    def text(self, separator: str = ", ") -> str:
-        """Return the two vectors, and the origin where it is known, as text."""
-        return separator.join(f"{name} = ({x:.3f}, {y:.3f}) px" for name, (x, y) in self.vectors.items())
-
-    def print(self, as_json: bool) -> None:
-        """Print the result on standard output."""
-        if as_json:
-            found = self._found_dict() if self.lattice else {"lattice": None, "reason": self.reason}
-            print(json.dumps(found))
-        elif self.lattice is None:
-            print(f"no lattice: {self.reason}")
-        else:
-            confidence = "" if self.detection is None else f", confidence {self.detection.confidence:.3f}"
-            role = f", {self.detection.role} lattice" if self.detection and self.detection.role else ""
-            print(f"{self.text()}, {self.detector}{confidence}{role}")
-            for number, candidate in enumerate(self.candidates[1:], 2):
-                print(f"candidate {number}: {_describe(candidate)}")
-
-    def _found_dict(self) -> dict[str, Any]:
-        """Return the lattice for JSON, with the alternatives and the probabilities of a detector."""
-        if self.detection is None:
-            return {**self.vectors, "detector": self.detector, "confidence": None}
-        from nrbench.suites.surveying import candidate_dict
-
-        probabilities = self.detection.probabilities
-        return {
-            **self.vectors,
-            "detector": self.detector,
-            "confidence": self.detection.confidence,
-            "probabilities": probabilities and probabilities._asdict(),
-            "role": self.detection.role,
-            "alternatives": [candidate_dict(each) for each in self.detection.alternatives],
-        }
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the entry of a comparison for JSON."""
-        seconds = {} if self.seconds is None else {"seconds": self.seconds}
-        if self.lattice is not None:
-            return {**self._found_dict(), **seconds}
-        error = {"error": True} if self.failed else {}
-        return {"detector": self.detector, "lattice": None, "reason": self.reason, **seconds, **error}
-
-    def rows(self) -> list[str]:
-        """Return the lines of a comparison's table: one for each of the first candidates, or why there is none."""
-        seconds = "-" if self.seconds is None else f"{self.seconds:.3f}"
-        if self.lattice is None:
-            why = self.reason if self.failed else f"no lattice: {self.reason}"
-            return [f"{self.detector:<12} {'-':<20} {'-':<20} {'-':>10} {seconds:>8}  {why}"]
-        lines = []
-        for number, candidate in enumerate(self.candidates, 1):
-            t1, t2 = (f"({x:.3f}, {y:.3f})" for x, y in (candidate.lattice.t1, candidate.lattice.t2))
-            name, cost = (self.detector, seconds) if number == 1 else (f"  {number}", "")
-            line = f"{name:<12} {t1:<20} {t2:<20} {candidate.confidence:>10.3f} {cost:>8}  {_notes(candidate)}"
-            lines.append(line.rstrip())
-        return lines
-
-    def captions(self, letters: int) -> list[str]:
-        """Return captions of a comparison's pictures, one for each of the first candidates.
-
-        There is one that says why if there is no lattice. A line has at most ``letters`` characters.
-        """
-        if self.detection is None:
-            lines = textwrap.wrap(self.reason, letters, max_lines=4, placeholder=" ...")
-            return ["\n".join([f"{self.detector}: no lattice", *lines])]
-        texts = []
-        for number, candidate in enumerate(self.candidates, 1):
-            name = self.detector if number == 1 else f"{self.detector}, candidate {number}"
-            lines = [f"{name}, confidence {candidate.confidence:.3f}", *textwrap.wrap(_notes(candidate), letters)]
-            texts.append("\n".join([*lines, _of_alternative(candidate).text(separator="\n")]))
-        return texts
-
-
-def _notes(candidate: Alternative) -> str:
-    """Return how a candidate relates to the chosen lattice, and its role."""
-    return ", ".join(filter(None, (candidate.relation, candidate.role and f"{candidate.role} lattice")))
-
-
-def _of_alternative(candidate: Alternative) -> _Result:
-    """Return a result without a detector, for the forms of its vectors."""
-    return _Result("", candidate.lattice, has_origin=candidate.has_origin)
-
-
-def _describe(candidate: Alternative) -> str:
-    return f"{_of_alternative(candidate).text()}, {_notes(candidate)}, confidence {candidate.confidence:.3f}"
 
 
 def _survey(folder: Path, detector: str, output: Path | None, least: float | None, existing: str, as_json: bool) -> int:
@@ -295,7 +173,7 @@ def _use_given(image: Image, numbers: str | None, output: Path | None, as_json: 
         lattice, has_origin = Lattice.parse(numbers), numbers.count(",") == 5
     if output is not None:
         write_image(output, draw_lattice(image, lattice))
-    _Result("picked" if numbers is None else "given", lattice, has_origin=has_origin).print(as_json)
+    Result("picked" if numbers is None else "given", lattice, has_origin=has_origin).print(as_json)
 
 
 def _print_numbers(lattice: Lattice) -> None:
@@ -305,26 +183,43 @@ def _print_numbers(lattice: Lattice) -> None:
     click.echo(f"for other verbs: --lattice {text}", err=True)
 
 
-def _detect(image: Image, spec: str, output: Path | None, diagnostics: Path | None, as_json: bool) -> None:
-    """Print and draw the lattice that one detector finds."""
+def _detect(image: Image, chosen: str | None, output: Path | None, diagnostics: Path | None, as_json: bool) -> None:
+    """Print and draw the lattice that one detector finds.
+
+    If the default detector finds none, the mean lattice of a bent image is looked for.
+    """
     from nrbench import plugins
     from nrbench.cli.progress import waiting
+    from nrbench.cli.straightening import draw_deformed_lattice, find_bent_lattice
+    from nrbench.imaging.files import write_image
     from nrbench.plugins.forms import NoLatticeFound
     from nrbench.plugins.parameters import parse_spec
 
+    spec = chosen or "consensus"
     name, parameters = parse_spec(spec)
     detector = plugins.build("detectors", name, parameters)
     try:
         with waiting(f"{name} looks for the lattice"):
             detection = detector.detect(image)
     except NoLatticeFound as none:
+        bent = None
+        if chosen is None:
+            with waiting(f"{name} looks for a bent lattice"):
+                bent = find_bent_lattice(image, name)
+        if bent is not None:
+            title = f"{spec}, of the straightened image: {bent.text()}"
+            _draw_diagnostics(bent.detection.diagnostics if bent.detection else {}, title, diagnostics)
+            if output is not None and bent.deformation is not None:
+                write_image(output, draw_deformed_lattice(image, bent.deformation))
+            bent.print(as_json)
+            return
         title = f"{spec}: no lattice: {none.reason}"
         _draw_diagnostics(none.best.diagnostics if none.best else {}, title, diagnostics)
         if output is not None:
             click.echo(f"{output}: not written, there is no lattice to draw", err=True)
-        _Result(name, None, reason=none.reason).print(as_json)
+        Result(name, None, reason=none.reason).print(as_json)
         return
-    result = _Result.of_detection(name, detection)
+    result = Result.of_detection(name, detection)
     title = f"{spec}: {result.text()}, confidence {detection.confidence:.3f}"
     _draw_diagnostics(detection.diagnostics, title, diagnostics)
     if output is not None:
@@ -371,7 +266,7 @@ def _compare_detectors(image: Image, output: Path | None, as_json: bool) -> int:
     return int(any(result.failed for result in results))
 
 
-def _run_detector(image: Image, name: str) -> _Result:
+def _run_detector(image: Image, name: str) -> Result:
     """Return the result of a detector; an error of the detector is a failed result."""
     from nrbench import plugins
     from nrbench.errors import BadInput
@@ -382,15 +277,15 @@ def _run_detector(image: Image, name: str) -> _Result:
     try:
         detection = detector.detect(image)
     except NoLatticeFound as none:
-        return _Result(name, None, reason=none.reason, seconds=time.perf_counter() - start)
+        return Result(name, None, reason=none.reason, seconds=time.perf_counter() - start)
     except BadInput:
         raise
     except Exception as error:
-        return _Result(name, None, reason=f"failed: {type(error).__name__}: {error}", failed=True)
-    return _Result.of_detection(name, detection, time.perf_counter() - start)
+        return Result(name, None, reason=f"failed: {type(error).__name__}: {error}", failed=True)
+    return Result.of_detection(name, detection, time.perf_counter() - start)
 
 
-def _draw_comparison(image: Image, results: Sequence[_Result], output: Path) -> None:
+def _draw_comparison(image: Image, results: Sequence[Result], output: Path) -> None:
     """Write a sheet with a captioned picture for each candidate of each detector; of a large image, its middle."""
     from nrbench.imaging.drawing import contact_sheet, draw_lattice, zoom_panels
     from nrbench.imaging.files import write_image

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from nrbench.cli.lattice_results import Result
+
 if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.tracking.deformation import Deformation
+
+LARGEST = 1024
+"""px; a larger image is followed only if ``--straighten`` is given, because it takes long."""
 
 
 def straighten_picture(
     image: Image, spec: str, lattice: str | None, overlay: Path | None, output: Path, as_json: bool
 ) -> None:
-    """Print the mean lattice and the deformation of an image, and write the image with its deformation undone.
+    """Print the mean lattice, the deformation and the short list, and write the image with its deformation undone.
 
     Parameters
     ----------
@@ -33,42 +38,44 @@ def straighten_picture(
     as_json
         Whether to print JSON.
     """
-    from nrbench.api import track_lattice
+    from nrbench.api import as_lattice, follow_lattice
     from nrbench.imaging.files import write_image
     from nrbench.plugins.forms import NoLatticeFound
     from nrbench.plugins.parameters import parse_spec
 
     name, parameters = parse_spec(spec)
     try:
-        found = track_lattice(image, lattice, name, **parameters)
+        followed = follow_lattice(image, as_lattice(lattice), name, parameters)
     except NoLatticeFound as none:
         click.echo(f"{output}: not written, there is no lattice to straighten by", err=True)
-        print(json.dumps({"lattice": None, "reason": none.reason}) if as_json else f"no lattice: {none.reason}")
+        Result(name, None, reason=none.reason).print(as_json)
         return
+    found = followed.deformation
     straight, straight_lattice = found.straighten()
     write_image(output, straight)
     if overlay is not None:
         write_image(overlay, draw_deformed_lattice(image, found))
-    if as_json:
-        start = {} if found.confidence is None else {"detector": name, "confidence": found.confidence}
-        deformation = {**found.as_dict(), "straightened": straight_lattice.as_dict()}
-        print(json.dumps({**found.lattice.as_dict(), **start, "deformation": deformation}))
-        return
-    print(describe_deformation(found))
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)
     click.echo(f"{output}: its lattice is {numbers}", err=True)
+    result = Result.of_followed("" if lattice else name, followed, has_origin=True)
+    replace(result, straightened=straight_lattice).print(as_json)
 
 
-def describe_deformation(found: Deformation) -> str:
-    """Return the mean lattice and the deformation in one line of text."""
-    t1, t2 = (f"({x:.3f}, {y:.3f})" for x, y in (found.lattice.t1, found.lattice.t2))
-    vectors = f"t1 = {t1} px, t2 = {t2} px"
-    if not found.covered:
-        return f"{vectors}, could not be followed: whether the image is bent is not known"
-    if not found.bent:
-        return f"{vectors}, not bent"
-    kind = "smooth displacements" if found.homography is None else "a homography (perspective)"
-    return f"mean lattice {vectors}, bent by {kind} of amplitude {found.amplitude:.2f} s"
+def find_bent_lattice(image: Image, detector: str) -> Result | None:
+    """Return the mean lattice of a bent image in which a detector finds no lattice; None if there is none.
+
+    Little time is spent on images without a lattice, and none on large ones (:data:`LARGEST`).
+    """
+    from nrbench.api import follow_lattice
+    from nrbench.plugins.forms import NoLatticeFound
+
+    if max(image.shape[:2]) > LARGEST:
+        return None
+    try:
+        followed = follow_lattice(image, detector=detector, only_promising=True)
+    except NoLatticeFound:
+        return None
+    return Result.of_followed(detector, followed, has_origin=False) if followed.deformation.bent else None
 
 
 def draw_deformed_lattice(image: Image, found: Deformation) -> Image:

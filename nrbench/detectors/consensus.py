@@ -3,23 +3,39 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.detectors.agreement.evidence import Evidence
+from nrbench.detectors.agreement.evidence import Evidence, reduced_basis
 from nrbench.detectors.agreement.evidence_kernels import reduce_all
-from nrbench.detectors.agreement.likeness import SIDE, Likeness, compute_likeness, make_view, max_factor, views
-from nrbench.detectors.agreement.search import StableLattice, SublatticeSearch, highest_added, propose_lattices
+from nrbench.detectors.agreement.likeness import (
+    MIN_PERIOD,
+    SIDE,
+    Likeness,
+    compute_likeness,
+    make_view,
+    max_factor,
+    views,
+)
+from nrbench.detectors.agreement.search import (
+    StableLattice,
+    SublatticeSearch,
+    highest_added,
+    propose_lattices,
+    ridge_height,
+)
 from nrbench.detectors.agreement.short_list import (
     SHARE,
     TOLERANCE,
     Rival,
     ShortList,
     is_same,
+    reclassify,
     relate_bases,
     share_certainty,
 )
@@ -28,9 +44,9 @@ from nrbench.detectors.dominance import Dominance
 from nrbench.detectors.frdft import Frdft
 from nrbench.detectors.gncc import Gncc
 from nrbench.errors import checker
-from nrbench.imaging.convert import Image, crop_middle
+from nrbench.imaging.convert import Image, crop_middle, shrink
 from nrbench.lattice.comparison import relate
-from nrbench.lattice.geometry import Lattice, Points, hermite_matrices, reduced_basis
+from nrbench.lattice.geometry import Lattice, Points, hermite_matrices
 from nrbench.plugins.forms import Alternative, Detection, NoLatticeFound, Role, Surface
 
 TESTED = 256
@@ -51,16 +67,20 @@ LONGEST = 0.8
 """Proposals with a vector above this share of the image's sides are left out, and ..."""
 MIN_AREA = 8.0
 """... proposals with a smaller cell, px^2."""
+CERTAIN = 0.8
+"""Confidence from which the image is not looked at with less detail."""
+COARSEST = 8
+"""Largest factor by which the image is shrunk to look at it with less detail."""
 REPLACE = 2.5
 """The best stable lattice is replaced by a rival that is more probable by this factor."""
 LISTED = 6
 """Largest number of alternatives."""
-COLOR_LOSS = 0.2
-"""The colors repeat by a coarser lattice than the structure if their correlation at the vectors that the structure's
-lattice adds is lower by this share."""
-COLOR_SPLIT = 0.2
-"""The colors need a coarser lattice than the chosen one if their correlation at its multiples exceeds that at the other
-vectors by this share."""
+COLOR_SPLIT = 0.01
+"""The colors repeat by a coarser lattice than the structure if their correlation at its multiples exceeds that at the
+other vectors by this share, and ..."""
+COLOR_ERRORS = 8.0
+"""... by this number of standard errors. In models whose elements are colored at random it reaches 6, and 19 in one of
+a hundred draws (long threads)."""
 COLOR_CELLS = (2, 3, 4, 6, 8)
 """Indices of the coarser lattices that are tried for the colors."""
 FEWEST = 8
@@ -68,6 +88,21 @@ FEWEST = 8
 _OTHER: dict[Role, Role] = {"structure": "color", "color": "structure", "": ""}
 
 _check = checker("consensus")
+
+
+class Choice(NamedTuple):
+    """The lattice that was chosen among those of all details.
+
+    Parameters
+    ----------
+    detail
+        The number of the detail at which it was chosen.
+    rivals
+        The chosen lattice, then all others, the most probable first.
+    """
+
+    detail: int
+    rivals: list[Rival]
 
 
 @dataclass(frozen=True)
@@ -91,13 +126,16 @@ class Consensus:
        list. A regression tells from the traits of each lattice how probable it is that it is exact, a sub- or
        supercell, or neither (:mod:`nrbench.detectors.agreement.short_list`). The stable lattice of the highest merit is
        returned, unless another one is much more probable.
+    5. If this lattice is not certain, the image is shrunk to half, a quarter ... of its size, as far as that leaves
+       12 px a period, and the same is done again: fine grain that does not repeat hides the lattice of large elements.
+       The most certain of these lattices is returned.
 
     The alternatives are the rest of the short list, the most probable first; their ``evidence`` is the merit. If the
     colors repeat by a coarser lattice than slopes and edges, one of the two has the role ``"structure"``, the other one
     the role ``"color"``. People measure either one, so the probability is divided between them.
 
     Images of more than 640 px a side are analyzed in several views, from the middle at full detail to the whole image
-    at low detail. The views propose lattices; the choice is made at full detail, on the middle 2048 px. Time grows as
+    at low detail. The views propose lattices; the choice is made on the middle 2048 px. Time grows as
     n log n up to this size and as n beyond.
 
     Parameters
@@ -148,7 +186,7 @@ class Consensus:
     surrogates: int = 12
     false_alarms: float = 0.02
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
 
     def __post_init__(self) -> None:
         for name in ("max_loss", "relief", "least"):
@@ -168,10 +206,11 @@ class Consensus:
         The confidence is the probability that the lattice is exact, as measured on texture models and on textures that
         the models lack (``benchmarks/consensus_calibration.py``).
 
-        Diagnostics: ``likeness`` (the correlation, right half, with the candidates and the pair), ``explained`` (the
-        share of the variance), ``between`` (the highest correlation that a finer lattice adds), ``relief``, ``tiles``,
-        ``sigmas``, ``traits`` (what the regression reads); with ``"surrogate"`` also ``tested`` (the contrast in the
-        part that is tested), ``chance`` (the contrasts of the phase-randomized copies) and ``limit``.
+        Diagnostics: ``likeness`` (the correlation, right half, with the candidates and the pair), ``shrunk`` (the
+        factor by which the image was shrunk, to whose pixels ``likeness`` refers), ``explained`` (the share of the
+        variance), ``between`` (the highest correlation that a finer lattice adds), ``relief``, ``tiles``, ``sigmas``,
+        ``traits`` (what the regression reads); with ``"surrogate"`` also ``tested`` (the contrast in the part that is
+        tested), ``chance`` (the contrasts of the phase-randomized copies) and ``limit``.
 
         Raises
         ------
@@ -181,25 +220,53 @@ class Consensus:
         """
         if (image[0] == image[0, 0]).all() and (image == image[0]).all():
             raise NoLatticeFound("the image is constant: it has no texture")
-        search, proposals = self._prepare(image)
-        detection = search.detect(proposals)
+        details: list[_Detail] = []
+        chosen = self.choose(self._rate_details(image, details))
+        if chosen is None:
+            raise NoLatticeFound("no two peaks of the correlation generate a lattice by which the image repeats")
+        detection = details[chosen.detail].describe(chosen.rivals)
         if self.reject == "surrogate":
             detection = self._compare_with_surrogates(image, detection)
         return detection if self.reject == "none" else self._check_strength(detection)
 
-    def list_rivals(self, image: Image) -> list[Rival]:
-        """Return the lattices among which the detector chooses, the best stable one first; without any test.
+    def list_rivals(self, image: Image) -> list[tuple[int, list[Rival]]]:
+        """Return the lattices among which the detector chooses, for each detail of the image at which there are any.
 
-        Raises
-        ------
-        NoLatticeFound
-            If no lattice is stable.
+        Returns
+        -------
+        list[tuple[int, list[Rival]]]
+            The factor by which the image was shrunk, and the lattices, the best stable one first; without any test.
         """
-        search, proposals = self._prepare(image)
-        return search.rate(proposals)[0]
+        return list(self._rate_details(image, []))
+
+    def choose(self, details: Iterable[tuple[int, list[Rival]]]) -> Choice | None:
+        """Return the choice among the lattices of :meth:`list_rivals`; None if there is none.
+
+        Coarser details are read only until a lattice is certain (:data:`CERTAIN`). Of the lattices that are chosen at
+        each detail, the most certain one is returned, of those that explain enough at their detail (``least``) if there
+        are any. The lattices of the other details are further rivals.
+        """
+        orders: list[list[Rival]] = []
+        best, highest = 0, (False, -1.0)
+        for factor, rivals in details:
+            order = self.order(rivals)
+            orders.append(order)
+            rating = (order[0].merit >= self.least, reclassify(order[0].probabilities).exact)
+            is_visible = factor == 1 or np.hypot(*order[0].basis[0]) >= MIN_PERIOD * factor
+            if is_visible and rating > highest:
+                best, highest = len(orders) - 1, rating
+            if highest >= (True, CERTAIN):
+                break
+        if highest[1] < 0:
+            return None
+        first, *others = orders[best]
+        for order in orders[:best] + orders[best + 1 :]:
+            known = [first, *others]
+            others += [one._replace(role="") for one in order if not any(is_same(one.basis, k.basis) for k in known)]
+        return Choice(best, [first, *sorted(others, key=lambda rival: -rival.probabilities.exact)])
 
     def order(self, rivals: list[Rival]) -> list[Rival]:
-        """Return the chosen one of :meth:`list_rivals`, then the others, the most probable first.
+        """Return the chosen lattice of one detail, then the others, the most probable first.
 
         The best stable lattice is replaced only by a much more probable one (:data:`REPLACE`) that lies on no ridge.
         """
@@ -215,11 +282,28 @@ class Consensus:
             others = [rival._replace(role="") for rival in others]
         return [first, *others]
 
-    def _prepare(self, image: Image) -> tuple[_Search, dict[str, list[Points]]]:
-        """Return the search at full detail, and the proposals of all detectors."""
+    def _rate_details(self, image: Image, details: list[_Detail]) -> Iterator[tuple[int, list[Rival]]]:
+        """Yield the factor and the rivals of each detail at which there are any, and collect the details."""
+        factor = 1
+        while True:
+            detail = self._prepare(shrink(image, factor), factor)
+            if detail is not None:
+                details.append(detail)
+                yield factor, detail.rivals
+            factor *= 2
+            if factor > COARSEST or min(image.shape[:2]) < 2 * MIN_PERIOD * factor:
+                return
+
+    def _prepare(self, image: Image, factor: int) -> _Detail | None:
+        """Return the rated lattices of an image that was shrunk by a factor; None if there are none."""
         likeness = compute_likeness(crop_middle(image, PRECISE))
         search = _Search(self, Evidence(likeness.pooled), Evidence(likeness.colors), Evidence(likeness.structure))
-        return search, self._propose(image, likeness, search.pooled)
+        try:
+            rivals, candidates = search.rate(self._propose(image, likeness, search.pooled))
+        except NoLatticeFound:
+            return None
+        enlarged = [rival._replace(basis=factor * rival.basis) for rival in rivals]
+        return _Detail(search, factor, enlarged, candidates)
 
     def _propose(self, image: Image, likeness: Likeness, evidence: Evidence) -> dict[str, list[Points]]:
         """Return the bases that each detector proposes, in the image's pixels; its own are named ``consensus``.
@@ -335,17 +419,6 @@ class _Search:
     colors: Evidence
     structure: Evidence
 
-    def detect(self, proposals: dict[str, list[Points]]) -> Detection:
-        """Return the lattice with its alternatives and diagnostics."""
-        rivals, candidates = self.rate(proposals)
-        rivals = self.detector.order(rivals)
-        detection = self._describe(rivals, candidates)
-        if self._is_striped(rivals[0].basis):
-            raise NoLatticeFound(
-                "the image repeats along one direction by any vector: stripes, not a lattice", detection
-            )
-        return detection
-
     def rate(self, proposals: dict[str, list[Points]]) -> tuple[list[Rival], list[Points]]:
         """Return the best stable lattice and its rivals, and all candidates."""
         fitted = {
@@ -370,38 +443,71 @@ class _Search:
     def _find_partner(self, basis: Points) -> tuple[Role, Points | None]:
         """Return whether a lattice is that of the structure or of the colors, and the other one of the two."""
         finer = self.detector.make_search(self.structure).find_finest(basis)
-        if finer is not None and relate_bases(basis, finer.basis) > 1:
-            own, added = self.colors.repeated(basis), self.colors.agreement(finer.basis, basis).mean
-            if own > 0 and added < (1 - COLOR_LOSS) * own:
-                return "color", finer.basis
-        for index in COLOR_CELLS:
-            for coarser in reduce_all(hermite_matrices(index) @ basis):
-                if self._colors_need(coarser, basis):
-                    return "structure", coarser
-        return "", None
+        nested = finer is not None and relate_bases(basis, finer.basis) > 1
+        if finer is not None and nested and self._color_errors(basis, finer.basis) > COLOR_ERRORS:
+            return "color", finer.basis
+        supercells = [part for index in COLOR_CELLS for part in reduce_all(hermite_matrices(index) @ basis)]
+        errors = [self._color_errors(coarser, basis) for coarser in supercells]
+        best = int(np.argmax(errors))
+        return ("structure", supercells[best]) if errors[best] > COLOR_ERRORS else ("", None)
 
-    def _colors_need(self, coarser: Points, basis: Points) -> bool:
-        """Return whether the colors repeat by a coarser lattice, clearly better than by the other vectors."""
+    def _color_errors(self, coarser: Points, basis: Points) -> float:
+        """Return by how much better the colors repeat by a coarser lattice than by the other vectors of a lattice.
+
+        The difference is in standard errors; 0 if it is small, or if there are few vectors or tiles.
+        """
         own, others = self.colors.agreement(coarser), self.colors.agreement(basis, coarser)
         if min(own.lags, others.lags) < FEWEST or self.pooled.tiles(coarser) < FEWEST or own.mean <= 0:
-            return False
-        spread = math.sqrt(own.variance + others.variance)
-        split = own.mean - others.mean
-        return split > COLOR_SPLIT * own.mean and split > self.detector.scatter / 2 * spread
+            return 0.0
+        split, error = own.mean - others.mean, math.sqrt(own.variance / own.lags + others.variance / others.lags)
+        # Long threads of equal color make some supercells match, but the vectors of these scatter widely.
+        scatter = self.detector.scatter / 2 * math.sqrt(own.variance + others.variance)
+        return split / max(error, 1e-6) if split > max(COLOR_SPLIT * own.mean, scatter) else 0.0
 
-    def _describe(self, rivals: list[Rival], candidates: list[Points]) -> Detection:
-        """Return the detection of the first rival, with the others as alternatives."""
-        basis = rivals[0].basis
-        lattice = Lattice.from_basis(basis).reduced()
-        between, repeated = highest_added(self.pooled, basis), self.pooled.repeated(basis)
-        peaks = np.concatenate([basis, *candidates])
+    def is_striped(self, basis: Points) -> bool:
+        """Return whether the lattice lies on a ridge of the colors' correlation, if the colors repeat as well.
+
+        Edges are not a linear function of the pixels. The edges of fine stripes interfere with the pixel grid, which
+        produces a lattice that the colors do not have.
+        """
+        own = self.colors.repeated(basis)
+        striped = own > self.pooled.repeated(basis) / 2
+        return striped and own - ridge_height(self.colors, basis) < self.detector.relief * own
+
+
+@dataclass(frozen=True)
+class _Detail:
+    """The rated lattices of an image that was shrunk by a factor.
+
+    The bases of the rivals are in pixels of the image as it was given; those of all candidates, and all that the search
+    knows, in pixels of the shrunk one.
+    """
+
+    search: _Search
+    factor: int
+    rivals: list[Rival]
+    candidates: list[Points]
+
+    def describe(self, rivals: Sequence[Rival]) -> Detection:
+        """Return the detection of the first rival, with the others as alternatives.
+
+        Raises
+        ------
+        NoLatticeFound
+            If the image has stripes instead of a lattice.
+        """
+        basis, pooled = rivals[0].basis / self.factor, self.search.pooled
+        lattice = Lattice.from_basis(rivals[0].basis).reduced()
+        between, repeated = highest_added(pooled, basis), pooled.repeated(basis)
+        peaks = np.concatenate([basis, *self.candidates])
         diagnostics: dict[str, Any] = {
-            "likeness": Surface(self.pooled.gamma, (0, self.pooled.shape[0] - 1), peaks, basis),
-            "explained": self.pooled.explained_variance_loo(basis),
+            "likeness": Surface(pooled.gamma, (0, pooled.shape[0] - 1), peaks, basis),
+            "shrunk": self.factor,
+            "explained": pooled.explained_variance_loo(basis),
             "between": between,
             "relief": 1 - between / repeated if repeated else 0.0,
-            "tiles": self.pooled.tiles(basis),
-            "sigmas": self.pooled.sigmas(basis),
+            "tiles": pooled.tiles(basis),
+            "sigmas": pooled.sigmas(basis),
             "traits": rivals[0].traits,
         }
         probabilities, certainties = share_certainty(rivals)
@@ -411,17 +517,12 @@ class _Search:
         ]
         alternatives.sort(key=lambda one: -one.confidence)
         listed = tuple(alternatives[:LISTED])
-        return Detection(lattice, probabilities.exact, diagnostics, listed, probabilities, rivals[0].role)
-
-    def _is_striped(self, basis: Points) -> bool:
-        """Return whether the lattice lies on a ridge of the colors' correlation, if the colors repeat as well.
-
-        Edges are not a linear function of the pixels. The edges of fine stripes interfere with the pixel grid, which
-        produces a lattice that the colors do not have.
-        """
-        own = self.colors.repeated(basis)
-        striped = own > self.pooled.repeated(basis) / 2
-        return striped and own - highest_added(self.colors, basis) < self.detector.relief * own
+        detection = Detection(lattice, probabilities.exact, diagnostics, listed, probabilities, rivals[0].role)
+        if self.search.is_striped(basis):
+            raise NoLatticeFound(
+                "the image repeats along one direction by any vector: stripes, not a lattice", detection
+            )
+        return detection
 
 
 def _make_alternative(rival: Rival, certainty: float, chosen: Lattice) -> Alternative:

@@ -297,28 +297,6 @@ def reduce_pairs(a: Points, b: Points) -> tuple[Points, Points]:
     return np.where(swap, b, a), np.where(swap, a, b)
 
 
-def reduced_basis(basis: Points) -> Points:
-    """Return the basis of :meth:`Lattice.reduced`, ``(2, 2)``, rows (x, y), without the checks of :class:`Lattice`."""
-    (ax, ay), (bx, by) = basis.tolist()
-    if ax * ax + ay * ay > bx * bx + by * by:
-        ax, ay, bx, by = bx, by, ax, ay
-    while True:
-        square = ax * ax + ay * ay
-        steps = round((ax * bx + ay * by) / square)
-        bx, by = bx - steps * ax, by - steps * ay
-        if bx * bx + by * by >= square * (1 - 1e-12):
-            break
-        ax, ay, bx, by = bx, by, ax, ay
-    if (ax, ay) <= (0, 0):
-        ax, ay = -ax, -ay
-    if (bx, by) <= (0, 0):
-        bx, by = -bx, -by
-    dot = ax * bx + ay * by
-    if dot < 0 and abs(dot) >= 1e-9 * (ax * ax + ay * ay):
-        bx, by = -bx, -by
-    return np.array(((ax, ay), (bx, by)))
-
-
 def _make_acute(a: Points, b: Points) -> tuple[Points, Points]:
     """Return a, and b or -b: the one at no obtuse angle to a (b if both angles are right)."""
     return a, b if a @ b >= 0 or abs(a @ b) < 1e-9 * (a @ a) else -b

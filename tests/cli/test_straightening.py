@@ -11,11 +11,16 @@ import pytest
 import skimage.io
 
 import nrbench
+from nrbench.cli.lattice_results import describe_deformation
 from nrbench.cli.main import main
-from nrbench.cli.straightening import describe_deformation
+from nrbench.cli.straightening import find_bent_lattice
+from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
+from nrbench.imaging.fold import interpolate
+from nrbench.lattice.comparison import relate
 from nrbench.lattice.geometry import Lattice
 from nrbench.tracking.deformation import Deformation
+from nrbench.tracking.homography import map_points
 
 
 def call(line: str) -> int:
@@ -57,6 +62,48 @@ def test_a_straight_picture_is_written_as_it_is(capsys: pytest.CaptureFixture[st
     followed = json.loads(capsys.readouterr().out)
     same = Lattice(detected["t1"], detected["t2"]).is_equivalent(Lattice(followed["t1"], followed["t2"]), 0.2)
     assert same and not followed["deformation"]["bent"]
+
+
+def test_the_short_list_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    """As without the option: candidates as text, alternatives and probabilities as JSON; relations are to the mean."""
+    assert call("lattice bent.png --straighten out.png") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("mean lattice") and "consensus, confidence" in lines[0]
+    assert [line.split(":")[0] for line in lines[1:]] == ["candidate 2", "candidate 3"]
+    assert call("lattice bent.png --straighten out.png --json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["probabilities"]["exact"] == shown["confidence"] and len(shown["alternatives"]) > 2
+    mean = Lattice(shown["t1"], shown["t2"])
+    for other in shown["alternatives"]:
+        change = relate(Lattice(other["t1"], other["t2"]), mean)
+        assert other["relation"] == (change.name if change else "unrelated")
+
+
+def test_a_bent_lattice_is_found_without_the_option(capsys: pytest.CaptureFixture[str]) -> None:
+    """A plane in perspective, in which the detector alone finds no lattice, gets the mean one, called bent.
+
+    If a detector is named, its answer alone counts.
+    """
+    points = np.stack(np.meshgrid(*2 * [np.arange(160.0)]), -1)
+    plane = map_points(np.array([[1.0, 0, 0], [0, 1.0, 0], [5e-3, 2.5e-3, 1.0]]), points)
+    image = quantize(interpolate(nrbench.texture("weave", shape=(160, 160), seed=0).image, plane))
+    write_image(Path("floor.png"), image)
+    assert call("lattice floor.png -o overlay.png --json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["deformation"]["bent"] and shown["deformation"]["homography"] and "origin" not in shown
+    mean = nrbench.track_lattice(image).lattice
+    assert mean.is_equivalent(Lattice(shown["t1"], shown["t2"]), 0.02 * mean.s)
+    assert 0.02 < (np.abs(read_image(Path("overlay.png")) - image).max(-1) > 0.1).mean() < 0.4
+    assert call("lattice floor.png -d consensus --json") == 0
+    assert json.loads(capsys.readouterr().out)["lattice"] is None
+
+
+def test_large_pictures_are_not_followed_without_the_option(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would take long."""
+    monkeypatch.setattr("nrbench.cli.straightening.LARGEST", 127)
+    assert find_bent_lattice(read_image(Path("bent.png")), "consensus") is None
+    monkeypatch.setattr("nrbench.cli.straightening.LARGEST", 128)
+    assert find_bent_lattice(read_image(Path("bent.png")), "consensus") is not None
 
 
 def test_a_given_lattice_needs_no_detector(capsys: pytest.CaptureFixture[str]) -> None:

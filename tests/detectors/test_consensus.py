@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -273,6 +274,85 @@ def test_a_cell_of_similar_halves_is_among_the_first_three(difference: float, se
     assert any(lattice.is_equivalent(Lattice((30, 0), (0, 19)), 0.2) for lattice in listed)
 
 
+def test_a_faint_alternation_lowers_the_confidence() -> None:
+    """If two elements that differ by a fifth alternate, the cell of both is a candidate as probable as that of one."""
+    one, two = Consensus().detect(halves(0.0, 0)), Consensus().detect(halves(0.2, 0))
+    assert one.lattice.is_equivalent(Lattice((15, 0), (0, 19)), 0.2) and one.confidence > 0.9
+    assert two.confidence <= 0.5
+    likely = [two.lattice, *(other.lattice for other in two.alternatives if other.confidence >= two.confidence)]
+    assert any(lattice.is_equivalent(Lattice((30, 0), (0, 19)), 0.2) for lattice in likely)
+
+
+def test_similar_halves_are_no_stripes() -> None:
+    """The correlation of the colors at half the cell is nearly as high as at the cell; at a third of it, it is low."""
+    rng = np.random.default_rng(0)
+    height, width = (int(n) for n in rng.integers(10, 28, 2))
+    shape = (height, width, 3)
+    first, other = (ndimage.gaussian_filter(rng.normal(size=shape), (1.5, 1.5, 0), mode="wrap") for _ in "ab")
+    cell = 0.5 + np.concatenate([first, first + 0.45 * other], 1)
+    image = np.tile(cell, (8, 5, 1)) + rng.normal(0, 0.03, (8 * height, 10 * width, 1))
+    found = Consensus().detect(quantize(np.clip(image[:192, :192], 0, 1).astype(np.float32)))
+    assert found.lattice.is_equivalent(Lattice((2 * width, 0), (0, height)), 0.2)
+
+
+def under_grain(seed: int) -> tuple[Image, Lattice]:
+    """Return squares of random colors, enlarged three times, under fine noise and specks, and their lattice."""
+    drawn = texture("squares", (96, 96), seed, color=0.3)
+    large = drawn.image.repeat(3, 0).repeat(3, 1)
+    rng = np.random.default_rng(seed)
+    specks = 0.35 * (rng.random((288, 288, 1)) < 0.07)
+    grain = 0.25 * rng.standard_normal(large.shape).mean(2, keepdims=True)
+    assert drawn.lattice is not None
+    image = quantize(np.clip(large + grain - specks, 0, 1).astype(np.float32))
+    return image, Lattice.from_basis(3 * drawn.lattice.matrix)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_grain_does_not_hide_large_elements(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their lattice is found at half the detail; at full detail it explains too little."""
+    image, truth = under_grain(seed)
+    found = Consensus().detect(image)
+    assert is_exact(found, truth, image, 1.5) and found.diagnostics["shrunk"] > 1
+    monkeypatch.setattr("nrbench.detectors.consensus.COARSEST", 1)
+    with pytest.raises(NoLatticeFound, match="explains only"):
+        Consensus().detect(image)
+
+
+def rival(basis: float, exact: float, merit: float = 0.5) -> Rival:
+    """Return the best stable lattice of a detail, with square cells."""
+    traits = Traits(*np.zeros(len(Traits._fields)))._replace(best=1.0)
+    rest = (1 - exact) / 2
+    return Rival(basis * np.eye(2), merit, traits, Probabilities(exact, rest, rest))
+
+
+def test_the_most_certain_detail_is_chosen() -> None:
+    """The lattices of the others are further rivals; periods under 12 px of the shrunk image do not count."""
+    detector = Consensus()
+    choice = detector.choose([(1, [rival(40, 0.2)]), (2, [rival(60, 0.5)]), (4, [rival(44, 0.9)])])
+    assert choice is not None and choice.detail == 1
+    assert [one.basis[0, 0] for one in choice.rivals] == [60, 44, 40]
+    assert detector.choose([]) is None and detector.choose([(4, [rival(44, 0.9)])]) is None
+
+
+def test_a_certain_lattice_ends_the_search() -> None:
+    """No coarser detail is read, unless the lattice explains too little of the image."""
+
+    def read() -> Iterator[tuple[int, list[Rival]]]:
+        yield 1, [rival(40, 0.99, merit)]
+        yield 2, [rival(60, 0.5)]
+        raise AssertionError("the third detail was read")
+
+    detector = Consensus()
+    merit = 0.5
+    choice = detector.choose(read())
+    assert choice is not None and choice.detail == 0 and len(choice.rivals) == 1
+    merit = 0.01
+    with pytest.raises(AssertionError, match="third detail"):
+        detector.choose(read())
+    choice = detector.choose([(1, [rival(40, 0.99, 0.01)]), (2, [rival(60, 0.5)])])
+    assert choice is not None and choice.detail == 1
+
+
 def two_colored(contrast: float) -> Image:
     """Return nested squares, 24 px apart, of which every second column has another color, ``(168, 168, 3)``."""
     y, x = np.indices((168, 168))
@@ -329,8 +409,9 @@ def test_certainty_is_shared() -> None:
 
 def test_probabilities_follow_the_traits() -> None:
     """A strong lattice that three detectors propose is exact; one whose supercells correlate better is a subcell."""
-    strong = Traits(4.0, 4.6, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
+    strong = Traits(4.0, 4.6, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
     assert classify(strong).exact > 0.9
-    alone = strong._replace(structure_split=1.0, split_2=1.0, gncc=0.0, frdft=0.0, dominance=0.0, coarser=3.0)
+    alone = strong._replace(gncc=0.0, frdft=0.0, dominance=0.0, coarser=3.0)
+    alone = alone._replace(structure_split=1.0, split_2=1.0, alternation=3.0)
     assert classify(alone).exact < 0.3
     assert sum(classify(alone)) == pytest.approx(1)

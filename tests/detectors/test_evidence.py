@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.detectors.agreement.evidence import PAD, REACH, Evidence
+from nrbench.detectors.agreement.evidence import PAD, REACH, Evidence, reduced_basis
 from nrbench.detectors.agreement.evidence_kernels import between, reduce_all
-from nrbench.detectors.agreement.search import finer_bases
+from nrbench.detectors.agreement.search import finer_bases, highest_added, ridge_height
 from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
 from nrbench.imaging.correlation import half_autocorrelation
-from nrbench.lattice.geometry import Lattice, reduced_basis
+from nrbench.lattice.geometry import Lattice
 
 
 def waves(shape: tuple[int, int], basis: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -142,6 +142,26 @@ def test_pairs_are_rated_by_their_multiples(rng: np.random.Generator) -> None:
     lags = np.where(lags[:, :1] < 0, -lags, lags)
     weights = (50 - lags[:, 0]) * (40 - np.abs(lags[:, 1]))
     assert rated == pytest.approx(np.average(surface[39 + lags[:, 1], lags[:, 0]], weights=weights) / 1000)
+
+
+def test_lags_on_one_line_tell_nothing_of_the_other_vector(evidence: Evidence) -> None:
+    """If no multiple of the second vector is within reach, the multiples do not span the plane."""
+    height, width = evidence.shape
+    assert evidence.spans_plane(np.array([[9.0, 1.0], [-2.0, 11.0]]))
+    assert not evidence.spans_plane(np.array([[9.0, 0.0], [1.0, 0.8 * height]]))
+    assert not evidence.spans_plane(np.array([[0.8 * width, 0.0], [0.0, 0.8 * height]]))
+
+
+def test_a_ridge_has_agreement_at_every_index() -> None:
+    """On stripes any vector along them agrees; if every second tile is similar, only lattices of even index do."""
+    motif, other = np.random.default_rng(1).normal(size=(2, 12, 16))
+    halves = np.tile(np.concatenate([motif, motif + 0.1 * other], 1), (8, 3))
+    stripes = np.tile(np.sin(2 * np.pi * np.arange(96) / 16), (96, 1))
+    basis = np.array([[0.0, 12.0], [32.0, 0.0]])
+    for image, low, high in ((stripes, 0.95, 1.05), (halves, -0.3, 0.5)):
+        known = Evidence(half_autocorrelation(image[..., np.newaxis].astype(np.float32)))
+        assert low < ridge_height(known, basis) / known.repeated(basis) < high
+        assert highest_added(known, basis) > 0.95 * known.repeated(basis)
 
 
 def test_many_lattices_at_once(evidence: Evidence, rng: np.random.Generator) -> None:

@@ -1,4 +1,4 @@
-"""The lattice of a bent image is detected without help; a straight one costs no way through the image."""
+"""The lattice of a bent image is detected without help; a straight one is not followed knot by knot."""
 
 from __future__ import annotations
 

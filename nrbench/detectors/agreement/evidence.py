@@ -10,9 +10,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.agreement.evidence_kernels import between, between_many, jets, newton_sums
+from nrbench.detectors.agreement.evidence_kernels import between, between_many, jets, newton_sums, reduce_all
 from nrbench.imaging.correlation import Correlation
-from nrbench.lattice.geometry import Points, integers_within, reduced_basis
+from nrbench.lattice.geometry import Points, integers_within
 
 REACH = 0.75
 """Lags up to this share of the image's sides are compared. At larger lags the overlap is too small."""
@@ -28,6 +28,12 @@ _HESSIAN = np.array([(0, 1, 3, 4), (1, 2, 4, 5), (3, 4, 6, 7), (4, 5, 7, 8)])
 """Where the second derivatives by x1, x2, y1, y2 lie in the sums of the compiled loop."""
 MAX_SHIFT = 0.2
 """A fit that moves a vector by more than this share of the shorter vector is rejected: it has followed other peaks."""
+
+
+def reduced_basis(basis: Points) -> Points:
+    """Return the basis of :meth:`nrbench.lattice.geometry.Lattice.reduced`, ``(2, 2)``, rows (x, y), unchecked."""
+    reduced: Points = reduce_all(np.array(basis, np.float64, order="C")[np.newaxis])[0]
+    return reduced
 
 
 class Agreement(NamedTuple):
@@ -82,6 +88,11 @@ class Evidence:
         numbers = integers_within(basis, -end, end)
         half = (numbers[:, 1] > 0) | ((numbers[:, 1] == 0) & (numbers[:, 0] > 0))
         return np.asarray(numbers[half])
+
+    def spans_plane(self, basis: Points) -> bool:
+        """Return whether the multiples of a basis within reach lie on more than one line through lag 0."""
+        numbers = self.multiples(basis)
+        return len(numbers) > 1 and bool((numbers @ (-numbers[0, 1], numbers[0, 0])).any())
 
     def overlaps(self, lags: Points) -> NDArray[np.float64]:
         """Return the area, px^2, in which the image and its copy shifted by each lag overlap."""

@@ -213,7 +213,7 @@ def newton_sums(
 
 @kernel("float64[:, :, ::1](float64[:, :, ::1])")
 def reduce_all(bases: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the reduced bases of many lattices, ``(n, 2, 2)``, as :func:`nrbench.lattice.geometry.reduced_basis`."""
+    """Return the reduced bases of many lattices, ``(n, 2, 2)``, as :meth:`nrbench.lattice.geometry.Lattice.reduced`."""
     out = np.zeros_like(bases)
     for i in range(bases.shape[0]):
         ax, ay, bx, by = bases[i, 0, 0], bases[i, 0, 1], bases[i, 1, 0], bases[i, 1, 1]

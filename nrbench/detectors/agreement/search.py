@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nrbench.detectors.agreement.evidence import Agreement, Evidence
+from nrbench.detectors.agreement.evidence import Agreement, Evidence, reduced_basis
 from nrbench.detectors.agreement.evidence_kernels import reduce_all
 from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
 from nrbench.detectors.autocorrelation.peaks import (
@@ -19,7 +19,7 @@ from nrbench.detectors.autocorrelation.peaks import (
     quantize_correlation,
     subpixel,
 )
-from nrbench.lattice.geometry import Points, hermite_matrices, reduced_basis
+from nrbench.lattice.geometry import Points, hermite_matrices
 
 FURTHEST = 0.55
 """Candidates lie within this share of the image's sides. Longer vectors have no multiple within the image."""
@@ -113,6 +113,15 @@ def _finer_changes(indices: tuple[int, ...]) -> Points:
 def highest_added(evidence: Evidence, basis: Points, indices: tuple[int, ...] = INDICES) -> float:
     """Return the highest mean correlation at the vectors that a finer lattice of these indices would add."""
     return max(added.mean for added in evidence.agreements(finer_bases(basis, indices), basis))
+
+
+def ridge_height(evidence: Evidence, basis: Points) -> float:
+    """Return the mean correlation that finer lattices of every index reach at the vectors that they add.
+
+    Along a ridge, as in stripes, any vector agrees. If a cell consists of two similar halves, only lattices of even
+    index agree.
+    """
+    return min(highest_added(evidence, basis, (index,)) for index in INDICES)
 
 
 class StableLattice(NamedTuple):

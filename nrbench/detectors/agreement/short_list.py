@@ -27,6 +27,10 @@ FIRST = 5
 """Number of the best stable lattices that are rated."""
 MAX_SIGMAS = 60.0
 """Standard deviations above which the probability does not rise: few lattices of the fit had more."""
+FEWEST_LAGS = 3
+"""Least number of vectors whose scatter tells a standard error."""
+MAX_ERRORS = 30.0
+"""Standard errors above which an excess is certain."""
 TOLERANCE = 1.0
 """px; two lattices are the same if their reduced vectors differ by no more than this, or than ..."""
 SHARE = 0.04
@@ -53,6 +57,9 @@ class Traits(NamedTuple):
         other vectors. It is large if the lattice is too fine.
     structure_split
         The largest of these for slopes and edges alone.
+    alternation
+        Logarithm of the largest excess of a supercell of index 2 or 3, in standard errors of the mean. It is large if
+        two elements that differ little alternate: the excess is small then, but the same at all vectors.
     merit
         Its merit over that of the best stable lattice.
     best
@@ -70,6 +77,7 @@ class Traits(NamedTuple):
     split_2: float
     split_3: float
     structure_split: float
+    alternation: float
     merit: float
     best: float
     gncc: float
@@ -144,32 +152,46 @@ class ShortList:
         return rivals
 
     def is_possible(self, basis: Points) -> bool:
-        """Return whether a lattice can be rated: the image holds more than two cells, none of them is too thin."""
-        return self.pooled.tiles(basis) > 2 and np.hypot(*basis[0]) >= SHORTEST and self.pooled.repeated(basis) > 0
+        """Return whether a lattice can be rated.
+
+        The image holds more than two cells, none of them is too thin, and lags within reach show both vectors. If all
+        multiples within reach lie on one line, nothing in the image speaks for the other vector.
+        """
+        if self.pooled.tiles(basis) <= 2 or np.hypot(*basis[0]) < SHORTEST or self.pooled.repeated(basis) <= 0:
+            return False
+        return self.pooled.spans_plane(basis)
 
     def _neighbors(self, basis: Points) -> Iterator[Points]:
         """Yield the coarser lattice of each index that splits the given one most, and the best finer one, fitted."""
         for index in NEIGHBORS:
-            splits, bases = self._split(self.pooled, basis, index)
+            splits, _, bases = self._split(self.pooled, basis, index)
             yield bases[int(np.argmax(splits))]
         for index in NEIGHBORS:
             bases = finer_bases(basis, (index,))
             added = self.pooled.agreements(bases, basis)
             yield self.pooled.fit(bases[int(np.argmax([one.mean for one in added]))])
 
-    def _split(self, evidence: Evidence, basis: Points, index: int) -> tuple[list[float], Points]:
-        """Return by how much the correlation at each supercell of an index exceeds that at all other vectors."""
+    def _split(self, evidence: Evidence, basis: Points, index: int) -> tuple[list[float], list[float], Points]:
+        """Return by how much the correlation at each supercell of an index exceeds that at all other vectors.
+
+        Also return that excess in standard errors of the mean over the vectors, and the supercells.
+        """
         bases = reduce_all(hermite_matrices(index) @ basis)
-        splits = []
+        splits, certain = [], []
         for coarser in bases:
             own, others = evidence.agreement(coarser), evidence.agreement(basis, coarser)
-            splits.append(own.mean - others.mean if min(own.lags, others.lags) > 0 else -1.0)
-        return splits, bases
+            known = min(own.lags, others.lags) > 0
+            splits.append(own.mean - others.mean if known else -1.0)
+            error = math.sqrt(own.variance / max(own.lags, 1) + others.variance / max(others.lags, 1))
+            certain.append(splits[-1] / max(error, 1e-6) if min(own.lags, others.lags) >= FEWEST_LAGS else 0.0)
+        return splits, certain, bases
 
     def _measure(self, basis: Points, best: float, first: bool, proposals: Mapping[str, Sequence[Points]]) -> Traits:
         pooled, structure = (max(one.repeated(basis), 1e-3) for one in (self.pooled, self.structure))
         finer = highest_added(self.pooled, basis, RELIEFS)
-        split_2, split_3 = (max(self._split(self.pooled, basis, index)[0]) / pooled for index in SPLITS)
+        splits = [self._split(self.pooled, basis, index)[:2] for index in SPLITS]
+        split_2, split_3 = (max(excess) / pooled for excess, _ in splits)
+        alternation = max(max(certain) for _, certain in splits)
         structure_split = max(max(self._split(self.structure, basis, index)[0]) for index in SPLITS) / structure
         cells = {name: [relate_bases(other, basis) for other in part] for name, part in proposals.items()}
         votes = [cells.get(name, []) for name in DETECTORS]
@@ -181,6 +203,7 @@ class ShortList:
             min(max(split_2, -0.5), 1.5),
             min(max(split_3, -0.5), 1.5),
             min(max(structure_split, -0.5), 1.5),
+            math.log(min(max(alternation, 1.0), MAX_ERRORS)),
             min(max(self.merit(basis) / best, -1.0), 1.2),
             float(first),
             float(1 in votes[0]),

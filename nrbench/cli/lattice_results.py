@@ -1,0 +1,172 @@
+"""What the command ``lattice`` says of a lattice: as text, as JSON, and in the table of a comparison."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nrbench.lattice.geometry import Lattice
+    from nrbench.plugins.forms import Alternative, Detection
+    from nrbench.tracking.deformation import Deformation
+    from nrbench.views.deformed import Followed
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of a detector or of the user: a lattice, or why there is none.
+
+    ``detection`` is that of a detector. ``has_origin`` says whether the origin is known. ``seconds`` is set in a
+    comparison. ``failed`` marks a detector that raised an error. ``deformation`` is that of a bent image, of which
+    ``lattice`` is the mean lattice, and ``detection`` what the detector found in the straightened image, whose own
+    lattice is ``straightened`` if it was written. ``detector`` is empty if a lattice was given that was followed.
+    """
+
+    detector: str
+    lattice: Lattice | None
+    detection: Detection | None = None
+    reason: str = ""
+    has_origin: bool = False
+    seconds: float | None = None
+    failed: bool = False
+    deformation: Deformation | None = None
+    straightened: Lattice | None = None
+
+    @classmethod
+    def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> Result:
+        """Return the result of a detector."""
+        return cls(detector, detection.lattice, detection, has_origin=detection.has_origin, seconds=seconds)
+
+    @classmethod
+    def of_followed(cls, detector: str, followed: Followed, has_origin: bool) -> Result:
+        """Return the mean lattice of an image that may be bent, with or without its origin."""
+        mean, detection = followed.deformation.lattice, followed.detection
+        if detection is not None:
+            detection = replace(detection, lattice=mean, has_origin=has_origin)
+        return cls(detector, mean, detection, has_origin=has_origin, deformation=followed.deformation)
+
+    @property
+    def vectors(self) -> dict[str, Any]:
+        """The two vectors for JSON, and the origin where it is known."""
+        from nrbench.suites.surveying import known_vectors
+
+        assert self.lattice is not None
+        return {name: list(vector) for name, vector in known_vectors(self.lattice, self.has_origin).items()}
+
+    @property
+    def candidates(self) -> list[Alternative]:
+        """The first candidates of a detector, the chosen lattice among them."""
+        from nrbench.suites.surveying import SHOWN, rank_candidates
+
+        return rank_candidates(self.detection)[:SHOWN] if self.detection else []
+
+    def text(self, separator: str = ", ") -> str:
+        """Return the two vectors, and the origin where it is known, as text."""
+        return separator.join(f"{name} = ({x:.3f}, {y:.3f}) px" for name, (x, y) in self.vectors.items())
+
+    def print(self, as_json: bool) -> None:
+        """Print the result on standard output."""
+        if as_json:
+            found = self._found_dict() if self.lattice else {"lattice": None, "reason": self.reason}
+            print(json.dumps(found))
+        elif self.lattice is None:
+            print(f"no lattice: {self.reason}")
+        else:
+            confidence = "" if self.detection is None else f", confidence {self.detection.confidence:.3f}"
+            role = f", {self.detection.role} lattice" if self.detection and self.detection.role else ""
+            print(f"{self._start()}{self.detector and f', {self.detector}'}{confidence}{role}")
+            for number, candidate in enumerate(self.candidates[1:], 2):
+                print(f"candidate {number}: {_describe(candidate)}")
+
+    def _start(self) -> str:
+        """Return the vectors as text, and how the lattice is deformed if it was followed."""
+        return self.text() if self.deformation is None else describe_deformation(self.deformation)
+
+    def _found_dict(self) -> dict[str, Any]:
+        """Return the lattice for JSON, with the alternatives and the probabilities of a detector."""
+        if self.detection is None:
+            start = {"detector": self.detector, "confidence": None} if self.detector else {}
+            return {**self.vectors, **start, **self._deformation_dict()}
+        from nrbench.suites.surveying import candidate_dict
+
+        probabilities = self.detection.probabilities
+        return {
+            **self.vectors,
+            "detector": self.detector,
+            "confidence": self.detection.confidence,
+            "probabilities": probabilities and probabilities._asdict(),
+            "role": self.detection.role,
+            "alternatives": [candidate_dict(each) for each in self.detection.alternatives],
+            **self._deformation_dict(),
+        }
+
+    def _deformation_dict(self) -> dict[str, Any]:
+        if self.deformation is None:
+            return {}
+        straight = {} if self.straightened is None else {"straightened": self.straightened.as_dict()}
+        return {"deformation": {**self.deformation.as_dict(), **straight}}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of a comparison for JSON."""
+        seconds = {} if self.seconds is None else {"seconds": self.seconds}
+        if self.lattice is not None:
+            return {**self._found_dict(), **seconds}
+        error = {"error": True} if self.failed else {}
+        return {"detector": self.detector, "lattice": None, "reason": self.reason, **seconds, **error}
+
+    def rows(self) -> list[str]:
+        """Return the lines of a comparison's table: one for each of the first candidates, or why there is none."""
+        seconds = "-" if self.seconds is None else f"{self.seconds:.3f}"
+        if self.lattice is None:
+            why = self.reason if self.failed else f"no lattice: {self.reason}"
+            return [f"{self.detector:<12} {'-':<20} {'-':<20} {'-':>10} {seconds:>8}  {why}"]
+        lines = []
+        for number, candidate in enumerate(self.candidates, 1):
+            t1, t2 = (f"({x:.3f}, {y:.3f})" for x, y in (candidate.lattice.t1, candidate.lattice.t2))
+            name, cost = (self.detector, seconds) if number == 1 else (f"  {number}", "")
+            line = f"{name:<12} {t1:<20} {t2:<20} {candidate.confidence:>10.3f} {cost:>8}  {_notes(candidate)}"
+            lines.append(line.rstrip())
+        return lines
+
+    def captions(self, letters: int) -> list[str]:
+        """Return captions of a comparison's pictures, one for each of the first candidates.
+
+        There is one that says why if there is no lattice. A line has at most ``letters`` characters.
+        """
+        if self.detection is None:
+            lines = textwrap.wrap(self.reason, letters, max_lines=4, placeholder=" ...")
+            return ["\n".join([f"{self.detector}: no lattice", *lines])]
+        texts = []
+        for number, candidate in enumerate(self.candidates, 1):
+            name = self.detector if number == 1 else f"{self.detector}, candidate {number}"
+            lines = [f"{name}, confidence {candidate.confidence:.3f}", *textwrap.wrap(_notes(candidate), letters)]
+            texts.append("\n".join([*lines, _of_alternative(candidate).text(separator="\n")]))
+        return texts
+
+
+def _notes(candidate: Alternative) -> str:
+    """Return how a candidate relates to the chosen lattice, and its role."""
+    return ", ".join(filter(None, (candidate.relation, candidate.role and f"{candidate.role} lattice")))
+
+
+def _of_alternative(candidate: Alternative) -> Result:
+    """Return a result without a detector, for the forms of its vectors."""
+    return Result("", candidate.lattice, has_origin=candidate.has_origin)
+
+
+def _describe(candidate: Alternative) -> str:
+    return f"{_of_alternative(candidate).text()}, {_notes(candidate)}, confidence {candidate.confidence:.3f}"
+
+
+def describe_deformation(found: Deformation) -> str:
+    """Return the mean lattice and the deformation in one line of text."""
+    t1, t2 = (f"({x:.3f}, {y:.3f})" for x, y in (found.lattice.t1, found.lattice.t2))
+    vectors = f"t1 = {t1} px, t2 = {t2} px"
+    if not found.covered:
+        return f"{vectors}, could not be followed: whether the image is bent is not known"
+    if not found.bent:
+        return f"{vectors}, not bent"
+    kind = "smooth displacements" if found.homography is None else "a homography (perspective)"
+    return f"mean lattice {vectors}, bent by {kind} of amplitude {found.amplitude:.2f} s"
