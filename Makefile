@@ -2,6 +2,7 @@
 #   make run    set up, run the default suite, print the comparison table and the report's path
 #   make test   set up, then lint, types and tests
 # And: make benchmark   set up, run every benchmark in a short form, print what each costs
+#      make fuzz        set up, feed 10000 damaged inputs to each reader of files and arguments (INPUTS=n: n of them)
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -10,7 +11,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 SOURCES := $(shell find nrbench synthesizers metrics datasets_procedural reports -name '*.py' -o -name '*.pyi' -o -name '*.toml' -o -path '*templates/*')
 
-.PHONY: run test lint types unit benchmark clean
+.PHONY: run test lint types unit benchmark fuzz clean
 
 run: $(VENV)/.installed
 	$(BIN)/nrbench run --out runs/default
@@ -26,6 +27,9 @@ types: $(VENV)/.installed-test
 
 unit: $(VENV)/.installed-test
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+
+fuzz: $(VENV)/.installed-test
+	NRBENCH_FUZZ=$(or $(INPUTS),10000) $(BIN)/python -m pytest tests/core/test_untrusted_input.py
 
 benchmark: $(VENV)/.installed-test
 	env -u PYTHONSAFEPATH $(BIN)/python benchmarks/all.py

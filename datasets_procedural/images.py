@@ -299,7 +299,7 @@ def read_rendered(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
     path = folder / "truth.json"
     try:
         content = json.loads(path.read_text("utf-8")) if path.is_file() else {}
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: is no JSON ({error}); render the textures again, or delete it") from None
     textures = content.get("textures") if isinstance(content, dict) else None
     if not isinstance(textures, dict):

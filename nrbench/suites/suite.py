@@ -42,8 +42,8 @@ def parse_size(text: Any) -> Shape:
     if isinstance(text, tuple | list):
         text = "x".join(str(part) for part in reversed(text))
     width, x, height = str(text).lower().partition("x")
-    if not (x and width.isdecimal() and height.isdecimal()):
-        raise BadInput(f"size {text!r}: write WIDTHxHEIGHT in px, e.g. 256x256")
+    if not (x and width.isdecimal() and height.isdecimal() and len(width + height) <= 40):
+        raise BadInput(f"size {str(text)[:60]!r}: write WIDTHxHEIGHT in px, e.g. 256x256")
     if not (1 <= int(width) <= LARGEST_SIDE and 1 <= int(height) <= LARGEST_SIDE):
         raise BadInput(f"size {text!r}: each side must be from 1 to {LARGEST_SIDE} px")
     return int(height), int(width)
@@ -269,9 +269,12 @@ def _without_grids(content: dict[str, Any], where: str) -> dict[str, Any]:
     """Return the content of a suite with the rows of each grid written out."""
     if "grid" not in content:
         return content
-    grids, rows = content["grid"], list(content.get("texture", ()))
+    grids, rows = content["grid"], content.get("texture", [])
     if not (isinstance(grids, list) and all(isinstance(table, dict) for table in grids)):
         raise BadInput(f"{where}: grid: write [[grid]] in front of each grid")
+    if not isinstance(rows, list | tuple):
+        raise BadInput(f"{where}: texture: write [[texture]] in front of each texture")
+    rows = list(rows)
     for number, table in enumerate(grids):
         try:
             rows += Grid.model_validate(table).rows()
