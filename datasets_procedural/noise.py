@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 from nrbench.plugins.forms import Shape, Texture
 
@@ -83,13 +83,13 @@ class Noise:
     def _field(self, seed: int, shape: Shape) -> NDArray[np.float64]:
         """Return noise of mean 0 and variance 1: white noise, filtered on a torus larger than the picture."""
         margin = math.ceil(4 * self.scale)
-        rows, columns = (fft.next_fast_len(side + margin) for side in shape)
+        rows, columns = (scipy.fft.next_fast_len(side + margin) for side in shape)
         words = hash_bits(seed, np.arange(rows)[:, np.newaxis], np.arange(columns)).view(np.uint16)
         white = words.reshape(rows, columns, 4).sum(-1, dtype=np.float64) / 65535 - 2
-        gain = np.sqrt(self._power(fft.rfftfreq(columns), fft.fftfreq(rows)[:, np.newaxis]))
+        gain = np.sqrt(self._power(scipy.fft.rfftfreq(columns), scipy.fft.fftfreq(rows)[:, np.newaxis]))
         twice = np.where((np.arange(gain.shape[1]) == 0) | (2 * np.arange(gain.shape[1]) == columns), 1, 2)
         gain /= np.sqrt((gain**2 * twice).sum() / (rows * columns) / 3)
-        return np.asarray(fft.irfft2(fft.rfft2(white) * gain, (rows, columns))[: shape[0], : shape[1]])
+        return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(white) * gain, (rows, columns))[: shape[0], : shape[1]])
 
     def _power(self, fx: NDArray[np.float64], fy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the power of waves of (fx, fy) cycles a px."""

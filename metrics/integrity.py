@@ -137,7 +137,7 @@ class Integrity:
     regions that vary together have little power, tiles take the place of elements.
     """
 
-    version: ClassVar[str] = "9"
+    version: ClassVar[str] = "10"
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
             "1 = elements as whole as in fresh draws, 0 = no element whole; corrected for those that are missed.",

@@ -34,7 +34,7 @@ class Quality:
     It is None if the verdict on regularity is undecided, and on textures without a lattice.
     """
 
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column("The worst of regularity, integrity and randomness; 1 as a fresh draw.", better="higher"),
         "regularity": Column("Share of tiles in place; a quarter of it if the lattice is lost.", better="higher"),

@@ -77,7 +77,7 @@ class Randomness:
     sample and output, each about its own mean tile. Randomness is not scored where regularity is lost.
     """
 
-    version: ClassVar[str] = "5"
+    version: ClassVar[str] = "6"
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
             "The worst of variation, repetition and distance: 1 as a fresh draw, 0 one tile repeated.", better="higher"

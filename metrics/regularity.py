@@ -93,7 +93,7 @@ class Regularity:
     sample; no method uses it by default. The record ``lattice_from`` names the source: model, given, or dominance.
     """
 
-    version: ClassVar[str] = "7"
+    version: ClassVar[str] = "8"
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),
         "intact": Column(

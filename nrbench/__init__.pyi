@@ -1,5 +1,6 @@
 from .api import Sheet as Sheet
 from .api import detect_lattice as detect_lattice
+from .api import load as load
 from .api import run as run
 from .api import score as score
 from .api import synthesize as synthesize
@@ -21,3 +22,4 @@ from .plugins.forms import Texture as Texture
 from .running.runner import Options as Options
 from .runs.records import Run as Run
 from .tracking.deformation import Deformation as Deformation
+from .version import __version__ as __version__

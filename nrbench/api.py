@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,28 +17,33 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, as_image, match_channels, match_ndim, quantize
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.plugins.forms import Detection, Observation, Refused, Score, Shape, Synthesis, Task, Texture, Value
-from nrbench.running.guard import Limits
-from nrbench.running.guarded import LIMITS, plan_run
-from nrbench.running.phases import checked_synthesis, failure_reason, score_observation
-from nrbench.running.progress import Progress
-from nrbench.running.runner import Options, execute, working_metrics
-from nrbench.runs.records import Run
+from nrbench.plugins.parameters import LARGEST_SIDE, validated
 from nrbench.streams import pixels_hash, stream
-from nrbench.suites.suite import DEFAULT, LARGEST_SIDE, Suite, load_suite
-from nrbench.tracking.deformation import Deformation
-from nrbench.views.deformed import find_deformation
 
+# Runs, suites and their executors are imported by the functions that use them: one picture needs none of them.
+if TYPE_CHECKING:
+    from nrbench.running.progress import Progress
+    from nrbench.running.runner import Options
+    from nrbench.runs.records import Run
+    from nrbench.suites.suite import Suite
+    from nrbench.tracking.deformation import Deformation
+
+Imagelike = Any
+"""An image: an array of uint8, uint16 or float in [0, 1], with or without a channel axis; the path of a picture; or a
+:class:`~nrbench.plugins.forms.Texture` or :class:`~nrbench.plugins.forms.Synthesis`, whose image is taken."""
+Pluginlike = str | type[Any] | Any
+"""A plugin: its name; its class; or an instance, whose parameters are then those of the instance."""
 Latticelike = Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None
 """A lattice; its two vectors, and its origin; ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``. None: no lattice is given."""
 
 
-def texture(model: str, shape: Shape = (128, 128), seed: int = 0, **parameters: Any) -> Texture:
+def texture(model: Pluginlike, shape: Shape = (128, 128), seed: int = 0, **parameters: Any) -> Texture:
     """Draw a texture of a model. The returned texture holds the image, the true lattice and the true departures.
 
     Parameters
     ----------
     model
-        Name of a dataset plugin, e.g. ``"brick"``.
+        A dataset plugin: its name, e.g. ``"brick"``, its class, or an instance.
     shape
         (height, width) in px.
     seed
@@ -57,20 +62,22 @@ def texture(model: str, shape: Shape = (128, 128), seed: int = 0, **parameters: 
     >>> brick.image.shape
     (64, 96, 3)
     """
-    rng = stream("render", seed, model, 0)
-    drawn: Texture = plugins.build("datasets", model, parameters).render(_checked_shape(shape), rng)
+    plugin = _plugin("datasets", model, parameters)
+    name = model if isinstance(model, str) else plugins.name_of("datasets", type(plugin)) or type(plugin).__name__
+    rng = stream("render", seed, name, 0)
+    drawn: Texture = plugin.render(_checked_shape(shape), rng)
     return drawn
 
 
-def detect_lattice(image: Any, detector: str = "consensus", **parameters: Any) -> Detection:
+def detect_lattice(image: Imagelike, detector: Pluginlike = "consensus", **parameters: Any) -> Detection:
     """Detect the lattice of an image.
 
     Parameters
     ----------
     image
-        uint8, uint16 or float in [0, 1], with or without a channel axis.
+        An :data:`Imagelike`.
     detector
-        Name of a detector plugin.
+        A detector plugin: its name, its class, or an instance.
     parameters
         The detector's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -81,12 +88,12 @@ def detect_lattice(image: Any, detector: str = "consensus", **parameters: Any) -
     BadInput
         For a bad image, detector or parameter.
     """
-    detection: Detection = plugins.build("detectors", detector, parameters).detect(as_image(image))
+    detection: Detection = _plugin("detectors", detector, parameters).detect(_image(image))
     return detection
 
 
 def track_lattice(
-    image: Any, lattice: Latticelike = None, detector: str = "consensus", **parameters: Any
+    image: Imagelike, lattice: Latticelike = None, detector: Pluginlike = "consensus", **parameters: Any
 ) -> Deformation:
     """Find the lattice of an image that may be bent: rows that bow, periods that shrink, a plane in perspective.
 
@@ -96,12 +103,12 @@ def track_lattice(
     Parameters
     ----------
     image
-        uint8, uint16 or float in [0, 1], with or without a channel axis.
+        An :data:`Imagelike`.
     lattice
         The lattice, about as it is on average or somewhere in the image; its origin does not matter. If None, it is
         detected, in the whole image and in overlapping views.
     detector
-        Name of the detector that finds the lattice and confirms it on the straightened image.
+        The detector that finds the lattice and confirms it on the straightened image.
     parameters
         The detector's parameters.
 
@@ -119,9 +126,11 @@ def track_lattice(
     (True, True)
     >>> straight, mean = bent.straighten()
     """
-    thorough = plugins.build("detectors", detector, parameters)
+    from nrbench.views.deformed import find_deformation
+
+    thorough = _plugin("detectors", detector, parameters)
     quick = plugins.build("detectors", "dominance", {"reject": "none"})
-    return find_deformation(as_image(image), thorough, quick, as_lattice(lattice))
+    return find_deformation(_image(image), thorough, quick, as_lattice(lattice)).deformation
 
 
 def as_lattice(lattice: Latticelike) -> Lattice | None:
@@ -146,8 +155,8 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
 
 
 def synthesize(
-    method: str,
-    image: Any,
+    method: Pluginlike,
+    image: Imagelike,
     shape: Shape,
     lattice: Latticelike = None,
     seed: int = 0,
@@ -159,9 +168,9 @@ def synthesize(
     Parameters
     ----------
     method
-        Name of a synthesizer plugin, e.g. ``"rsgf"``.
+        A synthesizer plugin: its name, e.g. ``"rsgf"``, its class, or an instance.
     image
-        The sample: uint8, uint16 or float in [0, 1], with or without a channel axis.
+        The sample, an :data:`Imagelike`.
     shape
         (height, width) of the output in px.
     lattice
@@ -176,7 +185,7 @@ def synthesize(
     Returns
     -------
     Synthesis
-        The image has the channel layout of the sample.
+        The image has the channel layout of the sample: two axes if the sample is an array of two.
 
     Raises
     ------
@@ -185,14 +194,48 @@ def synthesize(
     BadInput
         For a bad image, lattice, method or parameter.
     """
-    sample = quantize(as_image(image))
-    plugin = plugins.build("synthesizers", method, parameters)
+    from nrbench.running.outputs import checked_synthesis
+
+    plugin = _plugin("synthesizers", method, parameters)
+    sample = quantize(_image(image))
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     task = Task(sample, _checked_shape(shape), as_lattice(lattice), rng, progress or (lambda fraction: None))
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
     synthesis = checked_synthesis(plugin.synthesize(task), sample, task.shape)
-    return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, image))
+    given = image if hasattr(image, "ndim") else sample
+    return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, given))
+
+
+def _image(image: Imagelike, where: str = "image") -> Image:
+    """Return an :data:`Imagelike` as an image."""
+    if isinstance(image, str | os.PathLike):
+        from nrbench.imaging.files import read_image
+
+        return read_image(Path(image))
+    if isinstance(image, Texture | Synthesis):
+        image = image.image
+    elif not isinstance(image, np.ndarray) and np.ndim(image) < 2:
+        found = type(image).__name__
+        raise BadInput(f"{where}: is of type {found}; pass an array, the path of a picture, or a Texture")
+    return as_image(image, where)
+
+
+def _plugin(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> Any:
+    """Return the instance of a :data:`Pluginlike`; raise BadInput if it is no plugin of the kind."""
+    if isinstance(plugin, str):
+        return plugins.build(kind, plugin, parameters)
+    form = plugins.FORMS[kind]
+    is_class = isinstance(plugin, type)
+    fault = plugins.fault(kind, plugin if is_class else type(plugin))
+    if fault:
+        raise BadInput(f"{fault}. Pass the name of a {form.noun}, its class, or an instance")
+    if is_class:
+        return validated(plugin, parameters, f"{form.noun} {plugin.__name__}")
+    if parameters:
+        names = ", ".join(parameters)
+        raise BadInput(f"{form.noun} {type(plugin).__name__}: is an instance already; set {names} when you make it")
+    return plugin
 
 
 def _checked_shape(shape: Shape) -> Shape:
@@ -224,29 +267,61 @@ class Sheet:
     pictures: Mapping[str, Image]
 
 
-def score(sample: Any, output: Any, lattice: Latticelike = None) -> Sheet:
+def score(
+    sample: Imagelike,
+    output: Imagelike,
+    lattice: Latticelike = None,
+    metrics: Sequence[str] | str = (),
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Sheet:
     """Score any tool's output against its sample.
 
     Parameters
     ----------
     sample, output
-        The two images, both gray or both in color; a gray one may be stored in color.
+        The two images, each an :data:`Imagelike`, both gray or both in color; a gray one may be stored in color.
     lattice
-        The sample's lattice. If None, metrics that need a lattice use the one that the detector ``dominance`` finds in
-        the sample; if it finds none, their scores are None, with the reason.
+        The sample's lattice. If None, it is that of the sample if this is a texture with a known lattice. If none is
+        known, metrics that need one use the lattice that the detector ``dominance`` finds in the sample; if it finds
+        none, their scores are None, with the reason.
+    metrics
+        Names of the metrics; empty for all.
+    progress
+        Called after each metric with the number of metrics done, of all, and the name of the last one.
     """
-    pair = quantize(as_image(sample, "sample")), quantize(as_image(output, "output"))
+    pair = quantize(_image(sample, "sample")), quantize(_image(output, "output"))
     pair = match_channels(*pair), match_channels(*pair[::-1])
     if pair[0].shape[2] != pair[1].shape[2]:
         raise BadInput(f"output: has {pair[1].shape[2]} channels, the sample {pair[0].shape[2]}; convert one of them")
     given = as_lattice(lattice)
+    if given is None and isinstance(sample, Texture):
+        given = sample.lattice
     truth = Texture(pair[0], given, (given,) if given else ())
-    return score_by_all_metrics(Observation(*pair, truth=truth, lattice_given=given))
+    return score_observation_by(Observation(*pair, truth=truth, lattice_given=given), _texts(metrics), progress)
 
 
-def score_by_all_metrics(observation: Observation) -> Sheet:
-    """Score an observation by every metric; the scores of one that raises are None, with the error as the reason."""
-    scores = {metric: _score_or_failure(observation, metric) for metric in working_metrics()}
+def score_observation_by(
+    observation: Observation,
+    metrics: Sequence[str] = (),
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Sheet:
+    """Score an observation by some metrics, or by all if none are named.
+
+    The scores of a metric that raises an error are None, with the error as the reason.
+
+    Raises
+    ------
+    BadInput
+        For an unknown metric.
+    """
+    from nrbench.running.runner import working_metrics
+
+    names = [plugins.find("metrics", name).name for name in dict.fromkeys(metrics)] or working_metrics()
+    scores = {}
+    for number, metric in enumerate(names, 1):
+        scores[metric] = _score_or_failure(observation, metric)
+        if progress:
+            progress(number, len(names), metric)
     return Sheet(
         {f"{metric}.{column}": value for metric, score in scores.items() for column, value in score.values.items()},
         {f"{metric}.{column}": why for metric, score in scores.items() for column, why in score.reasons.items()},
@@ -255,6 +330,8 @@ def score_by_all_metrics(observation: Observation) -> Sheet:
 
 
 def _score_or_failure(observation: Observation, metric: str) -> Score:
+    from nrbench.running.phases import failure_reason, score_observation
+
     try:
         return score_observation(observation, metric)
     except Exception as error:
@@ -262,12 +339,17 @@ def _score_or_failure(observation: Observation, metric: str) -> Score:
         return Score(dict.fromkeys(columns), dict.fromkeys(columns, failure_reason(error)))
 
 
+def _texts(given: Any) -> list[Any]:
+    """Return a sequence as a list; a text or a single plugin counts as one entry."""
+    return list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+
+
 def run(
-    suite: str | os.PathLike[str] | Suite = DEFAULT,
+    suite: str | os.PathLike[str] | Suite = "default",
     *,
-    methods: Sequence[str] = (),
-    textures: Sequence[str] = (),
-    lattice: Sequence[str] = (),
+    methods: Sequence[Pluginlike] | Pluginlike = (),
+    textures: Sequence[str] | str = (),
+    lattice: Sequence[Latticelike] | str = (),
     out: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
     options: Options | None = None,
@@ -280,7 +362,9 @@ def run(
     suite
         A suite, its name, a TOML file, or a directory of pictures.
     methods, textures, lattice
-        They replace those of the suite. Methods are ``name:param=value``, textures shell patterns of names.
+        They replace those of the suite. Methods are ``name:param=value``, or registered classes or instances of them;
+        textures are shell patterns of names; lattices are entries of the lattice axis, or a :data:`Latticelike`. A
+        single one needs no list.
     out
         The run directory; ``runs/SUITE`` if None.
     progress
@@ -290,12 +374,76 @@ def run(
         ``progress`` or in another thread, lets the running cells end first. Both raise KeyboardInterrupt.
     changes
         Other keys of the suite: ``seed``, ``replicates``, ``sample``, ``size``.
+
+    Raises
+    ------
+    BadInput
+        For an unknown suite, method, texture or lattice, or a class that is not registered: cells run in other
+        processes, which find plugins by their names.
     """
+    from nrbench.running.guard import Limits
+    from nrbench.running.guarded import LIMITS, plan_run
+    from nrbench.running.runner import execute
+    from nrbench.suites.suite import Suite, load_suite
+
     chosen = suite if isinstance(suite, Suite) else load_suite(Path(suite) if not isinstance(suite, str) else suite)
     limits = Limits(options.timeout, options.memory) if options else LIMITS
-    plan = plan_run(changed(chosen, methods, lattice, **changes), textures, limits)
+    specs = [_spec(method) for method in _texts(methods)]
+    sources = [_source(each) for each in ([lattice] if isinstance(lattice, Lattice) else _texts(lattice))]
+    plan = plan_run(changed(chosen, specs, sources, **changes), _texts(textures), limits)
     root = Path(out) if out is not None else Path("runs") / chosen.name
     return execute(plan, root, options, progress or (lambda step: None))
+
+
+def load(path: str | os.PathLike[str]) -> Run:
+    """Return a run that is on disk.
+
+    Parameters
+    ----------
+    path
+        The run directory.
+
+    Raises
+    ------
+    BadInput
+        If the directory is no run.
+    """
+    from nrbench.runs.records import Run
+
+    found = Run(Path(path))
+    _ = found.info
+    return found
+
+
+def _spec(method: Pluginlike) -> str:
+    """Return a method as ``name:param=value``; raise BadInput for a class that is not registered."""
+    if isinstance(method, str):
+        return method
+    instance = None if isinstance(method, type) else method
+    cls = method if isinstance(method, type) else type(method)
+    name = plugins.name_of("synthesizers", cls)
+    if not name:
+        raise BadInput(
+            f"method {cls.__name__}: is not registered; put it into a file and call nrbench.plugins.add_file(file), "
+            f"or pass it to nrbench.synthesize"
+        )
+    given = plugins.parameters_of(instance) if instance is not None else {}
+    bare = [f"{key}={_value_text(value)}" for key, value in given.items()]
+    return f"{name}:{','.join(bare)}" if bare else name
+
+
+def _value_text(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _source(lattice: Latticelike) -> str:
+    """Return an entry of the lattice axis as text."""
+    if isinstance(lattice, str):
+        return lattice
+    given = as_lattice(lattice)
+    if given is None:
+        raise BadInput("lattice None: leave it out, or give 'own', 'given', a detector or a lattice")
+    return ",".join(repr(float(number)) for number in given.numbers)
 
 
 def changed(suite: Suite, methods: Sequence[str] = (), lattice: Sequence[str] = (), **changes: Any) -> Suite:

@@ -5,10 +5,12 @@ The first call of a kernel, or :func:`load_kernels`, imports numba and compiles 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import importlib
 import inspect
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FunctionType
 from typing import Any, Generic, ParamSpec, TypeVar
@@ -59,10 +61,45 @@ def kernel(signature: str) -> Callable[[Callable[P, R]], Kernel[P, R]]:
     return declare
 
 
-def load_kernels() -> None:
-    """Load every declared kernel. A process calls this before it forks children that compute."""
-    for declared in KERNELS:
-        declared.load()
+def load_kernels(compiling: Callable[[], None] = lambda: None) -> None:
+    """Load every declared kernel. A process calls this before it forks children that compute.
+
+    Of several processes that find kernels uncompiled at the same time, one compiles them; the others wait for it and
+    read the cache.
+
+    Parameters
+    ----------
+    compiling
+        Called if kernels have to be compiled, before that begins.
+    """
+    with contextlib.ExitStack() as stack:
+        if any(map(_is_uncompiled, KERNELS)):
+            compiling()
+            stack.enter_context(_one_process_at_a_time())
+        for declared in KERNELS:
+            declared.load()
+
+
+def _is_uncompiled(declared: Kernel[..., Any]) -> bool:
+    """Return whether no kernel of a kernel's file is in nrbench's cache. Another cache of numba's is not searched."""
+    try:
+        numba: Any = importlib.import_module("numba")
+    except ImportError:
+        return False
+    return not (numba.config.CACHE_DIR or cache_folder(declared.function, numba.__version__).is_dir())
+
+
+@contextlib.contextmanager
+def _one_process_at_a_time() -> Iterator[None]:
+    """Hold a lock in the folder of the cache, where the system has such locks and the folder can be written."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            folder = platformdirs.user_cache_path("nrbench", appauthor=False)
+            folder.mkdir(parents=True, exist_ok=True)
+            fcntl.flock(stack.enter_context((folder / ".compiling").open("w")), fcntl.LOCK_EX)
+        yield
 
 
 def cache_folder(function: Callable[..., Any], version: str) -> Path:
@@ -112,16 +149,16 @@ def _compile(function: Callable[P, R], signature: str) -> Callable[P, R]:
             stacklevel=3,
         )
         return function
-    return _njit(numba, _link_kernels(function), signature)
+    return _njit(numba, _link_kernels(function), signature, cache_folder(function, numba.__version__))
 
 
-def _njit(numba: Any, function: Callable[P, R], signature: str) -> Callable[P, R]:
+def _njit(numba: Any, function: Callable[P, R], signature: str, folder: Path) -> Callable[P, R]:
     # The folder is numba's global setting, read while it decorates. It is put back, so that the user's setting stays.
     # Reassociated sums use vector instructions. Results are equal on one type of machine. Across processors, kernels
     # that sum floats may differ in the last bit.
     before = numba.config.CACHE_DIR
     try:
-        numba.config.CACHE_DIR = before or str(cache_folder(function, numba.__version__))
+        numba.config.CACHE_DIR = before or str(folder)
         compiled: Callable[P, R] = numba.njit(signature, cache=True, fastmath={"reassoc"})(function)
     except (RuntimeError, OSError):  # no folder to cache in
         compiled = numba.njit(signature, fastmath={"reassoc"})(function)

@@ -67,6 +67,10 @@ class CsvTables:
     - ``differences.csv``: the paired differences between methods.
     - ``columns.csv``: for every column of ``cells.csv`` its meaning, unit, range, and which values are better.
     - ``perils.csv``: the points of the perils plane.
+    - ``baseline.csv``: for each method the difference in quality to one method, by default the best, with the effect
+      size and, from 10 textures up, the p-value of Wilcoxon's test with Holm's correction.
+    - ``significance.csv``: for each pair of ranked methods the average ranks and whether they differ; from 10 textures
+      up.
 
     If the suite has textures at two levels or more of one departure, ``levels.csv`` has the mean quality of each method
     at each level, and ``breaking_points.csv`` the first level at which it is below 0.5.
@@ -89,16 +93,22 @@ class CsvTables:
     labels
         Answer files of the labelling pages of ``nrbench label``. They add ``labels.csv``, one row an answer, and
         ``agreement.csv``, one row a question and pair of raters.
+    tests
+        Whether to test which methods differ. Without tests there is no leading group.
+    baseline
+        The method with which the others are compared, by its name or label; by default the best ranked one.
     """
 
     labels: tuple[Path, ...] = ()
+    tests: bool = True
+    baseline: str = ""
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the tables and return their paths."""
-        comparison = compare_methods(run)
+        comparison = compare_methods(run, self.tests, self.baseline)
         tables = {
             "cells": cells_table(run),
             "comparison": comparison_table(comparison),
@@ -106,6 +116,10 @@ class CsvTables:
             "differences": differences_table(comparison),
             "columns": columns_table(run),
         }
+        if comparison.against:
+            tables["baseline"] = baseline_table(comparison)
+        if comparison.tests:
+            tables["significance"] = significance_table(comparison)
         if points := perils_points(comparison.summaries):
             tables["perils"] = perils_table(points)
         if panels := compare_levels(run, comparison):
@@ -192,6 +206,45 @@ def differences_table(comparison: Comparison) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=names)
 
 
+def baseline_table(comparison: Comparison) -> pd.DataFrame:
+    """Return one row a method: its difference in quality to the baseline, the effect size, and the adjusted p-value."""
+    other = comparison.baseline.label if comparison.baseline else ""
+    rows = [
+        [
+            one.method.label,
+            other,
+            *(getattr(one.estimate, part) for part in ("value", "low", "high", "n", "of")),
+            one.effect,
+            one.p,
+        ]
+        for one in comparison.against
+    ]
+    names = ["method", "baseline", "difference", "low", "high", "n", "of", "rank_biserial", "p_holm"]
+    return pd.DataFrame(rows, columns=names)
+
+
+def significance_table(comparison: Comparison) -> pd.DataFrame:
+    """Return one row a pair of ranked methods: their average ranks, the adjusted p-value, and whether they differ."""
+    tests, labels = comparison.tests, [one.label for one in comparison.ranked]
+    assert tests is not None
+    rows = [
+        [
+            labels[i],
+            labels[j],
+            tests.ranks[i],
+            tests.ranks[j],
+            tests.adjusted[i, j],
+            bool(tests.different[i, j]),
+            tests.n,
+            tests.friedman,
+        ]
+        for at, i in enumerate(tests.order)
+        for j in tests.order[at + 1 :]
+    ]
+    names = ["first", "second", "first_rank", "second_rank", "p_holm", "differ", "n", "p_friedman"]
+    return pd.DataFrame(rows, columns=names)
+
+
 def columns_table(run: Run) -> pd.DataFrame:
     """Return one row a column of ``cells.csv``: its name, meaning, unit, range, and which values are better.
 
@@ -205,8 +258,13 @@ def columns_table(run: Run) -> pd.DataFrame:
     return pd.DataFrame([*own, *scores], columns=["column", "meaning", "unit", "low", "high", "better"])
 
 
+def csv_text(table: pd.DataFrame) -> str:
+    """Return a table as CSV, in which a spreadsheet runs no text as a formula."""
+    return str(table.map(_disarm).rename(columns=_disarm).to_csv(index=False, lineterminator="\n"))
+
+
 def _write(table: pd.DataFrame, path: Path) -> Path:
-    text = table.map(_disarm).rename(columns=_disarm).to_csv(index=False, lineterminator="\n")
+    text = csv_text(table)
     write_aside(path, lambda aside: aside.write_bytes(text.encode("utf-8", "backslashreplace")))
     return path
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -20,15 +19,21 @@ from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RUN_FILE
 from nrbench.storage import write_aside
 
+from .csv import csv_text, summary_table
+from .latex import bibliography, latex_text
 from .page.forest_plot import forest_axes
-from .page.gallery import PictureSource, build_disagreement, build_gallery, layer_titles, score_shade
+from .page.gallery import SOURCE_MAP, build_disagreement, build_gallery, list_layers, score_shade
+from .page.inline_svg import inline_svg
+from .page.pictures import PictureStore
 from .plots.claim_plot import plot_claim
+from .plots.cost_plane import has_cost, plot_cost
+from .plots.critical_difference import plot_ranks
+from .plots.heat_map import plot_heat_map
 from .plots.level_plot import plot_levels
 from .plots.perils_plane import plot_perils_plane
 from .statistics import format as text_format
 from .statistics.claims import evaluate_claims
 from .statistics.comparison import (
-    LEADING_LEGEND,
     LEADING_SIGN,
     compare_methods,
     describe_scores,
@@ -63,15 +68,21 @@ class HtmlReport:
 
     Parameters
     ----------
-    embed_mib
-        The page embeds pictures of up to this many MiB in total. Above, it links the run's own files and must stay in
-        the run directory.
+    single_file
+        Embed every output with all its pixels. Otherwise the page embeds small copies and needs the folder
+        ``pictures`` beside it only to show all pixels of a magnified output.
     labels
         Answer files of the labelling pages of ``nrbench label``. They add the agreement of people with the scores.
+    tests
+        Whether to test which methods differ. Without tests there is no leading group.
+    baseline
+        The method with which the others are compared, by its name or label; by default the best ranked one.
     """
 
-    embed_mib: float = 60.0
+    single_file: bool = False
     labels: tuple[Path, ...] = ()
+    tests: bool = True
+    baseline: str = ""
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "report"
@@ -84,8 +95,8 @@ class HtmlReport:
 
     def render(self, run: Run, directory: Path) -> str:
         """Return the page as it will lie in ``directory``."""
-        comparison = compare_methods(run)
-        pictures = PictureSource.for_cells(run.cells, directory, self.embed_mib * 2**20)
+        comparison = compare_methods(run, self.tests, self.baseline)
+        pictures = PictureStore(directory, self.single_file)
         detectors = compare_detectors(run)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         people, claims = compare_people(run, self.labels), evaluate_claims(run)
@@ -93,6 +104,7 @@ class HtmlReport:
             name: [(one, build_disagreement(run, one.record, asked.question, pictures)) for one in asked.disagreements]
             for name, asked in (people.questions.items() if people else ())
         }
+        sections = build_gallery(run, comparison, pictures)
         references = (i for i, method in enumerate(comparison.methods) if i and method.reference)
         content: dict[str, Any] = {
             "info": run.info,
@@ -102,29 +114,36 @@ class HtmlReport:
             "comparison": comparison,
             "patch_terms": list_patch_terms(run),
             "first_reference": next(references, -1),
-            "other_scores": other_score_rows(run, comparison.summaries),
+            "more_rows": other_score_rows(run, comparison.summaries),
             "axes": forest_axes(comparison.summary_rows),
             "points": points,
-            "plane": _svg_source(plot_perils_plane(points, "svg")) if points else "",
+            "plane": inline_svg(plot_perils_plane(points, "svg"), "plane") if points else "",
+            "ranks": inline_svg(plot_ranks(comparison), "ranks") if comparison.tests else "",
+            "heat_map": inline_svg(plot_heat_map(comparison), "heat") if comparison.has_ranking else "",
+            "cost_plane": inline_svg(plot_cost(comparison), "cost") if has_cost(comparison) else "",
+            "summary_csv": csv_text(summary_table(comparison)),
+            "summary_latex": latex_text(run, comparison) if comparison.scored and comparison.rows else "",
+            "bibliography": bibliography(run),
             "panels": panels,
-            "level_plot": _svg_source(plot_levels(panels, "svg", _LEVELS_WIDTH)) if panels else "",
+            "level_plot": inline_svg(plot_levels(panels, "svg", _LEVELS_WIDTH), "levels") if panels else "",
             "broken": BROKEN,
             "leading_sign": LEADING_SIGN,
-            "leading_legend": LEADING_LEGEND,
-            "sections": build_gallery(run, comparison, pictures),
-            "titles": layer_titles(run),
+            "leading_legend": comparison.leading_legend,
+            "sections": sections,
+            "layers": list_layers(sections),
+            "source_map": SOURCE_MAP,
             "unfinished": _unfinished_cells(run.cells),
             "failed_scores": _failed_scores(run.cells),
             "columns": describe_scores(run),
             "meanings": MEANINGS,
             "marks": MARKS,
             "claims": claims,
-            "claim_plots": [_svg_source(plot_claim(one, "svg")) for one in claims],
+            "claim_plots": [inline_svg(plot_claim(one, "svg"), f"claim{i}") for i, one in enumerate(claims)],
             "published": compare_with_published(run, comparison),
             "published_sentence": SENTENCE,
             "baseline_sign": BASELINE_SIGN,
             "baseline_legend": BASELINE_LEGEND,
-            "embedded": pictures.embedded,
+            "single_file": self.single_file,
             "scored": comparison.scored,
             "detectors": detectors,
             "families": _families(detectors),
@@ -134,11 +153,9 @@ class HtmlReport:
             "whole_score": WHOLE_SCORE,
             "disagreements": disagreements,
         }
-        return _fill_template(content)
-
-
-def _svg_source(svg: bytes) -> str:
-    return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
+        page = _fill_template(content)
+        pictures.sweep()
+        return page
 
 
 def _fill_template(content: Mapping[str, Any]) -> str:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from nrbench import plugins
 from nrbench.errors import BadInput, strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
 from .statistics.comparison import (
-    LEADING_LEGEND,
     Comparison,
     Entry,
     Method,
@@ -22,6 +22,7 @@ from .statistics.comparison import (
     SummaryRow,
     compare_methods,
     list_patch_terms,
+    other_score_rows,
 )
 from .statistics.estimates import Estimate
 from .statistics.format import format_interval, format_number, format_signed
@@ -74,33 +75,62 @@ class LatexTables:
     ----------
     columns
         Methods side by side in ``comparison.tex``, at least 1; further methods follow below.
+    scores
+        The columns of ``summary.tex``, by the names of the rows in ``summary.csv``; by default the headlines.
+    tests
+        Whether to test which methods differ. Without tests there is no leading group.
+    baseline
+        The method with which the others are compared, by its name or label; by default the best ranked one.
     """
 
     columns: int = 6
+    scores: tuple[str, ...] = ()
+    tests: bool = True
+    baseline: str = ""
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "scores", tuple(self.scores))
         if self.columns < 1:
             raise BadInput(f"report latex: columns is {self.columns}; give at least 1")
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; without a regularity score only ``patches.tex``, if at all."""
-        comparison, terms = compare_methods(run), list_patch_terms(run)
-        contents = {"patches": _patches(run, terms)} if terms else {}
+        comparison, terms = compare_methods(run, self.tests, self.baseline), list_patch_terms(run)
+        contents: dict[str, Iterable[str]] = {"patches": _patches(run, terms)} if terms else {}
         if comparison.scored and comparison.rows:
-            contents["summary"] = _summary(run, comparison)
+            contents["summary"] = _summary(run, comparison, self.scores)
             contents["comparison"] = _comparison(run, comparison, self.columns)
             if published := compare_with_published(run, comparison):
                 contents["published"] = _published(run, published)
-        return [_write(directory / f"{name}.tex", lines) for name, lines in contents.items()]
+        written = [_write(directory / f"{name}.tex", _document(lines)) for name, lines in contents.items()]
+        if entries := bibliography(run):
+            written.append(_write(directory / "methods.bib", f"{entries}\n"))
+        return written
 
 
-def _write(path: Path, lines: Iterator[str]) -> Path:
-    content = "".join(f"{line}\n" for line in (*_definitions(), *lines)).encode("utf-8", "backslashreplace")
-    write_aside(path, lambda aside: aside.write_bytes(content))
+def _write(path: Path, text: str) -> Path:
+    write_aside(path, lambda aside: aside.write_bytes(text.encode("utf-8", "backslashreplace")))
     return path
+
+
+def _document(lines: Iterable[str]) -> str:
+    return "".join(f"{line}\n" for line in (*_definitions(), *lines))
+
+
+def latex_text(run: Run, comparison: Comparison, scores: Sequence[str] = ()) -> str:
+    """Return the table of methods by scores, with the definitions of its marks."""
+    return _document(_summary(run, comparison, scores))
+
+
+def bibliography(run: Run) -> str:
+    """Return the BibTeX entries of the papers of a run's methods, each once, in the order of the run."""
+    names = dict.fromkeys(record.cell.method for record in run.cells)
+    installed = set(plugins.names("synthesizers"))
+    papers = [getattr(plugins.find("synthesizers", name).cls, "paper", "") for name in names if name in installed]
+    return "".join(f"{strip_control(paper).strip()}\n\n" for paper in dict.fromkeys(papers) if paper).rstrip("\n")
 
 
 def escape_latex(text: str) -> str:
@@ -112,7 +142,8 @@ def _definitions() -> Iterator[str]:
     yield r"% needs \usepackage{booktabs} and \usepackage[T1]{fontenc}; a paper can define these marks before this file"
     for name, sign in (*_MARKS.values(), *_OTHER.items()):
         yield rf"\providecommand{{\nrb{name}}}{{{sign}}}"
-    yield r"\providecommand{\nrbLeading}[1]{\textbf{#1}}"
+    yield r"\providecommand{\nrbBest}[1]{\textbf{#1}}"
+    yield r"\providecommand{\nrbTie}[1]{\textbf{#1}}"
 
 
 def _method(one: MethodSummary) -> str:
@@ -136,8 +167,8 @@ def _line(parts: Sequence[str]) -> str:
     return " & ".join(parts) + r" \\"
 
 
-def _summary(run: Run, comparison: Comparison) -> Iterator[str]:
-    lines = comparison.summary_rows
+def _summary(run: Run, comparison: Comparison, scores: Sequence[str]) -> Iterator[str]:
+    lines = _chosen_rows(run, comparison, scores)
     heads = [_column_title(line) for line in lines]
     rows = [_line(["method", *(rf"\shortstack{{{head}}}" for head in heads)]), r"\midrule"]
     references = False
@@ -145,17 +176,31 @@ def _summary(run: Run, comparison: Comparison) -> Iterator[str]:
         if one.method.reference and not references and len(rows) > 2:
             rows.append(r"\midrule")
         references = one.method.reference
-        rows.append(_line([_method(one), *(_value(line, i, one.leading) for line in lines)]))
+        rows.append(_line([_method(one), *(_value(line, i, one) for line in lines)]))
     ranking = (
         "Methods are ranked by quality, the worst of regularity, integrity and randomness of each output; a failed or "
-        rf"refused output has quality 0. \nrbLeading{{Bold}}: {escape_latex(LEADING_LEGEND)}. "
+        "refused output has quality 0. "
     )
+    if comparison.leading_legend:
+        ranking += rf"\nrbBest{{Best}} and \nrbTie{{tied}}: {escape_latex(comparison.leading_legend)}. "
     caption = (
-        f"{_suite(run)}: means over textures, with 95\\,\\% intervals over textures below. "
+        f"{_suite(run)}: means over {len(comparison.rows)} textures, with 95\\,\\% intervals over textures below. "
         f"{ranking * comparison.has_ranking}Preserved: share of textures whose lattice is preserved. "
         f"{{\\itshape /n}}: the value rests on n textures. {_signs(comparison)}"
     )
     yield from _float("summary", caption, "l" + "r" * len(heads), rows)
+
+
+def _chosen_rows(run: Run, comparison: Comparison, scores: Sequence[str]) -> Sequence[SummaryRow]:
+    """Return the rows of the named scores in their order, or the headlines if none is named."""
+    if not scores:
+        return comparison.summary_rows
+    rows = {row.name: row for row in (*comparison.summary_rows, *other_score_rows(run, comparison.summaries))}
+    for row in comparison.summary_rows:
+        rows.setdefault(row.title, row)
+    if unknown := [name for name in scores if name not in rows]:
+        raise BadInput(f"report latex: scores: no column {unknown[0]!r} in this run; give some of: {', '.join(rows)}")
+    return [rows[name] for name in scores]
 
 
 def _column_title(line: SummaryRow) -> str:
@@ -165,14 +210,14 @@ def _column_title(line: SummaryRow) -> str:
     return words.replace(" (", r"\\(").replace(".", r"\\")
 
 
-def _value(line: SummaryRow, index: int, leading: bool) -> str:
+def _value(line: SummaryRow, index: int, method: MethodSummary) -> str:
     """Return one number of a method above its interval; its quality is marked if it is in the leading group."""
     one = line.estimates[index]
     if one is None or one.value is None:
         return "--"
     value = f"{100 * one.value:.0f}" if line.rate else _mathematical(format_number(one.value))
-    if leading and line.name == RANKING:
-        value = rf"\nrbLeading{{{value}}}"
+    if method.leading and line.name == RANKING and not line.variant:
+        value = rf"\nrb{'Best' if method.rank == 1 else 'Tie'}{{{value}}}"
     part = rf" \textit{{/{one.n}}}" if line.rate or one.n < one.of else ""
     return _stacked(value + part, _mathematical(format_interval(one, as_percent=line.rate)))
 

@@ -15,7 +15,7 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
 from .statistics import format as text_format
-from .statistics.comparison import LEADING_LEGEND, LEADING_SIGN, compare_methods, list_patch_terms
+from .statistics.comparison import LEADING_SIGN, compare_methods, list_patch_terms
 from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, SHARES_LEGEND
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"
@@ -29,7 +29,17 @@ class MarkdownTables:
 
     A last table says how methods that copy patches choose, place and join them. Names and messages are escaped: nothing
     in them becomes markup or a link.
+
+    Parameters
+    ----------
+    tests
+        Whether to test which methods differ. Without tests there is no leading group.
+    baseline
+        The method with which the others are compared, by its name or label; by default the best ranked one.
     """
+
+    tests: bool = True
+    baseline: str = ""
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
@@ -46,10 +56,9 @@ class MarkdownTables:
             _environment()
             .get_template("comparison.md")
             .render(
-                comparison=compare_methods(run),
+                comparison=compare_methods(run, self.tests, self.baseline),
                 patch_terms=list_patch_terms(run),
                 leading_sign=LEADING_SIGN,
-                leading_legend=LEADING_LEGEND,
                 meanings=MEANINGS,
                 baseline_sign=BASELINE_SIGN,
                 baseline_legend=f"{BASELINE_LEGEND} ({SHARES_LEGEND})",

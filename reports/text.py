@@ -20,7 +20,6 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_aside
 
 from .statistics.comparison import (
-    LEADING_LEGEND,
     LEADING_SIGN,
     Comparison,
     Entry,
@@ -51,9 +50,15 @@ class TextTable:
     ----------
     width
         Characters in a line, at least 40; columns that do not fit follow in a further table below.
+    tests
+        Whether to test which methods differ. Without tests there is no leading group.
+    baseline
+        The method with which the others are compared, by its name or label; by default the best ranked one.
     """
 
     width: int = 120
+    tests: bool = True
+    baseline: str = ""
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
@@ -71,7 +76,7 @@ class TextTable:
 
     def render(self, run: Run) -> str:
         """Return the comparison as text without color codes; every line ends in a newline."""
-        comparison, detectors = compare_methods(run), compare_detectors(run)
+        comparison, detectors = compare_methods(run, self.tests, self.baseline), compare_detectors(run)
         file = StringIO()
         console = Console(file=file, width=self.width, color_system=None, force_terminal=False, emoji=False)
         console.print(Text(comparison.title))
@@ -184,7 +189,8 @@ def _legend(comparison: Comparison) -> Iterator[str]:
     marks = ", ".join(f"{mark} {name}" for mark, name in comparison.legend)
     if comparison.has_ranking:
         yield "Methods are ranked by their mean quality over textures. A failed or refused cell has quality 0."
-        yield f"{LEADING_SIGN} {LEADING_LEGEND}."
+        if comparison.leading_legend:
+            yield f"{LEADING_SIGN} {comparison.leading_legend}."
         yield "Quality of an output: the worst of regularity, integrity and randomness. 1 is as good as a fresh draw."
     yield "Means over textures, with 95 % intervals. (n/N): the mean counts n of N textures."
     yield "References calibrate the scores and are never ranked. Under a method: the source of its lattice."

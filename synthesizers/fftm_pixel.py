@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.cluster.vq import kmeans, vq
 
 from nrbench.detectors.frdft import Frdft
 from nrbench.errors import checker
@@ -207,8 +207,8 @@ class Clusters:
         vectors = neighborhood.vectors(layers, pixels).astype(np.float64)
         distinct = np.unique(vectors, axis=0)
         guess = distinct[np.sort(rng.permutation(len(distinct))[:count])]
-        centers = np.unique(np.rint(kmeans(vectors, guess, thresh=CLUSTER_CHANGE)[0]), axis=0)
-        used, labels = np.unique(vq(vectors, centers)[0], return_inverse=True)
+        centers = np.unique(np.rint(scipy.cluster.vq.kmeans(vectors, guess, thresh=CLUSTER_CHANGE)[0]), axis=0)
+        used, labels = np.unique(scipy.cluster.vq.vq(vectors, centers)[0], return_inverse=True)
         return cls(neighborhood, centers[used], labels.astype(np.int64))
 
     def label_output(self, layers: Layers, shape: Shape, corner: tuple[int, int]) -> Integers:
@@ -230,5 +230,7 @@ class Clusters:
             rows = np.arange(start, min(start + CLUSTER_BAND, height)) + corner[0]
             pixels = (rows[:, np.newaxis] * layers.shape[2] + columns).ravel()
             vectors = self.neighborhood.vectors(layers, pixels).astype(np.float64)
-            labels[start : start + CLUSTER_BAND] = vq(vectors, self.centers)[0].reshape(len(rows), width)
+            labels[start : start + CLUSTER_BAND] = scipy.cluster.vq.vq(vectors, self.centers)[0].reshape(
+                len(rows), width
+            )
         return labels

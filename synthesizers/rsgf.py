@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.gncc import Gncc
@@ -358,7 +358,7 @@ def _places_inside(places: Points, shape: SearchShape) -> Points:
 
 def _fade(overlap: Mask, border: int) -> Map:
     """Return the share of the displacement that a pixel takes: 0 in the hole, 1 at a border's width from it."""
-    return np.asarray(np.minimum(ndimage.distance_transform_edt(overlap) / border, 1.0))
+    return np.asarray(np.minimum(scipy.ndimage.distance_transform_edt(overlap) / border, 1.0))
 
 
 class PlaceSampler:

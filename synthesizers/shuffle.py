@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.detectors.gncc import Gncc
 from nrbench.imaging.fold import fold, sample_tile
@@ -85,7 +85,7 @@ def _place_cuts(task: Task, lattice: Lattice) -> tuple[Points, Points]:
     departures = ((task.sample - mean.unfold(task.sample.shape[:2])) ** 2).sum(-1, keepdims=True)
     tile = fold(departures, lattice).values
     sigma = (*(_BLUR * side for side in tile.shape[:2]), 0)
-    energy = np.asarray(ndimage.gaussian_filter(tile, sigma, mode="wrap"), np.float32)
+    energy = np.asarray(scipy.ndimage.gaussian_filter(tile, sigma, mode="wrap"), np.float32)
     steps = np.arange(_STEPS) / _STEPS
     starts = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     edge = edge_points(lattice, _ALONG_EDGE) @ np.linalg.inv(lattice.matrix)

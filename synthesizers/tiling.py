@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
-from scipy.signal import fftconvolve
+import scipy
 
 from nrbench.detectors.gncc import Gncc
 from nrbench.imaging.convert import Image
@@ -117,6 +117,6 @@ def _typical_center(sample: Image, lattice: Lattice, centers: Points) -> Points:
     x, y = np.ceil(half_extent(lattice)).astype(int)
     around = pixel_grid(2 * x + 1, 2 * y + 1, -x, -y) - np.array(OFFSET)
     inside = np.abs(lattice.wrap(around) - around).max(-1) < 1e-6
-    total = fftconvolve(departure, inside[::-1, ::-1].astype(np.float64), mode="same")
+    total = scipy.signal.fftconvolve(departure, inside[::-1, ::-1].astype(np.float64), mode="same")
     column, row = centers.astype(int).T
     return np.asarray(centers[np.argmin(np.round(total[row, column], 6))])

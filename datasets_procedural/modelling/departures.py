@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import correlate1d
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
@@ -151,7 +151,11 @@ class Departures:
 
     def _smooth(self, field: Field) -> Field:
         kernel = np.exp(-(np.arange(-self.margin, self.margin + 1) ** 2) / (2 * self._seam**2))
-        return np.asarray(correlate1d(correlate1d(field, kernel / kernel.sum(), 0), kernel / kernel.sum(), 1))
+        return np.asarray(
+            scipy.ndimage.correlate1d(
+                scipy.ndimage.correlate1d(field, kernel / kernel.sum(), 0), kernel / kernel.sum(), 1
+            )
+        )
 
     def paint(self, pattern: Pattern, seed: int, origin: Origin | None = None) -> tuple[Image, Elements]:
         """Return the image, not yet clipped, and the elements in it with their departures.

@@ -11,8 +11,8 @@ import math
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import correlate1d
 
 from nrbench.imaging.convert import sum_channels
 from nrbench.plugins.forms import Shape
@@ -95,7 +95,7 @@ def grain(seed: int, shape: Shape) -> NDArray[np.float32]:
     white = sum_channels(words.astype(np.float32)) / 65535 - 2
     kernel = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * _GRAIN**2))
     kernel /= np.sqrt((kernel**2).sum())
-    smooth = correlate1d(correlate1d(white, kernel, 0), kernel, 1)
+    smooth = scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(white, kernel, 0), kernel, 1)
     return np.asarray(smooth[reach:-reach, reach:-reach] * np.float32(math.sqrt(3)))
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.lattice.geometry import Lattice, Vector, integers_within
 from nrbench.plugins.forms import Shape, Texture
@@ -246,10 +246,10 @@ class _Places:
         middle = np.stack([np.bincount(label.ravel(), grid[..., k].ravel()) / count for k in range(2)], -1)
         distance = ((grid - middle[label]) ** 2).sum(-1)
         central = layer.coverage - 1e-3 * distance / distance.max(initial=1.0)
-        positions = np.asarray(ndimage.maximum_position(central, label, np.arange(len(rows))), np.int64)
+        positions = np.asarray(scipy.ndimage.maximum_position(central, label, np.arange(len(rows))), np.int64)
         # An element that covers no pixel is as large as its cell.
         hidden = (np.bincount(label.ravel(), layer.coverage.ravel()) == 0)[label]
-        boxes = ndimage.find_objects(np.where((layer.coverage > 0) | hidden, label + 1, 0))
+        boxes = scipy.ndimage.find_objects(np.where((layer.coverage > 0) | hidden, label + 1, 0))
         first = np.array([[box[1].start, box[0].start] for box in boxes])
         last = np.array([[box[1].stop - 1, box[0].stop - 1] for box in boxes])
         pixel = np.ravel_multi_index(tuple(positions.T), shape)

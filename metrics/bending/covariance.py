@@ -23,7 +23,7 @@ _FARTHEST = 8.0
 """Largest distance, in s, at which the covariance is estimated."""
 _LEAST_PAIRS = 0.02
 """Number of pairs of a bin, over that of the fullest bin, below which the bin is ignored."""
-_FLOOR = 0.02
+_FLOOR = 0.01
 """Share of the variance that is added as the same spectrum for all wave lengths. The estimate misses waves that the few
 references happen not to show."""
 _LEAST_NOISE = 0.01
@@ -145,41 +145,11 @@ class Covariance:
         correlation = j0(table[:, np.newaxis] * _wave_numbers()) @ self.weights / (self.variance + self.noise)
         return float(2 * math.pi * (table * correlation**2).sum() * _STEP)
 
-    def scaled(self, s: float) -> PixelCovariance:
-        """Return the covariance in px, given the length s of the shortest lattice vector in px."""
-        return PixelCovariance(self, s)
-
     def between(self, places: Points, others: Points) -> Values:
         """Return the covariance of the field without errors at places ``(n, 2)`` and others ``(m, 2)``, in s."""
         apart = np.hypot(*np.moveaxis(places[:, np.newaxis] - others[np.newaxis], -1, 0))
         table = np.arange(0, float(apart.max(initial=0.0)) + 2 * _STEP, _STEP)
         return np.asarray(np.interp(apart, table, j0(table[:, np.newaxis] * _wave_numbers()) @ self.weights))
-
-
-@dataclass(frozen=True)
-class PixelCovariance:
-    """A covariance in px.
-
-    Parameters
-    ----------
-    covariance
-        In s.
-    s
-        Length of the shortest lattice vector, px.
-    """
-
-    covariance: Covariance
-    s: float
-
-    @property
-    def noise(self) -> float:
-        """Variance of the error of one node, px^2."""
-        return self.covariance.noise * self.s**2
-
-    def at(self, distances: Values) -> Values:
-        """Return the covariance at distances in px, px^2."""
-        waves = j0(distances[..., np.newaxis] / self.s * _wave_numbers())
-        return np.asarray(waves @ self.covariance.weights * self.s**2)
 
 
 def _wave_numbers() -> Values:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from nrbench.lattice.geometry import Points
 
@@ -29,6 +30,8 @@ _PATCHES = (2, 3)
 _OUTLYING, _TIMES_MEDIAN, _MOST_OUTLIERS = 8.0, 6.0, 0.1
 """A node is an outlier if its log-likelihood ratio exceeds both the first number and the second one times the median.
 At most the third share of the nodes is dropped: the tracker locks onto wrong places at a few nodes."""
+_RAMP = 0.35
+"""Standard deviation, in s, of the Gaussian that smooths a step: the window of a node shows both sides of the line."""
 _FREE = 10.0
 """Standard deviation, in s, of the phase of the field. It is free, so any large number serves."""
 
@@ -135,33 +138,37 @@ def _precision(places: Points, covariance: Covariance) -> Values:
     return np.asarray(scipy.linalg.inv(matrix, overwrite_a=True, check_finite=False))
 
 
-def _half_planes(places: Points) -> Flags:
-    """Return the nodes on one side of lines in all directions, half of the nodes' distance apart, ``(m, n)``."""
+def _half_planes(places: Points) -> Values:
+    """Return how far nodes lie on one side of lines in all directions, half of the nodes' distance apart, ``(m, n)``.
+
+    The value rises from 0 to 1 across the line, because the window of a node near the line shows both sides.
+    """
     sets = []
     step = math.sqrt(float(np.ptp(places[:, 0]) * np.ptp(places[:, 1])) / len(places)) / 2
     for angle in np.arange(_DIRECTIONS) * (math.pi / _DIRECTIONS):
         along = places @ (math.cos(angle), math.sin(angle))
         offsets = np.arange(along.min() + step / 2, along.max(), max(step, 1e-3))
-        sets.append(along > offsets[:, np.newaxis])
-    every = np.concatenate(sets)
-    share = every.mean(1)
-    return np.unique(every[(share >= _LEAST_SIDE) & (share <= 1 - _LEAST_SIDE)], axis=0)
+        # Lines between the same nodes are one line.
+        count, first = np.unique((along > offsets[:, np.newaxis]).sum(1), return_index=True)
+        kept = first[(count >= _LEAST_SIDE * len(places)) & (count <= (1 - _LEAST_SIDE) * len(places))]
+        sets.append(ndtr((along - offsets[kept, np.newaxis]) / _RAMP))
+    return np.concatenate(sets)
 
 
-def _patches(at: NDArray[np.int64]) -> Flags:
+def _patches(at: NDArray[np.int64]) -> Values:
     """Return the nodes of patches around each node, ``(m, n)``; ``at`` holds the row and column of each node."""
     apart = at[np.newaxis] - at[:, np.newaxis]
     sets = [np.asarray(((apart >= 0) & (apart < side)).all(-1)) for side in _PATCHES]
     # Patches of which more than a third is missing are left out.
-    return np.concatenate([one[one.sum(1) >= 2 / 3 * side**2] for one, side in zip(sets, _PATCHES, strict=True)])
+    return 1.0 * np.concatenate([one[one.sum(1) >= 2 / 3 * side**2] for one, side in zip(sets, _PATCHES, strict=True)])
 
 
-def _test_sets(sets: Flags, precision: Values, values: Points, block: NDArray[np.intp], nodes: int) -> Faults:
-    filters = sets.astype(np.float64) @ precision
+def _test_sets(sets: Values, precision: Values, values: Points, block: NDArray[np.intp], nodes: int) -> Faults:
+    filters = sets @ precision
     energy = np.maximum((filters * sets).sum(1), 1e-12)
     moments = filters @ values
     every = np.zeros((len(sets), nodes), np.bool_)
-    every[:, block] = sets
+    every[:, block] = sets > 0.5
     return Faults((moments**2).sum(1) / energy / 2, np.hypot(*moments.T) / energy, energy / 2, every)
 
 

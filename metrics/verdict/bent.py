@@ -46,30 +46,27 @@ class Bending:
 
     Parameters
     ----------
-    lattice
-        The undisturbed lattice, reduced.
     tile
-        The mean tile that is tracked.
+        The mean tile that is followed.
     references
         Tracked images without faults.
     covariance
         Covariance of their displacement fields.
     """
 
-    lattice: Lattice
     tile: MeanTile
     references: tuple[TrackedImage, ...]
     covariance: Covariance
 
     @classmethod
-    def of(cls, images: Sequence[Image], lattice: Lattice, tile: MeanTile) -> Bending:
+    def of(cls, images: Sequence[Image], tile: MeanTile) -> Bending:
         """Track images without faults."""
-        references, covariance = track_references(images, lattice, tile)
-        return cls(lattice, tile, references, covariance)
+        references, covariance = track_references(images, tile)
+        return cls(tile, references, covariance)
 
     def track(self, image: Image) -> TrackedImage:
         """Track an image."""
-        return track_image(image, self.lattice, self.tile, self.references[0].level, self.covariance)
+        return track_image(image, self.tile, self.references[0].level, self.covariance)
 
     def straighten(self, tracked: TrackedImage) -> StraightenedImage:
         """Return an image without its smooth displacement."""
@@ -143,8 +140,7 @@ def bent_reference_from_model(truth: Texture, lattice: Lattice, again: Again) ->
         draws.append(draw)
     whole = draws[0].ideal
     assert whole is not None
-    reduced = lattice.reduced()
-    bending = Bending.of([quantize(draw.image) for draw in draws], reduced, MeanTile.of(whole, reduced))
+    bending = Bending.of([quantize(draw.image) for draw in draws], MeanTile.of(whole, lattice.reduced()))
     straight = [bending.straighten(one) for one in bending.references]
     folded = [_fold_departures(one, whole, lattice) for one in straight]
     counts = np.sum([tile.counts for tile in folded], 0)
@@ -270,10 +266,10 @@ class BentVerdict(Verdict):
             return np.ones(len(self.output.tiles.centers), np.bool_)
         flags = np.asarray(patches.sets[self.patch_excess > 1].any(0))
         if (self.line_excess > 1).any():
-            beyond = lines.sets[self.line_excess.argmax()]
+            beyond = lines.sets[lines.statistic.argmax()]
             flags = flags | (beyond if beyond.sum() <= reliable.sum() / 2 else ~beyond & reliable)
         places = field.places.reshape(-1, 2)[reliable] * self.straightened.tracked.s
-        _, node = cKDTree(places).query(self.output.tiles.centers + self.straightened.corner)
+        _, node = cKDTree(places).query(self.locate_in_output(self.output.tiles.centers))
         return np.asarray(super().in_displaced_region | flags[reliable][node])
 
     @cached_property
@@ -381,19 +377,20 @@ class BentVerdict(Verdict):
 
     def describe_faults(self) -> dict[str, str]:
         """Return a sentence for each fault."""
-        lines, patches = self.tests.lines.distance, self.tests.patches.distance
+        lines, patches = self.tests.lines, self.tests.patches
         return {
             **super().describe_faults(),
-            "phase step": f"a phase step of {_at_largest(lines, self.line_excess):.2f} s",
-            "patch": f"a patch is off by {_at_largest(patches, self.patch_excess):.2f} s from its neighbors",
+            "phase step": f"a phase step of {_most_likely_distance(lines):.2f} s",
+            "patch": f"a patch is off by {_most_likely_distance(patches):.2f} s from its neighbors",
             "not tracked": f"the tile was not found at {self.untracked_share:.0%} of its places",
             "amplitude": f"displacements are {self.amplitude_ratio:.1f} times as large as in fresh draws",
             "roughness": f"displacements are {self.roughness_ratio:.1f} times as rough as in fresh draws",
         }
 
 
-def _at_largest(values: NDArray[np.float64], by: NDArray[np.float64]) -> float:
-    return float(values[by.argmax()]) if len(values) else 0.0
+def _most_likely_distance(faults: Faults) -> float:
+    """Return the displacement, in s, of the most likely fault."""
+    return float(faults.distance[faults.statistic.argmax()]) if len(faults.distance) else 0.0
 
 
 def _fault_excess(faults: Faults, tail: ExponentialTail, least: float) -> NDArray[np.float64]:

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from nrbench.api import Sheet
+    from nrbench.imaging.convert import Image
+    from nrbench.lattice.geometry import Lattice
 
 _PATH = click.Path(path_type=Path)
 
@@ -24,27 +30,93 @@ def check_output(path: Path) -> None:
 @click.argument("image", type=_PATH)
 @click.option("-m", "method", required=True, metavar="METHOD[:param=value,...]", help="The method.")
 @click.option("--size", required=True, metavar="WxH", help="Size of the output.")
-@click.option("--lattice", metavar="x1,y1,x2,y2[,x,y]", help="The lattice of IMAGE.  [default: the method finds it]")
+@click.option(
+    "--lattice",
+    metavar="x1,y1,x2,y2[,x,y]|DETECTOR",
+    help="The lattice of IMAGE, or the detector that finds it.  [default: the method finds it]",
+)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Equal seeds give equal outputs.")
 @click.option("-o", "--output", required=True, type=_PATH, metavar="OUT.png", help="The output.")
 def synth_command(image: Path, method: str, size: str, lattice: str | None, seed: int, output: Path) -> None:
     """Synthesize a texture of any size from IMAGE."""
     from nrbench import plugins
     from nrbench.api import synthesize
+    from nrbench.cli.progress import waiting
+    from nrbench.errors import BadInput
     from nrbench.imaging.files import read_image, write_image
-    from nrbench.plugins.parameters import parse_spec
-    from nrbench.running.phases import is_picture
-    from nrbench.suites.suite import parse_size
+    from nrbench.plugins.parameters import parse_size, parse_spec
+    from nrbench.running.outputs import is_picture
 
     name, parameters = parse_spec(method)
     check_output(output)
-    plugins.build("synthesizers", name, parameters)
-    synthesis = synthesize(name, read_image(image), parse_size(size), lattice, seed, **parameters)
+    if output.resolve() == image.resolve():
+        raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
+    finder = getattr(plugins.build("synthesizers", name, parameters), "finder", "")
+    shape, sample = parse_size(size), read_image(image)
+    given = _given_lattice(sample, lattice)
+    with waiting(f"{name}, {size}") as progress:
+        synthesis = synthesize(name, sample, shape, given, seed, progress, **parameters)
     write_image(output, synthesis.image)
     for title, array in synthesis.extras.items():
         if is_picture(array):
             write_image(output.with_name(f"{output.stem}-{title}.png"), array)
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
+    if given is None and synthesis.lattice is not None and finder != "consensus":
+        _warn_of_another_lattice(sample, name, synthesis.lattice)
+
+
+def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
+    """Return the lattice of the option ``--lattice``: its numbers, or what a detector finds, which is told.
+
+    Raises
+    ------
+    BadInput
+        If the text is neither, or the detector finds no lattice.
+    """
+    from nrbench import plugins
+    from nrbench.api import as_lattice, detect_lattice
+    from nrbench.cli.progress import waiting
+    from nrbench.errors import BadInput
+    from nrbench.plugins.forms import NoLatticeFound
+    from nrbench.plugins.parameters import parse_spec
+
+    name, parameters = parse_spec(text) if text and "," not in text.partition(":")[0] else ("", {})
+    if name not in plugins.names("detectors"):
+        return as_lattice(text)
+    try:
+        with waiting(f"{name} looks for the lattice"):
+            found = detect_lattice(sample, name, **parameters)
+    except NoLatticeFound as none:
+        raise BadInput(f"--lattice {text}: no lattice found ({none.reason}); give one as x1,y1,x2,y2") from None
+    click.echo(f"--lattice {','.join(f'{x:.6g}' for x in found.lattice.numbers)}  ({name})", err=True)
+    return found.lattice
+
+
+def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
+    """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
+    from nrbench.api import detect_lattice
+    from nrbench.cli.progress import waiting
+    from nrbench.lattice.comparison import relate
+    from nrbench.plugins.forms import NoLatticeFound
+
+    try:
+        with waiting("consensus checks the lattice"):
+            found = detect_lattice(sample).lattice
+    except NoLatticeFound:
+        return
+    change = relate(used, found)
+    if change is not None and change.divisor == 1:
+        return  # the same lattice, or a supercell of it, which repeats the texture as well
+    texts = [",".join(f"{x:.5g}" for x in (*each.t1, *each.t2)) for each in (used, found)]
+    click.echo(
+        f"nrbench: warning: {method} repeats the lattice {texts[0]}, the detector consensus finds {texts[1]}; if the "
+        "output looks wrong, use --lattice consensus",
+        err=True,
+    )
+
+
+HEADLINES = ("regularity.preserved", "quality.score", "quality.regularity", "quality.integrity", "quality.randomness")
+"""The scores that `score` prints by default, and by whose metrics the lattice is judged."""
 
 
 @click.command("score")
@@ -52,22 +124,74 @@ def synth_command(image: Path, method: str, size: str, lattice: str | None, seed
 @click.argument("output", type=_PATH)
 @click.option(
     "--lattice",
-    metavar="x1,y1,x2,y2[,x,y]",
-    help="The lattice of SAMPLE.  [default: scores that need one use the detector dominance]",
+    metavar="x1,y1,x2,y2[,x,y]|DETECTOR",
+    help="The lattice of SAMPLE, or the detector that finds it.  [default: scores that need one use the detector "
+    "dominance]",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
-def score_command(sample: Path, output: Path, lattice: str | None, as_json: bool) -> None:
-    """Score any tool's OUTPUT against its SAMPLE."""
+@click.option("--metrics", metavar="NAME,...", help="Compute these metrics, and print all their scores.")
+@click.option("--all", "every", is_flag=True, help="Compute all metrics.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output; of all metrics by default.")
+def score_command(
+    sample: Path, output: Path, lattice: str | None, metrics: str | None, every: bool, as_json: bool
+) -> None:
+    """Score any tool's OUTPUT against its SAMPLE.
+
+    Print whether the lattice is preserved, the quality, and its three parts: the regularity, the integrity and the
+    randomness. --all prints all scores.
+    """
     from nrbench.api import score
+    from nrbench.cli.progress import live_progress
+    from nrbench.errors import BadInput
     from nrbench.imaging.files import read_image
 
-    sheet = score(read_image(sample), read_image(output), lattice)
+    if metrics and every:
+        raise BadInput("--metrics and --all: choose one of them")
+    pictures = read_image(sample), read_image(output)
+    given = _given_lattice(pictures[0], lattice)
+    brief = not (metrics or every or as_json)
+    names = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES)) if brief else _split(metrics)
+    with live_progress(patience=True) as progress:
+        sheet = score(*pictures, given, names, progress)
     if as_json:
         print(json.dumps({**sheet.values, "reasons": dict(sheet.reasons)}, indent=1))
         return
-    for name, value in sheet.values.items():
-        number = value if value is None or isinstance(value, bool) else f"{value:.4g}"
-        print(f"{name:<36} {f'- ({sheet.reasons[name]})' if value is None else number}")
+    first = [name for name in HEADLINES if name in sheet.values]
+    print(_verdict_line(sheet))
+    for name in first if brief else dict.fromkeys([*first, *sheet.values]):
+        print(_score_line(sheet, name))
+    for reason, missing in _group_reasons(sheet, first if brief else list(sheet.values)).items():
+        print(f"{', '.join(missing)}: {reason}")
+    if brief:
+        print(f"{len(sheet.values) - len(first)} more scores of these metrics, and the other metrics: --all")
+
+
+def _split(names: str | None) -> list[str]:
+    return [name.strip() for name in (names or "").split(",") if name.strip()]
+
+
+def _verdict_line(sheet: Sheet) -> str:
+    """Return the verdict on the lattice in one line; empty if it was not asked for."""
+    name = HEADLINES[0]
+    if name not in sheet.values:
+        return "the lattice was not judged; add regularity to --metrics"
+    if sheet.values[name] is None:
+        return f"the lattice is not judged: {sheet.reasons[name]}"
+    return f"the lattice is {'preserved' if sheet.values[name] else 'LOST'}"
+
+
+def _score_line(sheet: Sheet, name: str) -> str:
+    value = sheet.values[name]
+    text = "-" if value is None else str(value) if isinstance(value, bool) else f"{value:.4g}"
+    return f"{name:<36} {text}"
+
+
+def _group_reasons(sheet: Sheet, names: list[str]) -> dict[str, list[str]]:
+    """Return the scores without a value by the reason."""
+    grouped: dict[str, list[str]] = {}
+    for name in names:
+        if sheet.values[name] is None:
+            grouped.setdefault(sheet.reasons[name], []).append(name)
+    return grouped
 
 
 @click.command("render")

@@ -143,18 +143,16 @@ class _Result:
 
     @classmethod
     def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> _Result:
-        """Return the result of a detector; (0, 0) stands for an unknown origin."""
-        from nrbench.suites.surveying import known_vectors
-
-        known = "origin" in known_vectors(detection.lattice)
-        return cls(detector, detection.lattice, detection, has_origin=known, seconds=seconds)
+        """Return the result of a detector."""
+        return cls(detector, detection.lattice, detection, has_origin=detection.has_origin, seconds=seconds)
 
     @property
     def vectors(self) -> dict[str, Any]:
         """The two vectors for JSON, and the origin where it is known."""
+        from nrbench.suites.surveying import known_vectors
+
         assert self.lattice is not None
-        known = ("t1", "t2", "origin") if self.has_origin else ("t1", "t2")
-        return {name: value for name, value in self.lattice.as_dict().items() if name in known}
+        return {name: list(vector) for name, vector in known_vectors(self.lattice, self.has_origin).items()}
 
     @property
     def candidates(self) -> list[Alternative]:
@@ -242,9 +240,7 @@ def _notes(candidate: Alternative) -> str:
 
 def _of_alternative(candidate: Alternative) -> _Result:
     """Return a result without a detector, for the forms of its vectors."""
-    from nrbench.suites.surveying import known_vectors
-
-    return _Result("", candidate.lattice, has_origin="origin" in known_vectors(candidate.lattice))
+    return _Result("", candidate.lattice, has_origin=candidate.has_origin)
 
 
 def _describe(candidate: Alternative) -> str:
@@ -312,12 +308,15 @@ def _print_numbers(lattice: Lattice) -> None:
 def _detect(image: Image, spec: str, output: Path | None, diagnostics: Path | None, as_json: bool) -> None:
     """Print and draw the lattice that one detector finds."""
     from nrbench import plugins
+    from nrbench.cli.progress import waiting
     from nrbench.plugins.forms import NoLatticeFound
     from nrbench.plugins.parameters import parse_spec
 
     name, parameters = parse_spec(spec)
+    detector = plugins.build("detectors", name, parameters)
     try:
-        detection = plugins.build("detectors", name, parameters).detect(image)
+        with waiting(f"{name} looks for the lattice"):
+            detection = detector.detect(image)
     except NoLatticeFound as none:
         title = f"{spec}: no lattice: {none.reason}"
         _draw_diagnostics(none.best.diagnostics if none.best else {}, title, diagnostics)
@@ -352,11 +351,16 @@ def _draw_overlay(image: Image, candidates: Sequence[Alternative], output: Path)
 def _compare_detectors(image: Image, output: Path | None, as_json: bool) -> int:
     """Print and draw the lattices of all detectors; return 1 if one of them failed, else 0."""
     from nrbench import plugins
+    from nrbench.cli.progress import live_progress
     from nrbench.jit import load_kernels
 
     load_kernels()
     names = [plugin.name for plugin in plugins.inventory("detectors") if plugin.cls is not None]
-    results = [_run_detector(image, name) for name in names]
+    results = []
+    with live_progress(patience=True) as progress:
+        for number, name in enumerate(names, 1):
+            results.append(_run_detector(image, name))
+            progress(number, len(names), name)
     if output is not None:
         _draw_comparison(image, results, output)
     if as_json:

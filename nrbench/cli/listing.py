@@ -6,9 +6,12 @@ import dataclasses
 import inspect
 import json
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from nrbench.plugins.overview import Summary
 
 _BETTER = {"one": "nearest to 1", "none": "neither higher nor lower"}
 KINDS = ("datasets", "detectors", "synthesizers", "metrics", "reports", "suites")
@@ -32,22 +35,21 @@ def list_command(kind: str | None, as_json: bool) -> None:
 
 
 def _entries(kind: str) -> list[dict[str, Any]]:
-    from nrbench import plugins
+    from nrbench.plugins.overview import summaries
     from nrbench.suites.suite import builtin, load_suite
 
     if kind == "suites":
         suites = [load_suite(name) for name in builtin()]
         return [{"name": s.name, "about": s.description, "version": s.version, "hash": s.hash} for s in suites]
-    return [_plugin_entry(plugin) for plugin in plugins.inventory(kind)]
+    return [_plugin_entry(summary) for summary in summaries(kind)]
 
 
-def _plugin_entry(plugin: Any) -> dict[str, Any]:
+def _plugin_entry(plugin: Summary) -> dict[str, Any]:
     shown = {"name": plugin.name, "distribution": plugin.distribution, "version": plugin.version}
-    if plugin.cls is None:
+    if plugin.error:
         return {**shown, "about": "BROKEN", "error": plugin.error}
-    about = (inspect.getdoc(plugin.cls) or "").partition("\n")[0]
-    reference = bool(getattr(plugin.cls, "reference", False))
-    return {**shown, "about": about + (" (reference: never ranked)" if reference else ""), "reference": reference}
+    note = " (reference: never ranked)" if plugin.reference else ""
+    return {**shown, "about": plugin.about + note, "reference": plugin.reference}
 
 
 @click.command("show")

@@ -13,6 +13,7 @@ import click
 
 VERBS: Mapping[str, str] = {
     **dict.fromkeys(("run", "plan", "report", "status", "label"), "nrbench.cli.runs"),
+    "compare": "nrbench.cli.comparing",
     **dict.fromkeys(("list", "show"), "nrbench.cli.listing"),
     "synth": "nrbench.cli.images",
     "lattice": "nrbench.cli.lattice",
@@ -115,7 +116,7 @@ def _command_path(error: click.ClickException) -> str:
 def _report_exception(error: Exception, debug: bool) -> int:
     from nrbench.errors import BadInput, describe_error
     from nrbench.plugins.forms import Refused
-    from nrbench.running.phases import InvalidOutput
+    from nrbench.running.outputs import InvalidOutput
 
     if debug:
         import traceback

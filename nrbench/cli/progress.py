@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+PATIENCE = 2.0
+"""Seconds that a person waits without being told what goes on."""
+PAUSE = 5.0
+"""Least seconds between two lines where standard error is no terminal."""
+
 
 @contextmanager
-def live_progress(estimate: bool = True) -> Iterator[Callable[[int, int, str], None]]:
+def live_progress(estimate: bool = True, patience: bool = False) -> Iterator[Callable[[int, int, str], None]]:
     """Show progress on standard error: a live bar on a terminal, plain lines elsewhere.
 
     Parameters
     ----------
     estimate
         Whether the bar estimates the time left, from the pace so far.
+    patience
+        Whether nothing is shown in the first :data:`PATIENCE` seconds where standard error is no terminal.
 
     Yields
     ------
@@ -22,13 +31,91 @@ def live_progress(estimate: bool = True) -> Iterator[Callable[[int, int, str], N
         Shows the number of items done, of all, and the last one.
     """
     if not sys.stderr.isatty():
-        yield lambda done, total, what: print(f"[{done}/{total}] {what}", file=sys.stderr, flush=True)
+        start = time.monotonic()
+
+        def print_line(done: int, total: int, what: str) -> None:
+            if not patience or time.monotonic() - start > PATIENCE:
+                print(f"[{done}/{total}] {what}", file=sys.stderr, flush=True)
+
+        yield print_line
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    time = [TimeRemainingColumn()] if estimate else []
-    columns = (BarColumn(), MofNCompleteColumn(), *time, TextColumn("{task.description}", markup=False))
+    remaining = [TimeRemainingColumn()] if estimate else []
+    columns = (BarColumn(), MofNCompleteColumn(), *remaining, TextColumn("{task.description}", markup=False))
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=None)
         yield lambda done, total, what: bar.update(task, completed=done, total=total, description=what)
+
+
+@contextmanager
+def waiting(what: str) -> Iterator[Callable[[float], None]]:
+    """Tell on standard error how far one long step is, from :data:`PATIENCE` seconds on; nothing for a shorter one.
+
+    The time that is left is estimated from the fraction that is done. Where no fraction is known, the time that has
+    passed is shown.
+
+    Parameters
+    ----------
+    what
+        What goes on, in a few words.
+
+    Yields
+    ------
+    Callable
+        Takes the fraction that is done, in [0, 1].
+    """
+    clock = _Clock(what)
+    ticker = threading.Thread(target=clock.tick, daemon=True)
+    ticker.start()
+    try:
+        yield clock.set
+    finally:
+        clock.ended.set()
+        ticker.join()
+        clock.clear()
+
+
+class _Clock:
+    """Writes lines of progress; a line replaces the one before on a terminal."""
+
+    def __init__(self, what: str) -> None:
+        self.what = what
+        self.start = time.monotonic()
+        self.fraction = 0.0
+        self.ended = threading.Event()
+        self._is_terminal = sys.stderr.isatty()
+        self._shown = False
+
+    def set(self, fraction: float) -> None:
+        """Note the fraction that is done."""
+        self.fraction = min(1.0, max(self.fraction, float(fraction)))
+
+    def tick(self) -> None:
+        """Write a line now and then until the step ends."""
+        pause = PATIENCE
+        while not self.ended.wait(pause):
+            self._write(self.line(time.monotonic() - self.start))
+            pause = 0.5 if self._is_terminal else PAUSE
+
+    def line(self, passed: float) -> str:
+        """Return what is shown after some seconds."""
+        if not self.fraction:
+            return f"{self.what}: {passed:.0f} s"
+        left = passed / self.fraction * (1 - self.fraction)
+        return f"{self.what}: {100 * self.fraction:.0f} %, about {max(1, round(left))} s left"
+
+    def _write(self, line: str) -> None:
+        self._shown = True
+        if self._is_terminal:
+            sys.stderr.write(f"\r\x1b[2K{line}")
+        else:
+            sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
+
+    def clear(self) -> None:
+        """Remove the line from the terminal."""
+        if self._shown and self._is_terminal:
+            sys.stderr.write("\r\x1b[2K")
+            sys.stderr.flush()

@@ -74,6 +74,14 @@ def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
 )
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Run the cells on a Dask cluster.")
 @click.option(
+    "--worker-wait",
+    type=click.FloatRange(0, 1e7, min_open=True),
+    default=600.0,
+    show_default=True,
+    metavar="S",
+    help="End the run if the Dask cluster has no worker for so many seconds.",
+)
+@click.option(
     "--timeout",
     type=click.FloatRange(0, 1e7, min_open=True),
     default=120.0,
@@ -99,25 +107,38 @@ def run_command(**arguments: Any) -> int:
     import os
 
     from nrbench.cli.summary import print_summary, write_reports
+    from nrbench.running.cluster import ClusterLost
     from nrbench.running.progress import first_interrupt
     from nrbench.running.runner import Options, execute
+    from nrbench.running.supervisor import print_notice
+    from nrbench.runs.records import Run
 
     plan, root = _make_plan(arguments)
-    with _show_steps(arguments["as_json"]) as progress, first_interrupt(_tell_interrupted) as stop:
+    tell = _tell_as_json if arguments["as_json"] else print_notice
+    with _show_steps(arguments["as_json"]) as progress, first_interrupt(lambda: tell(_INTERRUPTED)) as stop:
         options = Options(
             jobs=arguments["jobs"] if arguments["jobs"] is not None else os.cpu_count() or 1,
             argv=["nrbench", *sys.argv[1:]],
             stop=stop,
-            **{key: arguments[key] for key in ("scheduler", "timeout", "memory", "retry_failed", "reuse")},
+            tell=tell,
+            **{key: arguments[key] for key in _RUN_OPTIONS},
         )
-        run = execute(plan, root, options, progress)
+        try:
+            run = execute(plan, root, options, progress)
+        except ClusterLost as error:
+            run = Run(root)
+            tell(f"{error}; run the same command again to resume")
     written, broken = write_reports(run, tables_only=arguments["no_report"])
     failed = print_summary(run, written, arguments["as_json"])
     return int(failed or broken)
 
 
-def _tell_interrupted() -> None:
-    print("nrbench: the cells that are running will end; press Ctrl-C again to stop at once", file=sys.stderr)
+_RUN_OPTIONS = ("scheduler", "worker_wait", "timeout", "memory", "retry_failed", "reuse")
+_INTERRUPTED = "the cells that are running will end; press Ctrl-C again to stop at once"
+
+
+def _tell_as_json(text: str) -> None:
+    print(json.dumps({"event": "notice", "message": text}), file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -13,13 +13,13 @@ from typing import Any
 
 from nrbench import plugins
 from nrbench.errors import describe_error
+from nrbench.plugins.parameters import size_text
 from nrbench.running.guarded import write_guarded
 from nrbench.running.runner import is_cached, metrics_of
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED, RunDirectory
 from nrbench.suites.cell import RESULTS_VERSION
 from nrbench.suites.plan import Plan
-from nrbench.suites.suite import size_text
 
 
 def status_counts(run: Run) -> dict[str, int]:
@@ -33,12 +33,12 @@ def failures(run: Run) -> list[str]:
 
 
 def unfinished(run: Run) -> list[str]:
-    """Return one line for each cell without a result, which a run that has ended must not have."""
-    return [
-        f"{_where(record)}: has no result; something removed it: run the same command again"
-        for record in run.cells
-        if record.status == "missing"
-    ]
+    """Return a line if cells have no result, because a cluster was lost or something removed them."""
+    missing = [_where(record) for record in run.cells if record.status == "missing"]
+    if not missing:
+        return []
+    which = missing[0] if len(missing) == 1 else f"{len(missing)} of {len(run.cells)} cells, such as {missing[0]}"
+    return [f"no result: {which}; run the same command again"]
 
 
 def _where(record: CellRecord) -> str:
@@ -124,7 +124,9 @@ def _summary(run: Run, written: list[Path]) -> dict[str, Any]:
 
 def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
     """Return the cells of a plan for JSON, and how many a run would reuse and start."""
-    directory, metrics = RunDirectory(root), metrics_of(plan.suite)
+    directory = RunDirectory(root)
+    # Metrics take seconds to import. No cell is cached where there is no run.
+    metrics = metrics_of(plan.suite) if plan.suite.metrics or root.is_dir() else []
     cells = [
         {
             "key": cell.key,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+import skimage
 from numpy.typing import NDArray
-from skimage.color import rgb2ypbpr
 
 from nrbench.detectors.autocorrelation.surrogates import measure_surrogates
 from nrbench.errors import checker
@@ -63,7 +63,7 @@ class Frdft:
     stronger if such a frequency is less probable by chance, and is weighted by the wave's energy. A finer lattice of
     frequencies (a larger tile) is chosen only if it explains waves that a coarser one does not. Low waves may be
     missing. The fundamentals are then fitted to the image, all explained waves jointly. The lattice is their dual. Its
-    origin is where both fundamental waves have their crest; it is (0, 0) if one of them is not among the waves.
+    origin is where both fundamental waves have their crest; it is unknown if one of them is not among the waves.
 
     ``preset=paper`` is the analysis of the paper: the waves of the analytic signal above an amplitude of 2/255, in each
     channel of YCbCr by itself, and an upright tile by equation 7
@@ -131,7 +131,7 @@ class Frdft:
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``.
 
-        With tile ``"lowest"`` the only diagnostic is ``frequencies``, and the origin is (0, 0). Else diagnostics are
+        With tile ``"lowest"`` the only diagnostic is ``frequencies``, and the origin is unknown. Else diagnostics are
         ``spectrum`` (log magnitude; its peaks are the waves, its vectors the fundamentals, in bins),
         ``frequencies`` ``(n, 2)`` cycles/px of all waves, ``explained`` (which of them the lattice explains),
         ``surplus`` (the evidence); where tested, ``tested_surplus`` (that of the shorter search), ``surrogate_surplus``
@@ -174,7 +174,7 @@ class Frdft:
 
     def _read_lowest(self, image: Image) -> Detection:
         """Return the upright tile of an image by equation 7 of the paper."""
-        planes = rgb2ypbpr(image.astype(np.float64)) if image.shape[2] == 3 else image.astype(np.float64)
+        planes = skimage.color.rgb2ypbpr(image.astype(np.float64)) if image.shape[2] == 3 else image.astype(np.float64)
         waves = analyze(
             planes, self.threshold or None, "free", "each", self.false_alarms, most=self.waves, signal="analytic"
         )
@@ -205,7 +205,7 @@ class Frdft:
         copies, limit = measure_surrogates(part, part, self._quick_surplus, self.surrogates, self.false_alarms)
         evidence = self._quick_surplus(part)
         more = {"tested_surplus": evidence, "surrogate_surplus": copies, "limit": limit}
-        detection = Detection(detection.lattice, detection.confidence, {**detection.diagnostics, **more})
+        detection = replace(detection, diagnostics={**detection.diagnostics, **more})
         if evidence <= limit:
             raise NoLatticeFound(
                 f"the best lattice (evidence {evidence:.2f}) is no better than chance ({limit:.2f})", detection
@@ -242,7 +242,8 @@ def _fit_lattice(candidate: Candidate, start: Vector) -> Detection:
     spectrum = detection.waves.spectrum
     orders = basis.orders[basis.explained]
     fit = fit_frequencies(spectrum, basis.vectors / spectrum.size, orders)
-    origin = np.add(_origin(fit, orders), start)
+    crest = _origin(fit, orders)
+    origin = (0.0, 0.0) if crest is None else np.add(crest, start)
     lattice = Lattice.from_basis(np.linalg.inv(fit.fundamentals).T, origin).reduced()
     share = float(fit.waves.explained.sum() / spectrum.energy.sum())
     diagnostics = {
@@ -251,16 +252,19 @@ def _fit_lattice(candidate: Candidate, start: Vector) -> Detection:
         "explained": basis.explained,
         "surplus": candidate.surplus,
     }
-    return Detection(lattice, min(max(share, 0.0), 1.0), diagnostics)
+    return Detection(lattice, min(max(share, 0.0), 1.0), diagnostics, has_origin=crest is not None)
 
 
-def _origin(fit: FrequencyFit, orders: Points) -> Vector:
-    """Return where both fundamental waves have their crest, in the channel where each is strongest; else (0, 0)."""
+def _origin(fit: FrequencyFit, orders: Points) -> Vector | None:
+    """Return where both fundamental waves have their crest, in the channel where each is strongest.
+
+    Return None if one of them is not among the waves.
+    """
     phases = []
     for unit in ((1.0, 0.0), (0.0, 1.0)):
         at = np.flatnonzero((np.abs(orders) == unit).all(1))
         if not len(at):
-            return 0.0, 0.0
+            return None
         wave = at[0]
         p, q = (amplitude[1 + wave] for amplitude in fit.waves.amplitudes)
         strongest = int(np.argmax(p**2 + q**2))

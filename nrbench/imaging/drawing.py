@@ -9,7 +9,7 @@ import numpy as np
 import PIL.Image
 import PIL.ImageDraw
 import PIL.ImageFont
-from skimage.draw import line_aa
+import skimage
 
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.lattice.geometry import Lattice, Points
@@ -89,7 +89,7 @@ def draw_segments(image: Image, starts: Points, ends: Points) -> Image:
 
 def _draw_line(canvas: Image, start: Points, end: Points) -> None:
     x0, y0, x1, y1 = np.rint([*start, *end]).astype(int)
-    rows, columns, weight = line_aa(y0, x0, y1, x1)  # type: ignore[no-untyped-call]
+    rows, columns, weight = skimage.draw.line_aa(y0, x0, y1, x1)  # type: ignore[no-untyped-call]
     inside = (rows >= 0) & (rows < canvas.shape[0]) & (columns >= 0) & (columns < canvas.shape[1])
     rows, columns, weight = rows[inside], columns[inside], weight[inside, np.newaxis].astype(np.float32)
     canvas[rows, columns] = canvas[rows, columns] * (1 - weight) + np.array(COLOR, np.float32) * weight

@@ -11,6 +11,7 @@ from nrbench.plugins.registry import (
     files,
     find,
     inventory,
+    name_of,
     names,
     parameters_of,
 )
@@ -26,6 +27,7 @@ __all__ = [
     "files",
     "find",
     "inventory",
+    "name_of",
     "names",
     "parameters_of",
 ]

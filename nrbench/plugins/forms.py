@@ -163,7 +163,7 @@ class Alternative:
     Parameters
     ----------
     lattice
-        The lattice; its origin is (0, 0) if the detector estimates no phase.
+        The lattice.
     confidence
         Probability, in [0, 1], that this is the exact lattice. With the detection's own confidence the sum over all
         alternatives is at most 1.
@@ -175,6 +175,8 @@ class Alternative:
         The rating by which the detector orders lattices; its docstring says which. None if it has none.
     role
         Whether this is the lattice of the structure or of the colors.
+    has_origin
+        Whether the origin of the lattice is known. If not, it is (0, 0) and means nothing.
     """
 
     lattice: Lattice
@@ -182,6 +184,7 @@ class Alternative:
     relation: str
     evidence: float | None = None
     role: Role = ""
+    has_origin: bool = False
 
 
 @dataclass(frozen=True)
@@ -191,7 +194,7 @@ class Detection:
     Parameters
     ----------
     lattice
-        The lattice; its origin is (0, 0) if the detector estimates no phase.
+        The lattice.
     confidence
         In [0, 1]; the docstring of each detector defines it.
     diagnostics
@@ -203,6 +206,8 @@ class Detection:
         What the lattice is; ``confidence`` equals ``probabilities.exact``. None if the detector does not estimate it.
     role
         Whether this is the lattice of the structure or of the colors. If so, the other one is among ``alternatives``.
+    has_origin
+        Whether the detector found the origin of the lattice. If not, it is (0, 0) and means nothing.
     """
 
     lattice: Lattice
@@ -211,6 +216,7 @@ class Detection:
     alternatives: tuple[Alternative, ...] = ()
     probabilities: Probabilities | None = None
     role: Role = ""
+    has_origin: bool = False
 
 
 class NoLatticeFound(Exception):
@@ -386,12 +392,20 @@ def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Latti
 
 
 def timed_detection(detector: Detector, image: Image) -> FoundLattice:
-    """Detect the lattice of an image, and measure the wall seconds; if there is none, return the reason."""
+    """Detect the lattice of an image, and measure the wall seconds; if there is none, return the reason.
+
+    Raises
+    ------
+    TypeError
+        When the detector returns no :class:`Detection`.
+    """
     start = time.perf_counter()
     try:
-        found = detector.detect(image)
+        found: object = detector.detect(image)
     except NoLatticeFound as none:
         return FoundLattice(None, time.perf_counter() - start, none.reason)
+    if not isinstance(found, Detection):
+        raise TypeError(f"returned {type(found).__name__} instead of a Detection")
     return FoundLattice(found.lattice, time.perf_counter() - start, confidence=float(found.confidence))
 
 

@@ -7,14 +7,41 @@ import difflib
 import inspect
 import re
 from collections.abc import Collection, Iterable, Mapping
-from typing import Any, get_type_hints
-
-from pydantic import TypeAdapter, ValidationError
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from nrbench.errors import BadInput
+from nrbench.plugins.forms import Shape
 
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
+
+LARGEST_SIDE = 16384
+"""px; largest side of an output."""
 PRESET = "preset"
 """The name under which a preset is chosen among the parameters of any plugin; no parameter may have it."""
+
+
+def parse_size(text: Any) -> Shape:
+    """Read ``"WIDTHxHEIGHT"`` into the shape (height, width).
+
+    Raises
+    ------
+    BadInput
+        When it is not two integers from 1 to 16384 joined by an ``x``.
+    """
+    if isinstance(text, tuple | list):
+        text = "x".join(str(part) for part in reversed(text))
+    width, x, height = str(text).lower().partition("x")
+    if not (x and width.isdecimal() and height.isdecimal() and len(width + height) <= 40):
+        raise BadInput(f"size {str(text)[:60]!r}: write WIDTHxHEIGHT in px, e.g. 256x256")
+    if not (1 <= int(width) <= LARGEST_SIDE and 1 <= int(height) <= LARGEST_SIDE):
+        raise BadInput(f"size {text!r}: each side must be from 1 to {LARGEST_SIDE} px")
+    return int(height), int(width)
+
+
+def size_text(shape: Shape) -> str:
+    """Return the shape (height, width) as ``"WIDTHxHEIGHT"``."""
+    return f"{shape[1]}x{shape[0]}"
 
 
 def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
@@ -102,6 +129,10 @@ def converted(cls: type[Any], parameters: Mapping[str, Any], where: str) -> dict
     BadInput
         For an unknown parameter (the message names the nearest) or a value of the wrong type.
     """
+    if not parameters:
+        return {}
+    from pydantic import TypeAdapter
+
     hints = get_type_hints(cls)
     fields = {field.name: TypeAdapter(hints[field.name]) for field in dataclasses.fields(cls)}
     return {key: _convert(fields, key, value, where) for key, value in parameters.items()}
@@ -130,6 +161,8 @@ def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
 
 
 def _convert(fields: Mapping[str, TypeAdapter[Any]], key: str, value: Any, where: str) -> Any:
+    from pydantic import ValidationError
+
     if key not in fields:
         raise BadInput(f"{where}: parameter {key!r} is not known{nearest(key, fields)}")
     for attempt in _readings(value):

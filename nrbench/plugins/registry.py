@@ -6,13 +6,14 @@ import dataclasses
 import hashlib
 import importlib.util
 import inspect
+import json
 import re
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, get_args
 
@@ -124,13 +125,20 @@ def files() -> list[str]:
 
 def names(kind: str) -> list[str]:
     """Return the names of all plugins of a kind, without loading them."""
-    return list(dict.fromkeys([*_entry_points(kind), *(plugin.name for plugin in _from_files(kind))]))
+    return list(dict.fromkeys([*entry_points_of(kind), *(plugin.name for plugin in from_files(kind))]))
+
+
+def name_of(kind: str, cls: type[Any]) -> str:
+    """Return the name under which a class is registered; empty if it is not. No other plugin is loaded."""
+    value = f"{cls.__module__}:{cls.__qualname__}"
+    named = (name for name, points in entry_points_of(kind).items() if points[0].value == value)
+    return next(named, next((plugin.name for plugin in from_files(kind) if plugin.cls is cls), ""))
 
 
 def inventory(kind: str) -> list[Plugin]:
     """Load every plugin of a kind. Broken and duplicate plugins are included, with their errors."""
-    listed = [_load(kind, point, i > 0) for points in _entry_points(kind).values() for i, point in enumerate(points)]
-    return listed + list(_from_files(kind))
+    listed = [load(kind, point, i > 0) for points in entry_points_of(kind).values() for i, point in enumerate(points)]
+    return listed + list(from_files(kind))
 
 
 def find(kind: str, name: str) -> Plugin:
@@ -141,15 +149,15 @@ def find(kind: str, name: str) -> Plugin:
     BadInput
         When there is no such plugin (the message names the nearest), or it is broken.
     """
-    for plugin in _from_files(kind):
+    for plugin in from_files(kind):
         if plugin.name == name:
             return plugin
-    points = _entry_points(kind).get(name)
+    points = entry_points_of(kind).get(name)
     if not points:
         raise BadInput(
             f"{FORMS[kind].noun} {name!r} is not known{nearest(name, names(kind))}; see `nrbench list {kind}`"
         )
-    plugin = _load(kind, points[0], False)
+    plugin = load(kind, points[0], False)
     if plugin.cls is None:
         last = plugin.error.strip().splitlines()[-1]
         raise BadInput(f"{FORMS[kind].noun} {name!r} of {plugin.distribution} does not load: {last}")
@@ -184,32 +192,43 @@ def _plain(value: Any) -> Any:
 
 
 @cache
-def _entry_points(kind: str) -> dict[str, list[EntryPoint]]:
+def entry_points_of(kind: str) -> dict[str, list[EntryPoint]]:
     """Return the entry points of a kind by name; of the same name, those of nrbench come first."""
-    found = sorted(entry_points(group=f"nrbench.{kind}"), key=lambda point: _distribution(point)[0] != "nrbench")
+    found = sorted(entry_points(group=f"nrbench.{kind}"), key=lambda point: distribution_of(point)[0] != "nrbench")
     grouped: dict[str, list[EntryPoint]] = {}
     for point in found:
         grouped.setdefault(point.name, []).append(point)
     return grouped
 
 
-def _from_files(kind: str) -> Iterator[Plugin]:
+def from_files(kind: str) -> Iterator[Plugin]:
+    """Return the plugins of a kind that plain files define."""
     return (plugin for plugins in _files.values() for plugin in plugins if plugin.kind == kind)
 
 
-def _distribution(point: EntryPoint) -> tuple[str, str]:
-    return (point.dist.name, point.dist.version) if point.dist else ("unknown", "0")
+def distribution_of(point: EntryPoint) -> tuple[str, str]:
+    """Return the name and the version of the distribution that an entry point belongs to."""
+    return _name_and_version(point.dist) if point.dist else ("unknown", "0")
+
+
+@cache  # its metadata are a text, which is parsed for each of the two
+def _name_and_version(distribution: Distribution) -> tuple[str, str]:
+    return distribution.name, distribution.version
 
 
 @cache
-def _load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
-    distribution, version = _distribution(point)
+def load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
+    """Import the plugin of an entry point and check it; a duplicate is reported without an import.
+
+    The plugins of nrbench are checked by its tests, not each time they are loaded.
+    """
+    distribution, version = distribution_of(point)
     if duplicate:
         error = f"duplicate: the name {point.name!r} was registered before; this one ({point.value}) is not used"
         return Plugin(kind, point.name, None, distribution, version, error)
     try:
         cls = point.load()
-        error = fault(kind, cls)
+        error = "" if distribution == "nrbench" else fault(kind, cls)
     except (Exception, SystemExit):
         return Plugin(kind, point.name, None, distribution, version, traceback.format_exc())
     return Plugin(kind, point.name, None if error else cls, distribution, getattr(cls, "version", version), error)
@@ -245,11 +264,23 @@ def _field_fault(kind: str, cls: Any) -> str:
             return f"{label} {PRESET!r} has the name by which presets are chosen; rename it"
         if not _has_default(field) and kind in ("detectors", "metrics", "reports"):
             return f"{label} {field.name!r} has no default; give it one"
+        if _has_default(field) and not _is_plain(field):
+            return f"{label} {field.name!r} has a default that JSON cannot hold; use numbers, text or None"
     return ""
 
 
 def _has_default(field: dataclasses.Field[Any]) -> bool:
     return field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
+
+
+def _is_plain(field: dataclasses.Field[Any]) -> bool:
+    """Return whether JSON can hold the default of a parameter, which the keys and the tables need."""
+    try:
+        made = field.default_factory() if callable(field.default_factory) else field.default
+        json.dumps(_plain(made))
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def _method_fault(kind: str, cls: Any) -> str:

@@ -46,16 +46,8 @@ from nrbench.plugins.forms import (
     Task,
     Texture,
 )
-from nrbench.running.phases import (
-    FAULTS,
-    InvalidOutput,
-    Send,
-    check_source,
-    checked_synthesis,
-    score_observation,
-    send_error,
-    write_score,
-)
+from nrbench.running.outputs import InvalidOutput, check_source, checked_synthesis
+from nrbench.running.phases import FAULTS, Send, score_observation, send_error, write_score
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder
 from nrbench.storage import read_json

@@ -37,9 +37,12 @@ class Message(Result, total=False):
     ----------
     scored
         The metric.
+    held
+        Bytes that a fresh interpreter holds (:func:`held_bytes`) when its work begins.
     """
 
     scored: str
+    held: int
 
 
 Receive = Callable[[float], Iterable[Message] | None]
@@ -59,7 +62,8 @@ class Limits:
     parts
         The parts of the work, each done when a message ``{"scored": part}`` arrives, which starts the clock again.
     start_seconds, start_mib
-        What the child needs in addition to start: an interpreter and its imports.
+        What a fresh interpreter may use in addition until it sends the message ``{"held": bytes}``: its start and its
+        imports. Then the clock starts again, and the memory is counted above those bytes.
     """
 
     seconds: float
@@ -82,7 +86,7 @@ class Ending:
     message
         One sentence, empty for ``ended``.
     started
-        Largest resident bytes, at any check, of all processes that the child started.
+        Most bytes that all processes which the child started held at any check.
     """
 
     messages: list[Message]
@@ -106,7 +110,7 @@ class Watch:
     limits
         What it may use.
     base
-        Resident bytes of the idle worker that it was forked from; 0 for a fresh interpreter.
+        Bytes that the idle worker holds (:func:`held_bytes`) that it was forked from; 0 for a fresh interpreter.
     log
         The file that the child writes its messages to; it is kept short.
     wanted
@@ -131,8 +135,9 @@ class Watch:
 
     def watch(self) -> tuple[str, str] | None:
         """Wait until the child ends (None) or breaks a limit (status and message)."""
-        limits, left = self.limits, set(self.limits.parts)
+        limits, left, most = self.limits, set(self.limits.parts), self.limits.mib + self.limits.start_mib
         deadline = time.monotonic() + limits.start_seconds + limits.seconds
+        starting = limits.start_seconds > 0
         memory_check = time.monotonic() + MEMORY_TICK
         while True:
             messages = self._receive()
@@ -144,15 +149,18 @@ class Watch:
             if done:
                 left -= done
                 deadline = now + limits.seconds
+            if starting and any(isinstance(message.get("held"), int) for message in messages):
+                starting, deadline = False, now + limits.seconds
+                self.base, most = held_bytes(self.pid), limits.mib
             if now > deadline:
                 return "timeout", f"took longer than {limits.seconds:g} s; raise --timeout if it may"
             if not self.wanted():
                 return "abandoned", "the run ended"
             if now > memory_check:
                 memory_check = now + MEMORY_TICK
-                own, started = resident(self.pid)
+                own, started = held_by_family(self.pid)
                 self.started = max(self.started, started)
-                if own + started - self.base > (limits.mib + limits.start_mib) * MIB:
+                if own + started - self.base > most * MIB:
                     return "memory", f"used more than {limits.mib:g} MiB; raise --memory if it may"
                 shorten(self.log)
 
@@ -166,6 +174,7 @@ class Watch:
 
     def ending(self, broken: tuple[str, str] | None, code: int) -> Ending:
         """Return how the child ended, from what :meth:`watch` returned and its exit code."""
+        shorten(self.log)
         if broken:
             return Ending(self.messages, *broken)
         if code != 0:
@@ -197,16 +206,26 @@ def parse_message(line: str | bytes) -> Message | None:
     return cast("Message", message)
 
 
-def resident(pid: int) -> tuple[int, int]:
-    """Return the resident bytes of a process and of all its descendants; 0 for one that has ended."""
-    own, started = 0, 0
+def held_by_family(pid: int) -> tuple[int, int]:
+    """Return the bytes that a process holds, and those that all its descendants hold; 0 for one that has ended."""
     with contextlib.suppress(psutil.Error):
-        process = psutil.Process(pid)
-        own = process.memory_info().rss
-        for one in process.children(recursive=True):
-            with contextlib.suppress(psutil.Error):
-                started += one.memory_info().rss
-    return own, started
+        return held_bytes(pid), sum(held_bytes(one.pid) for one in psutil.Process(pid).children(recursive=True))
+    return 0, 0
+
+
+def held_bytes(pid: int) -> int:
+    """Return the resident bytes of a process, on Linux without those of files; 0 if it has ended.
+
+    A forked child has all memory of its parent from the beginning, but the pages of libraries only once it uses them.
+    The difference of these bytes is therefore what the child itself has allocated.
+    """
+    with contextlib.suppress(OSError, psutil.Error):
+        if not sys.platform.startswith("linux"):
+            return int(psutil.Process(pid).memory_info().rss)
+        with open(f"/proc/{pid}/status", encoding="ascii", errors="replace") as status:  # noqa: PTH123
+            kept = [line.split() for line in status if line.startswith(("RssAnon:", "RssShmem:"))]
+        return sum(int(words[1]) * 1024 for words in kept)
+    return 0
 
 
 def sweep(pid: int) -> None:

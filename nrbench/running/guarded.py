@@ -20,6 +20,7 @@ from nrbench.running.phases import read_texture
 from nrbench.running.supervisor import RequestRunner, Supervisor
 from nrbench.running.worker import Request
 from nrbench.runs.records import Run
+from nrbench.runs.store import CellFolder
 from nrbench.storage import write_json
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import Draw, Plan, make_plan
@@ -75,14 +76,19 @@ def write_guarded(run: Run, name: str, report: Any, folder: str, limits: Limits 
 
 
 def guarded_draw(runner: RequestRunner, limits: Limits) -> Draw:
-    """Return a function that draws a texture in a child process under limits, and raises BadInput if that fails."""
+    """Return a function that draws a texture in a child process under limits, and raises BadInput if that fails.
+
+    The error has the last lines that the dataset printed as a note.
+    """
 
     def draw(recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
         with _folder_of({"recipe": recipe.as_dict(), "shape": list(shape)}) as folder:
             result = runner.run(Request("render", str(folder), limits.seconds, limits.mib)).result
             if result["status"] != "ok" or "texture" not in result:
                 cause = result["message"] or "ended without an answer"
-                raise BadInput(cause if result["status"] == "invalid" else f"dataset {recipe.dataset}: {cause}")
+                error = BadInput(cause if result["status"] == "invalid" else f"dataset {recipe.dataset}: {cause}")
+                error.add_note(CellFolder(folder).log_tail())
+                raise error
             return read_texture(folder, result["texture"])
 
     return draw

@@ -1,13 +1,12 @@
 """The phases of a cell: detect a lattice, synthesize, score. Each reads the cell's folder and writes into it.
 
-A phase runs in a child process of its own and reports by messages. ``nrbench.synthesize`` and ``nrbench.score`` call
-:func:`checked_synthesis` and :func:`score_observation` in the caller's process.
+A phase runs in a child process of its own and reports by messages. ``nrbench.score`` calls
+:func:`score_observation` in the caller's process.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import re
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping
@@ -29,7 +28,6 @@ from nrbench.plugins.forms import (
     Refused,
     Score,
     Shape,
-    SourceMap,
     Synthesis,
     Task,
     Texture,
@@ -37,6 +35,7 @@ from nrbench.plugins.forms import (
     timed_detection,
 )
 from nrbench.running.guard import Message, cpu_seconds
+from nrbench.running.outputs import InvalidOutput, checked_synthesis, is_picture
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder, Result, metric_key
 from nrbench.storage import read_arrays, read_json, write_arrays, write_json
@@ -46,18 +45,8 @@ from nrbench.suites.plan import draw_texture
 
 Send = Callable[[Message], None]
 """Sends one message to the process that watches this one."""
-COPY_TOLERANCE = 1.5 / 255
-"""Largest difference between a copied pixel and its source: the rounding to 8 bits."""
-RANGE_TOLERANCE = 0.1
-"""How far values of an output may lie outside [0, 1]. Interpolation overshoots by less; they are clipped."""
-
-
 FAULTS = (Exception, SystemExit, GeneratorExit)
 """What a plugin may raise that ends its phase. A keyboard interrupt ends a run that has no children, as it should."""
-
-
-class InvalidOutput(Exception):
-    """A method returned something that is no valid :class:`~nrbench.plugins.forms.Synthesis` of its task."""
 
 
 def render(folder: Path, send: Send) -> None:
@@ -232,97 +221,6 @@ def _write(where: CellFolder, synthesis: Synthesis) -> None:
         if is_picture(array):
             write_image(where.extras / f"{Path(name).name}.png", array)
     write_image(where.output, synthesis.image)
-
-
-def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
-    """Return what a method returned, checked, with its image rounded to 8 bits.
-
-    Raises
-    ------
-    InvalidOutput
-        When it is no :class:`~nrbench.plugins.forms.Synthesis`, its image is not finite or of another shape, its
-        source map is not true, or a field is not of its declared type.
-    """
-    if not isinstance(synthesis, Synthesis):
-        raise InvalidOutput(f"returned {type(synthesis).__name__} instead of a Synthesis")
-    image = _checked_image(synthesis.image, (*shape, sample.shape[2]))
-    source = None if synthesis.source is None else _numbers(synthesis.source, "source map").astype(np.float32)
-    if source is not None:
-        check_source(source, image, sample)
-    if not (synthesis.lattice is None or isinstance(synthesis.lattice, Lattice)):
-        raise InvalidOutput(
-            f"returned a lattice of the wrong type: expected Lattice or None, got {synthesis.lattice!r}"
-        )
-    extras = {_checked_name(name): _numbers(array, f"extra {name!r}") for name, array in synthesis.extras.items()}
-    seconds = synthesis.detection_seconds
-    if not (isinstance(seconds, int | float | np.number) and np.isfinite(seconds) and seconds >= 0):
-        raise InvalidOutput(f"returned wrong detection_seconds: expected a number of seconds, got {seconds!r}")
-    return dataclasses.replace(
-        synthesis,
-        image=image,
-        source=source,
-        extras=extras,
-        detection_seconds=float(seconds),
-        note=str(synthesis.note or ""),
-    )
-
-
-def is_picture(extra: NDArray[Any]) -> bool:
-    """Return whether a method's extra is a picture: ``(h, w, 1)`` or ``(h, w, 3)``, floats in [0, 1]."""
-    if extra.ndim != 3 or extra.shape[2] not in (1, 3) or extra.dtype.kind != "f" or not extra.size:
-        return False
-    return bool(extra.min() >= 0 and extra.max() <= 1)
-
-
-def _numbers(value: Any, what: str) -> NDArray[Any]:
-    array = np.asarray(value)
-    if array.dtype.kind not in "biufc":
-        raise InvalidOutput(f"returned a wrong {what}: expected an array of numbers, got dtype {array.dtype}")
-    return array
-
-
-def _checked_name(name: Any) -> str:
-    if not (isinstance(name, str) and re.fullmatch(r"\w[\w.-]{0,79}", name)):
-        raise InvalidOutput(f"returned an extra called {name!r}; use letters, digits, '.', '-' and '_'")
-    return name
-
-
-def _checked_image(image: Any, shape: tuple[int, int, int]) -> Image:
-    pixels = np.asarray(image)
-    if pixels.shape != shape:
-        raise InvalidOutput(f"returned an image of the wrong shape: expected {shape}, got {pixels.shape}")
-    if not np.issubdtype(pixels.dtype, np.floating):
-        raise InvalidOutput(f"returned wrong pixels: expected floats in [0, 1], got dtype {pixels.dtype}")
-    if not np.isfinite(pixels).all():
-        bad = int((~np.isfinite(pixels)).any(-1).sum())
-        raise InvalidOutput(f"returned NaN or infinity in {bad} of {shape[0] * shape[1]} pixels")
-    low, high = float(pixels.min()), float(pixels.max())
-    if low < -RANGE_TOLERANCE or high > 1 + RANGE_TOLERANCE:
-        raise InvalidOutput(f"returned values from {low:.3g} to {high:.3g}; an image has values in [0, 1]")
-    return quantize(np.asarray(pixels, np.float32))
-
-
-def check_source(source: SourceMap, image: Image, sample: Image) -> None:
-    """Check that a source map points into the sample, and that copies of whole pixels equal their sources.
-
-    Raises
-    ------
-    InvalidOutput
-        When the map is wrong. The message gives the number of pixels that differ from their sources.
-    """
-    shape = (*image.shape[:2], 3)
-    if source.shape != shape:
-        raise InvalidOutput(f"returned a source map of the wrong shape: expected {shape}, got {source.shape}")
-    known = np.isfinite(source).all(-1)
-    x, y, weight = np.moveaxis(source[known], -1, 0)
-    inside = (x >= -0.5) & (x <= sample.shape[1] - 0.5) & (y >= -0.5) & (y <= sample.shape[0] - 0.5)
-    if not (inside & (weight > 0) & (weight <= 1 + 1e-6)).all():
-        raise InvalidOutput("returned a source map that points outside the sample, or has weights outside (0, 1]")
-    copy = (weight > 1 - 1e-6) & (x == np.rint(x)) & (y == np.rint(y))
-    pixels = sample[y[copy].astype(int), x[copy].astype(int)]
-    wrong = int((np.abs(image[known][copy] - pixels) > COPY_TOLERANCE).any(-1).sum())
-    if wrong:
-        raise InvalidOutput(f"returned a source map that is not true: {wrong} copied pixels differ from their source")
 
 
 def report(folder: Path, send: Send) -> None:

@@ -75,36 +75,43 @@ class Pace:
     ----------
     cells
         All cells of the run.
-    jobs
-        Number of cells that run at the same time.
     """
 
     cells: list[Cell]
-    jobs: int
     _seconds: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     _counts: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
         self._left = Counter(cell.label for cell in self.cells)
 
-    def step(self, cell: Cell, status: str, seconds: float | None) -> Step:
-        """Count a cell that has ended. ``seconds`` are the wall seconds that it took; None if it was cached."""
+    def step(self, cell: Cell, status: str, seconds: float | None, slots: int) -> Step:
+        """Count a cell that has ended.
+
+        Parameters
+        ----------
+        cell, status
+            The cell, and how it ended.
+        seconds
+            The wall seconds that it took; None if it was cached.
+        slots
+            Number of cells that run at the same time, at present.
+        """
         self._left[cell.label] -= 1
         self._counts.update(done=1, cached=int(seconds is None), failed=int(status in FAILED))
         if seconds is not None:
             self._seconds[cell.label].append(seconds)
         counts = {name: self._counts[name] for name in ("done", "cached", "failed")}
         what = (cell.texture, cell.label, cell.lattice_source, status)
-        return Step(counts["done"], len(self.cells), counts["cached"], counts["failed"], *what, self._remaining())
+        return Step(counts["done"], len(self.cells), counts["cached"], counts["failed"], *what, self._remaining(slots))
 
-    def _remaining(self) -> float | None:
+    def _remaining(self, slots: int) -> float | None:
         """Return the seconds left: each method's mean for its own cells, the mean of all for an unknown method."""
         if not self._seconds:
             return None
         means = {label: sum(times) / len(times) for label, times in self._seconds.items()}
         usual = sum(means.values()) / len(means)
         total = sum(count * means.get(label, usual) for label, count in self._left.items())
-        return total / max(1, self.jobs)
+        return total / max(1, min(slots, sum(self._left.values())))
 
 
 @contextmanager

@@ -6,8 +6,7 @@ import dataclasses
 import hashlib
 import json
 import threading
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,10 +16,11 @@ from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.files import write_image
 from nrbench.plugins.forms import FoundLattice
-from nrbench.running.executors import RunJob, executor
-from nrbench.running.phases import InvalidOutput, read_output
+from nrbench.running.executors import Executor, executor
+from nrbench.running.outputs import InvalidOutput
+from nrbench.running.phases import read_output
 from nrbench.running.progress import Pace, Progress, Step
-from nrbench.running.supervisor import Job
+from nrbench.running.supervisor import Job, print_notice
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
 from nrbench.storage import write_json
@@ -51,8 +51,12 @@ class Options:
         Run failed cells again.
     reuse
         Another run; its results of equal cells are copied.
+    worker_wait
+        Seconds that the cluster of ``scheduler`` may be without a worker. Then the run ends.
     argv
         The command line; ``run.json`` records it.
+    tell
+        Called with a sentence that the user should read: that kernels are compiled, that a cluster has no worker.
     stop
         Once this event is set no further cell is started; those that are running end, then the run is interrupted.
     """
@@ -63,7 +67,9 @@ class Options:
     memory: float = 4096.0
     retry_failed: bool = False
     reuse: Path | None = None
+    worker_wait: float = 600.0
     argv: Sequence[str] = ()
+    tell: Callable[[str], None] = print_notice
     stop: threading.Event = field(default_factory=threading.Event)
 
 
@@ -117,8 +123,10 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     ------
     BadInput
         When ``root`` holds something else, another process is running in it, or the suite names an unknown metric.
+    ClusterLost
+        When the cluster ended, or had no worker for too long. The cells that have ended are in ``root``.
     KeyboardInterrupt
-        When ``options.stop`` was set, after the cells that were running have ended.
+        When ``options.stop`` was set before every cell had ended, after the cells that were running have.
     """
     options, metrics = options or Options(), metrics_of(plan.suite)
     directory = RunDirectory(root)
@@ -129,8 +137,8 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
         directory.write_info(plan, options.argv)
         if options.reuse is not None:
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
-        with executor(options.jobs, options.scheduler) as (pool, run_job):
-            runner = _Runner(directory, options, metrics, lambda job: pool.submit(_run_timed, run_job, job))
+        with executor(options.jobs, options.scheduler, root, options.worker_wait, options.tell) as pool:
+            runner = _Runner(directory, options, metrics, pool)
             runner.run(runner.with_detected_lattices(plan.cells), progress)
     return Run(root)
 
@@ -142,7 +150,7 @@ class _Runner:
     directory: RunDirectory
     options: Options
     metrics: list[str]
-    submit: Callable[[Job], Future[Result]]
+    pool: Executor
 
     def with_detected_lattices(self, cells: list[tuple[Cell, Sample]]) -> list[tuple[Cell, Sample]]:
         """Run each detector of the lattice axis once for each sample; return the cells with the detected lattices."""
@@ -169,11 +177,11 @@ class _Runner:
 
     def run(self, cells: list[tuple[Cell, Sample]], progress: Progress) -> None:
         """Run every cell; its folder is prepared just before it starts."""
-        pace = Pace([cell for cell, _ in cells], 1 if self.options.scheduler else self.options.jobs)
+        pace = Pace([cell for cell, _ in cells])
         jobs = ((cell, self._cell_job(cell, sample)) for cell, sample in cells)
         for cell, future in self._run_jobs(jobs):
             result = future.result()
-            progress(pace.step(cell, result["status"], result.get("wall")))
+            progress(pace.step(cell, result["status"], result.get("wall"), self.pool.slots))
 
     def _cell_job(self, cell: Cell, sample: Sample) -> Job | Result:
         where, retry = self.directory.cell(cell.key), self.options.retry_failed
@@ -186,8 +194,12 @@ class _Runner:
             for file in where.failed_scores(self.metrics):
                 file.unlink()
         if cell.fault:
+            log = sample.log or self.directory.lattice(_detection_key(cell)).log_tail()
+            if log:
+                where.log.write_text(log + "\n", "utf-8")
             phase = "detect" if sample.texture and cell.detector else "render" if not sample.texture else "given"
-            return where.write_result({"status": cell.fault_status, "message": cell.fault, "phase": phase})
+            result = {"status": cell.fault_status, "message": cell.fault, "phase": phase}
+            return {**where.write_result(result), "wall": 0.0}
         return self._job("cell", where)
 
     def _job(self, kind: Literal["cell", "detect"], where: CellFolder) -> Job:
@@ -204,41 +216,40 @@ class _Runner:
 
     def _run_jobs(self, jobs: Iterable[tuple[T, Job | Result]]) -> Iterator[tuple[T, Future[Result]]]:
         """Yield each finished job with its tag; few are submitted at a time, so that folders are made when needed."""
-        most = 64 if self.options.scheduler else max(1, 2 * self.options.jobs)
         running: dict[Future[Result], T] = {}
+        stopped = False
         for tag, job in jobs:
-            running[self._start(job)] = tag
-            while len(running) >= most:
-                yield from self._take_finished(running)
-            if self.options.stop.is_set():
+            if isinstance(job, Job) and self.options.stop.is_set():
+                stopped = True
                 break
+            running[self._start(job)] = tag
+            while len(running) >= max(1, 2 * self.pool.slots) and not self.options.stop.is_set():
+                yield from self._take_finished(running)
         while running:
-            yield from self._take_finished(running)
-        if self.options.stop.is_set():
+            stopped |= yield from self._take_finished(running)
+        if stopped:
             raise KeyboardInterrupt
 
-    def _take_finished(self, running: dict[Future[Result], T]) -> Iterator[tuple[T, Future[Result]]]:
-        """Wait a moment, and yield the jobs that have ended. Once the run is to stop, drop those that wait."""
-        done, _ = wait(running, TICK, FIRST_COMPLETED)
-        if self.options.stop.is_set():
-            for future in [future for future in running if future.cancel()]:
-                running.pop(future)
+    def _take_finished(self, running: dict[Future[Result], T]) -> Generator[tuple[T, Future[Result]], None, bool]:
+        """Wait a moment, and yield the jobs that have ended.
+
+        Once the run is to stop, drop those that wait, and return whether there were any.
+        """
+        done, waiting = wait(running, TICK, FIRST_COMPLETED)
+        self.pool.check()
+        dropped = [future for future in waiting if self.options.stop.is_set() and future.cancel()]
+        for future in dropped:
+            running.pop(future)
         for future in done:
             yield running.pop(future), future
+        return bool(dropped)
 
     def _start(self, job: Job | Result) -> Future[Result]:
         if isinstance(job, Job):
-            return self.submit(job)
+            return self.pool.submit(job)
         known: Future[Result] = Future()
         known.set_result(job)
         return known
-
-
-def _run_timed(run_job: RunJob, job: Job) -> Result:
-    """Run a job; add the wall seconds that it took to its result."""
-    start = time.monotonic()
-    result = run_job(job)
-    return {**result, "wall": time.monotonic() - start}
 
 
 def _has_its_output(where: CellFolder, result: Result) -> bool:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,6 +46,13 @@ ROOM = 4 << 20
 START = 900.0
 """Seconds that a worker may take to start. A busy machine compiles all kernels for minutes. If the worker were stopped,
 fresh interpreters would compile them for each cell."""
+COMPILING = "compiling kernels (once per machine, up to some minutes)"
+"""The notice of a worker that compiles kernels."""
+
+
+def print_notice(text: str) -> None:
+    """Print a sentence that the user should read on standard error."""
+    print(f"nrbench: {text}", file=sys.stderr, flush=True)
 
 
 @dataclass(frozen=True)
@@ -89,7 +97,13 @@ class RequestRunner(Protocol):
 
 
 def perform_job(job: Job, runner: RequestRunner) -> Result:
-    """Run the phases of a job; return the result, as written to ``result.json``."""
+    """Run the phases of a job; return the result, as written to ``result.json``, and the wall seconds of the job."""
+    start = time.monotonic()
+    result = _perform_phases(job, runner)
+    return {**result, "wall": time.monotonic() - start}
+
+
+def _perform_phases(job: Job, runner: RequestRunner) -> Result:
     where, phase = CellFolder(Path(job.folder)), "detect" if job.kind == "detect" else "synthesize"
     try:
         if job.kind == "detect":
@@ -186,11 +200,15 @@ class Supervisor:
 
     Parameters
     ----------
+    tell
+        Called with a sentence when the start of the worker takes minutes, because kernels are compiled.
     forks
         Whether requests may run in forked children; otherwise each one runs in a fresh interpreter.
     """
 
-    def __init__(self, forks: bool = True) -> None:
+    def __init__(self, tell: Callable[[str], None] = print_notice, *, forks: bool = True) -> None:
+        self._tell = tell
+        self._plugins: list[str] = []
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader: threading.Thread | None = None
@@ -205,6 +223,8 @@ class Supervisor:
         The reply reports how the request ended, whatever the plugin does. Raises :class:`Closed` after :meth:`end`.
         """
         self._check_open()
+        if self._worker is not None and self._plugins != plugins.files():
+            self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
         if self._forks and self._worker is None:
             self._forks = self._start()
         self._check_open()
@@ -235,9 +255,13 @@ class Supervisor:
 
     def _start(self) -> bool:
         """Start the worker; return whether it can fork."""
+        self._plugins = plugins.files()
         self._worker = _start_process(subprocess.DEVNULL, self._mark)
         self._lines, self._reader = _read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}
+        if first.get("compiling"):
+            self._tell(COMPILING)
+            first = guard.parse_message(self._line(START) or "") or {}
         if not first.get("fork"):
             self.close()
             return False
@@ -260,6 +284,11 @@ class Supervisor:
             for pipe in (worker.stdin, worker.stdout if self._drained() else None):
                 with contextlib.suppress(OSError):
                     pipe.close() if pipe else None
+
+    @property
+    def ended(self) -> bool:
+        """Whether :meth:`end` was called."""
+        return self._ended
 
     def end(self) -> None:
         """Kill the worker for good: a running job raises :class:`Closed`, and no further one starts."""
@@ -366,15 +395,26 @@ _own = threading.local()
 _all: list[Supervisor] = []
 
 
-def run_job(job: Job) -> Result:
-    """Run one job by this thread's supervisor, in this process or in one of a cluster."""
-    for file in job.plugins:
-        plugins.add_file(file)
-    if not hasattr(_own, "supervisor"):
-        _own.supervisor = Supervisor()
-        _all.append(_own.supervisor)
-    supervisor: Supervisor = _own.supervisor
-    return perform_job(job, supervisor)
+def own_supervisor(tell: Callable[[str], None] = print_notice) -> Supervisor:
+    """Return the supervisor of this thread. It is made when needed, and again after its end."""
+    known: Supervisor | None = getattr(_own, "supervisor", None)
+    if known is None or known.ended:
+        known = _own.supervisor = Supervisor(tell)
+        _all.append(known)
+    return known
+
+
+def run_job(job: Job, tell: Callable[[str], None] = print_notice) -> Result:
+    """Run one job by this thread's supervisor.
+
+    Parameters
+    ----------
+    job
+        The job.
+    tell
+        Called with a sentence that the user should read.
+    """
+    return perform_job(job, own_supervisor(tell))
 
 
 def run_job_here(job: Job) -> Result:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import json
 import os
 import select
@@ -20,13 +21,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
 
-import psutil
-
 from nrbench import plugins
 from nrbench.jit import load_kernels
 from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import Result
+
+DEFERRED = (
+    *("scipy.cluster.vq", "scipy.fft", "scipy.interpolate", "scipy.linalg", "scipy.ndimage", "scipy.optimize"),
+    *("scipy.signal", "scipy.sparse", "scipy.spatial.distance", "scipy.special", "scipy.stats", "skimage.color"),
+)
+"""Modules that scipy and scikit-image import on first use. A worker imports them before it forks."""
 
 
 @dataclass(frozen=True)
@@ -137,11 +142,19 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
         phases.synthesize(folder, send_with_memory)
 
 
-def warm() -> None:
-    """Import every plugin and load every compiled kernel, so that a forked child finds them ready."""
+def warm(compiling: Callable[[], None]) -> None:
+    """Import every plugin and all that they use, and load every compiled kernel, before children are forked.
+
+    Parameters
+    ----------
+    compiling
+        Called if kernels have to be compiled, which takes minutes, before that begins.
+    """
+    for name in DEFERRED:
+        importlib.import_module(name)
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
         plugins.inventory(kind)
-    load_kernels()
+    load_kernels(compiling)
 
 
 def may_fork() -> bool:
@@ -160,7 +173,7 @@ def serve(requests: Iterable[str], reply: Callable[[str], None]) -> None:
 def fork_and_watch(request: Request) -> Reply:
     """Run one phase in a forked child under its limits."""
     readable, writable = os.pipe()
-    base, limits = psutil.Process().memory_info().rss, guard.Limits(request.seconds, request.mib, request.metrics)
+    base, limits = guard.held_bytes(os.getpid()), guard.Limits(request.seconds, request.mib, request.metrics)
     pid = os.fork()
     if pid == 0:
         os.close(readable)
@@ -255,7 +268,8 @@ def _pipe_receiver(readable: int) -> guard.Receive:
 def main() -> None:
     """Serve the requests on standard input; with ``--once``, run a single one in this process, without forking.
 
-    The first line of output is ``{"fork": bool}``: whether this process can fork safely.
+    The first line of output is ``{"fork": bool}``: whether this process can fork safely. Where kernels have to be
+    compiled, the line ``{"compiling": true}`` comes before it.
     """
     arguments = sys.argv[1:]
     out = os.fdopen(os.dup(1), "w", buffering=1)
@@ -272,6 +286,7 @@ def main() -> None:
         try:
             _use_temporary(request.temporary)
             guard.confine(guard.Limits(request.seconds, request.mib))
+            write(json.dumps({"held": guard.held_bytes(os.getpid())}))
             perform(request, lambda message: write(json.dumps(message)))
         except BaseException as error:
             phases.send_error(error, lambda message: write(json.dumps(message)))
@@ -279,6 +294,6 @@ def main() -> None:
         os._exit(0)
     guard.adopt_orphans()
     if may_fork():
-        warm()
+        warm(lambda: write(json.dumps({"compiling": True})))
     write(json.dumps({"fork": may_fork()}))  # again, because a plugin may have started a thread
     serve(sys.stdin, write)

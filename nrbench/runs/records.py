@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from nrbench import plugins
 from nrbench.errors import BadInput
@@ -19,6 +17,10 @@ from nrbench.runs.store import RUN_FILE, CellFolder, Result, RunDirectory
 from nrbench.storage import read_json
 from nrbench.suites.cell import Cell
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+T = TypeVar("T")
 HEAD = (
     *("suite", "texture", "family", "kind", "regular_share", "method", "parameters", "lattice_source", "replicate"),
     *("reference", "status", "phase", "message", "note", "seconds", "peak_mib", "key"),
@@ -196,8 +198,26 @@ class Run:
         metrics = [plugin.name for plugin in self._metrics]
         return [_record(directory.cell(entry["key"]), entry, metrics) for entry in self.info["cells"]]
 
+    def shared(self, make: Callable[..., T], *arguments: Hashable) -> T:
+        """Return ``make(self, *arguments)``, computed at the first call and kept for all reports of this run.
+
+        Parameters
+        ----------
+        make
+            A function of the run.
+        arguments
+            Its further arguments.
+        """
+        known = vars(self).setdefault("_shared", {})
+        if (make, arguments) not in known:
+            known[make, arguments] = make(self, *arguments)
+        found: T = known[make, arguments]
+        return found
+
     def table(self) -> pd.DataFrame:
         """Return the tidy table: one row for each cell, one column for each score."""
+        import pandas as pd
+
         rows = [_row(record, self.columns) for record in self.cells]
         return pd.DataFrame(rows, columns=list(rows[0]) if rows else [*HEAD, *self.columns])
 

@@ -7,9 +7,8 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
-from scipy.spatial import cKDTree
 
 from nrbench.lattice.geometry import hermite_matrices, reduce_pairs, shortest_pair
 from nrbench.spectra.spectrum import Array, Spectrum
@@ -118,7 +117,9 @@ def select_spaced(frequencies: Array, priority: Array, size: Array) -> NDArray[n
     order = np.argsort(-priority, kind="stable")
     f, n = _on_torus(frequencies[order], size), len(order)
     both = np.concatenate([f, _on_torus(-frequencies[order], size)])
-    pairs = np.sort(cKDTree(both, boxsize=size).query_pairs(LEAST_DISTANCE, output_type="ndarray") % n, axis=1)
+    pairs = np.sort(
+        scipy.spatial.cKDTree(both, boxsize=size).query_pairs(LEAST_DISTANCE, output_type="ndarray") % n, axis=1
+    )
     kept = np.ones(n, np.bool_)
     for lower, later in pairs[np.lexsort(pairs.T)]:
         kept[later] &= lower == later or not kept[lower]
@@ -130,7 +131,7 @@ def are_near(frequencies: Array, others: Array, size: Array) -> NDArray[np.bool_
     if not len(others):
         return np.zeros(len(frequencies), np.bool_)
     both = np.concatenate([_on_torus(others, size), _on_torus(-others, size)])
-    return np.asarray(cKDTree(both, boxsize=size).query(_on_torus(frequencies, size))[0] < LEAST_DISTANCE)
+    return np.asarray(scipy.spatial.cKDTree(both, boxsize=size).query(_on_torus(frequencies, size))[0] < LEAST_DISTANCE)
 
 
 def _on_torus(frequencies: Array, size: Array) -> Array:
@@ -458,7 +459,7 @@ def is_supercell(spectrum: Spectrum, frequencies: Array, fundamentals: Array) ->
     places = frequencies[strongest] + beside[:, np.newaxis]
     sums = (np.abs(waves.residual_at(places.reshape(-1, 2))) ** 2).sum(1).reshape(len(beside), -1).sum(1)
     ratio = float(powers[strongest].sum() / max(float(sums.mean()), 1e-300))
-    return ratio > float(stats.f.isf(SUPERCELL_CHANCE, 2, 2 * len(beside)))
+    return ratio > float(scipy.stats.f.isf(SUPERCELL_CHANCE, 2, 2 * len(beside)))
 
 
 def _offsets_from_lattice(frequencies: Array, fundamentals: Array, size: Array) -> Array:

@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
-from scipy.special import i0, i1
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -198,8 +197,8 @@ def _tap_weights(frequency: Array, grid: int) -> tuple[NDArray[np.intp], Array, 
     samples = first[:, np.newaxis] + np.arange(TAPS)
     t = (place[:, np.newaxis] - samples) * (2 / TAPS)
     root = np.sqrt(np.maximum(1 - t * t, 1e-12))
-    slope = -i1(BETA * root) * BETA * t / root * (2 / TAPS)
-    return samples, i0(BETA * root), slope * grid
+    slope = -scipy.special.i1(BETA * root) * BETA * t / root * (2 / TAPS)
+    return samples, scipy.special.i0(BETA * root), slope * grid
 
 
 def _grid_weights(frequencies: Array, grid: int, length: int) -> tuple[NDArray[np.intp], Complex]:
@@ -209,7 +208,7 @@ def _grid_weights(frequencies: Array, grid: int, length: int) -> tuple[NDArray[n
     taps = TAPS + int(np.ceil(float((place[:, -1] - place[:, 0]).max(initial=0)))) + 1
     samples = first[:, np.newaxis] + np.arange(taps)
     t = (place[:, :, np.newaxis] - samples[:, np.newaxis]) * (2 / TAPS)
-    weights = np.where(np.abs(t) <= 1, i0(BETA * np.sqrt(np.maximum(1 - t * t, 0))), 0)
+    weights = np.where(np.abs(t) <= 1, scipy.special.i0(BETA * np.sqrt(np.maximum(1 - t * t, 0))), 0)
     turn = np.exp(-2j * np.pi * frequencies * _middle_offset(length))
     return samples, weights * turn[:, :, np.newaxis]
 

@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from nrbench.spectra.spectrum import (
     Array,
@@ -371,7 +371,9 @@ def _model_and_moves(waves: Waves, frequencies: Array) -> tuple[Array, Array]:
 
 def _smooth(planes: Array, sigma: float) -> Array:
     """Return Gaussian means around each pixel."""
-    return np.asarray(gaussian_filter(planes, (sigma, sigma, *[0] * (planes.ndim - 2)), mode="reflect", truncate=3))
+    return np.asarray(
+        scipy.ndimage.gaussian_filter(planes, (sigma, sigma, *[0] * (planes.ndim - 2)), mode="reflect", truncate=3)
+    )
 
 
 def _pixel_weights(misfit: Array, sigma: float) -> Array:

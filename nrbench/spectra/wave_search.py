@@ -9,9 +9,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from nrbench.spectra.spectrum import Array, Complex, Planes, Spectrum, bin_numbers, dirichlet_sum
 from nrbench.spectra.wave_fit import Waves, fit_frequencies
@@ -180,7 +179,7 @@ def _block_medians(power: Array) -> Array:
     rows, cols = (_blocks(n) for n in power.shape)
     inside = power[rows[:, np.newaxis, :, np.newaxis], cols[:, np.newaxis, :]]
     medians = np.median(inside.reshape(len(rows), len(cols), -1), 2)
-    smooth = median_filter(np.pad(medians, ((1, 1), (0, 0)), "wrap"), 3, mode="nearest")[1:-1]
+    smooth = scipy.ndimage.median_filter(np.pad(medians, ((1, 1), (0, 0)), "wrap"), 3, mode="nearest")[1:-1]
     row, col = (np.arange(n) * len(blocks) // n for n, blocks in zip(power.shape, (rows, cols), strict=True))
     return np.asarray(smooth[row[:, np.newaxis], col])
 

@@ -195,8 +195,8 @@ class Sample:
         Shape (height, width) of the outputs.
     again_hash
         Of a photograph: hash of a region that does not touch the sample; empty if there is none.
-    fault
-        Why drawing failed, or empty.
+    fault, log
+        Why drawing failed, and what the dataset printed then; empty if it did not fail.
     region
         The region of ``again_hash`` if a plugin of others cut it.
     """
@@ -207,6 +207,7 @@ class Sample:
     shape: Shape
     again_hash: str = ""
     fault: str = ""
+    log: str = ""
     region: Image | None = None
 
     @cached_property
@@ -319,7 +320,8 @@ def _draw(suite: Suite, row: TextureRow, origin: Origin, replicate: int, draw: D
         else:
             texture, again = chosen(recipe, shape)
     except BadInput as error:
-        return Sample(row, recipe, None, shape, fault=str(error))
+        log = "\n".join(getattr(error, "__notes__", ()))
+        return Sample(row, recipe, None, shape, fault=str(error), log=log)
     except (Exception, SystemExit) as error:
         return Sample(row, recipe, None, shape, fault=describe_error(error))
     texture = dataclasses.replace(texture, name=row.name)

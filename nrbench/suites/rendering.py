@@ -19,12 +19,12 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.drawing import contact_sheet
 from nrbench.imaging.files import read_image, write_image
 from nrbench.plugins.forms import Texture
-from nrbench.plugins.parameters import parse_spec
+from nrbench.plugins.parameters import parse_spec, size_text
 from nrbench.storage import write_aside, write_json
 from nrbench.streams import pixels_hash
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import Sample
-from nrbench.suites.suite import Suite, size_text, validated_suite
+from nrbench.suites.suite import Suite, validated_suite
 from nrbench.truth import TRUTH_FIELDS, TRUTH_FILE, TruthTable, write_table
 
 SHEET = "contact-sheet.png"

@@ -20,38 +20,14 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Shape
-from nrbench.plugins.parameters import nearest
+from nrbench.plugins.parameters import nearest, parse_size, size_text
 from nrbench.suites.claims import Claim, Expectation, Series
 
-LARGEST_SIDE = 16384
 DEFAULT = "default"
 """The suite that runs if none is named. Its methods are also those of a directory of pictures."""
 
 PICTURE_SIZES = {"sample": "256x256", "size": "256x256"}
 """Sizes for those pictures of a directory whose rows have none."""
-
-
-def parse_size(text: Any) -> Shape:
-    """Read ``"WIDTHxHEIGHT"`` into the shape (height, width).
-
-    Raises
-    ------
-    BadInput
-        When it is not two integers from 1 to 16384 joined by an ``x``.
-    """
-    if isinstance(text, tuple | list):
-        text = "x".join(str(part) for part in reversed(text))
-    width, x, height = str(text).lower().partition("x")
-    if not (x and width.isdecimal() and height.isdecimal() and len(width + height) <= 40):
-        raise BadInput(f"size {str(text)[:60]!r}: write WIDTHxHEIGHT in px, e.g. 256x256")
-    if not (1 <= int(width) <= LARGEST_SIDE and 1 <= int(height) <= LARGEST_SIDE):
-        raise BadInput(f"size {text!r}: each side must be from 1 to {LARGEST_SIDE} px")
-    return int(height), int(width)
-
-
-def size_text(shape: Shape) -> str:
-    """Return the shape (height, width) as ``"WIDTHxHEIGHT"``."""
-    return f"{shape[1]}x{shape[0]}"
 
 
 Size = Annotated[Shape, BeforeValidator(parse_size), PlainSerializer(size_text)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, NamedTuple
@@ -46,7 +46,9 @@ Progress = Callable[[int, int, str], object]
 
 def rank_candidates(detection: Detection) -> list[Alternative]:
     """Return the chosen lattice, then its alternatives in their order; the relation of the chosen one is empty."""
-    chosen = Alternative(detection.lattice, detection.confidence, "", role=detection.role)
+    chosen = Alternative(
+        detection.lattice, detection.confidence, "", role=detection.role, has_origin=detection.has_origin
+    )
     return [chosen, *detection.alternatives]
 
 
@@ -60,33 +62,34 @@ def draw_candidates(image: Image, candidates: Sequence[Alternative]) -> tuple[li
 def _candidate_caption(number: int, candidate: Alternative) -> str:
     names = [candidate.relation or "chosen", *([f"{candidate.role} lattice"] if candidate.role else [])]
     confidence = f"confidence {candidate.confidence:.2f}"
-    return "\n".join([f"{number}: {', '.join(names)}", confidence, *_vector_lines(candidate.lattice)])
+    lines = _vector_lines(candidate.lattice, candidate.has_origin)
+    return "\n".join([f"{number}: {', '.join(names)}", confidence, *lines])
 
 
-def _vector_lines(lattice: Lattice) -> list[str]:
+def _vector_lines(lattice: Lattice, has_origin: bool) -> list[str]:
     return [
         f"{name} = ({round(x, 2) + 0.0:.2f}, {round(y, 2) + 0.0:.2f}) px"
-        for name, (x, y) in known_vectors(lattice).items()
+        for name, (x, y) in known_vectors(lattice, has_origin).items()
     ]
 
 
-def known_vectors(lattice: Lattice) -> dict[str, Vector]:
-    """Return t1 and t2, and the origin where it is known; (0, 0) stands for an unknown one."""
+def known_vectors(lattice: Lattice, has_origin: bool) -> dict[str, Vector]:
+    """Return t1 and t2, and the origin if it is known."""
     known = {"t1": lattice.t1, "t2": lattice.t2}
-    return known if lattice.origin == (0.0, 0.0) else {**known, "origin": lattice.origin}
+    return {**known, "origin": lattice.origin} if has_origin else known
 
 
 def candidate_dict(candidate: Alternative) -> dict[str, Any]:
     """Return a mapping that can be written as JSON: the vectors, and what is known about the candidate."""
     return {
-        **known_vectors(candidate.lattice),
-        **{name: value for name, value in vars(candidate).items() if name != "lattice"},
+        **known_vectors(candidate.lattice, candidate.has_origin),
+        **{name: value for name, value in vars(candidate).items() if name not in ("lattice", "has_origin")},
     }
 
 
-def lattice_text(lattice: Lattice) -> str:
-    """Return ``"x1,y1,x2,y2"``, or with the origin where it is known ``"x1,y1,x2,y2,x,y"``, to a ten-thousandth px."""
-    return ",".join(_number(value) for vector in known_vectors(lattice).values() for value in vector)
+def lattice_text(lattice: Lattice, has_origin: bool) -> str:
+    """Return ``"x1,y1,x2,y2"``, or with the origin if it is known ``"x1,y1,x2,y2,x,y"``, to a ten-thousandth px."""
+    return ",".join(_number(value) for vector in known_vectors(lattice, has_origin).values() for value in vector)
 
 
 def _number(value: float) -> str:
@@ -113,6 +116,8 @@ class Finding(NamedTuple):
         Whether the picture could not be read, or the detector raised an error.
     kept
         The row of an earlier ``truth.csv`` that was kept.
+    has_origin
+        Whether the origin of the lattice is known.
     """
 
     name: str
@@ -122,6 +127,7 @@ class Finding(NamedTuple):
     reason: str = ""
     failed: bool = False
     kept: TruthRow | None = None
+    has_origin: bool = False
 
     @property
     def is_doubtful(self) -> bool:
@@ -135,11 +141,11 @@ class Finding(NamedTuple):
         row: dict[str, object] = {"file": self.name, "detector": detector, "reason": self.reason}
         if self.lattice is not None:
             names = (*VECTORS, *ORIGIN)
-            row |= dict(zip(names, lattice_text(self.lattice).split(","), strict=False))
+            row |= dict(zip(names, lattice_text(self.lattice, self.has_origin).split(","), strict=False))
         if self.confidence is not None:
             row["confidence"] = f"{self.confidence:.3f}"
         row["candidates"] = "; ".join(
-            f"{lattice_text(candidate.lattice)} ({', '.join(filter(None, _notes(candidate)))})"
+            f"{lattice_text(candidate.lattice, candidate.has_origin)} ({', '.join(filter(None, _notes(candidate)))})"
             for candidate in self.candidates[:SHOWN]
         )
         return row
@@ -148,7 +154,7 @@ class Finding(NamedTuple):
         """Return a mapping that can be written as JSON."""
         return {
             "file": self.name,
-            **(known_vectors(self.lattice) if self.lattice else {"lattice": None}),
+            **(known_vectors(self.lattice, self.has_origin) if self.lattice else {"lattice": None}),
             "confidence": self.confidence,
             "candidates": [candidate_dict(candidate) for candidate in self.candidates],
             "reason": self.reason,
@@ -264,13 +270,13 @@ class Survey:
         try:
             detection = self._detector.detect(image)
         except NoLatticeFound as none:
-            best = (Alternative(none.best.lattice, none.best.confidence, REJECTED),) if none.best else ()
+            best = tuple(replace(one, relation=REJECTED) for one in rank_candidates(none.best)[:1]) if none.best else ()
             return Finding(name, None, none.best.confidence if none.best else None, best, none.reason)
         candidates, confidence = tuple(rank_candidates(detection)), float(detection.confidence)
         if confidence < self.least:
             reason = f"confidence below {self.least:g}: choose one of the candidates"
             return Finding(name, None, confidence, candidates, reason)
-        return Finding(name, detection.lattice, confidence, candidates)
+        return Finding(name, detection.lattice, confidence, candidates, has_origin=detection.has_origin)
 
     def _add_to_page(self, finding: Finding, image: Image | None) -> None:
         """Draw a picture with its lattice and the candidates; write the page when it is full."""
@@ -281,7 +287,7 @@ class Survey:
             panels, captions = panels + drawn, captions + texts
         elif image is not None and finding.lattice is not None:
             panels += zoom_panels(image, [finding.lattice])
-            captions.append("\n".join([f"from {TRUTH_FILE}", *_vector_lines(finding.lattice)]))
+            captions.append("\n".join([f"from {TRUTH_FILE}", *_vector_lines(finding.lattice, finding.has_origin)]))
         self._waiting.append((panels, captions))
         if len(self._waiting) == ON_PAGE:
             self._write_page()
@@ -320,7 +326,7 @@ def _read_row(name: str, row: TruthRow) -> Finding:
     if not row.vectors:
         return Finding(name, reason=row.values.get("reason", "") or "no lattice is known", kept=row)
     lattice = Lattice(row.vectors["t1"], row.vectors["t2"], row.vectors.get("origin", (0.0, 0.0)))
-    return Finding(name, lattice, kept=row)
+    return Finding(name, lattice, kept=row, has_origin="origin" in row.vectors)
 
 
 def _picture_caption(finding: Finding, image: Image | None) -> str:

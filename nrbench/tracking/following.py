@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.imaging.convert import Image, shrink
 from nrbench.imaging.fold import Values, fold, interpolate
@@ -163,7 +163,7 @@ def _shrink(image: Image, lattice: Lattice, factor: int) -> tuple[Values, Lattic
     """Return the image shrunk by a factor and smoothed, and the lattice in its pixels."""
     small = shrink(image, factor)
     sigma = _SMOOTH * lattice.s / factor
-    smooth = ndimage.gaussian_filter(small, (sigma, sigma, 0))
+    smooth = scipy.ndimage.gaussian_filter(small, (sigma, sigma, 0))
     return smooth, Lattice.from_basis(lattice.matrix / factor)
 
 
@@ -199,7 +199,9 @@ def _tracked_start(track: Track) -> Start:
     places = nodes.places
     at = places + track.field
     seen = ((at >= 0) & (at <= np.array(image.shape[1::-1]) - 1)).all(-1)
-    best = np.unravel_index(np.argmax(np.where(seen, ndimage.uniform_filter(track.correlation, 3), -2)), seen.shape)
+    best = np.unravel_index(
+        np.argmax(np.where(seen, scipy.ndimage.uniform_filter(track.correlation, 3), -2)), seen.shape
+    )
     step = lattice.s / 2
     around = places[best] + step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
     found = around + nodes.interpolate(track.field, around)
@@ -221,7 +223,7 @@ def _restart(image: Values, knots: Knots, lattice: Lattice, change: Points | Non
     other = Lattice.from_basis(change @ lattice.matrix, lattice.origin)
     straight, corner, inside = straighten_pixels(image, knots, lattice)
     tile = fold(straight, other.shifted(-corner), inside)
-    surroundings = ndimage.uniform_filter(knots.correlation, 3, mode="constant")
+    surroundings = scipy.ndimage.uniform_filter(knots.correlation, 3, mode="constant")
     at = np.unravel_index(np.argmax(np.where(knots.known, surroundings, -1)), knots.known.shape)
     cell = knots.cells[at] @ np.linalg.inv(change)
     return Start(tile, cell, knots.places[at], knots.slopes[at] @ change.T)

@@ -8,12 +8,12 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.imaging.fold import Tile, Values, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.growth_kernels import grow_knots
+from nrbench.tracking.growth_kernels import grow_knots, register
 from nrbench.tracking.tracker import cell_covariance
 
 __all__ = ["Knots", "Start", "grow_from"]
@@ -34,6 +34,8 @@ _SPREAD = 0.15
 """Standard deviation of a knot's departure from its prediction: of the place, in s, and of the slopes."""
 _NOISE = 0.05
 """Mean squared difference of an image and its template, both normalized, that the prediction is weighed against."""
+_STEPS = 8
+"""Steps of the registration of a start."""
 _LEAST_SEEN = 0.6
 """Share of a window that must lie in the image."""
 
@@ -102,14 +104,16 @@ class Knots:
 
     def is_near(self, cells: Points) -> NDArray[np.bool_]:
         """Return whether most of the four knots around cell coordinates ``(..., 2)`` are known."""
-        weight = ndimage.map_coordinates(self.known.astype(np.float64), self.positions(cells), order=1, mode="constant")
+        weight = scipy.ndimage.map_coordinates(
+            self.known.astype(np.float64), self.positions(cells), order=1, mode="constant"
+        )
         return np.asarray(weight > 0.49)
 
     def locate(self, cells: Points) -> Points:
         """Return the places (x, y) px of cell coordinates ``(..., 2)``, by cubic splines through the knots."""
         at = self.positions(cells)
         planes = np.moveaxis(self._continued, -1, 0)
-        return np.stack([ndimage.map_coordinates(plane, at, order=3, mode="nearest") for plane in planes], -1)
+        return np.stack([scipy.ndimage.map_coordinates(plane, at, order=3, mode="nearest") for plane in planes], -1)
 
     @cached_property
     def _continued(self) -> Points:
@@ -161,6 +165,122 @@ class Start:
     slopes: Points
 
 
+@dataclass(frozen=True)
+class Window:
+    """The window of a knot, and the mean tile under it at each phase of a knot.
+
+    Parameters
+    ----------
+    offsets, weights
+        ``(n, 2)`` px from the middle, and ``(n,)``, of sum 1.
+    templates
+        ``(p, C, n)``: the tile, of mean 0 in each channel and of variance 1.
+    rows
+        ``(p, 6, C, n)``: its derivatives by place and affine map.
+    normals, sums
+        ``(p, 6, 6)`` and ``(p, C + 1, 6)``: means under the window, see :func:`~.growth_kernels.register`.
+    s
+        Length of the shortest lattice vector, px.
+    spread
+        Standard deviation of a knot's departure from its prediction: of the place, in s, and of the affine map.
+    """
+
+    offsets: Points
+    weights: NDArray[np.float64]
+    templates: Values
+    rows: NDArray[np.float32]
+    normals: NDArray[np.float64]
+    sums: NDArray[np.float64]
+    s: float
+    spread: float = _SPREAD
+
+    @classmethod
+    def of(
+        cls,
+        offsets: Points,
+        weights: NDArray[np.float64],
+        tiles: tuple[Values, Values, Values],
+        s: float,
+        spread: float = _SPREAD,
+    ) -> Window:
+        """Return the window for the tile and its slopes along x and y, ``(p, n, C)`` each."""
+        planes = [np.moveaxis(one, -1, 1) for one in tiles]
+        mean = planes[0] @ weights
+        centered = planes[0] - mean[..., np.newaxis]
+        deviation = np.sqrt(np.maximum(((centered**2) @ weights).sum(1), 1e-12))
+        template, across, down = (one / deviation[:, np.newaxis, np.newaxis] for one in (centered, *planes[1:]))
+        dx, dy = offsets.T
+        rows = np.stack([across, down, across * dx, across * dy, down * dx, down * dy], 1)
+        weighted = rows * weights
+        flat = rows.reshape(*rows.shape[:2], -1)
+        normals = weighted.reshape(flat.shape) @ np.swapaxes(flat, 1, 2)
+        products = (weighted * template[:, np.newaxis]).sum((2, 3))
+        sums = np.concatenate([np.swapaxes(weighted.sum(-1), 1, 2), products[:, np.newaxis]], 1)
+        return cls(
+            np.ascontiguousarray(offsets, np.float64),
+            np.ascontiguousarray(weights, np.float64),
+            np.ascontiguousarray(template, np.float32),
+            np.ascontiguousarray(rows, np.float32),
+            np.ascontiguousarray(normals, np.float64),
+            np.ascontiguousarray(sums, np.float64),
+            s,
+            spread,
+        )
+
+    @property
+    def _prior(self) -> NDArray[np.float64]:
+        """Costs of a squared departure from the prediction: of the place, per px^2, and of the map."""
+        return np.array([_NOISE / (self.spread * self.s) ** 2, _NOISE / self.spread**2])
+
+    def register(self, image: Values, phase: int, state: Points) -> float:
+        """Fit a place and an affine map in place, and return the correlation, see :func:`~.growth_kernels.register`."""
+        return register(
+            np.ascontiguousarray(image, np.float32),
+            self.templates[phase],
+            self.rows[phase],
+            self.normals[phase],
+            self.sums[phase],
+            self.offsets,
+            self.weights,
+            np.abs(self.offsets).max(0),
+            state,
+            state.copy(),
+            self._prior,
+            _LEAST_SEEN,
+            _STEPS,
+        )
+
+    def grow(
+        self,
+        image: Values,
+        phases: NDArray[np.int64],
+        points: Points,
+        states: Points,
+        correlation: NDArray[np.float64],
+        seed: NDArray[np.int64],
+        levels: tuple[float, ...],
+    ) -> None:
+        """Find the places of knots, see :func:`~.growth_kernels.grow_knots`."""
+        grow_knots(
+            np.ascontiguousarray(image, np.float32),
+            self.templates,
+            self.rows,
+            self.normals,
+            self.sums,
+            np.ascontiguousarray(phases, np.int64),
+            self.offsets,
+            self.weights,
+            np.ascontiguousarray(points, np.float64),
+            states,
+            correlation,
+            np.ascontiguousarray(seed, np.int64),
+            self._prior,
+            np.array(levels, np.float64),
+            _FARTHEST * self.s,
+            _LEAST_SEEN,
+        )
+
+
 def grow_from(image: Values, start: Start, levels: tuple[float, ...], fine: bool = True) -> Knots:
     """Follow a lattice from one place outward, and return the knots that were found.
 
@@ -191,29 +311,26 @@ def grow_from(image: Values, start: Start, levels: tuple[float, ...], fine: bool
     seed = np.rint(start.cell * parts).astype(np.int64)
     columns, rows = 2 * half + 1
     offsets, weights = _window(tile.lattice)
-    templates, slopes = _templates(tile, offsets, parts)
     periods = np.maximum(parts, 1).astype(np.int64)
+    u, v = np.meshgrid(*(np.arange(n) / n for n in periods))
+    middles = np.stack([u, v], -1).reshape(-1, 1, 2)
+    inverse = np.linalg.inv(matrix)
+
+    def read(x: float, y: float) -> Values:
+        return sample_tile(tile.values, middles + (offsets + np.array([x, y])) @ inverse)
+
+    half_pixel = np.float32(0.5)
+    slopes = half_pixel * (read(1, 0) - read(-1, 0)), half_pixel * (read(0, 1) - read(0, -1))
+    window = Window.of(offsets, weights, (read(0, 0), *slopes), s)
     a, b = ((np.arange(n) + one) % period for n, one, period in zip((columns, rows), seed - half, periods, strict=True))
+    numbers = np.stack(np.meshgrid(np.arange(columns) - half[0], np.arange(rows) - half[1]), -1)
     states, correlation = np.zeros((rows, columns, 6)), np.zeros((rows, columns))
     distortion = np.linalg.solve(matrix, start.slopes.T).T
     # The seed is a knot near the start.
     place = start.place + start.slopes @ (seed / parts - start.cell)
     states[half[1], half[0]] = *place, *distortion.ravel()
-    grow_knots(
-        np.ascontiguousarray(image, np.float32),
-        templates,
-        slopes,
-        np.ascontiguousarray(b[:, np.newaxis] * periods[0] + a),
-        offsets,
-        weights,
-        np.ascontiguousarray(matrix / parts[:, np.newaxis]),
-        states,
-        correlation,
-        half[::-1].copy(),
-        np.array([_NOISE / (_SPREAD * s) ** 2, _NOISE / _SPREAD**2]),
-        np.array(levels, np.float64),
-        _FARTHEST * s,
-        _LEAST_SEEN,
+    window.grow(
+        image, b[:, np.newaxis] * periods[0] + a, (numbers / parts) @ matrix, states, correlation, half[::-1], levels
     )
     found = np.argwhere(correlation > 0)
     (top, left), (bottom, right) = (found.min(0), found.max(0) + 1) if len(found) else (half[::-1], half[::-1] + 1)
@@ -247,17 +364,3 @@ def _window(lattice: Lattice) -> tuple[Points, NDArray[np.float64]]:
     chosen = inside[:: math.ceil(len(inside) / _MOST_SAMPLES)]
     weights = np.exp(-distance[chosen] / 2)
     return np.ascontiguousarray(offsets[chosen]), weights / weights.sum()
-
-
-def _templates(tile: Tile, offsets: Points, parts: NDArray[np.float64]) -> tuple[Values, Values]:
-    """Return the tile under the window of each phase of a knot, ``(p, n, C)``, and its slopes, ``(p, n, C, 2)``."""
-    periods = np.maximum(parts, 1)
-    u, v = np.meshgrid(*(np.arange(n) / n for n in periods))
-    middles = np.stack([u, v], -1).reshape(-1, 1, 2)
-    inverse = np.linalg.inv(tile.lattice.matrix)
-
-    def read(x: float, y: float) -> Values:
-        return sample_tile(tile.values, middles + (offsets + np.array([x, y])) @ inverse)
-
-    slopes = np.stack([(read(1, 0) - read(-1, 0)) / 2, (read(0, 1) - read(0, -1)) / 2], -1)
-    return read(0, 0), np.ascontiguousarray(slopes)

@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.interpolate import make_interp_spline
 
 from nrbench.imaging.convert import Image, subtract_color, sum_channels
 from nrbench.imaging.fold import Values
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.unwrapping_kernels import grow, grow_by_kriging
+from nrbench.tracking.unwrapping_kernels import grow
 
 __all__ = ["MeanTile", "Track", "track_lattice"]
 
@@ -48,12 +45,6 @@ _REACH = 3.0
 """Width of the padding of the image, in standard deviations of a window."""
 _NODES_PER_TILE = 2.0
 """Nodes per tile along each axis."""
-_NEIGHBORS = 2
-"""Neighbors, in nodes along each axis, from which kriging predicts a node."""
-_DEPARTURE_COST = 0.006
-"""Cost, in correlation, of a departure from the prediction by one standard deviation; one by five costs 0.15."""
-_FREE_PHASE = 3.0
-"""Standard deviation, in s, of the displacement of the whole image, which is not known."""
 
 Field = NDArray[np.float64]
 """A displacement (x, y) px at each node, ``(rows, columns, 2)``, or a number at each node, ``(rows, columns)``."""
@@ -61,17 +52,6 @@ Coefficients = NDArray[np.complex64]
 """``(K, C, rows, columns)``: K harmonics of C channels at the nodes."""
 Surfaces = NDArray[np.float32]
 """``(rows, columns, LABELS, LABELS)``: correlation of each node at displacement (i t1 + j t2) / LABELS."""
-
-
-class FieldCovariance(Protocol):
-    """The covariance of displacements along one axis."""
-
-    @property
-    def noise(self) -> float:
-        """Variance of the error of one node, px^2."""
-
-    def at(self, distances: Field) -> Field:
-        """Return the covariance at distances in px, px^2."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +179,7 @@ class Nodes:
         step = [n / count for n, count in zip(self.padded, self.counts, strict=True)]
         at = [points[..., 1] / step[0], points[..., 0] / step[1]]
         return np.stack(
-            [ndimage.map_coordinates(axis, at, order=3, mode="nearest") for axis in np.moveaxis(field, -1, 0)], -1
+            [scipy.ndimage.map_coordinates(axis, at, order=3, mode="nearest") for axis in np.moveaxis(field, -1, 0)], -1
         )
 
 
@@ -321,15 +301,7 @@ class Track:
         return float((self.correlation[seen] >= least).mean()) if seen.any() else 0.0
 
 
-def track_lattice(
-    image: Image,
-    lattice: Lattice,
-    tile: MeanTile,
-    first_width: float = _FIRST_WIDTH,
-    refined_widths: tuple[float, ...] = _REFINED_WIDTHS,
-    covariance: FieldCovariance | None = None,
-    departure_cost: float = _DEPARTURE_COST,
-) -> Track:
+def track_lattice(image: Image, lattice: Lattice, tile: MeanTile) -> Track:
     """Track a lattice through an image.
 
     At each node of a grid with spacing half a tile the image is correlated with the mean tile, under a Gaussian window
@@ -347,15 +319,6 @@ def track_lattice(
         Reduced. Its phase need not fit the image.
     tile
         The mean tile to track, see :meth:`MeanTile.of`.
-    first_width
-        Width in tiles of the windows that are unwrapped. Narrow windows follow displacements with slopes above 0.3.
-    refined_widths
-        Width in tiles of the windows of each refinement, none wider than the one before.
-    covariance
-        Covariance of the displacements, if it is known. Then kriging predicts each node from its neighbors while the
-        displacements are unwrapped, so that displacements which change much from tile to tile are followed.
-    departure_cost
-        Cost, in correlation, of a departure from that prediction by one standard deviation.
 
     Examples
     --------
@@ -368,9 +331,9 @@ def track_lattice(
     1.0
     """
     planes = _centered(image) @ tile.colors
-    nodes = Nodes.of(lattice, image.shape[:2], first_width)
-    field = _find_displacements(planes, nodes, tile, covariance, departure_cost)
-    for width in refined_widths:
+    nodes = Nodes.of(lattice, image.shape[:2], _FIRST_WIDTH)
+    field = _find_displacements(planes, nodes, tile)
+    for width in _REFINED_WIDTHS:
         nodes = nodes.narrowed(width)
         straight = _straighten(planes, nodes, field)
         coefficients = nodes.coefficients(straight, tile.harmonics.frequencies)
@@ -382,41 +345,13 @@ def track_lattice(
     return Track(image, lattice, nodes, field, correlation, tile)
 
 
-def _find_displacements(
-    planes: Values, nodes: Nodes, tile: MeanTile, covariance: FieldCovariance | None, departure_cost: float
-) -> Field:
+def _find_displacements(planes: Values, nodes: Nodes, tile: MeanTile) -> Field:
     """Return the unwrapped displacements at the nodes."""
     product = tile.product(nodes.coefficients(planes, tile.harmonics.frequencies))
     strength = np.sqrt(max(tile.power, _FLAT) * _window_variance(nodes, planes))[..., np.newaxis, np.newaxis]
-    surfaces = np.asarray(_correlation_surfaces(product, tile.harmonics) / strength, np.float32)
-    lattice = tile.harmonics.lattice
-    wrapped = (
-        unwrap(surfaces, lattice)
-        if covariance is None
-        else _unwrap_by_kriging(surfaces, lattice, nodes, covariance, departure_cost)
-    )
+    surfaces = np.asarray(correlation_surfaces(product, tile.harmonics) / strength, np.float32)
+    wrapped = unwrap(surfaces, tile.harmonics.lattice)
     return _invert_field(nodes, _refine(product, tile.harmonics, wrapped, _FIRST_STEPS))
-
-
-def _unwrap_by_kriging(
-    surfaces: Surfaces, lattice: Lattice, nodes: Nodes, covariance: FieldCovariance, departure_cost: float
-) -> Field:
-    """Return the displacement of each node; as :func:`unwrap`, but with a known covariance of the displacements."""
-    trust = np.maximum(surfaces.max((2, 3)), 1e-3).astype(np.float64) ** 2
-    step = [n / count for n, count in zip(nodes.padded, nodes.counts, strict=True)]
-    lags = np.arange(-2 * _NEIGHBORS, 2 * _NEIGHBORS + 1)
-    table = covariance.at(np.hypot(lags[:, np.newaxis] * step[0], lags * step[1])) + (_FREE_PHASE * lattice.s) ** 2
-    noise = covariance.noise + (lattice.s / LABELS) ** 2 / 6
-    return grow_by_kriging(
-        np.ascontiguousarray(surfaces, np.float32),
-        trust,
-        np.ascontiguousarray(_label_displacements(lattice)),
-        np.ascontiguousarray(lattice.matrix),
-        np.ascontiguousarray(table),
-        float(noise),
-        departure_cost,
-        1,
-    )
 
 
 def unwrap(surfaces: Surfaces, lattice: Lattice) -> Field:
@@ -434,13 +369,13 @@ def unwrap(surfaces: Surfaces, lattice: Lattice) -> Field:
     lattice
         Reduced.
     """
-    steps = _label_displacements(lattice)
+    steps = label_displacements(lattice)
     costs = STIFFNESS * (steps**2).sum(-1) / lattice.s**2
     trust = np.maximum(surfaces.max((2, 3)), 1e-3).astype(np.float64) ** 2
     return grow(np.ascontiguousarray(surfaces, np.float32), trust, steps, costs, lattice.matrix, _SWEEPS)
 
 
-def _label_displacements(lattice: Lattice) -> Points:
+def label_displacements(lattice: Lattice) -> Points:
     """Return the shortest representative of each displacement (i t1 + j t2) / LABELS, ``(LABELS, LABELS, 2)`` px."""
     side = np.arange(LABELS) / LABELS
     return lattice.wrap(np.stack(np.meshgrid(side, side, indexing="ij"), -1) @ lattice.matrix)
@@ -454,7 +389,7 @@ def _update_mean_tile(tile: MeanTile, coefficients: Coefficients) -> MeanTile:
     return MeanTile(tile.harmonics, tile.colors, values, np.asarray(1 / (scatter + floor), np.float32))
 
 
-def _correlation_surfaces(product: NDArray[np.complex64], harmonics: Harmonics) -> Surfaces:
+def correlation_surfaces(product: NDArray[np.complex64], harmonics: Harmonics) -> Surfaces:
     """Return the correlation, not normalized, at all displacements (i t1 + j t2) / LABELS of a cell."""
     table = np.zeros((*product.shape[1:], LABELS, LABELS), np.complex64)
     m, n = harmonics.numbers.T % LABELS
@@ -507,14 +442,16 @@ def _straighten(planes: Values, nodes: Nodes, field: Field) -> Values:
     down, along = (_spline_weights(at, n) for at, n in ((nodes.y, height), (nodes.x, width)))
     moved = np.einsum("yr,rcd,xc->dyx", down, field, along, optimize=True)
     at = moved[::-1] + np.indices((height, width))
-    return np.stack([ndimage.map_coordinates(plane, at, np.float32, 1) for plane in np.moveaxis(planes, -1, 0)], -1)
+    return np.stack(
+        [scipy.ndimage.map_coordinates(plane, at, np.float32, 1) for plane in np.moveaxis(planes, -1, 0)], -1
+    )
 
 
 def _spline_weights(at: Field, count: int) -> Field:
     """Return the matrix ``(count, n)`` of cubic splines from nodes to pixels, constant beyond the last node."""
     if len(at) == 1:
         return np.ones((count, 1))
-    spline = make_interp_spline(at, np.eye(len(at)), k=min(3, len(at) - 1))
+    spline = scipy.interpolate.make_interp_spline(at, np.eye(len(at)), k=min(3, len(at) - 1))
     return np.asarray(spline(np.clip(np.arange(count), at[0], at[-1])))
 
 

@@ -1,16 +1,21 @@
-"""The lattice of an image that may be bent: detected in views, followed through the image, checked when straight."""
+"""The lattice of an image that may be bent: detected in views, followed through the image, checked when straight.
+
+A lattice that is followed becomes knots: places in the image of its points and of points between them
+(:class:`~nrbench.tracking.growth.Knots`). Their score is the share of the image that they cover times their mean
+correlation with the mean tile.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, shrink
-from nrbench.lattice.comparison import lattice_error
+from nrbench.lattice.comparison import lattice_error, relate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
 from nrbench.tracking.deformation import LEAST_AMPLITUDE, Deformation
@@ -18,22 +23,24 @@ from nrbench.tracking.following import follow_lattice, follow_on, merit, probe, 
 from nrbench.tracking.growth import Knots
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
-__all__ = ["find_deformation"]
+__all__ = ["Followed", "find_deformation"]
 
 LARGEST_VIEW: Final = 512
-"""px; largest side of a view other than the whole image."""
+"""px; largest side of a view other than the whole image, as the detector sees it."""
 _DETAIL: Final = 12.0
 """px; least s of the image that the detector sees."""
 LEAST_VIEW: Final = 48
-"""px; smallest side of a view."""
+"""px; smallest side of a view, as the detector sees it."""
 _PLACES = ((1, 1), (0, 0), (2, 2), (0, 2), (2, 0), (1, 0), (1, 2), (0, 1), (2, 1))
 """Row and column, in half sides, of overlapping views of half the image's size, in the order in which they are used."""
 _PROMISING = 0.12
-"""Score of the first way of a view's lattice through the image from which it is followed."""
+"""Score of the knots that a view's lattice first reaches, from which it is followed in full."""
+_HALFWAY = 0.4
+"""The same, from which a lattice reaches about half of the image: with a correlation of 0.8, it covers half."""
 _MOST_FOLLOWED = 4
 """Number of the most promising views whose lattices are followed."""
 _COMPLETE = 0.7
-"""Score of a way through the image that agrees with another one, from which no third one is tried."""
+"""Score of the knots of a lattice that agrees with another one, from which no third one is tried."""
 _MOST_CONFIRMED = 2
 """Number of the best followed lattices for which the detector is run again, on the straightened image."""
 _ENOUGH = 0.6
@@ -48,7 +55,25 @@ _SAME = 0.04
 """Tolerance, in s, at which two lattices count as the same."""
 
 
-def find_deformation(image: Image, detector: Detector, quick: Detector, lattice: Lattice | None = None) -> Deformation:
+class Followed(NamedTuple):
+    """A lattice that was followed through an image.
+
+    Parameters
+    ----------
+    deformation
+        Where it lies.
+    detection
+        What the detector found where the image is straight, with the alternatives: in the straightened image, or in the
+        image itself if it is not bent. None if the lattice was given.
+    """
+
+    deformation: Deformation
+    detection: Detection | None
+
+
+def find_deformation(
+    image: Image, detector: Detector, quick: Detector, lattice: Lattice | None = None, only_promising: bool = False
+) -> Followed:
     """Return the lattice of an image, and its deformation.
 
     The detector looks at the whole image; fine detail of large elements is left out, because the lattice is measured
@@ -69,6 +94,9 @@ def find_deformation(image: Image, detector: Detector, quick: Detector, lattice:
         than silent: a wrong lattice cannot be followed.
     lattice
         The lattice, about as it is on average or somewhere in the image; None: it is detected.
+    only_promising
+        Whether to give up if no lattice that ``quick`` finds in a view can be followed through about half of the image.
+        This costs little where there is no lattice.
 
     Raises
     ------
@@ -78,26 +106,36 @@ def find_deformation(image: Image, detector: Detector, quick: Detector, lattice:
         If the image holds fewer than two cells of the given lattice.
     """
     if lattice is not None:
-        return _follow_given(image, lattice)
-    detector = _Shrinking(detector, _detail_factor(image, quick))
+        return Followed(_follow_given(image, lattice), None)
+    quick_views = [proposal for group in _look_at_views(image, quick) for proposal in group]
+    detector = _Shrinking(detector, _detail_factor(quick_views))
     first, reason = _look(detector, image)
     if first is not None:
         still = _still(image, first.lattice, first.confidence)
         if still is not None:
-            return still
+            return _followed(still, first)
     best: _Answer | None = None
-    for group in _proposals(image, (quick, detector), first):
+    for group in _proposals(image, detector, first, quick_views, only_promising):
         for knots in _follow_all(image, group)[:_MOST_CONFIRMED]:
             answer = _answer(image, detector, knots)
             if answer is not None and (best is None or answer.worth > best.worth):
                 best = answer
             if best is not None and best.worth >= _ENOUGH:
-                return Deformation.of(image, best.knots, best.confidence)
+                return best.followed(image)
     if best is not None and best.worth >= _LEAST:
-        return Deformation.of(image, best.knots, best.confidence)
+        return best.followed(image)
     if first is not None:
-        return _unmeasured(image, first)
+        return _followed(_unmeasured(image, first), first)
     raise NoLatticeFound(reason or "no view has a lattice that can be followed through the image")
+
+
+def _followed(deformation: Deformation, detection: Detection) -> Followed:
+    """Return a lattice with the alternatives of a detection, named by their relation to the mean lattice."""
+    alternatives = []
+    for one in detection.alternatives:
+        change = relate(one.lattice, deformation.lattice)
+        alternatives.append(replace(one, relation=change.name if change else "unrelated"))
+    return Followed(deformation, replace(detection, alternatives=tuple(alternatives)))
 
 
 @dataclass(frozen=True)
@@ -114,32 +152,44 @@ class _Shrinking:
             raise NoLatticeFound(none.reason, none.best and self._enlarged(none.best)) from None
 
     def _enlarged(self, detection: Detection) -> Detection:
-        x, y = detection.lattice.origin
+        alternatives = tuple(replace(one, lattice=self._enlarge(one.lattice)) for one in detection.alternatives)
+        return replace(detection, lattice=self._enlarge(detection.lattice), alternatives=alternatives)
+
+    def _enlarge(self, lattice: Lattice) -> Lattice:
+        x, y = lattice.origin
         origin = (self.factor * x + (self.factor - 1) / 2, self.factor * y + (self.factor - 1) / 2)
-        return replace(detection, lattice=Lattice.from_basis(self.factor * detection.lattice.matrix, origin))
+        return Lattice.from_basis(self.factor * lattice.matrix, origin)
 
 
-def _detail_factor(image: Image, quick: Detector) -> int:
+_Proposal = tuple[Lattice, Points | None]
+"""A lattice, and the middle (x, y) px of the view that it comes from; None: of the whole image."""
+
+
+def _detail_factor(proposals: Sequence[_Proposal]) -> int:
     """Return the factor by which an image may be shrunk: few lattices of views then have an s under 12 px.
 
     Some are subcells, so their lower quartile counts.
     """
-    periods = [lattice.s for lattice, _ in _look_at_views(image, quick)]
+    periods = [lattice.s for lattice, _ in proposals]
     return max(1, int(float(np.quantile(periods, 0.25)) / _DETAIL)) if periods else 1
 
 
 @dataclass(frozen=True)
 class _Answer:
-    """Knots, the confidence in their lattice, and the share of the image that they cover times their correlation."""
+    """Knots, what the detector finds in the image that they straighten, and their score."""
 
     knots: Knots
-    confidence: float
+    detection: Detection
     score: float
 
     @property
     def worth(self) -> float:
         """How well the lattice explains the image, where a supercell, whose window is too broad, explains less."""
-        return self.confidence * self.score
+        return self.detection.confidence * self.score
+
+    def followed(self, image: Image) -> Followed:
+        """Return the result."""
+        return _followed(Deformation.of(image, self.knots, self.detection.confidence), self.detection)
 
 
 def _look(detector: Detector, image: Image) -> tuple[Detection | None, str]:
@@ -150,52 +200,59 @@ def _look(detector: Detector, image: Image) -> tuple[Detection | None, str]:
         return None, none.reason
 
 
-_Proposal = tuple[Lattice, Points | None]
-"""A lattice, and the middle (x, y) px of the view that it comes from; None: of the whole image."""
-
-
-def _proposals(image: Image, detectors: tuple[Detector, ...], whole: Detection | None) -> Iterator[list[_Proposal]]:
+def _proposals(
+    image: Image,
+    detector: _Shrinking,
+    whole: Detection | None,
+    quick_views: Sequence[_Proposal],
+    only_promising: bool,
+) -> Iterator[list[_Proposal]]:
     """Yield groups of lattices of the whole image and of views, the most promising first.
 
     A lattice from a view is as strained as the image is there, and often wrong. How far it can be followed tells.
     """
     first: list[_Proposal] = [] if whole is None else [(whole.lattice, None)]
-    for looker in detectors:
-        ranked = [
-            (-probe(image, lattice, middle), number, (lattice, middle))
-            for number, (lattice, middle) in enumerate(_look_at_views(image, looker))
-        ]
-        ranked = sorted((one for one in ranked if one[0] <= -_PROMISING), key=lambda one: one[:2])
-        yield [*first, *(proposal for _, _, proposal in ranked[:_MOST_FOLLOWED])]
-        first = []
+    ranked = _rank(image, quick_views)
+    if only_promising and not (ranked and ranked[0][0] >= _HALFWAY):
+        return
+    yield first + [proposal for _, proposal in ranked[:_MOST_FOLLOWED]]
+    for group in _look_at_views(image, detector):
+        yield [proposal for _, proposal in _rank(image, group)[:_MOST_FOLLOWED]]
+
+
+def _rank(image: Image, proposals: Sequence[_Proposal]) -> list[tuple[float, _Proposal]]:
+    """Return the promising ones among lattices of views with how far they can be followed at first, the best first."""
+    found = [(probe(image, lattice, middle), (lattice, middle)) for lattice, middle in proposals if middle is not None]
+    return sorted((one for one in found if one[0] >= _PROMISING), key=lambda one: -one[0])
 
 
 def _follow_all(image: Image, proposals: list[_Proposal]) -> list[Knots]:
-    """Follow lattices through an image until two ways agree, and return the ways, the best first."""
-    ways: list[tuple[float, int, Knots]] = []
+    """Follow lattices through an image until two of them agree, and return the knots of each, the best first."""
+    found: list[tuple[float, int, Knots]] = []
     for number, (lattice, middle) in enumerate(proposals):
         knots = follow_lattice(image, lattice, middle)
         if knots is None or score(knots, image) < _LEAST:
             continue
         mean = knots.mean_lattice()
-        agree = score(knots, image) >= _COMPLETE and any(_is_same(mean, way.mean_lattice()) for _, _, way in ways)
-        ways.append((-merit(image, knots), number, knots))
+        agree = score(knots, image) >= _COMPLETE and any(_is_same(mean, other.mean_lattice()) for _, _, other in found)
+        found.append((-merit(image, knots), number, knots))
         if agree:
             break
     kept: list[Knots] = []
-    for _, _, knots in sorted(ways, key=lambda way: way[:2]):
+    for _, _, knots in sorted(found, key=lambda one: one[:2]):
         if not any(_is_same(knots.mean_lattice(), other.mean_lattice()) for other in kept):
             kept.append(knots)
     return kept
 
 
-def _look_at_views(image: Image, detector: Detector) -> Iterator[tuple[Lattice, Points]]:
-    """Yield the lattice of each view, from large views to small ones, and the middle (x, y) px of the view."""
+def _look_at_views(image: Image, detector: Detector) -> Iterator[list[_Proposal]]:
+    """Yield the lattices of the views of each size, from large views to small ones, with the middles of the views."""
     height, width = image.shape[:2]
-    scale = 2
     factor = detector.factor if isinstance(detector, _Shrinking) else 1
+    scale = 2
     while min(height, width) // scale >= LEAST_VIEW * factor:
-        rows, columns = (min(side // scale, LARGEST_VIEW) for side in (height, width))
+        rows, columns = (min(side // scale, LARGEST_VIEW * factor) for side in (height, width))
+        found: list[_Proposal] = []
         for row, column in _PLACES:
             # Views of half the image's size overlap by half. Smaller ones are spread as far.
             top, left = round((height - rows) * (1 + row) / 4), round((width - columns) * (1 + column) / 4)
@@ -203,7 +260,8 @@ def _look_at_views(image: Image, detector: Detector) -> Iterator[tuple[Lattice, 
                 top, left = (height - rows) * row // 2, (width - columns) * column // 2
             lattice = _best_lattice(detector, image[top : top + rows, left : left + columns])
             if lattice is not None:
-                yield lattice, np.array([left + (columns - 1) / 2, top + (rows - 1) / 2])
+                found.append((lattice, np.array([left + (columns - 1) / 2, top + (rows - 1) / 2])))
+        yield found
         scale *= 2
 
 
@@ -241,7 +299,7 @@ def _confirm(image: Image, detector: Detector, knots: Knots) -> tuple[_Answer | 
     if detection is None:
         return None, None
     if _is_same(detection.lattice, lattice):
-        return _Answer(knots, detection.confidence, score(knots, image)), None
+        return _Answer(knots, detection, score(knots, image)), None
     vectors = detection.lattice.matrix @ np.linalg.inv(knots.mean_lattice().matrix)
     return None, vectors
 

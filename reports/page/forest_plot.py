@@ -51,6 +51,8 @@ class ForestAxis:
         Which values are better, in words.
     points
         One for each method.
+    values
+        The numbers of the points.
     """
 
     name: str
@@ -59,6 +61,7 @@ class ForestAxis:
     one: float | None
     better: str
     points: Sequence[ForestPoint]
+    values: Sequence[float | None]
 
 
 _BETTER = {"higher": "better →", "lower": "← better", "one": "best at 1", "none": ""}
@@ -82,6 +85,7 @@ def _axis(row: SummaryRow) -> ForestAxis:
         ends=(text(low), text(high)),
         one=scale(1.0) if row.column.better == "one" else None,
         better=_BETTER[row.column.better],
+        values=[one.value if one else None for one in row.estimates],
         points=[
             ForestPoint(scale(value), scale(low), scale(high), *words)
             for (value, low, high), *words in zip(places, row.values, row.intervals, row.counts, strict=True)

@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from urllib.parse import quote
-
-import PIL.Image
 
 from nrbench.labelling.questions import Question
 from nrbench.lattice.geometry import Lattice
@@ -19,10 +13,12 @@ from ..statistics.comparison import COSTS, Comparison, Method, TextureRow, headl
 from ..statistics.format import describe_column, format_number
 from ..statistics.verdicts import MARKS, QUALITY, SCORE, explain_valid_baseline, explain_verdict, verdict
 from .lattice_overlay import LatticeOverlay, align_basis, draw_lattice
+from .pictures import PagePicture, PictureStore
 
 SAME_LATTICE = 0.05
 """Lattices whose reduced vectors agree within this many px share one drawing."""
-_SMALLEST, _LARGEST = 192, 384
+SOURCE_MAP = "source map"
+"""Name of the layer that shows where in the sample each pixel comes from."""
 _MAX_LOST_SHADE = 3
 _DEFECTS = {"regularity": "regularity.defects", "integrity": "integrity.broken"}
 """The picture of the defects that a metric finds."""
@@ -31,72 +27,18 @@ _FULL = 0.995
 
 
 @dataclass(frozen=True)
-class PagePicture:
-    """A picture as the page shows it.
-
-    Parameters
-    ----------
-    source
-        The value of ``src``: the embedded pixels, or a relative path.
-    width, height
-        Size of the picture in px.
-    """
-
-    source: str
-    width: int
-    height: int
-
-    @property
-    def scale(self) -> float:
-        """Page pixels for each pixel: a whole number for small pictures, which avoids moire; below 1 for large ones."""
-        if self.width < _SMALLEST:
-            return float(-(-_SMALLEST // self.width))
-        return min(1.0, _LARGEST / self.width)
-
-
-@dataclass(frozen=True)
-class PictureSource:
-    """The source of the page's pictures.
-
-    Parameters
-    ----------
-    directory
-        Folder of the page.
-    embedded
-        Whether the page embeds the pixels; otherwise it links the files by relative paths.
-    """
-
-    directory: Path
-    embedded: bool
-
-    @classmethod
-    def for_cells(cls, cells: Iterable[CellRecord], directory: Path, limit: float) -> PictureSource:
-        """Embed the pictures of all cells unless that takes more than ``limit`` bytes."""
-        names = ("sample.png", "output.png")
-        files = (file for one in cells for file in (*(one.folder / name for name in names), *one.pictures.values()))
-        size = sum(file.stat().st_size for file in files if file.is_file())
-        return cls(directory, size * 4 / 3 <= limit)
-
-    def load(self, path: Path | None) -> PagePicture | None:
-        """Return the picture in a PNG file; None if there is no readable picture."""
-        try:
-            if path is None:
-                return None
-            with PIL.Image.open(path) as image:
-                width, height = image.size
-            return PagePicture(self._source(path), width, height)
-        except (OSError, SyntaxError, PIL.Image.DecompressionBombError):
-            return None
-
-    def _source(self, path: Path) -> str:
-        if self.embedded:
-            return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-        return quote(Path(os.path.relpath(path, self.directory)).as_posix())
-
-
-@dataclass(frozen=True)
 class PictureLayer:
-    """A picture of a metric that the page can lay over an output."""
+    """A picture that the page can lay over an output: the marks of a metric, or the source map.
+
+    Parameters
+    ----------
+    index
+        Number of the toggle that shows it.
+    title
+        Its name.
+    picture
+        The picture.
+    """
 
     index: int
     title: str
@@ -130,7 +72,11 @@ class OutputFigure:
     output
         The output; None if there is none.
     layers
-        The metrics' pictures.
+        The pictures that can be laid over it.
+    insets
+        The metrics' pictures of another size than the output, by name.
+    lattice
+        The lattice of the output, as lines over it; None if it is not known.
     headline, scores
         The headline scores, and all scores.
     valid_baseline
@@ -147,6 +93,8 @@ class OutputFigure:
     explanation: str
     output: PagePicture | None
     layers: Sequence[PictureLayer]
+    insets: Sequence[tuple[str, PagePicture]]
+    lattice: LatticeOverlay | None
     headline: Sequence[ScoreLine]
     scores: Sequence[ScoreLine]
     valid_baseline: str = ""
@@ -229,14 +177,16 @@ def score_shade(score: float | None) -> int | None:
     return None if score is None else round(10 * min(1.0, max(0.0, score)))
 
 
-def layer_titles(run: Run) -> list[str]:
-    """Return the names of the metrics' pictures in a run, those of the headline metrics first."""
-    return sort_headlines_first(dict.fromkeys(title for record in run.cells for title in record.pictures))
+def list_layers(sections: Sequence[TextureSection]) -> list[tuple[int, str]]:
+    """Return number and name of the pictures that lie over outputs of a gallery, in the order of their toggles."""
+    figures = [one for section in sections for draw in section.draws for one in draw.figures]
+    return sorted({(layer.index, layer.title) for one in figures for layer in one.layers})
 
 
-def build_gallery(run: Run, comparison: Comparison, pictures: PictureSource) -> list[TextureSection]:
+def build_gallery(run: Run, comparison: Comparison, pictures: PictureStore) -> list[TextureSection]:
     """Return a section for every texture of the comparison."""
-    titles = layer_titles(run)
+    names = dict.fromkeys(title for record in run.cells for title in record.pictures)
+    titles = [*sort_headlines_first(names), SOURCE_MAP]
     sections = []
     for row in comparison.rows:
         replicates: dict[int, list[CellRecord]] = {}
@@ -248,7 +198,7 @@ def build_gallery(run: Run, comparison: Comparison, pictures: PictureSource) -> 
     return sections
 
 
-def build_disagreement(run: Run, record: CellRecord, question: Question, pictures: PictureSource) -> DisagreementFigure:
+def build_disagreement(run: Run, record: CellRecord, question: Question, pictures: PictureStore) -> DisagreementFigure:
     """Return the figure of a cell on which people and the automatic answer to a question differ."""
     output = pictures.load(record.folder / "output.png")
     names = [name for name in run.columns if name.startswith(f"{question.metric}.")]
@@ -264,7 +214,7 @@ def build_disagreement(run: Run, record: CellRecord, question: Question, picture
 
 
 def _texture_draw(
-    run: Run, score: str, titles: Sequence[str], pictures: PictureSource, records: Sequence[CellRecord]
+    run: Run, score: str, titles: Sequence[str], pictures: PictureStore, records: Sequence[CellRecord]
 ) -> TextureDraw:
     sample = next(filter(None, (pictures.load(record.folder / "sample.png") for record in records)), None)
     figures = [_output_figure(run, record, score, titles, pictures) for record in records]
@@ -288,14 +238,15 @@ def _texture_draw(
 
 
 def _output_figure(
-    run: Run, record: CellRecord, score: str, titles: Sequence[str], pictures: PictureSource
+    run: Run, record: CellRecord, score: str, titles: Sequence[str], pictures: PictureStore
 ) -> OutputFigure:
     known, word = record.values.get(score), verdict(record)
     value = None if known is None else float(known)
     shade = score_shade(value)
     if shade is not None and word == "lost":
         shade = min(shade, _MAX_LOST_SHADE)  # a lost lattice never looks like a preserved one
-    layers = [(index, title, pictures.load(record.pictures.get(title))) for index, title in enumerate(titles, 1)]
+    output = pictures.load(record.folder / "output.png") if record.status == "ok" else None
+    layers, insets = _lay_over(record, titles, pictures) if output else ([], [])
     return OutputFigure(
         record=record,
         method=_method_of(record),
@@ -305,12 +256,44 @@ def _output_figure(
         shade=shade,
         limit=_limiting_peril(record),
         explanation=explain_verdict(record),
-        output=pictures.load(record.folder / "output.png") if record.status == "ok" else None,
-        layers=[PictureLayer(index, title, picture) for index, title, picture in layers if picture],
+        output=output,
+        layers=layers,
+        insets=insets,
+        lattice=_output_lattice(record, (output.height, output.width)) if output else None,
         headline=_score_lines(run, record, [name for name in headline_columns(run) if name != SCORE]),
         scores=_score_lines(run, record, sort_headlines_first(run.columns)),
         valid_baseline=explain_valid_baseline(record),
     )
+
+
+def _lay_over(
+    record: CellRecord, titles: Sequence[str], pictures: PictureStore
+) -> tuple[list[PictureLayer], list[tuple[str, PagePicture]]]:
+    """Return the layers of an output, and the pictures of its metrics that have another size."""
+    layers, insets = [], []
+    for index, title in enumerate(titles, 1):
+        path = record.pictures.get(title)
+        if title == SOURCE_MAP:
+            laid = pictures.source_map(record.folder / "source.npz")
+        else:
+            laid = pictures.overlay(record.folder / "output.png", path)
+        if laid:
+            layers.append(PictureLayer(index, title, laid))
+        elif inset := pictures.load(path):
+            insets.append((title, inset))
+    return layers, insets
+
+
+def _output_lattice(record: CellRecord, shape: tuple[int, int]) -> LatticeOverlay | None:
+    """Return the lattice on which the output was judged, at the phase that the judge found; None if it has none."""
+    judged = record.records.get("regularity", {})
+    try:
+        lattice = Lattice.from_dict(judged["lattice"])
+        x, y = (float(value) for value in judged.get("phase") or (0.0, 0.0))
+        origin = (lattice.origin[0] + x, lattice.origin[1] + y)
+        return draw_lattice(Lattice(lattice.t1, lattice.t2, origin).reduced(), shape)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return None
 
 
 def _limiting_peril(record: CellRecord) -> str:

@@ -24,6 +24,8 @@ _STYLE: Any = {
     "svg.fonttype": "path",
     "pdf.fonttype": 42,
     "axes.linewidth": 0.7,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
 }
 
 
@@ -39,5 +41,11 @@ def render_figure(draw: Callable[[], Figure], kind: str) -> bytes:
     with matplotlib.rc_context(_STYLE):
         file = io.BytesIO()
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-        draw().savefig(file, format=kind, metadata=dates.get(kind), dpi=160 if kind == "png" else 72)
+        draw().savefig(
+            file,
+            format=kind,
+            facecolor="white" if kind == "png" else "none",
+            metadata=dates.get(kind),
+            dpi=160 if kind == "png" else 72,
+        )
     return file.getvalue()

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from ..statistics.comparison import PerilsPoint
 from ..statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, SHARES_LEGEND, method_label
+from .captions import draw_captions
 from .figure_file import FAINT, GRAY, INK, SMALL, make_figure, render_figure
 
 _RADIUS = 3.2
 _ROW = 13.0
+_LIST_ROW = 9.5
 _NARROW = 4.6
 _CONTOURS = (0.2, 0.4, 0.6, 0.8)
 
@@ -60,20 +62,24 @@ def _perils_figure(points: Sequence[PerilsPoint], width: float) -> Figure:
         "strip": _ROW * sum(_strip_caption(point).count("\n") + 1 for point in below) + 4 if below else 0.0,
         "top": 16.0,
         "key": 60.0,
+        "list": _LIST_ROW * len(above) + 6.0 if width < _NARROW else 0.0,
     }
     notes = len(_footnotes(points))
     heights["key"] += 10.0 * (width < _NARROW) - 8.0 * (not notes) + 9.0 * (notes > 1)
     total = sum(heights.values())
     figure = make_figure(width, total)
-    left, across = 46 / (72 * width), 1 - (46 + 58) / (72 * width)
-    bottom = (heights["key"] + heights["strip"]) / total
+    beside = 58 if width < _NARROW else 182 if above else 58
+    left, across = 46 / (72 * width), 1 - (46 + beside) / (72 * width)
+    bottom = (heights["key"] + heights["strip"] + heights["list"]) / total
     plane = figure.add_axes((left, bottom, across, heights["plane"] / total))
     _draw_plane(plane, above)
     if below:
-        strip = figure.add_axes((left, heights["key"] / total, across, heights["strip"] / total))
+        strip = figure.add_axes((left, (heights["key"] + heights["list"]) / total, across, heights["strip"] / total))
         _draw_strip(strip, below)
         plane.tick_params(labelbottom=False)
-    _draw_key(figure, points, heights["key"], total)
+    if width < _NARROW:
+        _list_names(figure, above, heights["list"], total)
+    _draw_key(figure, points, heights["key"], heights["list"], total)
     return figure
 
 
@@ -82,9 +88,10 @@ def _draw_plane(axes: Axes, above: Sequence[PerilsPoint]) -> None:
     axes.set_ylabel("randomness")
     for quality in _CONTOURS:
         axes.plot((quality, quality, 1.05), (1.05, quality, quality), color=FAINT, lw=0.6, zorder=0)
-    for height, words in ((1.0, "as a\nfresh draw"), (0.0, "wallpaper")):
-        axes.text(1.015, height, words, transform=axes.get_yaxis_transform(), va="center", **SMALL)
-    axes.text(0, 1.02, "lattice lost or elements broken", transform=axes.transAxes, style="italic", **SMALL)
+    for height, words, side in ((1.0, "as a fresh draw", "top"), (0.0, "wallpaper", "bottom")):
+        away = -0.035 if side == "top" else 0.035
+        axes.text(1.04, height + away, words, ha="right", va=side, **SMALL)
+    axes.text(0, 1.02, "lattice lost or broken", transform=axes.transAxes, style="italic", **SMALL)
     axes.text(1, 1.02, "all perils avoided", ha="right", transform=axes.transAxes, style="italic", **SMALL)
     axes.tick_params(length=3, width=0.7)
     for point in above:
@@ -116,22 +123,48 @@ def _draw_point(axes: Axes, point: PerilsPoint, x: float, y: float) -> None:
 
 
 def _draw_captions(axes: Axes, above: Sequence[PerilsPoint]) -> None:
+    """Label the points, in the order of their heights: in a column beside the plane, or by numbers if it is narrow."""
     groups = _shared_captions(axes, above)
     if not groups:
         return
-    style: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 4, "linespacing": 1.05}
-    texts = [axes.text(0, 0, wrap_caption(caption_text(group)), style=_slant(group[0]), **style) for group in groups]
-    sizes = np.array([text.get_window_extent().size for text in texts]) + 2
     anchors = axes.transData.transform([_position(group[0]) for group in groups])
-    frame = np.array(axes.get_window_extent().extents)
-    boxes = place_captions(anchors, sizes, _obstacles(axes, above), frame)
+    if axes.figure.get_figwidth() >= _NARROW:
+        texts = [wrap_caption(caption_text(group)) for group in groups]
+        draw_captions(axes, anchors, texts, [group[0].method.reference for group in groups])
+        return
+    order = np.lexsort((anchors[:, 0], -anchors[:, 1]))
+    anchors, groups = anchors[order], [groups[i] for i in order]
+    numbers = [str(i) for i in range(1, len(groups) + 1)]
+    sizes = np.array([[4.6 * len(number) + 2, 8.0] for number in numbers])
+    boxes = place_captions(anchors, sizes, _obstacles(axes, above), np.array(axes.get_window_extent().extents))
     back = axes.transData.inverted()
-    for text, anchor, box in zip(texts, anchors, boxes, strict=True):
-        text.set_position(tuple(back.transform((box[:2] + box[2:]) / 2)))
+    for number, group, anchor, box in zip(numbers, groups, anchors, boxes, strict=True):
+        axes.text(
+            *back.transform((box[:2] + box[2:]) / 2),
+            number,
+            ha="center",
+            va="center",
+            fontsize=7,
+            style=_slant(group[0]),
+        )
         end = np.clip(anchor, box[:2], box[2:])
         if np.linalg.norm(end - anchor) > 2.5 * _RADIUS:
-            leader = back.transform(np.array([anchor, end]))
-            axes.plot(leader[:, 0], leader[:, 1], color=GRAY, lw=0.5, zorder=1)
+            axes.plot(*back.transform(np.array([anchor, end])).T, color=GRAY, lw=0.6, zorder=1)
+
+
+def _list_names(figure: Figure, above: Sequence[PerilsPoint], top: float, total: float) -> None:
+    """List the names of numbered points below a narrow plane, the highest first; ``top`` in points from below."""
+    for row, (number, name, slant) in enumerate(_numbered_names(figure.axes[0], above)):
+        y = (top - 4 - _LIST_ROW * row) / total
+        figure.text(30 / (72 * figure.get_figwidth()), y, number, ha="right", va="top", fontsize=7, color=INK)
+        figure.text(36 / (72 * figure.get_figwidth()), y, name, va="top", fontsize=7, style=slant, color=INK)
+
+
+def _numbered_names(axes: Axes, above: Sequence[PerilsPoint]) -> list[tuple[str, str, str]]:
+    groups = _shared_captions(axes, above)
+    anchors = np.array([_position(group[0]) for group in groups]).reshape(-1, 2)
+    order = np.lexsort((anchors[:, 0], -anchors[:, 1]))
+    return [(str(n), caption_text(groups[i]), _slant(groups[i][0])) for n, i in enumerate(order, 1)]
 
 
 def _slant(point: PerilsPoint) -> str:
@@ -197,11 +230,11 @@ def _strip_caption(point: PerilsPoint) -> str:
     return wrap_caption(f"{caption_text([point])} n = {point.structure.n}", 26)
 
 
-def _draw_key(figure: Figure, points: Sequence[PerilsPoint], height: float, total: float) -> None:
+def _draw_key(figure: Figure, points: Sequence[PerilsPoint], height: float, below: float, total: float) -> None:
     narrow = figure.get_figwidth() < _NARROW
     middle = 0.5 - 2 / (72 * figure.get_figwidth())
     title = "elements in place and whole: the smaller of regularity and integrity"
-    figure.text(middle, (height - 26) / total, title, ha="center", va="center")
+    figure.text(middle, (below + height - 26) / total, title, ha="center", va="center")
     most = max(point.structure.n for point in points)
     signs = [("o", INK, "method"), ("D", FAINT, "reference, not ranked")]
     if not all(point.has_height for point in points):
@@ -214,7 +247,7 @@ def _draw_key(figure: Figure, points: Sequence[PerilsPoint], height: float, tota
         handles=handles,
         ncols=2 if narrow else 5,
         loc="center",
-        bbox_to_anchor=(middle, (height - (46 if narrow else 41)) / total),
+        bbox_to_anchor=(middle, (below + height - (46 if narrow else 41)) / total),
         frameon=False,
         fontsize=7,
         handlelength=1.1,
@@ -222,7 +255,7 @@ def _draw_key(figure: Figure, points: Sequence[PerilsPoint], height: float, tota
         columnspacing=1.1,
     )
     for row, words in enumerate(reversed(_footnotes(points))):
-        figure.text(middle, (4 + 9 * row) / total, words, ha="center", **SMALL)
+        figure.text(middle, (below + 4 + 9 * row) / total, words, ha="center", **SMALL)
 
 
 def _footnotes(points: Sequence[PerilsPoint]) -> list[str]:

@@ -12,14 +12,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from nrbench import plugins
+from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
-from .estimates import Estimate, means_over_textures, paired_differences, success_rate
+from .estimates import Estimate, estimate_means, success_rate
 from .format import (
     describe_column,
     format_count,
@@ -28,6 +31,16 @@ from .format import (
     format_percent,
     format_successes,
     pluralize,
+)
+from .significance import (
+    ALPHA,
+    FEWEST,
+    Floats,
+    RankTests,
+    adjust_holm,
+    compare_ranks,
+    rank_biserial,
+    signed_rank_p_values,
 )
 from .verdicts import (
     DERIVED_COLUMNS,
@@ -59,15 +72,11 @@ COSTS: Mapping[str, Column] = {
 }
 RATE = Column("Share of textures whose lattice is preserved.", better="higher")
 RATE_MEANING = (
-    "With Wilson's 95 % interval over textures. A texture counts as the mean over its replicates. Failures and "
-    "refusals count as not preserved. Undecided cells are left out."
+    "With a 95 % bootstrap interval over textures (Wilson's if all textures agree). A texture counts as the mean over "
+    "its replicates. Failures and refusals count as not preserved. Undecided cells are left out."
 )
 MEAN_MEANING = "Mean over textures, with a 95 % bootstrap interval. A texture counts as the mean over its replicates."
 LEADING_SIGN = "★"
-LEADING_LEGEND = (
-    "leading group: the method of the highest mean quality, and the methods whose paired difference to it over "
-    "textures is not significant at 95 %"
-)
 
 
 @dataclass(frozen=True)
@@ -144,9 +153,12 @@ class MethodSummary:
     validity, validity_scored
         On how many textures a baseline is valid: of all, and of those with a quality.
     rank
-        Position by mean quality, 1 the best; None for a reference, and without a quality.
+        Position by mean quality, 1 the best; None for a reference, without a quality, and if the method has a quality
+        on fewer than half as many textures as the method with the most.
     leading
         Whether it is in the leading group.
+    average_rank
+        Mean over textures of its rank on each texture, among the ranked methods; None without :class:`RankTests`.
     """
 
     method: Method
@@ -158,6 +170,7 @@ class MethodSummary:
     validity_scored: BaselineValidity
     rank: int | None = None
     leading: bool = False
+    average_rank: float | None = None
 
 
 @dataclass(frozen=True)
@@ -168,6 +181,29 @@ class PairedDifference:
     first: Method
     second: Method
     estimate: Estimate
+
+
+@dataclass(frozen=True)
+class BaselineDifference:
+    """A method beside the method that all are compared with.
+
+    Parameters
+    ----------
+    method
+        The method.
+    estimate
+        Mean over textures of its quality minus that of the other method.
+    effect
+        The rank-biserial correlation of the differences, in [-1, 1].
+    p
+        p-value of Wilcoxon's signed-rank test, adjusted by Holm's method for all methods of the list; None with fewer
+        than :data:`~nrbench.reports.statistics.significance.FEWEST` textures, and without tests.
+    """
+
+    method: Method
+    estimate: Estimate
+    effect: float | None
+    p: float | None
 
 
 @dataclass(frozen=True)
@@ -310,6 +346,19 @@ class Comparison:
         Paired differences between methods.
     counts
         Cells by status.
+    baseline
+        The method with which :attr:`against` compares the others; None without a ranking or without tests.
+    against
+        The difference of each other method to it in quality.
+    ranked
+        The methods of :attr:`tests`, in the order of its input.
+    tests
+        Ranks over the textures on which every ranked method has a quality; None with fewer than
+        :data:`~nrbench.reports.statistics.significance.FEWEST` of them, and without tests.
+    tested
+        Whether tests and a leading group were wanted.
+    leading_legend
+        What the sign of the leading group means in this table.
     """
 
     title: str
@@ -322,6 +371,12 @@ class Comparison:
     summaries: Sequence[MethodSummary]
     differences: Sequence[PairedDifference]
     counts: Mapping[str, int]
+    baseline: Method | None = None
+    against: Sequence[BaselineDifference] = ()
+    ranked: Sequence[Method] = ()
+    tests: RankTests | None = None
+    tested: bool = True
+    leading_legend: str = ""
 
     @property
     def legend(self) -> list[tuple[str, str]]:
@@ -391,11 +446,47 @@ class PerilsPoint:
         return f"{self.method.label}: in place and whole {across}, randomness {height}{valid}"
 
 
-def compare_methods(run: Run) -> Comparison:
-    """Build the comparison of a run; without rows if the run has no cells."""
+def compare_methods(run: Run, tests: bool = True, baseline: str = "") -> Comparison:
+    """Build the comparison of a run, or return the one that was built before; without rows if the run has no cells.
+
+    Parameters
+    ----------
+    run
+        The run.
+    tests
+        Whether to test which methods differ. Without tests there is no leading group.
+    baseline
+        The name, or the label with its lattice source, of the method with which the others are compared; by default
+        the best ranked one.
+
+    Raises
+    ------
+    BadInput
+        If the run has no such method, or the name stands for several.
+    """
+    return run.shared(_build_comparison, tests, baseline)
+
+
+def _build_comparison(run: Run, tests: bool, baseline: str) -> Comparison:
     cells = keep_common_textures(tabulate_cells(run))
-    summaries = _rank_methods(_summarize_methods(run, cells), cells)
-    methods = [one.method for one in summaries]
+    summaries = _summarize_methods(run, cells)
+    draws = _TextureDraws.of(run, cells)
+    other = _find_method([one.method for one in summaries], baseline)
+    rule, ranks, against = "", None, []
+    ranked = _rank_methods(summaries)
+    best = next((one.method for one in ranked if one.rank == 1), None)
+    fit = [one.method for one in ranked if one.rank]
+    if tests and best is not None:
+        leading, rule = _leading_group(draws, best, fit)
+        ranks = _test_ranks(draws, fit)
+        places = dict(zip([one.label for one in fit], ranks.ranks, strict=True)) if ranks else {}
+        ranked = [
+            replace(one, leading=one.method.label in leading, average_rank=places.get(one.method.label))
+            for one in ranked
+        ]
+        other = other or best
+        against = _compare_with(draws, other, [one.method for one in ranked if one.method != other])
+    methods = [one.method for one in ranked]
     score = QUALITY if has_quality(run) else SCORE
     notes = list(dict.fromkeys(record.note for record in run.cells if record.note))
     rows = _texture_rows(run, methods, score, {note: number for number, note in enumerate(notes, 1)})
@@ -406,12 +497,30 @@ def compare_methods(run: Run) -> Comparison:
         scored=PRESERVED in run.columns or score == QUALITY,
         methods=methods,
         rows=rows,
-        summary_rows=_summary_rows(run, summaries),
+        summary_rows=_summary_rows(run, ranked),
         notes=notes,
-        summaries=summaries,
-        differences=_paired_differences(run, methods, cells),
+        summaries=ranked,
+        differences=_paired_differences(run, methods, draws),
         counts=counts,
+        baseline=other if against else None,
+        against=against,
+        ranked=fit if ranks else (),
+        tests=ranks,
+        tested=tests,
+        leading_legend=rule,
     )
+
+
+def _find_method(methods: Sequence[Method], name: str) -> Method | None:
+    """Return the method of a label or name; None if the name is empty."""
+    if not name:
+        return None
+    found = [one for one in methods if name == one.label] or [one for one in methods if name in (one.name, one.base)]
+    if len(found) == 1:
+        return found[0]
+    labels = ", ".join(one.label for one in found or methods)
+    what = "is not unique" if found else "is no method of this run"
+    raise BadInput(f"baseline {name!r} {what}; give one of: {labels}")
 
 
 def _title(run: Run, textures: int, counts: Mapping[str, int]) -> str:
@@ -473,9 +582,14 @@ def _entry(records: list[CellRecord], score: str, notes: Mapping[str, int]) -> E
 
 
 def _summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
+    names, methods = list(describe_scores(run)), _list_methods(run)
+    by_texture = cells.groupby(["label", "texture"], sort=False)[names].mean()
+    own_cells = dict(iter(cells.groupby("label", sort=False)))
+    columns = [column for one in methods for column in by_texture.loc[one.label].to_numpy(np.float64).T]
+    estimates = iter(estimate_means(columns))
     summaries = []
-    for method in _list_methods(run):
-        own = cells[cells["label"] == method.label]
+    for method in methods:
+        own = own_cells[method.label]
         scored = own[own[STRUCTURE].notna()] if STRUCTURE in own else own.iloc[:0]
         summaries.append(
             MethodSummary(
@@ -483,7 +597,7 @@ def _summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
                 counts=_count_statuses(own["status"]),
                 success=success_rate(own),
                 success_answered=success_rate(own, leave_refusals_out=True),
-                means=means_over_textures(own, list(describe_scores(run))),
+                means=dict(zip(names, itertools.islice(estimates, len(names)), strict=True)),
                 validity=count_valid_textures(own),
                 validity_scored=count_valid_textures(scored),
             )
@@ -491,27 +605,134 @@ def _summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
     return summaries
 
 
-def _rank_methods(summaries: Sequence[MethodSummary], cells: pd.DataFrame) -> list[MethodSummary]:
-    """Return the summaries by mean quality, best first and references last, with rank and leading group."""
-    means = {
-        one.method.label: value
+def _rank_methods(summaries: Sequence[MethodSummary]) -> list[MethodSummary]:
+    """Return the summaries by mean quality, best first, then methods without a rank, then references.
+
+    Means over different textures are not comparable. A suite may give each method its own textures; a method that has
+    a quality on fewer than half as many textures as the method with the most is therefore listed without a rank.
+    """
+    known = {
+        one.method.label: (mean.value, mean.n)
         for one in summaries
-        if not one.method.reference and RANKING in one.means and (value := one.means[RANKING].value) is not None
+        if not one.method.reference and RANKING in one.means and (mean := one.means[RANKING]).value is not None
     }
-    if not means:
-        return list(summaries)
-    own = dict(iter(cells.groupby("label", sort=False)))
-    best = own[max(means, key=lambda label: means[label])]
+    most = max((n for _, n in known.values()), default=0)
+    means = {label: value for label, (value, n) in known.items() if value is not None and 2 * n >= most}
 
     def rank(one: MethodSummary) -> MethodSummary:
         value = means.get(one.method.label)
-        if value is None:
-            return one
-        low = paired_differences(best, own[one.method.label], [RANKING])[RANKING].low
-        return replace(one, rank=1 + sum(other > value for other in means.values()), leading=low is None or low <= 0)
+        return one if value is None else replace(one, rank=1 + sum(other > value for other in means.values()))
 
     last = len(means) + 1
     return sorted(map(rank, summaries), key=lambda one: (one.method.reference, one.rank or last))
+
+
+def _leading_group(draws: _TextureDraws, best: Method, ranked: Sequence[Method]) -> tuple[set[str], str]:
+    """Return the labels of the leading group, and what the group is.
+
+    A method that shares fewer than half of the best method's textures with it is not in the group: their difference is
+    not known.
+    """
+    gaps = {one.label: draws.differences(best, one)[draws.ranking] for one in ranked if one != best}
+    near = {label: gap for label, gap in gaps.items() if 2 * np.isfinite(gap).sum() >= draws.count(best)}
+    what = "leading group: the method of the highest mean quality, and the methods"
+    if near and all(np.isfinite(gap).sum() >= FEWEST for gap in near.values()):
+        p = adjust_holm(np.array([_signed_rank_p(gap) for gap in near.values()]))
+        tied = (p >= ALPHA).tolist()
+        rule = f"{what} that do not differ from it over textures (Wilcoxon's test with Holm's correction, 5 %)"
+    else:
+        tied = [one.low is None or one.low <= 0 for one in estimate_means(list(near.values()))]
+        rule = f"{what} whose paired difference to it over textures has a 95 % interval that contains 0"
+    return {best.label, *itertools.compress(near, tied)}, rule
+
+
+def _signed_rank_p(differences: Floats) -> float:
+    known = differences[np.isfinite(differences)]
+    return float(signed_rank_p_values(known[:, None])[0]) if len(known) else 1.0
+
+
+def _test_ranks(draws: _TextureDraws, ranked: Sequence[Method]) -> RankTests | None:
+    """Return the tests over the textures on which every ranked method has a quality; None with too few."""
+    values = np.stack([draws.means(one)[draws.ranking] for one in ranked], axis=1)
+    complete = values[np.isfinite(values).all(1)]
+    return compare_ranks(complete) if len(complete) >= FEWEST and len(ranked) > 1 else None
+
+
+def _compare_with(draws: _TextureDraws, other: Method, methods: Sequence[Method]) -> list[BaselineDifference]:
+    """Return the difference of each method to ``other`` in quality; methods without common textures are left out."""
+    gaps = [(one, -draws.differences(other, one)[draws.ranking]) for one in methods]
+    known = [(one, gap) for one, gap in gaps if np.isfinite(gap).any()]
+    estimates = estimate_means([gap for _, gap in known])
+    many = [_signed_rank_p(gap) for _, gap in known if np.isfinite(gap).sum() >= FEWEST]
+    adjusted = iter(adjust_holm(np.array(many)).tolist())
+    return [
+        BaselineDifference(one, estimate, rank_biserial(gap), next(adjusted) if estimate.n >= FEWEST else None)
+        for (one, gap), estimate in zip(known, estimates, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class _TextureDraws:
+    """The headline scores of every method, by texture and replicate.
+
+    Parameters
+    ----------
+    names
+        The scores.
+    values
+        ``(scores, textures, replicates)`` for each label; NaN is no value.
+    present
+        ``(textures, replicates)`` for each label: whether the run has the cell.
+    """
+
+    names: Sequence[str]
+    values: Mapping[str, Floats]
+    present: Mapping[str, NDArray[np.bool_]]
+
+    @classmethod
+    def of(cls, run: Run, cells: pd.DataFrame) -> _TextureDraws:
+        """Collect the scores of a run."""
+        names = list(headline_columns(run))
+        textures, row = np.unique(cells["texture"].to_numpy(object).astype(str), return_inverse=True)
+        replicates, column = np.unique(cells["replicate"].to_numpy(np.int64), return_inverse=True)
+        scores = cells[names].to_numpy(np.float64)
+        values: dict[str, Floats] = {}
+        present: dict[str, NDArray[np.bool_]] = {}
+        for name, where in cells.groupby("label", sort=False).indices.items():
+            label = str(name)
+            values[label] = np.full((len(names), len(textures), len(replicates)), np.nan)
+            values[label][:, row[where], column[where]] = scores[where].T
+            present[label] = np.zeros((len(textures), len(replicates)), bool)
+            present[label][row[where], column[where]] = True
+        return cls(names, values, present)
+
+    @property
+    def ranking(self) -> int:
+        """The index of the quality that ranks."""
+        return self.names.index(RANKING)
+
+    def means(self, method: Method) -> Floats:
+        """Return the mean over replicates of each score on each texture, ``(scores, textures)``."""
+        return _mean_of_known(self.values[method.label])
+
+    def count(self, method: Method) -> int:
+        """Return the number of textures on which a method has the quality that ranks."""
+        return int(np.isfinite(self.means(method)[self.ranking]).sum())
+
+    def differences(self, first: Method, second: Method) -> Floats:
+        """Return the mean over replicates of first minus second on each texture, ``(scores, textures)``."""
+        return _mean_of_known(self.values[first.label] - self.values[second.label])
+
+    def common(self, first: Method, second: Method) -> int:
+        """Return the number of textures that both methods ran on."""
+        return int((self.present[first.label] & self.present[second.label]).any(1).sum())
+
+
+def _mean_of_known(values: Floats) -> Floats:
+    """Return the mean over the last axis of the values that are known; NaN if there are none."""
+    known = np.isfinite(values)
+    count = known.sum(-1)
+    return np.where(count > 0, np.where(known, values, 0.0).sum(-1) / np.maximum(count, 1), np.nan)
 
 
 def _count_statuses(status: pd.Series[str]) -> dict[str, int]:
@@ -519,17 +740,16 @@ def _count_statuses(status: pd.Series[str]) -> dict[str, int]:
     return {"cells": len(status), **by_status, "failed": int(status.isin(FAILED).sum())}
 
 
-def _paired_differences(run: Run, methods: Sequence[Method], cells: pd.DataFrame) -> list[PairedDifference]:
+def _paired_differences(run: Run, methods: Sequence[Method], draws: _TextureDraws) -> list[PairedDifference]:
     """Return the differences of all pairs whose first method is no reference, in every headline."""
     pairs = [(a, b) for a, b in itertools.combinations(methods, 2) if not a.reference]
-    own = dict(iter(cells.groupby("label", sort=False)))
-    names = list(headline_columns(run))
-    estimates = [paired_differences(own[a.label], own[b.label], names) for a, b in pairs]
-    return [
-        PairedDifference(name, a, b, by_name[name])
-        for name in names
-        for (a, b), by_name in zip(pairs, estimates, strict=True)
-    ]
+    gaps = [draws.differences(a, b) for a, b in pairs]
+    common = [draws.common(a, b) for a, b in pairs]
+    found = []
+    for index, name in enumerate(draws.names):
+        estimates = estimate_means([gap[index] for gap in gaps], common)
+        found += [PairedDifference(name, a, b, one) for (a, b), one in zip(pairs, estimates, strict=True)]
+    return found
 
 
 def _summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRow]:

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points, Vector
@@ -234,7 +234,9 @@ def warp(site: Site) -> PlantedImage:
     scale = site.lattice.s
     margin = math.ceil(3 * scale)
     noise = site.rng.standard_normal((site.shape[0] + 2 * margin, site.shape[1] + 2 * margin, 2))
-    smooth = gaussian_filter(noise, (scale, scale, 0), truncate=3, mode="constant")[margin:-margin, margin:-margin]
+    smooth = scipy.ndimage.gaussian_filter(noise, (scale, scale, 0), truncate=3, mode="constant")[
+        margin:-margin, margin:-margin
+    ]
     field = smooth * (site.size * scale / np.hypot(*np.moveaxis(smooth, -1, 0)).max())
     return _resample(site, field, math.ceil(scale) + _SPLINE_MARGIN)
 
@@ -292,7 +294,9 @@ def _resample(site: Site, field: Points, margin: int) -> PlantedImage:
         return PlantedImage(read_displaced(draw, margin, site.zeros()), field)
     y, x = np.indices(site.shape) + margin
     places = [y - field[..., 1], x - field[..., 0]]
-    channels = [map_coordinates(plane, places, order=3, mode="mirror") for plane in np.moveaxis(draw, -1, 0)]
+    channels = [
+        scipy.ndimage.map_coordinates(plane, places, order=3, mode="mirror") for plane in np.moveaxis(draw, -1, 0)
+    ]
     return PlantedImage(np.clip(np.stack(channels, -1), 0, 1).astype(np.float32), field)
 
 
@@ -332,14 +336,14 @@ def blurred_band(site: Site) -> PlantedImage:
     fresh, deviation = site.fresh(), _BLUR * site.size
     image = np.array(fresh)
     if deviation:
-        image[covered] = gaussian_filter(image, (deviation, deviation, 0), mode="mirror")[covered]
+        image[covered] = scipy.ndimage.gaussian_filter(image, (deviation, deviation, 0), mode="mirror")[covered]
     return PlantedImage(image, site.zeros(), covered & (image != fresh).any(), f"standard deviation {deviation:g} px")
 
 
 def blur(site: Site) -> PlantedImage:
     """Blur the whole draw."""
     fresh = site.fresh()
-    image = gaussian_filter(fresh, (site.size, site.size, 0), mode="mirror") if site.size else fresh
+    image = scipy.ndimage.gaussian_filter(fresh, (site.size, site.size, 0), mode="mirror") if site.size else fresh
     return PlantedImage(image, site.zeros(), _changed(image, fresh), f"standard deviation {site.size:g} px")
 
 
@@ -361,7 +365,7 @@ def noise(site: Site) -> PlantedImage:
     if draw.ideal is None or draw.displacement is not None:
         raise Refused("planted: noise needs a texture model whose geometry does not vary")
     rest = draw.image - draw.ideal
-    fine = rest - gaussian_filter(rest, (_COARSE, _COARSE, 0), mode="mirror")
+    fine = rest - scipy.ndimage.gaussian_filter(rest, (_COARSE, _COARSE, 0), mode="mirror")
     white = site.rng.standard_normal(fine.shape) * fine.std((0, 1), dtype=np.float64)
     change = (math.sqrt(1 - site.size) - 1) * fine + math.sqrt(site.size) * white
     image = np.clip(draw.image + change, 0, 1).astype(np.float32) if site.size else draw.image

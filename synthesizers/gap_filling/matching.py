@@ -16,8 +16,8 @@ from functools import cached_property
 from typing import Any, Final, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft, ndimage
 
 from nrbench.imaging.box_sums import box_sums_from, integral_image
 from nrbench.imaging.convert import Image, to_bytes
@@ -106,7 +106,9 @@ class FrameMatcher:
         """
         product = np.einsum("chw,chw->hw", self._spectrum, self._transform(template.astype(np.float64)).conj())
         rows, columns = self.search_shape
-        return np.rint(fft.irfft(fft.ifft(product, axis=0)[:rows], self._fast_shape[1], axis=1)[:, :columns])
+        return np.rint(
+            scipy.fft.irfft(scipy.fft.ifft(product, axis=0)[:rows], self._fast_shape[1], axis=1)[:, :columns]
+        )
 
     def _ratings(self, products: Array, sums: Array, spread: Array, template: NDArray[np.float32], hole: Box) -> Array:
         """Compute ratings from sums of products ``(...)``: equation 10 expanded, or equation 4."""
@@ -126,7 +128,7 @@ class FrameMatcher:
     @cached_property
     def _fast_shape(self) -> tuple[int, int]:
         height, width, _ = self.values.shape
-        return fft.next_fast_len(height, real=True), fft.next_fast_len(width, real=True)
+        return scipy.fft.next_fast_len(height, real=True), scipy.fft.next_fast_len(width, real=True)
 
     @cached_property
     def _spectrum(self) -> NDArray[np.complex128]:
@@ -134,8 +136,8 @@ class FrameMatcher:
 
     def _transform(self, pixels: Array) -> NDArray[np.complex128]:
         """Return the spectra ``(C, rows, columns)`` of ``(h, w, C)``, padded with zeros after the rows' transforms."""
-        lines = fft.rfft(np.ascontiguousarray(np.moveaxis(pixels, -1, 0)), self._fast_shape[1], axis=2)
-        return np.asarray(fft.fft(lines, self._fast_shape[0], axis=1))
+        lines = scipy.fft.rfft(np.ascontiguousarray(np.moveaxis(pixels, -1, 0)), self._fast_shape[1], axis=2)
+        return np.asarray(scipy.fft.fft(lines, self._fast_shape[0], axis=1))
 
     @cached_property
     def _integrals(self) -> tuple[Array, Array]:
@@ -231,12 +233,12 @@ def fit_deformation(
         ``(h, w, 2)`` (x, y) px, smoothed by a Gaussian of 0.08 of the patch's longer side, at least 2 px.
     """
     sigma = max(2.0, 0.08 * max(old.shape[:2]))
-    smooth_weight = np.maximum(ndimage.gaussian_filter(weight, sigma), 1e-6)
+    smooth_weight = np.maximum(scipy.ndimage.gaussian_filter(weight, sigma), 1e-6)
     field = np.zeros((*old.shape[:2], 2))
     for _ in range(steps):
         tensor, slope = _gradient_products(old, warp(field))
         xx, xy, yy, ex, ey = (
-            ndimage.gaussian_filter(weight * part, sigma) / smooth_weight for part in (*tensor, *slope)
+            scipy.ndimage.gaussian_filter(weight * part, sigma) / smooth_weight for part in (*tensor, *slope)
         )
         xx, yy = xx + DAMPING, yy + DAMPING
         determinant = xx * yy - xy**2

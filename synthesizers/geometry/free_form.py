@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.lattice.geometry import Points
 
@@ -92,7 +92,7 @@ class FreeForm:
             inside = np.clip(inside, 0, np.array(self.controls.shape[1::-1]) - 3) + 1
             for axis in (0, 1):
                 plane = self.controls[..., axis]
-                ndimage.map_coordinates(plane, inside.T[::-1], found[band, axis], 3, "nearest", prefilter=False)
+                scipy.ndimage.map_coordinates(plane, inside.T[::-1], found[band, axis], 3, "nearest", prefilter=False)
         return found.reshape(points.shape)
 
 

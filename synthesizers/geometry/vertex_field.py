@@ -8,9 +8,8 @@ from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import nnls
-from scipy.special import j0
 
 from nrbench.lattice.geometry import Points
 
@@ -116,11 +115,11 @@ class WaveSpectrum:
         s, rest = deformed.lattice.s, AffineRest.of(deformed)
         longest = max(2 * float(np.ptp(rest.places, axis=0).max()), 2 * _SHORTEST * s)
         lengths = np.geomspace(_SHORTEST * s, longest, _LENGTHS)
-        columns = [rest.correlogram(j0(2 * math.pi * rest.distances / length)) for length in lengths]
+        columns = [rest.correlogram(scipy.special.j0(2 * math.pi * rest.distances / length)) for length in lengths]
         columns.append(rest.correlogram(np.eye(len(rest.places))))
         products = np.mean([rest.correlogram(np.outer(axis, axis), clear=True) for axis in rest.displacements.T], 0)
         table, importance = np.column_stack(columns), np.sqrt(rest.pairs)
-        powers, _ = nnls(table * importance[:, np.newaxis], products * importance)
+        powers, _ = scipy.optimize.nnls(table * importance[:, np.newaxis], products * importance)
         signal = float(table[0] @ powers)
         powers *= float(products[0]) / signal if signal > 0 else 0.0
         return cls(lengths, powers[:-1])

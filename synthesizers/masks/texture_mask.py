@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
+import skimage
 from numpy.typing import NDArray
-from skimage.color import rgb2ypbpr, ypbpr2rgb
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
@@ -102,7 +102,8 @@ class MaskParameters:
         Refused
             If the sample has no regular part: no group of waves is regular, or no wave is above the threshold.
         """
-        planes = rgb2ypbpr(sample.astype(np.float64)) if sample.shape[2] == 3 else sample.astype(np.float64)
+        pixels = sample.astype(np.float64)
+        planes = skimage.color.rgb2ypbpr(pixels) if sample.shape[2] == 3 else pixels
         usable = lattice is not None and lattice.s > FINEST and shows_two_periods(lattice, planes.shape)
         given = lattice.reduced().dual().matrix if lattice is not None and usable else None
         waves = analyze(planes, self.threshold or None, self.harmonics, self.channels, signal=self.signal, given=given)
@@ -151,7 +152,7 @@ class TextureMask:
             (x, y) px of the window's first pixel, in coordinates of the sample.
         """
         planes = self.harmonics.evaluate(shape, offset)
-        colors: NDArray[np.float64] = ypbpr2rgb(planes) if planes.shape[2] == 3 else planes
+        colors: NDArray[np.float64] = skimage.color.ypbpr2rgb(planes) if planes.shape[2] == 3 else planes
         return np.clip(colors, 0, 1).astype(np.float32)
 
     @property

@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import Image
@@ -281,9 +281,9 @@ class SeamHeat:
         With ``maxima``, also those whose seams cost no less than these.
         """
         sums = self._sum_windows(self.costs)
-        extreme = sums == ndimage.minimum_filter(sums, 3, mode="nearest")
+        extreme = sums == scipy.ndimage.minimum_filter(sums, 3, mode="nearest")
         if maxima:
-            extreme |= sums == ndimage.maximum_filter(sums, 3, mode="nearest")
+            extreme |= sums == scipy.ndimage.maximum_filter(sums, 3, mode="nearest")
         return self._window_at(int(rng.choice(np.flatnonzero(extreme))), sums.shape[1])
 
     def _sum_windows(self, heat: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,8 +11,8 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 from nrbench.imaging.box_sums import box_sums, box_sums_from, integral_image
 from nrbench.imaging.convert import Image
@@ -94,7 +94,7 @@ class Translations:
             planes.append(-2 * values)
         spectra = self._stacked(tuple(layer.known is not None for layer in window))
         product = np.einsum("chw,chw->hw", spectra, _transform_planes(np.concatenate(planes), self._fast_shape))
-        products = fft.irfft(fft.ifft(product.conj(), axis=0)[:rows], self._fast_shape[1], axis=1)
+        products = scipy.fft.irfft(scipy.fft.ifft(product.conj(), axis=0)[:rows], self._fast_shape[1], axis=1)
         return np.asarray(total + np.rint(products[:, :columns]))
 
     @cached_property
@@ -171,7 +171,7 @@ class EntirePatch:
         product = np.einsum("chw,chw->hw", spectra, _transform(-2 * values, self._fast_shape))
         product += squares * _transform(known[..., np.newaxis], self._fast_shape)[0]
         rows, columns = self.counts
-        products = fft.irfft(fft.ifft(product, axis=0)[:rows], self._fast_shape[1], axis=1)[:, :columns]
+        products = scipy.fft.irfft(scipy.fft.ifft(product, axis=0)[:rows], self._fast_shape[1], axis=1)[:, :columns]
         energy = box_sums((values.astype(np.int64) ** 2).sum(-1), size)
         return np.asarray(energy + np.rint(products)), box_sums(known, size)
 
@@ -194,12 +194,12 @@ def _transform(pixels: NDArray[Any], shape: tuple[int, int]) -> _Spectra:
 
 def _transform_planes(planes: NDArray[Any], shape: tuple[int, int]) -> _Spectra:
     """Return the spectra ``(C, rows, columns)`` of planes ``(C, h, w)``, padded with zeros to a shape."""
-    lines = fft.rfft(planes.astype(np.float64, copy=False), shape[1], axis=2)
-    return np.asarray(fft.fft(lines, shape[0], axis=1))
+    lines = scipy.fft.rfft(planes.astype(np.float64, copy=False), shape[1], axis=2)
+    return np.asarray(scipy.fft.fft(lines, shape[0], axis=1))
 
 
 def _fast_shape(height: int, width: int) -> tuple[int, int]:
-    return fft.next_fast_len(height, real=True), fft.next_fast_len(width, real=True)
+    return scipy.fft.next_fast_len(height, real=True), scipy.fft.next_fast_len(width, real=True)
 
 
 def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tuple[int, int]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.interpolate import BSpline
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
@@ -55,7 +55,7 @@ class Patches:
     @cached_property
     def _spline(self) -> NDArray[np.float64]:
         planes = [
-            ndimage.spline_filter(plane, ORDER, np.float64, "mirror") for plane in np.moveaxis(self.sample, -1, 0)
+            scipy.ndimage.spline_filter(plane, ORDER, np.float64, "mirror") for plane in np.moveaxis(self.sample, -1, 0)
         ]
         return np.pad(np.stack(planes, -1), ((PAD, PAD), (PAD, PAD), (0, 0)), "reflect")
 
@@ -126,9 +126,19 @@ def _weighted_rows(window: Image, weights: tuple[np.float32, ...], count: int) -
 
 @lru_cache(maxsize=256)
 def _spline_weights(fraction: float) -> tuple[np.float32, ...]:
-    """Return the weights of six coefficients, from 2 px before a pixel to 3 px after it, ``fraction`` px after it."""
-    element = BSpline.basis_element(np.arange(ORDER + 2) - (ORDER + 1) / 2, extrapolate=False)
-    return tuple(np.float32(weight) for weight in np.nan_to_num(element(fraction - np.arange(-2, 4))))
+    """Return the weights of six coefficients, from 2 px before a pixel to 3 px after it, ``fraction`` px after it.
+
+    They are the values of the basis splines of degree 5, by the recursion of Cox and de Boor for knots at all whole
+    numbers. ``scipy.interpolate`` gives the same values, but its import takes longer than a small synthesis.
+    """
+    values = [1.0]
+    for degree in range(1, ORDER + 1):
+        shares = [value / degree for value in values]
+        values = [
+            (fraction + degree - n) * before + (n + 1 - fraction) * after
+            for n, (before, after) in enumerate(itertools.pairwise([0.0, *shares, 0.0]))
+        ]
+    return tuple(map(np.float32, values))
 
 
 def resample(task: Task, points: Callable[[Points], Points], patches: Patches | None = None) -> tuple[Image, Source]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import Values, fold, sample_tile
@@ -48,7 +48,7 @@ def quiet_texels(image: Image, lattice: Lattice, kind: TexelKind) -> Corners:
     lattice = lattice.reduced()
     mean = fold(image, lattice)
     sigma = BLUR * lattice.s
-    departures = ndimage.gaussian_filter(image - mean.unfold(image.shape[:2]), (sigma, sigma, 0))
+    departures = scipy.ndimage.gaussian_filter(image - mean.unfold(image.shape[:2]), (sigma, sigma, 0))
     departures = (departures**2).sum(-1, keepdims=True)
     variance = fold(departures, lattice).values
     grid = np.arange(STEPS) / STEPS

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import distance
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
@@ -97,7 +97,7 @@ class TexelStock:
         if not len(points):
             return np.zeros(len(self.middles))
         here, beside = (own, other) if step == forward else (other, own)
-        squares = distance.cdist(beside[there : there + 1], here, "sqeuclidean")[0]
+        squares = scipy.spatial.distance.cdist(beside[there : there + 1], here, "sqeuclidean")[0]
         return np.asarray(squares / (here.shape[1] // len(points)))
 
     @cached_property

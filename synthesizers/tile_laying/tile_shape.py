@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft, ndimage, signal
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import fold
@@ -222,7 +222,7 @@ def border_costs(sample: Image, lattice: Lattice, tile: TileShape) -> tuple[Arra
     uv = _border_points(tile, 4 * max(rows, columns)) @ np.linalg.inv(lattice.matrix)
     at = np.floor(uv * (columns, rows) + 0.5).astype(np.int64) % (columns, rows)
     borders = np.bincount(at[:, 1] * columns + at[:, 0], minlength=energy.size).reshape(energy.shape)
-    costs = fft.irfft2(fft.rfft2(energy) * np.conj(fft.rfft2(borders / len(uv))), energy.shape)
+    costs = scipy.fft.irfft2(scipy.fft.rfft2(energy) * np.conj(scipy.fft.rfft2(borders / len(uv))), energy.shape)
     return costs.ravel(), _anchors(energy.shape, lattice)
 
 
@@ -236,12 +236,12 @@ def element_costs(sample: Image, lattice: Lattice) -> tuple[Array, Points]:
     lattice = lattice.reduced()
     variance = element_variance(sample, lattice)
     rows, columns = variance.shape
-    numbers = np.meshgrid(fft.rfftfreq(columns, 1 / columns), fft.fftfreq(rows, 1 / rows))
+    numbers = np.meshgrid(scipy.fft.rfftfreq(columns, 1 / columns), scipy.fft.fftfreq(rows, 1 / rows))
     frequencies = np.stack(numbers, -1) @ np.linalg.inv(lattice.matrix).T
     gaussian = np.exp(-((math.pi * lattice.s) ** 2) / 2 * (frequencies**2).sum(-1))
-    costs = -fft.irfft2(fft.rfft2(variance) * gaussian, variance.shape)
+    costs = -scipy.fft.irfft2(scipy.fft.rfft2(variance) * gaussian, variance.shape)
     for axis, length in enumerate(variance.shape):
-        costs = signal.resample(costs, FINE * length, axis=axis)
+        costs = scipy.signal.resample(costs, FINE * length, axis=axis)
     return costs.ravel(), _anchors(costs.shape, lattice)
 
 
@@ -261,7 +261,7 @@ def element_variance(sample: Image, lattice: Lattice) -> Array:
         The lattice of the sample, reduced; the result is sampled along its vectors, from its origin.
     """
     residual = sample - fold(sample, lattice).unfold((sample.shape[0], sample.shape[1]))
-    smooth = ndimage.gaussian_filter(residual, (lattice.s / ELEMENT, lattice.s / ELEMENT, 0), mode="nearest")
+    smooth = scipy.ndimage.gaussian_filter(residual, (lattice.s / ELEMENT, lattice.s / ELEMENT, 0), mode="nearest")
     power = (smooth**2).sum(-1, keepdims=True)
     return fold(power, lattice).values[..., 0].astype(np.float64)
 

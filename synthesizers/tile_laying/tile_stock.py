@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.imaging.fold import fold
@@ -138,8 +138,8 @@ def _align_mean_tiles(
     lattice = lattice.reduced()
     tiles = fold(sample, lattice), fold(other, lattice, known)
     here, there = (_normalize(tile.values.astype(np.float64)) for tile in tiles)
-    spectra = np.conj(fft.rfft2(here, axes=(0, 1))) * fft.rfft2(there, axes=(0, 1))
-    surface = fft.irfft2(spectra.sum(-1), here.shape[:2])
+    spectra = np.conj(scipy.fft.rfft2(here, axes=(0, 1))) * scipy.fft.rfft2(there, axes=(0, 1))
+    surface = scipy.fft.irfft2(spectra.sum(-1), here.shape[:2])
     row, column = np.unravel_index(int(surface.argmax()), surface.shape)
     rows, columns = surface.shape
     v = row + find_vertex(*surface[[row - 1, row, (row + 1) % rows], column])[0]

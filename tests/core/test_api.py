@@ -43,7 +43,7 @@ def test_what_is_no_lattice_is_refused(given: Any, message: str) -> None:
 @pytest.mark.parametrize("output_form", ["gray", "alpha", "color"])
 def test_score_takes_gray_in_any_form(monkeypatch: pytest.MonkeyPatch, sample_form: str, output_form: str) -> None:
     """A gray picture may be stored with opaque alpha or in color: metrics see both images with the same channels."""
-    monkeypatch.setattr("nrbench.api.score_by_all_metrics", lambda observation: observation)
+    monkeypatch.setattr("nrbench.api.score_observation_by", lambda observation, *rest: observation)
     plane = np.random.default_rng(0).integers(0, 256, (16, 20), np.uint8)
     forms = {"gray": plane, "alpha": np.dstack([plane, plane * 0 + 255]), "color": np.dstack([plane] * 3)}
     seen: Any = score(forms[sample_form], forms[output_form])

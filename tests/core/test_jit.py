@@ -86,6 +86,19 @@ def test_a_kernel_may_call_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         compiled = jit.kernel("float64(float64, float64)")(sum_of_squares).load()
         assert compiled(3.0, 4.0) == 25.0
     assert compiled.stats.cache_hits  # type: ignore[attr-defined]
+    folder = jit.cache_folder(sum_of_squares, numba.__version__)
+    assert Path(compiled.stats.cache_path).parent == folder  # type: ignore[attr-defined]
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_the_user_is_told_before_kernels_are_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loading kernels says that it compiles them the first time, and not when it reads the cache."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    said = []
+    for _ in range(2):
+        jit.KERNELS[:] = [jit.kernel("float64(float64, float64)")(sum_of_squares)]
+        jit.load_kernels(lambda: said.append(len(list(tmp_path.rglob("*.nbi")))))
+    assert said == [0]
 
 
 def test_the_cache_follows_the_kernels_that_are_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ PLUGIN_FOLDERS = {
     "nrbench.reports": "nrbench.reports",
 }
 FLOORS = (
-    ("nrbench.cli",),
+    ("nrbench.cli", "nrbench.__main__"),
     ("nrbench.api",),
     ("nrbench.reports",),
     ("nrbench.labelling", "nrbench.authoring"),
@@ -36,7 +36,7 @@ FLOORS = (
     ("nrbench.tracking",),
     ("nrbench.imaging", "nrbench.truth"),
     ("nrbench.lattice",),
-    ("nrbench.errors", "nrbench.streams", "nrbench.storage", "nrbench.jit", "nrbench.checkout"),
+    ("nrbench.errors", "nrbench.streams", "nrbench.storage", "nrbench.jit", "nrbench.checkout", "nrbench.version"),
 )
 """From the highest to the lowest. A module imports its own floor and those below; docs/structure.md shows the same."""
 

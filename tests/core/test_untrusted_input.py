@@ -28,10 +28,10 @@ from nrbench.errors import BadInput
 from nrbench.imaging.files import MOST_PIXELS, read_image, read_shape
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
-from nrbench.plugins.parameters import parse_spec
+from nrbench.plugins.parameters import parse_size, parse_spec
 from nrbench.runs.records import Run
 from nrbench.suites.plan import Method, Source
-from nrbench.suites.suite import directory_suite, load_suite, parse_size
+from nrbench.suites.suite import directory_suite, load_suite
 from nrbench.synthesizers.precomputed import Precomputed
 
 INPUTS = int(os.environ.get("NRBENCH_FUZZ", "60"))

@@ -188,9 +188,12 @@ def test_the_origin_is_a_crest() -> None:
     u, v = np.moveaxis(truth.to_cell(np.stack([x, y], -1)), -1, 0)
     waves = sum(0.06 * np.cos(2 * np.pi * (a * u + b * v)) for a, b in ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1)))
     noise = 0.02 * np.random.default_rng(0).standard_normal(x.shape)
-    found = FAST.detect(np.clip(0.5 + waves + noise, 0, 1)[..., np.newaxis].astype(np.float32)).lattice
+    image = np.clip(0.5 + waves + noise, 0, 1)[..., np.newaxis].astype(np.float32)
+    detection = FAST.detect(image)
+    found = detection.lattice
     assert found.is_equivalent(truth, 0.05)
     assert np.abs(truth.wrap(np.subtract(found.origin, truth.origin))).max() < 0.3
+    assert detection.has_origin and not Frdft(reject="none", tile="lowest").detect(image).has_origin
 
 
 def test_the_diagnostics_can_be_drawn() -> None:

@@ -12,6 +12,7 @@ from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.bending.covariance import Correlogram, Covariance, SampledField, Variogram
 from nrbench.metrics.bending.field_tests import drop_outliers, measure_faults, smooth_field
+from nrbench.metrics.quality import Quality
 from nrbench.metrics.randomness import Randomness
 from nrbench.metrics.regularity import Regularity
 from nrbench.metrics.verdict.bent import BentReference, compute_bent_verdict
@@ -51,6 +52,27 @@ def fresh() -> Observation:
 def straight() -> Observation:
     """Return an observation of a draw of the same texture without its displacements."""
     return observe(replace(BENT, bend=0.0).again(sample(), (SIDE, SIDE), np.random.default_rng(5)).image)
+
+
+STRONG = Weave(bend=1.0, color=0.2, noise=0.03)
+
+
+@cache
+def strong_sample() -> Texture:
+    """Return a sample of a texture that is bent as much as models can."""
+    texture = STRONG.render((128, 128), np.random.default_rng(6))
+    return replace(texture, image=quantize(texture.image))
+
+
+@cache
+def strong_draw(shape: Shape, k: int) -> Texture:
+    """Return a fresh draw of the strongly bent texture."""
+    return STRONG.again(strong_sample(), shape, np.random.default_rng([7, k]))
+
+
+def observe_strong(output: Image) -> Observation:
+    """Return an observation of an output of the strongly bent texture."""
+    return Observation(strong_sample().image, quantize(np.clip(output, 0, 1)), strong_sample(), again=strong_draw)
 
 
 def sine_waves(rng: np.random.Generator, count: int = 16, spread: float = 0.12) -> SampledField:
@@ -148,3 +170,28 @@ def test_places_are_mapped_to_the_output() -> None:
     x, y = np.rint(verdict.locate_in_output(places)).astype(int).T
     straight_colors = verdict.output.image[50, 40], verdict.output.image[70, 90]
     assert np.abs(fresh().output[y, x] - straight_colors).mean() < 0.15
+
+
+def test_the_chain_of_scores_speaks_on_a_fresh_draw_of_bend_1() -> None:
+    """Displacements of half a tile are followed: the draw is preserved, and all three perils have full scores."""
+    observation = observe_strong(strong_draw((224, 224), 3).image)
+    score = Quality().score(observation)
+    assert Regularity().score(observation).values["preserved"] is True
+    assert all(float(score.values[name] or 0) > 0.9 for name in ("score", "regularity", "integrity", "randomness"))
+
+
+def test_a_phase_step_in_a_texture_of_bend_1_is_lost() -> None:
+    """A step of 0.25 s is found and measured among displacements of the same size."""
+    task = Task(strong_sample().image, (224, 224), None, np.random.default_rng(0), again=strong_draw)
+    score = Regularity().score(observe_strong(Planted("phase-step", 0.25).synthesize(task).image))
+    assert score.values["preserved"] is False and score.records["excess"]["phase step"] > 1
+    (sentence,) = (fault for fault in score.records["faults"] if fault.startswith("a phase step"))
+    assert float(sentence.split()[-2]) == pytest.approx(0.25, abs=0.08)
+
+
+def test_an_output_without_the_displacements_of_bend_1_is_too_regular() -> None:
+    """A draw whose geometry does not vary keeps its regularity and has lost randomness."""
+    straightened = replace(STRONG, bend=0.0).again(strong_sample(), (224, 224), np.random.default_rng(8)).image
+    score = Regularity().score(observe_strong(straightened))
+    assert score.values["preserved"] is True and score.records["displacements"]["too_regular"] is True
+    assert Randomness().score(observe_strong(straightened)).values["score"] < 0.4

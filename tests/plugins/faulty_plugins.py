@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import errno
+import mmap
 import os
+import random
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -32,6 +35,137 @@ class Fine:
         height, width = task.shape
         rows, columns = np.arange(height) % task.sample.shape[0], np.arange(width) % task.sample.shape[1]
         return Synthesis(task.sample[rows][:, columns])
+
+
+def misbehave(how: str) -> None:
+    """Do to the process what ``how`` says, after a line in its log; "fine" and what leaves no trace return."""
+    print(f"planted {how}", flush=True)
+    if how == "raise":
+        raise RuntimeError("planted failure")
+    if how in ("stubborn", "busy"):
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        while True:
+            time.sleep(0.01 if how == "stubborn" else 0)
+    if how == "segfault":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if how == "exit":
+        os._exit(0)
+    if how == "hog":
+        hoard = []
+        while True:
+            hoard.append(np.ones(1 << 22, np.uint8))
+            print(f"planted hog: holds {4 * len(hoard)} MiB", flush=True)
+    if how == "creep":  # memory that no limit of the system counts
+        for size in range(1, 1000):
+            shared = mmap.mmap(-1, 1 << 20)
+            shared.write(b"x" * (1 << 20))
+            kept.append(shared)
+            print(f"holds {size} MiB", flush=True)
+            time.sleep(0.004)
+    if how == "litter":
+        child = subprocess.Popen(
+            [sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=True, stdout=subprocess.DEVNULL
+        )
+        print(f"child {child.pid}", flush=True)
+    if how == "flood":
+        for _ in range(300):
+            print("flood " * 10_000)
+    if how == "seed":
+        np.random.seed(0)  # noqa: NPY002
+        random.seed(0)
+        np.seterr(all="raise")
+        np.set_printoptions(precision=1)
+        os.environ["OMP_NUM_THREADS"] = "9"
+    if how == "folder":
+        Path("left by a plugin.txt").write_text(how)
+        os.chdir("/")
+
+
+kept: list[mmap.mmap] = []
+
+
+@dataclass(frozen=True)
+class Rogue:
+    """A method that does to its process what ``how`` says, and then repeats the sample."""
+
+    how: str = "fine"
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Misbehave."""
+        misbehave(self.how)
+        good = Fine().synthesize(task)
+        if self.how == "mutate":
+            task.sample[...] = 0
+        if self.how == "type":
+            return Synthesis(good.image.astype(object))
+        if self.how == "integers":
+            return Synthesis((255 * good.image).astype(np.uint8))
+        return good
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A detector that does to its process what ``how`` says, and then finds a lattice of 16 px."""
+
+    how: str = "fine"
+
+    def detect(self, image: Image) -> Detection:
+        """Misbehave."""
+        misbehave(self.how)
+        if self.how == "mutate":
+            image[...] = 0
+        if self.how == "nothing":
+            return None  # type: ignore[return-value]
+        if self.how == "nan":
+            return Detection(Lattice((float("nan"), 0), (0, 16)), 1.0)
+        return Detection(Lattice((16, 0), (0, 16)), 1.0)
+
+
+@dataclass(frozen=True)
+class Follower:
+    """The sample, repeated; it wants a lattice."""
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Repeat the sample."""
+        return Fine().synthesize(task)
+
+
+def make_judge(how: str) -> type:
+    """Return a metric that does to its process what ``how`` says, and then scores 1."""
+
+    def score(self: Any, observation: Observation) -> Score:
+        """Misbehave."""
+        misbehave(how)
+        if how == "mutate":
+            observation.output[...] = 0
+        if how == "nothing":
+            return None  # type: ignore[return-value]
+        return Score({"value": float("nan")} if how == "nan" else {} if how == "shape" else {"value": 1.0})
+
+    content = {"name": f"judge-{how}", "columns": {"value": Column("Whether all is well.")}, "score": score}
+    notes = {"name": ClassVar[str], "columns": ClassVar[dict[str, Column]]}
+    cls = type(f"Judge{how}", (), {**content, "__annotations__": notes, "__module__": __name__, "__doc__": "A metric."})
+    return dataclass(frozen=True)(cls)
+
+
+JUDGES = (
+    *("raise", "stubborn", "segfault", "exit", "hog", "litter", "flood", "seed", "folder", "mutate"),
+    *("nothing", "nan", "shape", "fine"),
+)
+globals().update({f"Judge{how}": make_judge(how) for how in JUDGES})
+
+
+@dataclass(frozen=True)
+class Place:
+    """The sample, repeated, with a remark on the machine that did it."""
+
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Repeat the sample."""
+        print("placed")
+        return dataclasses.replace(Fine().synthesize(task), note=os.environ.get("NRBENCH_TEST_PLACE", ""))
 
 
 @dataclass(frozen=True)
@@ -84,8 +218,8 @@ class Picture:
     def render(self, shape: tuple[int, int], rng: np.random.Generator) -> Texture:
         """Misbehave."""
         image = np.repeat(rng.random((*shape, 1), np.float32), 3, axis=2)
-        if self.how == "raise":
-            raise RuntimeError("planted failure")
+        if self.how in ("raise", "stubborn", "hog", "litter", "flood", "seed", "folder"):
+            misbehave(self.how)
         if self.how == "mute":
             raise Mute
         if self.how == "loop":

@@ -103,7 +103,7 @@ def test_a_broken_and_a_duplicate_entry_point_are_isolated(monkeypatch: pytest.M
         return [*real(group=group), *([broken, double] if group == "nrbench.synthesizers" else [])]
 
     monkeypatch.setattr(plugins.registry, "entry_points", with_strangers)
-    plugins.registry._entry_points.cache_clear()
+    plugins.registry.entry_points_of.cache_clear()
     try:
         listed = plugins.inventory("synthesizers")
         assert "No module named" in next(p.error for p in listed if p.name == "broken")
@@ -113,7 +113,7 @@ def test_a_broken_and_a_duplicate_entry_point_are_isolated(monkeypatch: pytest.M
             plugins.find("synthesizers", "broken")
     finally:
         monkeypatch.undo()
-        plugins.registry._entry_points.cache_clear()
+        plugins.registry.entry_points_of.cache_clear()
 
 
 HEAD = "from dataclasses import dataclass\n"

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.reports.page.gallery import PagePicture, PictureSource, TextureSection, build_gallery, score_shade
+from nrbench.reports.page.gallery import TextureSection, build_gallery, score_shade
+from nrbench.reports.page.pictures import PagePicture, PictureStore
 from nrbench.reports.statistics.comparison import Comparison, compare_methods
 from nrbench.runs.records import Run
 
@@ -15,7 +16,7 @@ Make = Callable[..., Any]
 
 
 def _gallery(run: Run, tmp_path: Path) -> list[TextureSection]:
-    return build_gallery(run, compare_methods(run), PictureSource(tmp_path, embedded=True))
+    return build_gallery(run, compare_methods(run), PictureStore(tmp_path))
 
 
 def test_every_cell_has_a_figure(every_ending: Run, tmp_path: Path) -> None:
@@ -72,12 +73,3 @@ def test_shades_follow_the_score(score: float | None, expected: int | None) -> N
 def test_small_pictures_are_magnified_by_whole_factors(width: int, scale: float) -> None:
     """Small pictures are magnified by whole factors, so that moire cannot look like a defect."""
     assert PagePicture("", width, width).scale == scale
-
-
-def test_links_are_escaped(make_cell: Make, tmp_path: Path) -> None:
-    """A file name with odd characters makes a valid relative link."""
-    output = make_cell().folder / "output.png"
-    odd = output.rename(output.with_name('a b"<#?.png'))
-    picture = PictureSource(tmp_path / "run" / "report", embedded=False).load(odd)
-    assert picture is not None
-    assert picture.source.endswith("/a%20b%22%3C%23%3F.png")

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import queue
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from typing import Any
 
 import pytest
 from faults import registered_faults
 
 from nrbench.running import executors, runner
-from nrbench.running.executors import RunJob
+from nrbench.running.executors import Executor, Threads
 from nrbench.running.supervisor import Job, Supervisor, perform_job
 from nrbench.runs.store import Result
 
-MakeExecutor = Callable[..., AbstractContextManager[tuple[Executor, RunJob]]]
+MakeExecutor = Callable[..., AbstractContextManager[Executor]]
 
 
 @pytest.fixture(scope="session")
@@ -43,13 +44,13 @@ def warm_executor(supervisors: list[Supervisor]) -> MakeExecutor:
             idle.put(supervisor)
 
     @contextmanager
-    def executor(jobs: int, scheduler: str | None = None) -> Iterator[tuple[Executor, RunJob]]:
+    def executor(jobs: int, scheduler: str | None = None, *others: Any) -> Iterator[Executor]:
         if jobs == 0 or scheduler is not None:
-            with executors.executor(jobs, scheduler) as chosen:
+            with executors.executor(jobs, scheduler, *others) as chosen:
                 yield chosen
         else:
             with ThreadPoolExecutor(jobs) as pool:
-                yield pool, run_job
+                yield Threads(pool, jobs, run_job)
 
     return executor
 

@@ -18,19 +18,19 @@ def make_cells(labels: list[str]) -> list[Cell]:
 def test_the_time_left_knows_each_methods_pace() -> None:
     """The cells left count with the mean of their own method, those of an unknown method with the usual mean."""
     cells = make_cells(["fast", "slow", "fast", "slow", "new"])
-    pace = Pace(cells, jobs=2)
-    assert pace.step(cells[0], "ok", 1.0).remaining == (1 + 3 * 1) / 2
-    step = pace.step(cells[1], "ok", 9.0)
+    pace = Pace(cells)
+    assert pace.step(cells[0], "ok", 1.0, 2).remaining == (1 + 3 * 1) / 2
+    step = pace.step(cells[1], "ok", 9.0, 2)
     assert step.remaining == (1 + 9 + 5) / 2
     assert step.remaining_text == "about 8 s left"
-    last = [pace.step(cell, status, None) for cell, status in zip(cells[2:], ("ok", "error", "ok"), strict=True)][-1]
+    last = [pace.step(cell, status, None, 2) for cell, status in zip(cells[2:], ("ok", "error", "ok"), strict=True)][-1]
     assert (last.done, last.cached, last.failed, last.remaining, last.remaining_text) == (5, 3, 1, 0, "")
 
 
 def test_a_run_of_cached_cells_has_no_pace() -> None:
     """Nothing is estimated before a cell was run."""
     cells = make_cells(["one", "other"])
-    assert Pace(cells, 1).step(cells[0], "ok", None).remaining is None
+    assert Pace(cells).step(cells[0], "ok", None, 1).remaining is None
 
 
 def test_long_times_are_rounded() -> None:

@@ -21,6 +21,7 @@ import skimage.io
 from nrbench.api import changed, run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
+from nrbench.running.executors import Threads
 from nrbench.running.runner import TICK, Options, _Runner
 from nrbench.running.supervisor import Job
 from nrbench.runs.records import Run
@@ -134,7 +135,7 @@ def test_a_stopped_run_drops_the_jobs_that_wait(tmp_path: Path) -> None:
 
     jobs = [(name, Job("cell", name, 1.0, 1.0)) for name in ("first", "second", "third")]
     with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
-        runner = _Runner(RunDirectory(tmp_path), options, [], lambda job: pool.submit(work, job))
+        runner = _Runner(RunDirectory(tmp_path), options, [], Threads(pool, 1, work))
         for name, _ in runner._run_jobs(jobs):
             ended.append(name)
     assert started == ended == ["first"]

@@ -10,8 +10,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, to_bytes
+from nrbench.plugins.parameters import parse_size
 from nrbench.suites.plan import Sample, draw_samples
-from nrbench.suites.suite import builtin, load_suite, parse_size, validated_suite
+from nrbench.suites.suite import builtin, load_suite, validated_suite
 
 CORE = draw_samples(load_suite("core"))
 

@@ -246,9 +246,11 @@ def test_the_sheet_shows_the_picture_and_three_candidates() -> None:
 
 
 def test_the_origin_is_written() -> None:
-    """A lattice with a known origin fills its columns, and its text has six numbers."""
-    text = lattice_text(Lattice((16, 0), (0, 12), (3.5, 4.25)))
-    assert text == "16.0,0.0,0.0,12.0,3.5,4.25" and lattice_text(CHOSEN) == "16.0,0.0,0.0,12.0"
+    """A lattice with a known origin, be it (0, 0), has six numbers; one with an unknown origin has four."""
+    text = lattice_text(Lattice((16, 0), (0, 12), (3.5, 4.25)), has_origin=True)
+    assert text == "16.0,0.0,0.0,12.0,3.5,4.25"
+    assert lattice_text(CHOSEN, has_origin=True) == "16.0,0.0,0.0,12.0,0.0,0.0"
+    assert lattice_text(CHOSEN, has_origin=False) == "16.0,0.0,0.0,12.0"
 
 
 @pytest.mark.parametrize(

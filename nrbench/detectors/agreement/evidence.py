@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.detectors.agreement.evidence_kernels import between, between_many, jets, newton_sums
 from nrbench.imaging.correlation import Correlation
@@ -63,7 +63,7 @@ class Evidence:
     @cached_property
     def _spline(self) -> NDArray[np.float64]:
         mirrored = np.concatenate([self.gamma[::-1, PAD:0:-1], self.gamma], 1)
-        return np.asarray(ndimage.spline_filter(mirrored, 3, np.float64))
+        return np.asarray(scipy.ndimage.spline_filter(mirrored, 3, np.float64))
 
     def jets(self, lags: Points) -> NDArray[np.float64]:
         """Return value, gradient and second derivatives (xx, yy, xy) at lags ``(n, 2)``, as ``(n, 6)``."""

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.imaging.convert import Image, crop_middle, shrink
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
@@ -79,15 +78,15 @@ def _slopes(image: Image) -> Values:
 
     So contrast that fades across the image has the same weight everywhere. Flat regions stay flat.
     """
-    smooth = ndimage.gaussian_filter(image.mean(2), FINE)
-    pair = np.stack([ndimage.sobel(smooth, 1), ndimage.sobel(smooth, 0)], -1)
+    smooth = scipy.ndimage.gaussian_filter(image.mean(2), FINE)
+    pair = np.stack([scipy.ndimage.sobel(smooth, 1), scipy.ndimage.sobel(smooth, 0)], -1)
     power = (pair**2).sum(-1)
     nearby = _blur(power, NEIGHBORHOOD * min(power.shape))
     return np.asarray(pair / np.sqrt(nearby + 1e-3 * power.mean() + 1e-12)[..., np.newaxis], np.float32)
 
 
 def _blur(values: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
-    """Return ``ndimage.gaussian_filter(values, deviation, truncate=2)``, ``(H, W)``.
+    """Return ``scipy.ndimage.gaussian_filter(values, deviation, truncate=2)``, ``(H, W)``.
 
     A symmetric filter on a mirrored image is a product of cosine transforms, which is much faster for a wide filter.
     """

@@ -1,0 +1,88 @@
+"""The command compare, which compares two runs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command("compare")
+@click.argument("first", type=_PATH, metavar="RUN_A")
+@click.argument("second", type=_PATH, metavar="RUN_B")
+@click.option("--columns", metavar="NAME,...", help="The scores.  [default: the headlines]")
+@click.option("--markdown", "as_markdown", is_flag=True, help="Print a Markdown table.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
+@click.option(
+    "--fail-under",
+    "limits",
+    multiple=True,
+    metavar="[NAME=]NUMBER",
+    help="Exit with 1 if the mean of a score of any method of RUN_B is below NUMBER; repeatable.  [default NAME: "
+    "quality]",
+)
+@click.option(
+    "--fail-on-worse",
+    is_flag=True,
+    help="Exit with 1 if any score of a method is worse by more than noise, or if more of its cells fail.",
+)
+def compare_command(
+    first: Path,
+    second: Path,
+    columns: str | None,
+    as_markdown: bool,
+    as_json: bool,
+    limits: tuple[str, ...],
+    fail_on_worse: bool,
+) -> int:
+    """Compare RUN_B with RUN_A: which scores moved, by how much, and whether by more than noise.
+
+    Cells are paired by method, texture and draw. Reference methods and wall times are shown, but they are no reason to
+    fail, except for wall times that --columns names.
+    """
+    from nrbench import plugins
+    from nrbench.errors import BadInput
+    from nrbench.runs.records import Run
+
+    if as_markdown and as_json:
+        raise BadInput("--markdown and --json: choose one of them")
+    wanted = [_read_limit(text) for text in limits]
+    names = [name.strip() for name in columns.split(",")] if columns else []
+    runs = [Run(first), Run(second)]
+    for run in runs:
+        _ = run.info
+    chosen = [*names, *(name for name, _ in wanted if names and name not in names)]
+    report = plugins.build("reports", "changes", {"baseline": first, "columns": tuple(chosen)})
+    changes = report.compare(runs[1])
+    reasons = [
+        f"{method}: {name} has the mean {value:.3g}, which is not at least {limit:g}"
+        for name, limit in wanted
+        for method, value in changes.below(name, limit).items()
+    ]
+    if fail_on_worse:
+        reasons += [f"{one.method}: {one.score} is worse by {abs(one.difference.value):.3g}" for one in changes.worse]
+        reasons += [f"{method}: more cells fail or are refused" for method in changes.newly_failed]
+    if as_json:
+        print(json.dumps({**changes.as_dict(), "failures": reasons}, indent=1))
+    else:
+        print(report.markdown(changes) if as_markdown else report.text(changes))
+    for reason in reasons:
+        print(f"nrbench: {reason}", file=sys.stderr)
+    return int(bool(reasons))
+
+
+def _read_limit(text: str) -> tuple[str, float]:
+    """Read ``NAME=NUMBER``, or a number for the quality."""
+    from nrbench.errors import BadInput
+
+    name, equals, number = text.rpartition("=")
+    try:
+        return (name if equals else "quality"), float(number)
+    except ValueError:
+        raise BadInput(
+            f"--fail-under {text!r}: write NUMBER or NAME=NUMBER, e.g. 0.5 or regularity.score=0.9"
+        ) from None

@@ -1,0 +1,111 @@
+"""An overview of the plugins of a kind, without importing those of nrbench: importing all of them takes seconds."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import inspect
+import re
+from dataclasses import dataclass
+from functools import cache
+from importlib.machinery import SourceFileLoader
+from importlib.metadata import EntryPoint
+from typing import Any
+
+from nrbench.plugins.registry import Plugin, distribution_of, entry_points_of, from_files, load
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A plugin in short.
+
+    Parameters
+    ----------
+    name, distribution, version, error
+        As in :class:`~nrbench.plugins.registry.Plugin`.
+    about
+        The first line of its page; empty if it is broken.
+    reference
+        Whether it is a reference method, which is never ranked.
+    """
+
+    name: str
+    distribution: str
+    version: str
+    about: str = ""
+    reference: bool = False
+    error: str = ""
+
+
+def summaries(kind: str) -> list[Summary]:
+    """Return the summaries of all plugins of a kind, broken and duplicate ones included.
+
+    Plugins of nrbench are read from their source. Plugins of others are imported.
+    """
+    points = [(point, i > 0) for group in entry_points_of(kind).values() for i, point in enumerate(group)]
+    listed = [(not later and _read_source(point)) or _of_plugin(load(kind, point, later)) for point, later in points]
+    return listed + [_of_plugin(plugin) for plugin in from_files(kind)]
+
+
+def _of_plugin(plugin: Plugin) -> Summary:
+    about = (inspect.getdoc(plugin.cls) or "").partition("\n")[0] if plugin.cls else ""
+    reference = bool(getattr(plugin.cls, "reference", False))
+    return Summary(plugin.name, plugin.distribution, plugin.version, about, reference, plugin.error)
+
+
+def _read_source(point: EntryPoint) -> Summary | None:
+    """Return the summary of a plugin of nrbench, or None if it cannot be read without an import."""
+    distribution, version = distribution_of(point)
+    if distribution != "nrbench":
+        return None
+    try:
+        page, constants = _read_class(point.module, point.attr)
+    except LookupError:
+        return None
+    about, reference = page.partition("\n")[0], bool(constants.get("reference", False))
+    return Summary(point.name, distribution, str(constants.get("version", version)), about, reference)
+
+
+@cache
+def _read_class(module: str, name: str) -> tuple[str, dict[str, Any]]:
+    """Return the docstring of a class, and its constants with those that it inherits; LookupError if it has none."""
+    found = importlib.util.find_spec(module)
+    if found is None or not isinstance(found.loader, SourceFileLoader):
+        raise LookupError(module)
+    source = found.loader.get_source(module) or ""
+    body = _class_body(source, name)
+    page = ast.get_docstring(body) if body else None
+    if body is None or not page:
+        raise LookupError(name)
+    inherited: dict[str, Any] = {}
+    for base in map(ast.unparse, reversed(body.bases)):
+        place = re.search(rf"^from (\S+) import (?:\([^)]*|[^\n]*)\b{base}\b", source, re.MULTILINE)
+        if place is None:
+            inherited |= _read_class(module, base)[1]
+        elif place[1].startswith((".", "nrbench")):
+            inherited |= _read_class(importlib.util.resolve_name(place[1], found.parent), base)[1]
+    return page, inherited | _constants(body)
+
+
+def _class_body(source: str, name: str) -> ast.ClassDef | None:
+    """Return a class of a module down to its first method; None if it is not there or has no such beginning."""
+    start = re.search(rf"^class {name}\b", source, re.MULTILINE)
+    if start is None:
+        return None
+    end = re.compile(r"^    (def |@)", re.MULTILINE).search(source, start.end())
+    try:
+        found = ast.parse(source[start.start() : end.start() if end else None]).body[0]
+    except (SyntaxError, ValueError):
+        return None
+    return found if isinstance(found, ast.ClassDef) else None
+
+
+def _constants(body: ast.ClassDef) -> dict[str, Any]:
+    """Return the annotated class variables that are plain constants."""
+    return {
+        statement.target.id: statement.value.value
+        for statement in body.body
+        if isinstance(statement, ast.AnnAssign)
+        and isinstance(statement.target, ast.Name)
+        and isinstance(statement.value, ast.Constant)
+    }

@@ -1,0 +1,222 @@
+"""Prepare the pictures of the page: small WebP copies that the page embeds, overlays, and the files for zooming."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+from numpy.typing import NDArray
+
+from nrbench.storage import write_aside
+
+SMALLEST, LARGEST = 192, 384
+"""Widths on the page, px: smaller pictures are magnified, larger ones are reduced."""
+FOLDER = "pictures"
+"""The folder beside the page with the files for zooming."""
+_RECIPE = "1"
+"""Part of every name in the folder; raise it when the same file would give another picture."""
+_QUALITY, _LAYER_QUALITY, _MAP_QUALITY = 68, 50, 30
+_MARKED = 3
+"""Channels that differ by more levels than this make a pixel of an overlay colored, or different from the output."""
+_SHADE = 190
+"""Opacity of the marks of an overlay, of 255."""
+_CORNERS = np.array([[[0, 114, 178], [0, 158, 115]], [[213, 94, 0], [240, 228, 66]]], np.float64)
+"""Colors of the corners of the sample in a source map, from the palette of Okabe and Ito."""
+_UNREADABLE = (OSError, SyntaxError, ValueError, EOFError, KeyError, PIL.Image.DecompressionBombError)
+
+Pixels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class PagePicture:
+    """A picture as the page shows it.
+
+    Parameters
+    ----------
+    source
+        The value of ``src``: the embedded pixels.
+    width, height
+        Size of the picture in px.
+    full
+        Address of the file of all pixels, relative to the page; empty if ``source`` has all pixels.
+    """
+
+    source: str
+    width: int
+    height: int
+    full: str = ""
+
+    @property
+    def scale(self) -> float:
+        """Page pixels for each pixel: a whole number for small pictures, which avoids moire; below 1 for large ones."""
+        if self.width < SMALLEST:
+            return float(-(-SMALLEST // self.width))
+        return min(1.0, LARGEST / self.width)
+
+
+@dataclass(frozen=True)
+class PictureStore:
+    """The pictures of a page.
+
+    Whatever is made of a file of the run is kept in :data:`FOLDER` beside the page, under a name that hashes the bytes
+    of the file. A second report makes only the pictures of cells that changed.
+
+    Parameters
+    ----------
+    directory
+        Folder of the page.
+    single_file
+        Whether the page embeds all pixels without loss, instead of small copies beside files for zooming.
+    """
+
+    directory: Path
+    single_file: bool = False
+    _used: set[str] = field(default_factory=set)
+    _shown: dict[Path, PagePicture | None] = field(default_factory=dict)
+
+    def load(self, path: Path | None) -> PagePicture | None:
+        """Return the picture in a PNG file; None if there is no readable picture."""
+        if path is None:
+            return None
+        if path not in self._shown:
+            try:
+                self._shown[path] = self._load(path)
+            except _UNREADABLE:
+                self._shown[path] = None
+        return self._shown[path]
+
+    def _load(self, path: Path) -> PagePicture:
+        content = path.read_bytes()
+        with PIL.Image.open(io.BytesIO(content)) as image:
+            width, height = image.size
+            kind = "lossless" if self.single_file or width <= 64 else "small"
+            name = _name(kind, content)
+            small = self._kept(f"{name}.webp", lambda: _shrink(image, kind == "lossless"))
+        full = "" if kind == "lossless" else f"{FOLDER}/{self._link(path, _name('full', content))}"
+        return PagePicture(_address(small), width, height, full)
+
+    def overlay(self, output: Path, layer: Path | None) -> PagePicture | None:
+        """Return the marks of a metric's picture over an output, transparent elsewhere.
+
+        A metric draws its marks in color over the output, or over a gray copy of it. Pixels that are gray, or equal to
+        the output, are no marks.
+
+        Returns
+        -------
+        PagePicture or None
+            None if there is no readable picture, or it has another size than the output: then it is no overlay.
+        """
+        try:
+            if layer is None:
+                return None
+            content, below = layer.read_bytes(), output.read_bytes()
+            with PIL.Image.open(io.BytesIO(content)) as image, PIL.Image.open(io.BytesIO(below)) as base:
+                if image.size != base.size:
+                    return None
+                name = f"{_name('overlay', content, below)}.webp"
+                kept = self._kept(name, lambda: _encode(_marks(_pixels(image), _pixels(base)), _LAYER_QUALITY))
+                return PagePicture(_address(kept), *image.size)
+        except _UNREADABLE:
+            return None
+
+    def source_map(self, path: Path) -> PagePicture | None:
+        """Return the map of the sample's places that the pixels of an output come from, by color; None without one."""
+        try:
+            content = path.read_bytes()
+            with np.load(io.BytesIO(content)) as arrays:
+                places = np.asarray(arrays["source"][..., :2], np.float64)
+            name = f"{_name('source', content)}.webp"
+            kept = self._kept(name, lambda: _encode(_place_colors(places), _MAP_QUALITY))
+            return PagePicture(_address(kept), places.shape[1], places.shape[0])
+        except _UNREADABLE:
+            return None
+
+    def sweep(self) -> None:
+        """Remove the files of pictures that the page no longer has."""
+        folder = self.directory / FOLDER
+        for file in folder.glob("*") if folder.is_dir() else ():
+            if file.name not in self._used and file.suffix in (".webp", ".png"):
+                file.unlink(missing_ok=True)
+
+    def _kept(self, name: str, make: Callable[[], bytes]) -> bytes:
+        """Return the bytes of a file of the folder, made if it is absent."""
+        self._used.add(name)
+        file = self.directory / FOLDER / name
+        try:
+            return file.read_bytes()
+        except OSError:
+            content = make()
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_aside(file, lambda aside: aside.write_bytes(content))
+            return content
+
+    def _link(self, path: Path, name: str) -> str:
+        """Put a file of the run into the folder, as a hard link where the disk can, and return its name there."""
+        name = f"{name}.png"
+        self._used.add(name)
+        file = self.directory / FOLDER / name
+        if not file.exists():
+            file.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(path, file)
+            except OSError:
+                write_aside(file, lambda aside: shutil.copyfile(path, aside))
+        return name
+
+
+def _name(kind: str, *contents: bytes) -> str:
+    digest = hashlib.blake2s(f"{_RECIPE} {kind}".encode(), digest_size=12)
+    for content in contents:
+        digest.update(content)
+    return digest.hexdigest()
+
+
+def _address(content: bytes) -> str:
+    return f"data:image/webp;base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def _pixels(image: PIL.Image.Image) -> Pixels:
+    return np.asarray(image.convert("RGB"))
+
+
+def _shrink(image: PIL.Image.Image, lossless: bool) -> bytes:
+    """Return a picture as WebP: with all pixels, or reduced to the size on the page."""
+    whole = image.convert("RGB")
+    if not lossless:
+        whole.thumbnail((LARGEST, 4 * LARGEST))
+    file = io.BytesIO()
+    whole.save(file, "WEBP", lossless=lossless, quality=30 if lossless else _QUALITY, method=0 if lossless else 2)
+    return file.getvalue()
+
+
+def _encode(pixels: Pixels, quality: int) -> bytes:
+    image = PIL.Image.fromarray(pixels)
+    image.thumbnail((LARGEST, 4 * LARGEST))
+    file = io.BytesIO()
+    image.save(file, "WEBP", quality=quality, method=0)
+    return file.getvalue()
+
+
+def _marks(layer: Pixels, output: Pixels) -> Pixels:
+    """Return a metric's picture with an alpha channel that hides what is gray or equal to the output."""
+    spread = layer.max(-1).astype(np.int16) - layer.min(-1)
+    apart = np.abs(layer.astype(np.int16) - output).max(-1)
+    marked = (spread > _MARKED) & (apart > _MARKED)
+    return np.dstack([np.where(marked[..., None], layer, 0), np.where(marked, _SHADE, 0)]).astype(np.uint8)
+
+
+def _place_colors(places: NDArray[np.float64]) -> Pixels:
+    """Return colors of places (x, y) in the sample, blended between the colors of the corners of the used region."""
+    low, high = places.min((0, 1)), places.max((0, 1))
+    x, y = np.moveaxis((places - low) / np.maximum(high - low, 1e-9), -1, 0)[..., None]
+    top = _CORNERS[0, 0] * (1 - x) + _CORNERS[0, 1] * x
+    bottom = _CORNERS[1, 0] * (1 - x) + _CORNERS[1, 1] * x
+    return np.rint(top * (1 - y) + bottom * y).astype(np.uint8)

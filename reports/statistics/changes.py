@@ -1,0 +1,323 @@
+"""Compare two runs: which scores of which methods changed, by how much, and whether by more than noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from nrbench.errors import BadInput
+from nrbench.plugins.forms import Column
+from nrbench.plugins.parameters import nearest
+from nrbench.runs.records import Run
+from nrbench.runs.store import FAILED
+
+from .comparison import describe_scores, headline_columns
+from .estimates import Estimate, means_over_textures, paired_differences
+from .format import format_interval, format_number, format_signed, pluralize
+from .verdicts import method_label, tabulate_cells
+
+State = Literal["same", "better", "worse", "changed", "noise", "unknown"]
+WORDS: Mapping[State, str] = {
+    "same": "the same",
+    "better": "better",
+    "worse": "worse",
+    "changed": "changed",
+    "noise": "within noise",
+    "unknown": "too few textures",
+}
+PRESERVED = "preserved"
+"""The score that is 1 where the lattice is preserved, and 0 where it is lost or the cell failed or was refused."""
+COSTS = ("seconds", "peak_mib")
+"""Costs of a method. They depend on the machine, so they are no reason to fail unless they are named."""
+LEGEND = (
+    "Differences are second minus first, paired by texture and draw: means over the textures that both runs have, with "
+    "95 % intervals over these textures. Better or worse: the interval excludes zero. One test in twenty does so by "
+    "chance."
+)
+
+
+@dataclass(frozen=True)
+class Change:
+    """How one score of one method changed.
+
+    Parameters
+    ----------
+    method
+        The method with its lattice source.
+    reference
+        Whether it is a reference method.
+    score, column
+        Name of the score, and its declaration.
+    before, after
+        Means over the textures of both runs that have a value in each.
+    difference
+        The mean of ``after - before``, paired.
+    state
+        ``same``: no value changed. ``better``, ``worse``, or ``changed`` where no way is better: the interval excludes
+        zero. ``noise``: it does not. ``unknown``: fewer than two textures have a value in both runs.
+    """
+
+    method: str
+    reference: bool
+    score: str
+    column: Column
+    before: float | None
+    after: float | None
+    difference: Estimate
+    state: State
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the change for JSON."""
+        one = self.difference
+        return {
+            "method": self.method,
+            "reference": self.reference,
+            "score": self.score,
+            "before": self.before,
+            "after": self.after,
+            "difference": one.value,
+            "low": one.low,
+            "high": one.high,
+            "textures": one.n,
+            "state": self.state,
+        }
+
+    @property
+    def cells(self) -> list[str]:
+        """The change as the texts of a table's row."""
+        one = self.difference
+        gap = f"{format_signed(one.value)} {format_interval(one)}".strip()
+        numbers = (format_number(self.before), format_number(self.after))
+        return [self.method, self.score, *numbers, gap, str(one.n), WORDS[self.state]]
+
+
+@dataclass(frozen=True)
+class RunChanges:
+    """The changes between two runs.
+
+    Parameters
+    ----------
+    first, second
+        The two runs.
+    changes
+        One for each method of both runs and each score.
+    means
+        Mean over textures of each score of the second run, by method without reference methods, and score.
+    only_first, only_second
+        Methods that only one of the runs has.
+    counts
+        For each method of both runs how its cells ended: ``ok``, ``refused``, ``failed`` and ``missing``, in the first
+        and in the second run.
+    pairs, equal_samples
+        Number of cells of the second run that the first one has, too, and how many of them have the same sample.
+    named
+        Whether the caller chose the scores.
+    """
+
+    first: Run
+    second: Run
+    changes: Sequence[Change]
+    means: Mapping[str, Mapping[str, float]]
+    only_first: Sequence[str]
+    only_second: Sequence[str]
+    counts: Mapping[str, tuple[Mapping[str, int], Mapping[str, int]]]
+    pairs: int
+    equal_samples: int
+    named: bool
+
+    @property
+    def worse(self) -> list[Change]:
+        """The changes for the worse of methods that are no references; costs only if the caller named them."""
+        counted = (one for one in self.changes if self.named or one.score not in COSTS)
+        return [one for one in counted if one.state == "worse" and not one.reference]
+
+    @property
+    def newly_failed(self) -> list[str]:
+        """The methods of which more cells fail or are refused in the second run."""
+        bad = ("refused", "failed", "missing")
+        return [
+            method
+            for method, (before, after) in self.counts.items()
+            if sum(after[word] for word in bad) > sum(before[word] for word in bad)
+        ]
+
+    def below(self, score: str, limit: float) -> dict[str, float]:
+        """Return the methods of the second run whose mean of a score is below a limit, with their means.
+
+        Raises
+        ------
+        BadInput
+            If the second run has no such score.
+        """
+        if score not in self.means:
+            raise BadInput(f"--fail-under {score}: the run has no such score{nearest(score, self.means)}")
+        return {method: value for method, value in self.means[score].items() if not value >= limit}
+
+    @property
+    def heads(self) -> list[str]:
+        """The headings of the table."""
+        return ["method", "score", "first", "second", "difference", "textures", "change"]
+
+    @property
+    def notes(self) -> list[str]:
+        """What the table does not say: methods of one run, failures, other samples."""
+        lines = [f"only in {self.first.root}: {', '.join(self.only_first)}"] if self.only_first else []
+        if self.only_second:
+            lines.append(f"only in {self.second.root}: {', '.join(self.only_second)}")
+        for method, (before, after) in self.counts.items():
+            if before != after:
+                lines.append(f"{method}: {_count_text(before)} in the first run, {_count_text(after)} in the second")
+        if self.equal_samples < self.pairs:
+            other = self.pairs - self.equal_samples
+            lines.append(f"{pluralize(other, 'cell')} of {self.pairs} have another sample, so their pairs scatter more")
+        if not self.pairs:
+            lines.append("the runs have no method on the same texture and draw in common: there is nothing to compare")
+        versions = [run.info.get("results_version") for run in (self.first, self.second)]
+        if versions[0] != versions[1]:
+            lines.append(f"the runs were made by results versions {versions[0]} and {versions[1]}")
+        return lines
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all of it for JSON."""
+        return {
+            "first": str(self.first.root),
+            "second": str(self.second.root),
+            "changes": [change.as_dict() for change in self.changes],
+            "only_first": list(self.only_first),
+            "only_second": list(self.only_second),
+            "cells": {method: {"first": a, "second": b} for method, (a, b) in self.counts.items()},
+            "pairs": self.pairs,
+            "equal_samples": self.equal_samples,
+        }
+
+
+def compare_runs(first: Run, second: Run, scores: Sequence[str] = ()) -> RunChanges:
+    """Compare the scores of two runs, method by method.
+
+    Parameters
+    ----------
+    first, second
+        The runs. The second one is usually the newer.
+    scores
+        Names of columns, as in ``cells.csv``; empty for the headlines, the share of preserved lattices and the seconds.
+
+    Raises
+    ------
+    BadInput
+        For a score that neither run has.
+    """
+    columns = {
+        **describe_scores(first),
+        **describe_scores(second),
+        **headline_columns(first),
+        **headline_columns(second),
+    }
+    columns[PRESERVED] = Column("Whether the lattice is preserved; failures and refusals count as no.", better="higher")
+    usual = dict.fromkeys([*headline_columns(second), *headline_columns(first)])
+    chosen = list(scores) or [name for name in usual if name != "seconds"] + [PRESERVED, "seconds"]
+    for name in chosen:
+        if name not in columns:
+            raise BadInput(f"score {name!r} is not known{nearest(name, columns)}")
+    tables = [_tabulate(run, chosen) for run in (first, second)]
+    labels = [list(dict.fromkeys(table["label"])) for table in tables]
+    common = [label for label in labels[0] if label in labels[1]]
+    changes = [
+        change
+        for label in common
+        for change in _changes(label, *(_rows_of(table, label) for table in tables), scores=chosen, columns=columns)
+    ]
+    hashes = [_sample_hashes(run) for run in (first, second)]
+    both = hashes[0].keys() & hashes[1].keys()
+    own = tables[1][~tables[1]["reference"]]
+    by_method = {label: means_over_textures(rows, chosen) for label, rows in own.groupby("label", sort=False)}
+    return RunChanges(
+        first,
+        second,
+        changes,
+        {name: {str(label): _number(means[name].value) for label, means in by_method.items()} for name in chosen},
+        [label for label in labels[0] if label not in labels[1]],
+        [label for label in labels[1] if label not in labels[0]],
+        {label: (_count(tables[0], label), _count(tables[1], label)) for label in common},
+        len(both),
+        sum(hashes[0][pair] == hashes[1][pair] for pair in both),
+        bool(scores),
+    )
+
+
+def _tabulate(run: Run, scores: Sequence[str]) -> pd.DataFrame:
+    """Return the table of cells with the preserved lattices as numbers, and NaN for scores that the run lacks."""
+    table = tabulate_cells(run)
+    known = table["verdict"].map({"preserved": 1.0, "lost": 0.0, "failed": 0.0, "refused": 0.0})
+    table[PRESERVED] = known.astype(float).where(table["applicable"].astype(bool))
+    for name in scores:
+        if name not in table:
+            table[name] = np.nan
+    return table
+
+
+def _rows_of(table: pd.DataFrame, label: str) -> pd.DataFrame:
+    return table[table["label"] == label]
+
+
+def _changes(
+    label: str, before: pd.DataFrame, after: pd.DataFrame, *, scores: Sequence[str], columns: Mapping[str, Column]
+) -> list[Change]:
+    """Return the change of each score of one method that has a value in any of the runs."""
+    reference = bool(before["reference"].any() or after["reference"].any())
+    on = ["texture", "replicate"]
+    both = before[[*on, *scores]].merge(after[[*on, *scores]], on=on, suffixes=("_before", "_after"))
+    differences = paired_differences(after, before, scores)
+    merits = paired_differences(_merit(after, scores, columns), _merit(before, scores, columns), scores)
+    found = []
+    for name in scores:
+        pair = both[["texture", f"{name}_before", f"{name}_after"]].dropna()
+        means = pair.groupby("texture", sort=False)[[f"{name}_before", f"{name}_after"]].mean().mean()
+        equal = len(pair) > 0 and bool((pair[f"{name}_before"] == pair[f"{name}_after"]).all())
+        state = "same" if equal else _state(merits[name], columns[name])
+        values = [None if math.isnan(value) else float(value) for value in means]
+        if pair.empty and before[name].isna().all() and after[name].isna().all():
+            continue
+        found.append(Change(label, reference, name, columns[name], values[0], values[1], differences[name], state))
+    return found
+
+
+def _merit(table: pd.DataFrame, scores: Sequence[str], columns: Mapping[str, Column]) -> pd.DataFrame:
+    """Return the scores so that higher is better: two-sided ones as their distance from 1, below zero."""
+    ways = {"lower": lambda values: -values, "one": lambda values: -(values - 1).abs()}
+    return table.assign(**{name: ways[way](table[name]) for name in scores if (way := columns[name].better) in ways})
+
+
+def _state(merit: Estimate, column: Column) -> State:
+    if merit.excludes_zero is None or merit.value is None:
+        return "unknown"
+    if not merit.excludes_zero:
+        return "noise"
+    if column.better == "none":
+        return "changed"
+    return "better" if merit.value > 0 else "worse"
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _count(table: pd.DataFrame, label: str) -> dict[str, int]:
+    status = table.loc[table["label"] == label, "status"]
+    named = {word: int((status == word).sum()) for word in ("ok", "refused", "missing")}
+    return {**named, "failed": int(status.isin(FAILED).sum())}
+
+
+def _count_text(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {word}" for word, count in counts.items() if count) or "no cells"
+
+
+def _sample_hashes(run: Run) -> dict[tuple[str, str, int], str]:
+    return {
+        (method_label(record.method, record.lattice_source), record.texture, record.replicate): record.cell.sample_hash
+        for record in run.cells
+    }

@@ -1,0 +1,81 @@
+"""The commands import what they need: a short command is not slowed down by libraries that it does not use."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import nrbench
+from nrbench.imaging.files import write_image
+from nrbench.running.worker import DEFERRED
+
+ROOT = Path(__file__).parents[2]
+HEAVY = (
+    "matplotlib",
+    "numba",
+    "pandas",
+    "pydantic",
+    "scipy.interpolate",
+    "scipy.ndimage",
+    "scipy.signal",
+    "scipy.stats",
+)
+SCRIPT = """
+import sys
+from nrbench.cli.main import main
+try:
+    main(sys.argv[1:])
+finally:
+    print("IMPORTED", *[name for name in {heavy!r} if name in sys.modules], file=sys.stderr)
+"""
+
+
+def imported(command: str, folder: Path) -> set[str]:
+    """Return which of :data:`HEAVY` a command imports in a new interpreter."""
+    script = SCRIPT.format(heavy=HEAVY)
+    words = [sys.executable, "-c", script, *command.split()]
+    ended = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    line = next(line for line in ended.stderr.splitlines() if line.startswith("IMPORTED"))
+    return set(line.split()[1:])
+
+
+@pytest.mark.parametrize(
+    ("command", "allowed"),
+    [
+        ("--help", ""),
+        ("run --help", ""),
+        ("list", "pydantic"),
+        ("list synthesizers", "pydantic"),
+        ("show rsgf", "pydantic"),
+        ("show core", "pydantic"),
+        ("status missing", "pydantic"),
+        ("run missing.toml", "pydantic"),
+        ("plan core -t brick-mild -m rsgf", "pydantic scipy.ndimage"),
+        ("synth missing.png -m rsgf --size 64x64 -o out.png", ""),
+        ("lattice missing.png", ""),
+        ("score missing.png missing.png", ""),
+    ],
+)
+def test_a_command_imports_what_it_needs(tmp_path: Path, command: str, allowed: str) -> None:
+    """Listings, plans and errors about missing files import no plotting, table, compiler or statistics library."""
+    assert imported(command, tmp_path) <= set(allowed.split())
+
+
+def test_synth_imports_no_tables_and_no_statistics(tmp_path: Path) -> None:
+    """To make one picture, the array operations and the compiler are enough."""
+    write_image(tmp_path / "brick.png", nrbench.texture("brick", shape=(96, 96)).image)
+    command = "synth brick.png -m rsgf --size 128x128 --lattice 27.3,0,13.65,12.2 -o out.png"
+    assert imported(command, tmp_path) <= {"numba", "scipy.ndimage"}
+    assert (tmp_path / "out.png").is_file()
+
+
+def test_a_worker_imports_all_that_is_imported_on_first_use() -> None:
+    """A module of scipy or scikit-image that a plugin imports on first use is imported before children are forked."""
+    folders = ("nrbench", "synthesizers", "metrics", "datasets_procedural")
+    sources = "".join(file.read_text("utf-8") for folder in folders for file in (ROOT / folder).rglob("*.py"))
+    used = set(re.findall(r"(?<![`\w.\"])((?:scipy|skimage)\.[a-z]+)\.\w", sources)) - {"skimage.draw"}
+    assert used <= {".".join(name.split(".")[:2]) for name in DEFERRED}

@@ -1,0 +1,223 @@
+"""The page in a real browser."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nrbench.reports.html import HtmlReport
+
+from .conftest import PERILS, cell_maker, run_maker
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra test")
+axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-playwright-python, of extra test")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+
+Open = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the page of a run with three methods, a reference, two replicates, a refusal and hostile names."""
+    root = tmp_path_factory.mktemp("browser") / "run"
+    make = cell_maker(root)
+    levels = {"good": 0.8, "middle": 0.5, "bad <b>name</b>": 0.2}
+    cells = [
+        make(texture, method, replicate=replicate, side=96, perils=dict.fromkeys(PERILS, quality - 0.01 * i))
+        for i, texture in enumerate(("brick", "weave"))
+        for method, quality in levels.items()
+        for replicate in range(2)
+    ]
+    cells += [
+        make(t, "oracle", "none", reference=True, side=96, perils=dict.fromkeys(PERILS, 1.0))
+        for t in ("brick", "weave")
+    ]
+    cells.append(make("hexagon", "good", status="refused", message="too small"))
+    (path,) = HtmlReport().write(run_maker(root)(cells), root / "report")
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Return a headless browser."""
+    with sync_api.sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def visit(browser: Any, report: Path) -> Iterator[Open]:
+    """Return a function that opens the page; afterwards it must have had no error and left no request."""
+    contexts, faults, requests = [], [], []
+
+    def start(width: int = 1440, scheme: str = "light", **more: Any) -> Any:
+        context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme, **more)
+        contexts.append(context)
+        page = context.new_page()
+        page.on(
+            "console", lambda message: faults.append(message.text) if message.type in ("error", "warning") else None
+        )
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.on("request", lambda request: requests.append(request.url))
+        page.goto(report.as_uri())
+        return page
+
+    yield start
+    for context in contexts:
+        context.close()
+    assert not faults
+    folder = report.parent.as_uri()
+    assert all(url.startswith((folder, "data:", "blob:")) for url in requests)
+
+
+def _methods(page: Any) -> list[str]:
+    return page.locator("#methods tbody tr:visible th .method").all_inner_texts()
+
+
+def test_columns_sort(visit: Open) -> None:
+    """A click on a title sorts the best first, a second one the worst first; references stay below."""
+    page = visit()
+    head = page.locator("#methods thead th", has_text="quality").first
+    assert [name.split(" ")[0] for name in _methods(page)] == ["good", "middle", "bad", "oracle"]
+    head.locator("button").click()
+    assert head.get_attribute("aria-sort") == "descending"
+    head.locator("button").press("Enter")
+    assert head.get_attribute("aria-sort") == "ascending"
+    assert [name.split(" ")[0] for name in _methods(page)] == ["bad", "middle", "good", "oracle"]
+
+
+def test_filters_hide_rows(visit: Open) -> None:
+    """The filters hide methods, and textures in the comparison and the gallery."""
+    page = visit()
+    page.fill("#method-filter", "midd")
+    assert _methods(page) == ["middle"]
+    page.fill("#filter", "weave")
+    assert page.locator("#gallery article:visible").count() == 1
+    assert page.locator(".comparison tbody tr:visible").count() == 1
+
+
+def test_all_columns_can_be_shown(visit: Open) -> None:
+    """The table of methods shows further scores on demand."""
+    page = visit()
+    more = page.locator("#methods thead th.more")
+    assert more.count() > 0 and not more.first.is_visible()
+    page.check("#all-columns")
+    assert more.first.is_visible() and "unit:" in (more.first.get_attribute("title") or "")
+
+
+def test_replicates_switch(visit: Open) -> None:
+    """One replicate is visible at a time; a link to an output shows its replicate."""
+    page = visit()
+    article = page.locator("#gallery article").first
+    assert article.locator(".draw:visible").get_attribute("data-replicate") == "0"
+    article.get_by_role("button", name="replicate 1").click()
+    assert article.locator(".draw:visible").get_attribute("data-replicate") == "1"
+    hidden = article.locator(".draw").first.locator("figure.output").first.get_attribute("id")
+    page.evaluate("name => { location.hash = name; }", hidden)
+    page.wait_for_timeout(100)
+    assert article.locator(".draw:visible").get_attribute("data-replicate") == "0"
+
+
+def test_layers_toggle(visit: Open) -> None:
+    """Each layer is hidden until its box is checked, and layers can be shown together."""
+    page = visit()
+    boxes = page.locator(".layers input")
+    assert boxes.count() >= 1
+    for i in range(boxes.count()):
+        layer = page.locator(f".draw:visible .{boxes.nth(i).get_attribute('id')}")
+        assert not any(layer.nth(k).is_visible() for k in range(layer.count()))
+        boxes.nth(i).check()
+        assert all(layer.nth(k).is_visible() for k in range(min(2, layer.count())))
+
+
+def test_pictures_zoom_and_move_together(visit: Open) -> None:
+    """Zoom and movement of one picture are those of all pictures of the texture, which then have all their pixels."""
+    page = visit()
+    article = page.locator("#gallery article").first
+    views = article.locator(".draw:visible .view")
+    views.last.focus()
+    page.keyboard.press("+")
+    page.keyboard.press("ArrowRight")
+    shifts = {views.nth(i).locator(".pan").evaluate("one => one.style.transform") for i in range(views.count())}
+    assert all("scale(2)" in shift for shift in shifts)
+    stacks = article.locator(".draw:visible .stack .pan")
+    assert len({stacks.nth(i).evaluate("one => one.style.transform") for i in range(stacks.count())}) == 1
+    image = stacks.first.locator("img").first
+    assert "pictures/" in image.get_attribute("src")
+    image.evaluate("one => one.decode()")
+    assert image.evaluate("one => one.naturalWidth") == 96
+    before = stacks.first.evaluate("one => one.style.transform")
+    box = views.last.bounding_box()
+    page.mouse.move(box["x"] + 60, box["y"] + 60)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 90, box["y"] + 80, steps=4)
+    page.mouse.up()
+    assert stacks.first.evaluate("one => one.style.transform") != before
+    assert article.locator("figure.large").count() == 0
+    article.get_by_role("button", name="reset").click()
+    assert stacks.first.evaluate("one => one.style.transform") == ""
+
+
+def test_outputs_enlarge(visit: Open) -> None:
+    """A click on an output enlarges it, by the keyboard too."""
+    page = visit()
+    stack = page.locator(".draw:visible button.stack").first
+    stack.press("Enter")
+    assert stack.get_attribute("aria-pressed") == "true"
+    assert page.locator("figure.large").count() == 1
+
+
+def test_tables_can_be_copied(visit: Open) -> None:
+    """The buttons put the table of methods into the clipboard, as CSV and as LaTeX."""
+    page = visit(permissions=["clipboard-read", "clipboard-write"])
+    for name, first in (("Copy CSV", "method,lattice_source"), ("Copy LaTeX", "% needs")):
+        page.get_by_role("button", name=name).click()
+        page.get_by_text(f"{name}: done").wait_for()
+        assert page.evaluate("navigator.clipboard.readText()").startswith(first)
+
+
+def test_scores_have_tooltips(visit: Open) -> None:
+    """The scores below an output have the descriptions of the glossary."""
+    page = visit()
+    titles = page.locator(".scores th").evaluate_all("heads => heads.map((one) => one.title)")
+    assert titles and all("unit:" in title for title in titles)
+
+
+@pytest.mark.parametrize("width", [1440, 390])
+def test_the_page_does_not_scroll_sideways(visit: Open, width: int) -> None:
+    """Only boxes scroll sideways, on a phone too."""
+    assert visit(width).evaluate("document.documentElement.scrollWidth") == width
+
+
+def test_it_paints_soon(visit: Open) -> None:
+    """The first paint comes within a second."""
+    page = visit()
+    page.wait_for_function("performance.getEntriesByName('first-contentful-paint').length > 0")
+    assert page.evaluate("performance.getEntriesByName('first-contentful-paint')[0].startTime") < 1000
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1440, 390])
+def test_everyone_can_use_it(visit: Open, width: int, scheme: str) -> None:
+    """Axe finds no violation that is serious or critical, color contrast included."""
+    page = visit(width, scheme)
+    page.check("#all-columns")
+    found = axe.Axe().run(page).response["violations"]
+    serious = [one for one in found if one["impact"] in ("serious", "critical")]
+    assert not serious, [(one["id"], [node["html"][:160] for node in one["nodes"][:3]]) for one in serious]
+
+
+def test_it_can_be_read_without_script(visit: Open) -> None:
+    """Without script all replicates are shown, tables are complete, and layers still toggle."""
+    page = visit(java_script_enabled=False)
+    assert page.locator("#gallery .draw:visible").count() == page.locator("#gallery .draw").count()
+    assert page.locator("#methods tbody tr:visible").count() == 4
+    assert not page.locator(".zoom").first.is_visible()
+    page.check(".layers input >> nth=1")
+    assert page.locator(".layer:visible").count() > 0

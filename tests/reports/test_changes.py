@@ -1,0 +1,181 @@
+"""The comparison of two runs: what counts as better, worse, the same, and noise."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nrbench.api import run
+from nrbench.cli.main import main
+from nrbench.errors import BadInput
+from nrbench.reports.changes import Changes
+from nrbench.reports.statistics.changes import RunChanges, compare_runs
+from nrbench.running.runner import Options
+from nrbench.runs.records import Run
+
+from .conftest import HOSTILE, PERILS, cell_maker, run_maker
+
+Compare = Callable[..., RunChanges]
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Callable[..., tuple[Run, Run]]:
+    """Return a maker of two runs with the given quality of each texture and a given method."""
+
+    def make(first: list[float], second: list[float], method: str = "rsgf", **more: Any) -> tuple[Run, Run]:
+        made = []
+        for name, values in (("A", first), ("B", second)):
+            make_cell, make_run = cell_maker(tmp_path / name), run_maker(tmp_path / name)
+            cells = [
+                make_cell(f"t{i}", method, perils=dict.fromkeys(PERILS, value), **more)
+                for i, value in enumerate(values)
+            ]
+            made.append(make_run(cells))
+        return made[0], made[1]
+
+    return make
+
+
+def states(changes: RunChanges) -> dict[str, str]:
+    """Return the state of each score of the only method."""
+    return {change.score: change.state for change in changes.changes}
+
+
+def test_equal_runs_are_the_same(runs: Callable[..., tuple[Run, Run]]) -> None:
+    """Runs with equal scores differ in nothing, and nothing is worse."""
+    changes = compare_runs(*runs([0.2, 0.5, 0.9], [0.2, 0.5, 0.9]))
+    assert set(states(changes).values()) == {"same"}
+    assert not changes.worse and not changes.newly_failed and changes.equal_samples == changes.pairs == 3
+
+
+@pytest.mark.parametrize(("shift", "state"), [(0.1, "better"), (-0.1, "worse")])
+def test_a_shift_of_every_texture_is_no_noise(runs: Callable[..., tuple[Run, Run]], shift: float, state: str) -> None:
+    """A loss of 0.1 on each of six textures is found, with its size, and in the right direction."""
+    before = [0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+    changes = compare_runs(*runs(before, [value + shift + i % 2 / 100 for i, value in enumerate(before)]))
+    assert states(changes)["quality"] == state
+    quality = next(change for change in changes.changes if change.score == "quality")
+    assert quality.difference.value == pytest.approx(shift + 0.005) and quality.before == pytest.approx(0.55)
+    assert bool(changes.worse) == (state == "worse")
+
+
+def test_a_change_of_both_signs_is_noise(runs: Callable[..., tuple[Run, Run]]) -> None:
+    """Textures that move up and down by the same amount show no change of the mean."""
+    changes = compare_runs(*runs([0.4, 0.5, 0.6, 0.7], [0.5, 0.4, 0.7, 0.6]))
+    assert states(changes)["quality"] == "noise" and not changes.worse
+
+
+def test_one_texture_is_too_few(runs: Callable[..., tuple[Run, Run]]) -> None:
+    """A single texture has no interval, so nothing is called worse."""
+    changes = compare_runs(*runs([0.9], [0.1]))
+    assert states(changes)["quality"] == "unknown" and not changes.worse
+
+
+def test_two_sided_and_lower_scores_know_their_better_way(tmp_path: Path) -> None:
+    """A variation that moves from 0.5 to 0.9 is better, one from 1.1 to 1.5 is worse, as is more repetition."""
+    made = []
+    for name, low, high, twins in (("A", 0.5, 1.1, 0.1), ("B", 0.9, 1.5, 0.3)):
+        make_cell, make_run = cell_maker(tmp_path / name), run_maker(tmp_path / name)
+        cells = [
+            make_cell(f"t{i}", method, values={"randomness.variation": value + i / 100, "randomness.repetition": twins})
+            for i in range(5)
+            for method, value in (("low", low), ("high", high))
+        ]
+        made.append(make_run(cells))
+    changes = compare_runs(*made, ["randomness.variation", "randomness.repetition"])
+    found = {(change.method, change.score): change.state for change in changes.changes}
+    assert found["low (own)", "randomness.variation"] == "better"
+    assert found["high (own)", "randomness.variation"] == "worse"
+    assert (
+        found["low (own)", "randomness.repetition"] == "unknown"
+        or found["low (own)", "randomness.repetition"] == "worse"
+    )
+
+
+def test_references_and_wall_times_are_no_reason_to_fail(runs: Callable[..., tuple[Run, Run]]) -> None:
+    """A reference that is worse is shown but does not count; the seconds count only if they are named."""
+    changes = compare_runs(*runs([0.9, 0.8, 0.7], [0.3, 0.2, 0.0], reference=True))
+    assert states(changes)["quality"] == "worse" and not changes.worse
+    first, second = runs([0.5, 0.6, 0.7], [0.5, 0.6, 0.7])
+    for i, record in enumerate(second.cells):
+        record.result["seconds"] = 9.0 + i
+    assert states(compare_runs(first, second))["seconds"] == "worse" and not compare_runs(first, second).worse
+    assert [change.score for change in compare_runs(first, second, ["seconds"]).worse] == ["seconds"]
+
+
+def test_more_failures_and_missing_methods_are_told(tmp_path: Path) -> None:
+    """A method that is gone, one that is new, and a cell that fails now are named."""
+    made = []
+    for name, status, other in (("A", "ok", "old"), ("B", "crash", "new")):
+        make_cell, make_run = cell_maker(tmp_path / name), run_maker(tmp_path / name)
+        made.append(make_run([make_cell("t0", status=status), make_cell("t0", other)]))
+    changes = compare_runs(*made)
+    assert changes.newly_failed == ["rsgf (own)"]
+    assert (changes.only_first, changes.only_second) == (["old (own)"], ["new (own)"])
+    assert any("1 ok in the first run, 1 failed in the second" in note for note in changes.notes)
+
+
+def test_an_unknown_score_is_refused(runs: Callable[..., tuple[Run, Run]]) -> None:
+    """The message names the nearest score."""
+    with pytest.raises(BadInput, match=r"did you mean 'quality\.score'"):
+        compare_runs(*runs([0.5], [0.5]), ["quality.scor"])
+
+
+def test_markdown_escapes_names(runs: Callable[..., tuple[Run, Run]]) -> None:
+    """The name of a method cannot become markup, and each row has the columns of the head."""
+    changes = compare_runs(*runs([0.5, 0.6], [0.5, 0.6], method=HOSTILE))
+    lines = Changes().markdown(changes).splitlines()
+    table = [line for line in lines if line.startswith("|")]
+    assert "<img" not in "".join(lines).replace("\\<img", "")
+    assert {line.count("|") for line in table} == {8}
+    assert json.dumps(changes.as_dict())
+
+
+def test_without_a_baseline_nothing_is_written(every_ending: Run, tmp_path: Path) -> None:
+    """A run that is compared with no other one has no files of changes."""
+    assert Changes().write(every_ending, tmp_path) == []
+
+
+@pytest.fixture(scope="module")
+def tiny_runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Return two runs of one texture with different seeds."""
+    folder = tmp_path_factory.mktemp("tiny")
+    for seed in (0, 1):
+        run(
+            "core",
+            methods="quilting",
+            textures="brick-mild",
+            out=folder / str(seed),
+            options=Options(jobs=0),
+            seed=seed,
+            size="128x128",
+            metrics=["quality", "regularity"],
+        )
+    return folder / "0", folder / "1"
+
+
+def call(*words: str) -> int:
+    """Run the command line and return its exit code."""
+    with pytest.raises(SystemExit) as ended:
+        main(list(words))
+    return int(ended.value.code or 0)
+
+
+def test_the_command_decides_by_its_exit_code(tiny_runs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    """`compare` exits with 0, with 1 where a limit is missed or a score is worse, and with 2 for bad input."""
+    before, after = map(str, tiny_runs)
+    assert call("compare", before, before, "--fail-on-worse") == 0
+    assert "within noise" not in capsys.readouterr().out
+    assert call("compare", before, after, "--json", "--fail-under", "appearance.color_distance=1e9") == 2
+    assert call("compare", before, after, "--fail-under", "x") == 2
+    assert call("compare", before, after, "--columns", "quality.scor") == 2
+    assert call("compare", before, "missing") == 2
+    assert call("compare", before, after, "--json", "--markdown") == 2
+    capsys.readouterr()
+    assert call("compare", before, after, "--json", "--fail-under", "2", "--fail-under", "preserved=0") == 1
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["failures"] and "is not at least 2" in printed.err

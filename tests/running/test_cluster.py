@@ -1,0 +1,185 @@
+"""Runs on a Dask cluster: a real scheduler and real workers, on this machine."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from faults import registered_faults
+from machines import machines
+
+from nrbench.api import run
+from nrbench.cli.main import main
+from nrbench.errors import BadInput
+from nrbench.running import cluster
+from nrbench.running.cluster import Cluster, write_files
+from nrbench.running.progress import Step
+from nrbench.running.runner import Options
+from nrbench.runs.records import Run
+from nrbench.runs.store import CellFolder
+from nrbench.suites.suite import Suite, validated_suite
+
+pytest.importorskip("distributed")
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
+WALL = {"name": "wall", "dataset": "brick", "parameters": {"color": 0.2}}
+
+
+def suite_of(methods: list[str], **more: Any) -> Suite:
+    """Return a suite of one wall, scored by its cost and by where its pixels come from."""
+    content = {"name": "small", "sample": "64x64", "size": "64x64", "lattice": ["given"], "metrics": ["cost", "source"]}
+    return validated_suite({**content, "methods": methods, "texture": [WALL], **more}, "test")
+
+
+def told(found: Run) -> list[tuple[object, ...]]:
+    """Return all that a table says of each cell, but what it cost and where it ran."""
+    table = found.table()
+    kept = [name for name in table.columns if not name.startswith("cost.") and name not in ("seconds", "peak_mib")]
+    kept = [name for name in kept if name not in ("note", "side_by_side")]
+    return list(table[kept].astype(object).where(table[kept].notna(), None).itertuples(index=False, name=None))
+
+
+def outputs(found: Run) -> list[bytes]:
+    """Return the bytes of every output."""
+    return [(record.folder / "output.png").read_bytes() for record in found.cells]
+
+
+def place_of(record: Any) -> str:
+    """Return the name of the worker that ran a cell of the method ``place``."""
+    return str(record.result["note"])
+
+
+def test_a_run_survives_its_workers(tmp_path: Path) -> None:
+    """A worker that joins late is used, one that is killed loses nothing, and the results are those of a local run.
+
+    The first worker sees the run directory; afterwards no worker knows it, so that files come back as bytes.
+    """
+    suite = suite_of(["tiling", "scatter", "place"], replicates=4)
+    with registered_faults(), machines(tmp_path, "first") as made:
+        local = run(suite, out=tmp_path / "local", options=Options(jobs=0))
+        steps: list[Step] = []
+
+        def follow(step: Step) -> None:
+            steps.append(step)
+            if step.done == 1:
+                made.start_worker("late")
+            if step.done >= 2 and "first" in made.processes and has_run("late"):
+                made.kill("first")
+
+        def has_run(name: str) -> bool:
+            return name in {place_of(one) for one in Run(tmp_path / "run").cells if one.result.get("note")}
+
+        options = Options(scheduler=made.address, timeout=30)
+        shared = run(
+            suite_of(["place"], replicates=40, size="96x96"), out=tmp_path / "run", options=options, progress=follow
+        )
+        assert {record.status for record in shared.cells} == {"ok"}
+        assert {place_of(record) for record in shared.cells} == {"first", "late"}
+        assert "first" not in made.processes
+        assert steps[0].remaining is not None
+        with pytest.MonkeyPatch.context() as patch:
+            pack = Cluster._pack
+            patch.setattr(Cluster, "_pack", lambda self, job: {**pack(self, job), "secret": "of another machine"})
+            away = run(suite, out=tmp_path / "away", options=options)
+        assert told(away) == told(local)
+        assert outputs(away) == outputs(local)
+        again = [record for record in away.cells if record.method == "place"]
+        assert {place_of(record) for record in again} == {"late"}
+        assert not list(tmp_path.glob("away/.cluster-*"))
+        for record in away.cells:
+            assert not (record.folder / "tmp").exists()
+            assert record.log_tail == "" or record.method == "place"
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(cluster, "code_hash", lambda: "0123456789ab")
+            with pytest.raises(BadInput, match=r"the worker tcp://.* has nrbench .* code .* instead of .*0123456789ab"):
+                run(suite, out=tmp_path / "other", options=options)
+
+
+def test_a_cluster_that_dies_ends_the_run(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without workers, and without a scheduler, a run ends with a line that says so, its table, and exit code 1."""
+    monkeypatch.setattr(cluster, "NOTICE", 0.5)
+    suite = tmp_path / "small.toml"
+    suite.write_text(
+        'name = "small"\nsample = "64x64"\nsize = "64x64"\nmethods = ["scatter"]\nmetrics = ["cost"]\n'
+        'replicates = 3\ntexture = [{ name = "wall", dataset = "brick" }]\n'
+    )
+    with machines(tmp_path) as made:
+        words = ["run", str(suite), "--out", "run", "--no-report", "--scheduler", made.address]
+        with pytest.raises(SystemExit) as left:
+            main([*words, "--worker-wait", "2"])
+        assert left.value.code == 1
+        seen = capfd.readouterr()
+        assert "has no worker; waiting for one up to 2 s" in seen.err
+        assert "had no worker for 2 s; run the same command again to resume" in seen.err
+        assert "3 of 3 cells" in seen.err
+        assert len(seen.err.splitlines()) == 3
+        assert "3 missing" in seen.out
+        threading.Timer(2.0, made.processes["scheduler"].send_signal, [signal.SIGKILL]).start()
+        start = time.monotonic()
+        with pytest.raises(SystemExit) as left:
+            main(words)
+        assert left.value.code == 1
+        assert time.monotonic() - start < 20
+        seen = capfd.readouterr()
+        assert "has ended or cannot be reached any more; run the same command again" in seen.err
+        assert len(seen.err.splitlines()) <= 3
+        with pytest.raises(SystemExit) as left:
+            monkeypatch.setattr(cluster, "CONNECT", 1.0)
+            main(words)
+        assert left.value.code == 2
+        assert "cannot be reached" in capfd.readouterr().err
+
+
+def test_a_run_that_is_stopped_takes_its_jobs_back(tmp_path: Path) -> None:
+    """After a second interrupt the worker kills the cell that runs, and is ready for the next run."""
+    with registered_faults() as faults, machines(tmp_path, "only") as made:
+        suite = tmp_path / "s.toml"
+        suite.write_text(
+            f'name = "s"\nsample = "64x64"\nsize = "64x64"\nmethods = ["sleeper:until={tmp_path / "awake"}"]\n'
+            'metrics = ["cost"]\nreplicates = 3\ntexture = [{ name = "wall", dataset = "brick" }]\n'
+        )
+        words = ["--plugin", str(faults), "run", str(suite), "--out", "run", "--no-report", "--scheduler", made.address]
+        running = subprocess.Popen(
+            [sys.executable, "-c", "import sys; from nrbench.cli.main import main; main(sys.argv[1:])", *words],
+            cwd=tmp_path,
+            stderr=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+        while running.poll() is None and not list(tmp_path.glob("run/cells/*/log.txt")):
+            time.sleep(0.05)
+        time.sleep(0.3)
+        worker = psutil.Process(made.processes["only"].pid)
+        children = worker.children(recursive=True)
+        running.send_signal(signal.SIGINT)
+        time.sleep(0.5)
+        assert running.poll() is None
+        running.send_signal(signal.SIGINT)
+        assert running.wait(15) == 130
+        assert len(children) >= 3
+        assert not psutil.wait_procs(children, timeout=10)[1]
+        (tmp_path / "awake").touch()
+        with pytest.raises(SystemExit) as left:
+            main(words)
+        assert not left.value.code
+        assert [record.status for record in Run(tmp_path / "run").cells] == ["ok"] * 3
+
+
+def test_no_worker_writes_outside_a_cell(tmp_path: Path) -> None:
+    """A path that leads out of the cell's folder is refused, and nothing is written there."""
+    where = CellFolder(tmp_path / "cells" / "aa")
+    for name in ("../bb/result.json", "/etc/x", "scores/../../x", "tmp/x"):
+        with pytest.raises(BadInput, match="lies outside its cell"):
+            write_files(where, {name: b"{}"})
+    assert not list(tmp_path.rglob("*"))
+    write_files(where, {"result.json": b"{}", "scores/cost.json": b"{}"})
+    assert where.result_file.read_bytes() == b"{}"

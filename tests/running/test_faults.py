@@ -1,0 +1,268 @@
+"""Whatever a plugin does, in any phase and on any executor, is a row with its cause and its log."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from faults import FAULTS, registered_faults
+from machines import machines
+
+from nrbench.api import run
+from nrbench.cli.main import main
+from nrbench.errors import BadInput
+from nrbench.running import guard, guarded, runner
+from nrbench.running.runner import Options
+from nrbench.running.supervisor import Supervisor
+from nrbench.running.worker import Request
+from nrbench.runs.records import CellRecord, Run
+from nrbench.suites.suite import Suite, validated_suite
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits as Linux enforces them")
+
+ENDINGS = {
+    "raise": ("error", "RuntimeError: planted failure (faulty_plugins.py, line "),
+    "stubborn": ("timeout", "took longer than 3 s"),
+    "segfault": ("crash", "died by SIGSEGV"),
+    "exit": ("crash", "ended without an "),
+    "hog": ("memory", "emory"),
+    "mutate": ("error", "ValueError: assignment destination is read-only (faulty_plugins.py, line "),
+}
+"""What every phase makes of what is done to its process."""
+HARMLESS = ("flood", "litter", "seed", "folder")
+"""What is done beside a good answer, and must have no consequences."""
+METHODS = {**ENDINGS, "type": ("invalid", "expected floats in [0, 1], got dtype object")}
+DETECTORS = {**ENDINGS, "nothing": ("error", "returned NoneType"), "nan": ("error", "BadInput")}
+JUDGES = {
+    **{how: message for how, (_, message) in ENDINGS.items()},
+    "exit": "failed: ok: the metric sent nothing",
+    "nothing": "TypeError: returned NoneType instead of a Score",
+    "nan": "ValueError: column 'value' is nan",
+    "shape": "ValueError: values and declared columns differ in ['value']",
+}
+BRIEF = ("stubborn", "segfault", "hog", "litter", "fine")
+"""What is repeated where each child is a fresh interpreter, which takes a second."""
+
+
+def suite_of(name: str, methods: list[str], metrics: list[str], **more: Any) -> Suite:
+    """Return a suite of one wall."""
+    wall = {"name": "wall", "dataset": "brick", "parameters": {"color": 0.2}}
+    content = {"name": name, "sample": "64x64", "size": "64x64", "methods": methods, "metrics": metrics}
+    return validated_suite({**content, "texture": [wall], **more}, "test")
+
+
+@pytest.fixture(scope="module", params=["threads", "fresh interpreters", "cluster"])
+def way(request: pytest.FixtureRequest, warm_executor: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """Choose an executor; return its options, and which of the cases run on it."""
+    limits = {"timeout": 3.0, "memory": 300.0}
+    with registered_faults(), pytest.MonkeyPatch.context() as patch:
+        if request.param == "cluster":
+            with machines(tmp_path_factory.mktemp("cluster"), "first") as made:
+                yield {"scheduler": made.address, **limits}, lambda cases: list(cases)
+        elif request.param == "threads":
+            patch.setattr(runner, "executor", warm_executor)
+            yield {"jobs": 2, **limits}, lambda cases: list(cases)
+        else:
+            patch.setenv("NRBENCH_FORK", "no")
+            yield {"jobs": 2, **limits}, lambda cases: [how for how in cases if how in BRIEF]
+
+
+def no_orphans(found: Run) -> bool:
+    """Return whether every process that a plugin left, as its log says, has ended."""
+    logs = [log.read_text(errors="replace") for log in found.root.glob("*/*/log.txt")]
+    pids = [int(pid) for log in logs for pid in re.findall(r"^child (\d+)$", log, re.M)]
+    processes = [psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)]
+    return bool(pids) and not psutil.wait_procs(processes, timeout=5)[1]
+
+
+def is_logged(record: CellRecord, how: str) -> bool:
+    """Return whether a cell's row shows the line that its plugin printed, or the end of the traceback after it."""
+    return any(
+        text in record.log_tail
+        for text in (f"planted {how}", "planted failure", "is read-only", "MemoryError", "BadInput")
+    )
+
+
+def test_methods(way: Any, tmp_path: Path) -> None:
+    """A method that fails in any way is a row with its status and cause; one that litters is fine, as others are."""
+    options, chosen = way
+    failing, fine = chosen(METHODS), [*chosen(HARMLESS), "integers", "fine"]
+    suite = suite_of("methods", [f"rogue:how={how}" for how in (*failing, *fine)], ["cost"])
+    found = run(suite, out=tmp_path / "run", options=Options(**options))
+    cells = {str(record.parameters["how"]): record for record in found.cells}
+    for how in failing:
+        status, message = METHODS[how]
+        assert (cells[how].status, cells[how].phase) == (status, "synthesize"), (how, cells[how].message)
+        assert message in cells[how].message, how
+        assert is_logged(cells[how], how), how
+    good = (cells["fine"].folder / "output.png").read_bytes()
+    for how in (name for name in fine if name != "integers"):
+        assert cells[how].status == "ok", (how, cells[how].message)
+        assert (cells[how].folder / "output.png").read_bytes() == good
+        assert cells[how].values["cost.seconds"] is not None
+    assert cells["integers"].status == "invalid"
+    assert no_orphans(found)
+
+
+def test_detectors(way: Any, tmp_path: Path) -> None:
+    """A detector that fails in any way makes the cells of its lattice fail with the cause; the others get theirs."""
+    options, chosen = way
+    failing, fine = chosen(DETECTORS), [*chosen(HARMLESS), "fine"]
+    axis = [f"probe:how={how}" for how in (*failing, *fine)]
+    found = run(
+        suite_of("detectors", ["follower"], ["cost"], lattice=axis), out=tmp_path / "run", options=Options(**options)
+    )
+    for record, how in zip(found.cells, (*failing, *fine), strict=True):
+        if how in fine:
+            assert record.status == "ok", (how, record.message)
+            assert record.lattice_given is not None
+        else:
+            assert (record.status, record.phase) == ("error", "detect"), how
+            assert DETECTORS[how][1] in record.message, (how, record.message)
+            assert is_logged(record, how), how
+    assert no_orphans(found)
+
+
+def test_metrics(way: Any, tmp_path: Path) -> None:
+    """A metric that fails in any way is None with the reason; the cell is fine, and so are the other metrics."""
+    options, chosen = way
+    failing, fine = chosen(JUDGES), [*chosen(HARMLESS), "fine"]
+    metrics = [*(f"judge-{how}" for how in (*failing, *fine)), "cost"]
+    found = run(suite_of("metrics", ["rogue"], metrics), out=tmp_path / "run", options=Options(**options))
+    (record,) = found.cells
+    assert record.status == "ok"
+    for how in failing:
+        name = f"judge-{how}.value"
+        assert record.values[name] is None, how
+        assert record.reasons[name].startswith("failed: ")
+        assert JUDGES[how] in record.reasons[name], (how, record.reasons[name])
+    for how in fine:
+        assert record.values[f"judge-{how}.value"] == 1.0, (how, record.reasons.get(f"judge-{how}.value"))
+    assert record.values["cost.seconds"] is not None
+    log = (record.folder / "log.txt").read_text()
+    flooded = [*failing, *fine].index("flood") if "flood" in fine else -1
+    assert all(f"planted {how}" in log for how in [*failing, *fine][flooded + 1 :])
+    assert len(log) < 2 * guard.SHORT_LOG
+    assert no_orphans(found)
+
+
+@pytest.mark.usefixtures("faulty")
+def test_datasets(supervisors: list[Supervisor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A texture whose dataset fails is a failed cell with its cause and log; one whose dataset litters is drawn."""
+    monkeypatch.setattr(guarded, "Supervisor", lambda: nullcontext(supervisors[0]))
+    failing, fine = ("raise", "stubborn", "hog"), (*HARMLESS, "fine")
+    rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*failing, *fine)]
+    options = Options(jobs=0, timeout=3, memory=300)
+    found = run(suite_of("datasets", ["fine"], ["cost"], texture=rows), out=tmp_path / "run", options=options)
+    causes = {"raise": "planted failure", "stubborn": "took longer than 3 s", "hog": "emory"}
+    for record in found.cells:
+        if record.texture in fine:
+            assert record.status == "ok", (record.texture, record.message)
+        else:
+            assert (record.status, record.phase) == ("error", "render")
+            assert causes[record.texture] in record.message, record.message
+            assert is_logged(record, record.texture)
+
+
+@pytest.mark.usefixtures("faulty")
+def test_in_this_process(tmp_path: Path) -> None:
+    """Without child processes, what does not kill the process is a row, too."""
+    hows = [how for how in METHODS if how in ("raise", "mutate", "type")]
+    found = run(
+        suite_of("here", [f"rogue:how={how}" for how in (*hows, "seed", "fine")], ["judge-raise", "judge-nan", "cost"]),
+        out=tmp_path / "run",
+        options=Options(jobs=0),
+    )
+    *failed, seeded, fine = found.cells
+    for record, how in zip(failed, hows, strict=True):
+        assert record.status == METHODS[how][0]
+        assert METHODS[how][1] in record.message
+    for record in (seeded, fine):
+        assert record.status == "ok"
+        assert "planted failure" in record.reasons["judge-raise.value"]
+        assert record.values["cost.seconds"] is not None
+    assert (seeded.folder / "output.png").read_bytes() == (fine.folder / "output.png").read_bytes()
+
+
+@pytest.mark.usefixtures("faulty")
+def test_limits_are_kept_within_a_tenth(supervisors: list[Supervisor], tmp_path: Path) -> None:
+    """A child ends within 10 % of its limit of time, and holds no more than 10 % above its limit of memory."""
+    suite = suite_of("limits", [f"rogue:how={how}" for how in ("busy", "hog", "creep")], [])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("nrbench.running.runner._Runner.run", lambda self, cells, progress: prepare(self, cells))
+        found = run(suite, out=tmp_path / "run", options=Options(jobs=0))
+    busy, hog, creep = (Path(record.folder) for record in found.cells)
+    supervisors[0].run(Request("synthesize", str(busy), 0.1, 300))  # the worker is warm
+    start = time.monotonic()
+    assert supervisors[0].run(Request("synthesize", str(busy), 3.0, 300)).result["status"] == "timeout"
+    assert 3.0 <= time.monotonic() - start <= 3.3
+    for folder in (hog, creep):
+        assert supervisors[0].run(Request("synthesize", str(folder), 20, 300)).result["status"] == "memory"
+        held = int(re.findall(r"holds (\d+) MiB", (folder / "log.txt").read_text())[-1])
+        assert 240 <= held <= 330, folder
+
+
+def prepare(one: Any, cells: Any) -> None:
+    """Write the folders of cells, and run none."""
+    for cell, sample in cells:
+        one._cell_job(cell, sample)
+
+
+BROKEN = {
+    "import": ("import a_module_that_is_not_there\n", "does not import: ModuleNotFoundError"),
+    "exit": ("raise SystemExit(3)\n", "does not import: SystemExit: 3"),
+    "syntax": ("def f(:\n", "does not import: SyntaxError"),
+    "empty": ("x = 1\n", "defines no plugin"),
+}
+
+
+@pytest.mark.parametrize("how", BROKEN)
+def test_a_plugin_that_does_not_load(how: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file of plugins that cannot be imported is one line and exit code 2."""
+    text, message = BROKEN[how]
+    (tmp_path / "broken.py").write_text(text)
+    with pytest.raises(SystemExit) as left:
+        main(["--plugin", "broken.py", "list"])
+    assert left.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+
+
+def test_a_slow_import_takes_no_ones_time(tmp_path: Path) -> None:
+    """A plugin that takes long to import is imported once by each process, and outside of every limit."""
+    text = FAULTS.read_text().replace("from __future__ import annotations", "import time\ntime.sleep(1.5)")
+    slow = tmp_path / "slow_plugins.py"
+    slow.write_text(text)
+    from nrbench import plugins
+
+    plugins.add_file(slow)
+    try:
+        suite = suite_of("slow", ["rogue:how=fine", "rogue:how=seed", "rogue:how=flood"], ["judge-fine"])
+        found = run(suite, out=tmp_path / "run", options=Options(jobs=1, timeout=1.0))
+    finally:
+        plugins.registry._files.pop(slow.resolve())
+    assert [record.status for record in found.cells] == ["ok"] * 3
+
+
+def test_parameters_that_json_cannot_hold(tmp_path: Path) -> None:
+    """A plugin with a parameter that cannot be written down is refused with a line that names it."""
+    (tmp_path / "odd.py").write_text(
+        "from dataclasses import dataclass\nfrom typing import Any, ClassVar\n"
+        "@dataclass(frozen=True)\nclass Lambda:\n    'A method.'\n    way: Any = print\n"
+        "    uses_lattice: ClassVar[bool] = False\n    def synthesize(self, task): ...\n"
+    )
+    from nrbench import plugins
+
+    with pytest.raises(BadInput, match="way"):
+        plugins.add_file(tmp_path / "odd.py")
+        try:
+            run(suite_of("odd", ["lambda"], []), out=tmp_path / "run", options=Options(jobs=0))
+        finally:
+            plugins.registry._files.pop((tmp_path / "odd.py").resolve(), None)
