@@ -27,13 +27,13 @@ def checker(who: str) -> Callable[[bool, str], None]:
     return check
 
 
-_CONTROL = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+_CONTROL = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 _CALLERS = [Path(__file__).parent / folder for folder in ("running", "suites", "plugins")]
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS) if sys.platform != "win32" else (errno.ENOSPC,)
 
 
 def strip_control(text: str) -> str:
-    """Return text without terminal escapes and control characters; line breaks and tabs stay."""
+    """Return text without terminal escapes, control characters and changes of direction; line breaks and tabs stay."""
     return _CONTROL.sub("", text.replace("\r\n", "\n"))
 
 

@@ -117,6 +117,7 @@ def test_every_picture_has_its_rows(run: Path) -> None:
     cells = Run(run).cells
     assert len(cells) == 2 * (len(NAMES) + 3)
     assert len({cell.texture for cell in cells}) == len(NAMES) + 3
+    assert not any("\u202e" in cell.texture for cell in cells)
     assert [cell.status for cell in cells].count("ok") == len(NAMES)
     assert {path.name for path in (run / "cells").iterdir()} == {cell.key for cell in cells}
 
