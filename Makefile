@@ -5,6 +5,7 @@
 #      make soak        set up, kill, starve and copy runs for about an hour, print whether they came back whole
 #      make docs        set up, build the documentation as a site in build/docs; a warning is an error
 #      make dist        set up, build wheel and sdist in dist/
+#      make fuzz        set up, feed 10000 damaged inputs to each reader of files and arguments (INPUTS=n: n of them)
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -13,7 +14,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 SOURCES := $(shell find nrbench synthesizers metrics datasets_procedural reports -name '*.py' -o -name '*.pyi' -o -name '*.toml' -o -path '*templates/*')
 
-.PHONY: run test lint types unit benchmark soak docs dist clean
+.PHONY: run test lint types unit benchmark soak fuzz docs dist clean
 
 run: $(VENV)/.installed
 	$(BIN)/nrbench run --out runs/default
@@ -29,6 +30,9 @@ types: $(VENV)/.installed-test
 
 unit: $(VENV)/.installed-test
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+
+fuzz: $(VENV)/.installed-test
+	NRBENCH_FUZZ=$(or $(INPUTS),10000) $(BIN)/python -m pytest tests/core/test_untrusted_input.py
 
 benchmark: $(VENV)/.installed-test
 	env -u PYTHONSAFEPATH $(BIN)/python benchmarks/all.py

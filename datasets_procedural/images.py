@@ -251,14 +251,15 @@ def _free_corner(picture: Shape, shape: Shape, region: Region, rng: np.random.Ge
 def _named(pictures: list[Path]) -> Iterator[tuple[str, Path]]:
     """Yield the name and path of each picture. The name lacks the ending unless two pictures would share it.
 
-    Backslashes and control characters, which the name of a texture cannot have, become underscores.
+    Backslashes and control characters, which the name of a texture cannot have, become underscores; so do characters
+    that reverse the direction of the text after them.
     """
     stems = Counter(_plain(path.stem) for path in pictures)
     return ((_plain(path.stem if stems[_plain(path.stem)] == 1 else path.name), path) for path in pictures)
 
 
 def _plain(name: str) -> str:
-    return re.sub(r"[\\\x00-\x1f]", "_", name)
+    return re.sub(r"[\\\x00-\x1f\u202a-\u202e\u2066-\u2069]", "_", name)
 
 
 def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:
@@ -299,7 +300,7 @@ def read_rendered(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
     path = folder / "truth.json"
     try:
         content = json.loads(path.read_text("utf-8")) if path.is_file() else {}
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: is no JSON ({error}); render the textures again, or delete it") from None
     textures = content.get("textures") if isinstance(content, dict) else None
     if not isinstance(textures, dict):

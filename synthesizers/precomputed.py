@@ -16,6 +16,9 @@ from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.plugins.parameters import checked_label
 from nrbench.streams import pixels_hash
 
+_NAMES = ("sample", "output")
+"""The columns of ``index.csv``."""
+
 
 @dataclass(frozen=True)
 class Precomputed:
@@ -88,21 +91,29 @@ def _listed(folder: Path, sample: Image) -> Iterator[Image]:
     if not index.exists():
         return
     wanted = pixels_hash(sample)
-    with index.open(newline="", encoding="utf-8-sig") as lines:
-        rows, names = csv.DictReader(lines), ("sample", "output")
-        if not set(names) <= set(rows.fieldnames or ()):
-            raise BadInput(f"{index}: columns {rows.fieldnames}; its first line must be sample,output")
-        for row in rows:
-            if not (row["sample"] and row["output"]):
-                raise BadInput(f"{index} line {rows.line_num}: has an empty field; name a sample and an output")
-            paths = [_inside(folder, row[name], f"{index} line {rows.line_num}") for name in names]
-            if pixels_hash(read_image(paths[0])) == wanted:
-                yield read_image(paths[1])
+    for line, row in _rows(index):
+        if not (row["sample"] and row["output"]):
+            raise BadInput(f"{index} line {line}: has an empty field; name a sample and an output")
+        paths = [_inside(folder, row[name], f"{index} line {line}") for name in _NAMES]
+        if pixels_hash(read_image(paths[0])) == wanted:
+            yield read_image(paths[1])
+
+
+def _rows(index: Path) -> list[tuple[int, dict[str, str]]]:
+    """Return the number and the fields of each line of ``index.csv``."""
+    try:
+        with index.open(newline="", encoding="utf-8-sig") as lines:
+            rows = csv.DictReader(lines)
+            if not set(_NAMES) <= set(rows.fieldnames or ()):
+                raise BadInput(f"{index}: columns {rows.fieldnames}; its first line must be sample,output")
+            return [(rows.line_num, row) for row in rows]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise BadInput(f"{index}: is no CSV text ({error}); save it as UTF-8 with the columns sample,output") from None
 
 
 def _inside(folder: Path, name: str, where: str) -> Path:
     """Return the path of a picture; raise BadInput if it is not in the folder, which may come from a stranger."""
-    path = (folder / name).resolve()
+    path = (folder / name.replace("\0", "")).resolve()  # no name of a file has a null character
     if not path.is_relative_to(folder):
         raise BadInput(f"{where}: {name!r} is not in {folder}; put the picture there and give its path from there")
     return path

@@ -32,8 +32,16 @@ def status_counts(run: Run) -> dict[str, int]:
 
 
 def failures(run: Run) -> list[str]:
-    """Return one line for each cell or score that failed."""
-    return [line for record in run.cells for line in _failures_of(record)]
+    """Return one line for each cell that failed, and one for each failure of a metric, which may concern many cells."""
+    lines = [f"{_where(one)}: {one.status}: {one.message}" for one in run.cells if one.status in FAILED]
+    failed: dict[str, list[str]] = {}
+    for record in run.cells:
+        broken = {(name.partition(".")[0], why) for name, why in record.reasons.items() if why.startswith("failed:")}
+        for metric, why in sorted(broken):
+            failed.setdefault(f"{metric}: {why}", []).append(_where(record))
+    for what, cells in failed.items():
+        lines.append(f"{cells[0]}: {what}" + (f" (and {len(cells) - 1} more cells)" if len(cells) > 1 else ""))
+    return lines
 
 
 def unfinished(run: Run) -> list[str]:
@@ -47,13 +55,6 @@ def unfinished(run: Run) -> list[str]:
 
 def _where(record: CellRecord) -> str:
     return f"{record.texture} / {record.method} ({record.lattice_source}, {record.key})"
-
-
-def _failures_of(record: CellRecord) -> list[str]:
-    where = _where(record)
-    lines = [f"{where}: {record.status}: {record.message}"] if record.status in FAILED else []
-    failed = {f"{name.partition('.')[0]}: {why}" for name, why in record.reasons.items() if why.startswith("failed:")}
-    return lines + [f"{where}: {line}" for line in sorted(failed)]
 
 
 def parse_formats(texts: Sequence[str]) -> dict[str, dict[str, Any]]:

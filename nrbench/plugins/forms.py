@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -582,4 +583,32 @@ class Metric(Protocol):
 
     def score(self, observation: Observation) -> Score:
         """Return a value, or None and a reason, for every declared column."""
+        ...
+
+
+@runtime_checkable
+class Report(Protocol):
+    """The form of a report plugin: a frozen dataclass with this method.
+
+    Optional class variables:
+
+    ``folder``
+        The folder of its files, below the run directory; ``"report"`` by default. It exists when ``write`` is called.
+    ``terminal``
+        True: after a run, the text that its method ``render(run)`` returns is printed; it has a parameter ``width``,
+        the number of characters in a line.
+
+    If it has a parameter ``labels``, it receives the files of ``nrbench report RUN --labels FILE...``.
+    """
+
+    def write(self, run: Any, directory: Path) -> Iterable[str | Path]:
+        """Write files into ``directory`` and return their paths.
+
+        Parameters
+        ----------
+        run
+            The run, a :class:`nrbench.runs.records.Run`: its cells, its tables and its columns.
+        directory
+            A folder that exists. Names of textures and methods come from users, so escape them.
+        """
         ...

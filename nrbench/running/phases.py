@@ -234,7 +234,9 @@ def report(folder: Path, send: Send) -> None:
     run = Run(Path(wanted["run"]))
     try:
         plugin = plugins.build("reports", wanted["report"], wanted["parameters"])
-        written = [str(path) for path in plugin.write(run, run.root / wanted["folder"])]
+        folder = run.root / wanted["folder"]
+        folder.mkdir(parents=True, exist_ok=True)
+        written = [str(path) for path in plugin.write(run, folder)]
         send({"status": "ok", "message": "", "written": written})
     except FAULTS as error:
         send_error(error, send)

@@ -173,6 +173,8 @@ class Cell:
             "recipe": self.recipe.as_dict() if self.procedural else self.again_hash,
             "dataset": plugins.find("datasets", self.recipe.dataset).version,
         }
+        if not self.sample_hash:  # without pixels, the file and the reason tell such cells apart
+            decides["fault"] = [self.recipe.as_dict(), self.fault]
         text = json.dumps(decides, sort_keys=True)
         return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 

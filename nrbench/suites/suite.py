@@ -245,9 +245,12 @@ def _without_grids(content: dict[str, Any], where: str) -> dict[str, Any]:
     """Return the content of a suite with the rows of each grid written out."""
     if "grid" not in content:
         return content
-    grids, rows = content["grid"], list(content.get("texture", ()))
+    grids, rows = content["grid"], content.get("texture", [])
     if not (isinstance(grids, list) and all(isinstance(table, dict) for table in grids)):
         raise BadInput(f"{where}: grid: write [[grid]] in front of each grid")
+    if not isinstance(rows, list | tuple):
+        raise BadInput(f"{where}: texture: write [[texture]] in front of each texture")
+    rows = list(rows)
     for number, table in enumerate(grids):
         try:
             rows += Grid.model_validate(table).rows()

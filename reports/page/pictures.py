@@ -141,7 +141,7 @@ class PictureStore:
     def _source_map(self, path: Path) -> PagePicture | None:
         try:
             content = path.read_bytes()
-            with np.load(io.BytesIO(content)) as arrays:
+            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
                 places = np.asarray(arrays["source"][..., :2], np.float64)
             name = f"{_name('source', content)}.webp"
             kept = self._kept(name, lambda: _encode(_place_colors(places), _MAP_QUALITY))

@@ -808,10 +808,19 @@ def describe_scores(run: Run) -> dict[str, Column]:
 
 
 def headline_columns(run: Run) -> dict[str, Column]:
-    """Return the columns by which methods are compared, as far as the run has them."""
+    """Return the columns by which methods are compared, as far as the run has them.
+
+    The columns of metrics that are not part of nrbench follow: their authors want to see them beside the headlines.
+    """
     columns = describe_scores(run)
     names = HEADLINES if RANKING in columns else HEADLINES_WITHOUT_QUALITY
-    return {name: columns[name] for name in (*names, "seconds") if name in columns}
+    added = [name for name in columns if _is_added(name.partition(".")[0])]
+    return {name: columns[name] for name in (*names, "seconds", *added) if name in columns}
+
+
+def _is_added(metric: str) -> bool:
+    """Return whether a metric is installed that is not part of nrbench."""
+    return metric in plugins.names("metrics") and not plugins.find("metrics", metric).own
 
 
 def sort_headlines_first(names: Iterable[str]) -> list[str]:

@@ -137,7 +137,7 @@ class Miscited:
 
 @dataclass(frozen=True)
 class Forgetful:
-    """A method whose parameter cannot be read back.
+    """A method whose parameter cannot be given as text: ``none`` is read as None.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ class Forgetful:
         Names.
     """
 
-    names: frozenset[str] = frozenset({"a"})
+    names: str | None = "none"
 
     def synthesize(self, task: Task) -> Synthesis:
         """Repeat the sample."""

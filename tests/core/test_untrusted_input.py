@@ -1,0 +1,379 @@
+"""Files and arguments of strangers: whatever they hold, the answer is a result or BadInput, and it comes soon.
+
+``make fuzz`` runs the same tests with many more inputs: the environment variable ``NRBENCH_FUZZ`` is their number for
+each test.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+import os
+import tempfile
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from nrbench import plugins
+from nrbench.cli.main import main
+from nrbench.datasets_procedural.images import read_rendered, read_truth
+from nrbench.errors import BadInput
+from nrbench.imaging.files import MOST_PIXELS, read_image, read_shape
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Task
+from nrbench.plugins.parameters import parse_size, parse_spec
+from nrbench.runs.records import Run
+from nrbench.suites.plan import Method, Source
+from nrbench.suites.suite import directory_suite, load_suite
+from nrbench.synthesizers.precomputed import Precomputed
+
+INPUTS = int(os.environ.get("NRBENCH_FUZZ", "60"))
+fuzz = settings(
+    max_examples=INPUTS,
+    deadline=10_000,  # ms: a hang is an error
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture],
+    derandomize="NRBENCH_FUZZ" not in os.environ,
+)
+
+
+def encoded(form: str, mode: str = "RGB", **options: Any) -> bytes:
+    """Return a small picture in a format of files."""
+    pixels = np.random.default_rng(0).integers(0, 255, (12, 17, 3)).astype(np.uint8)
+    picture = PIL.Image.fromarray(pixels)
+    picture = PIL.Image.fromarray(pixels[..., 0].astype(np.uint16) * 257) if mode == "I;16" else picture.convert(mode)
+    target = io.BytesIO()
+    picture.save(target, form, **options)
+    return target.getvalue()
+
+
+@functools.cache
+def pictures() -> list[bytes]:
+    """Return pictures of many formats, with EXIF, transparency and several compressions."""
+    exif = PIL.Image.Exif()
+    exif[0x0112] = 6
+    tiffs = [encoded("TIFF", compression=one) for one in ("raw", "tiff_lzw", "tiff_deflate", "packbits", "jpeg")]
+    pngs = [encoded("PNG", mode) for mode in ("RGB", "L", "P", "RGBA", "LA", "1", "I;16")]
+    jpegs = [encoded("JPEG", exif=exif.tobytes()), encoded("JPEG", "L", progressive=True), encoded("JPEG", "CMYK")]
+    others = [encoded(form) for form in ("WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000")]
+    return [*pngs, *jpegs, *tiffs, encoded("TIFF", "I;16"), *others]
+
+
+@st.composite
+def mutated(draw: st.DrawFn, originals: st.SearchStrategy[bytes]) -> bytes:
+    """Return bytes in which some were replaced, inserted or cut off; half of the places lie in the first 64 bytes."""
+    content = bytearray(draw(originals))
+    for _ in range(draw(st.integers(0, 8))):
+        last = max(0, (min(64, len(content)) if draw(st.booleans()) else len(content)) - 1)
+        place = draw(st.integers(0, last))
+        what = draw(st.sampled_from(("byte", "large", "insert", "cut", "double")))
+        if what == "byte":
+            content[place : place + 1] = bytes([draw(st.integers(0, 255))])
+        elif what == "large":
+            content[place : place + 4] = draw(st.sampled_from((b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\0\0\0\0")))
+        elif what == "insert":
+            content[place:place] = draw(st.binary(max_size=9))
+        elif what == "double":
+            content[place:place] = content[place : place + draw(st.integers(0, 64))]
+        else:
+            del content[place : place + draw(st.integers(0, 64))]
+    return bytes(content)
+
+
+@fuzz
+@given(mutated(st.sampled_from(range(22)).map(lambda i: pictures()[i % len(pictures())])))
+def test_damaged_pictures(content: bytes) -> None:
+    """A picture whose bytes were changed is read as an image in [0, 1], or is bad input."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "picture.png")
+        path.write_bytes(content)
+        for read in (read_shape, read_image):
+            try:
+                found: Any = read(path)
+            except BadInput as error:
+                assert "picture.png" in str(error)
+                continue
+            if isinstance(found, tuple):
+                assert min(found) >= 1
+            else:
+                assert found.dtype == np.float32 and found.ndim == 3 and found.shape[2] in (1, 3)
+                assert np.isfinite(found).all() and 0 <= found.min() <= found.max() <= 1
+
+
+def bomb(width: int, height: int) -> bytes:
+    """Return a PNG of a few hundred bytes whose header promises a picture of this size."""
+    content = bytearray(encoded("PNG"))
+    content[16:24] = width.to_bytes(4, "big") + height.to_bytes(4, "big")
+    import zlib
+
+    content[29:33] = zlib.crc32(bytes(content[12:29])).to_bytes(4, "big")
+    return bytes(content)
+
+
+@pytest.mark.parametrize("size", [(10000, 10000), (60000, 60000), (2**31 - 1, 2**31 - 1), (8193, 8192)])
+def test_bombs_are_refused_with_the_limit(size: tuple[int, int], tmp_path: Path) -> None:
+    """A picture of 100 megapixels, or whose header claims more, is refused before it is decoded; the limit is named."""
+    path = tmp_path / "bomb.png"
+    path.write_bytes(bomb(*size))
+    for read in (read_image, read_shape):
+        with pytest.raises(BadInput, match=f"{MOST_PIXELS} px"):
+            read(path)
+
+
+SUITE = """
+name = "mine"
+version = 1
+seed = 3
+replicates = 2
+sample = "64x64"
+size = "96x80"
+lattice = ["given", "gncc"]
+methods = ["tiling", "rsgf:block=16"]
+[[texture]]
+name = "wall"
+dataset = "brick"
+parameters = { color = 0.2 }
+[[grid]]
+name = "{dataset}-{strength}"
+axes = [[{ dataset = "brick" }, { dataset = "weave" }], [{ strength = "mild", parameters = { color = 0.1 } }]]
+[[claim]]
+name = "c"
+sentence = "s"
+methods = ["tiling"]
+textures = ["wall"]
+"""
+
+
+def load(content: bytes) -> None:
+    """Load a suite from a file, and read its methods and lattices."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "mine.toml")
+        path.write_bytes(content)
+        try:
+            suite = load_suite(path)
+            assert suite.hash
+            for spec in suite.all_methods:
+                Method.parse(spec)
+            for source in suite.lattice:
+                Source.parse(source)
+        except BadInput as error:
+            assert str(error)
+
+
+@fuzz
+@given(mutated(st.just(SUITE.encode())))
+def test_damaged_suites(content: bytes) -> None:
+    """A TOML file whose bytes were changed is a suite or bad input."""
+    load(content)
+
+
+ODD = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=6,
+)
+KEYS = st.sampled_from(
+    ("name", "seed", "sample", "size", "lattice", "methods", "metrics", "texture", "grid", "claim", "replicates", "x")
+)
+
+
+@fuzz
+@given(st.dictionaries(KEYS, ODD, max_size=3), KEYS, ODD)
+@example({}, "size", "9" * 5000 + "x1")
+@example({}, "texture", [{"name": "x", "dataset": "brick", "sample": "\u00b2x3"}])
+@example({}, "methods", [["rsgf"]])
+def test_suites_with_odd_values(changes: dict[str, Any], key: str, value: Any) -> None:
+    """Whatever a key of a suite holds, the suite is valid or bad input."""
+    from nrbench.suites.suite import validated_suite
+
+    content = {**tomllib.loads(SUITE), **changes}
+    rows = content["texture"]
+    for whole in ({**content, key: value}, {**content, "texture": [{**row, key: value} for row in _tables(rows)]}):
+        try:
+            assert validated_suite(whole, "mine").hash
+        except BadInput as error:
+            assert str(error).startswith("mine")
+
+
+def _tables(rows: Any) -> list[dict[str, Any]]:
+    return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+
+
+TRUTH = b"file,t1x,t1y,t2x,t2y,originx,originy,family\na.png,16,0,0,12,3,2,wall\nb.png,,,,,,,\n"
+RENDERED = json.dumps(
+    {
+        "sheet": "sheet.png",
+        "textures": {
+            "a.png": {
+                "family": "wall",
+                "level": 1.0,
+                "recipe": {
+                    "dataset": "brick",
+                    "parameters": {"color": 0.2},
+                    "seed": 0,
+                    "texture": "wall",
+                    "replicate": 0,
+                    "shape": "64x64",
+                },
+            }
+        },
+    }
+).encode()
+
+
+@fuzz
+@given(mutated(st.just(TRUTH)), mutated(st.just(RENDERED)))
+@example(b"file,t1x,t1y,t2x,t2y\na.png,1e999,0,0,nan\n", b"{}")
+@example(b"file,t1x,t1y,t2x,t2y\na.png,1e308,1e308,1e308,-1e308\n", b"[" * 100000)
+def test_damaged_truth(table: bytes, rendered: bytes) -> None:
+    """A folder whose truth.csv and truth.json were changed is a suite of pictures or bad input."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for picture in ("a.png", "b.png"):
+            (folder / picture).write_bytes(pictures()[0])
+        for file, content in (("truth.csv", table), ("truth.json", rendered)):
+            (folder / file).write_bytes(content)
+        for read in (read_truth, read_rendered, directory_suite):
+            try:
+                read(folder)
+            except BadInput as error:
+                assert str(folder) in str(error) or "truth" in str(error)
+
+
+@fuzz
+@given(mutated(st.just(b"sample,output\na.png,b.png\nb.png,a.png\n")))
+def test_a_damaged_index(table: bytes) -> None:
+    """A table of outputs that was changed gives an output, a refusal, or bad input."""
+    from nrbench.plugins.forms import Refused
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for picture in ("a.png", "b.png"):
+            (folder / picture).write_bytes(pictures()[0])
+        (folder / "index.csv").write_bytes(table)
+        sample = read_image(folder / "a.png")
+        try:
+            Precomputed(name).synthesize(Task(sample, (12, 17), None, np.random.default_rng(0)))
+        except (BadInput, Refused) as error:
+            assert str(error)
+
+
+NUMBERS = (
+    st.floats() | st.integers(-(10**400), 10**400) | st.sampled_from(("nan", "inf", "1e-320", "1_0", "\u0663", ""))
+)
+
+
+@fuzz
+@given(st.text(max_size=30) | st.lists(NUMBERS, max_size=7).map(lambda parts: ",".join(map(str, parts))))
+@example("1e154,0,0,1e154")
+@example("1e-160,1e160,1e160,1e-160")
+@example("16,0,1600000000000000,12")
+def test_lattice_arguments(text: str) -> None:
+    """Any text is a lattice that has a reduced basis, or is bad input."""
+    try:
+        found = Lattice.parse(text)
+    except BadInput:
+        return
+    assert np.isfinite(found.reduced().matrix).all() and found.area > 0
+    assert Source.parse(text).lattice == found
+
+
+@fuzz
+@given(st.text(max_size=30) | st.from_regex(r"\d{1,6}[xX×]\d{1,6}"))
+@example("9" * 5000 + "x9")
+@example("\u0661x\u0662")
+def test_size_arguments(text: str) -> None:
+    """Any text is a size within the limit, or is bad input."""
+    try:
+        height, width = parse_size(text)
+    except BadInput:
+        return
+    assert 1 <= height <= 16384 and 1 <= width <= 16384
+
+
+NAMED = [
+    (kind, name, field)
+    for kind in ("synthesizers", "detectors", "datasets", "reports")
+    for name in plugins.names(kind)
+    for field in plugins.find(kind, name).cls.__dataclass_fields__  # type: ignore[union-attr]
+]
+
+
+@fuzz
+@given(st.sampled_from(NAMED), st.text(max_size=12) | NUMBERS.map(str))
+def test_parameters_of_plugins(place: tuple[str, str, str], value: str) -> None:
+    """Any text for any parameter of any plugin is a valid value or bad input."""
+    kind, name, field = place
+    try:
+        plugins.build(kind, name, {field: value})
+        parse_spec(f"{name}:{field}={value}")
+    except BadInput as error:
+        assert str(error)
+
+
+@functools.cache
+def run_file() -> bytes:
+    """Return the ``run.json`` of a small run."""
+    from nrbench.api import run
+    from nrbench.running.runner import Options
+    from nrbench.suites.suite import validated_suite
+
+    texture = [{"name": "wall", "dataset": "brick"}]
+    suite = {"name": "x", "sample": "32x32", "size": "40x40", "methods": ["scatter"], "metrics": ["cost"]}
+    with tempfile.TemporaryDirectory() as folder:
+        run(validated_suite({**suite, "texture": texture}, "x"), out=Path(folder, "run"), options=Options(jobs=0))
+        return Path(folder, "run", "run.json").read_bytes()
+
+
+@st.composite
+def odd_json(draw: st.DrawFn) -> bytes:
+    """Return a ``run.json`` in which the value of one key was replaced by something odd."""
+    content = json.loads(run_file())
+    place = content
+    while True:
+        keys = list(place) if isinstance(place, dict) else list(range(len(place)))
+        key = draw(st.sampled_from(keys))
+        if not isinstance(place[key], dict | list) or not place[key] or draw(st.booleans()):
+            place[key] = draw(ODD)
+            return json.dumps(content).encode()
+        place = place[key]
+
+
+@fuzz
+@given(odd_json() | mutated(st.builds(run_file)))
+def test_damaged_runs(content: bytes) -> None:
+    """The table of a run whose run.json was changed can be read, or it is bad input."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name, "run.json").write_bytes(content)
+        try:
+            Run(Path(name)).table()
+        except BadInput as error:
+            assert name in str(error)
+
+
+WORDS = st.sampled_from(
+    ("list", "show", "synth", "lattice", "score", "render", "plan", "report", "status", "label", "check", "new", "rsgf")
+) | st.sampled_from(
+    ("-m", "-t", "-o", "--size", "--sample", "--lattice", "--seed", "--json", "--format", "-d", "--kind", "-h", "a.png")
+)
+
+
+@fuzz
+@given(st.lists(WORDS | st.text(max_size=6), min_size=1, max_size=5).filter(lambda words: "core" not in words))
+def test_words_of_a_command_line(words: list[str]) -> None:
+    """Any words end with code 0 or 2, never with an internal error."""
+    errors = io.StringIO()
+    from contextlib import redirect_stderr, redirect_stdout
+
+    if words[0] in ("render", "plan", "check", "new", "run", "label"):
+        words = [words[0], "--no-such-option", *words[1:]]  # these do real work
+    with redirect_stderr(errors), redirect_stdout(io.StringIO()), pytest.raises(SystemExit) as left:
+        main(words)
+    assert left.value.code in (0, 2), errors.getvalue()
+    assert "internal error" not in errors.getvalue() and "Traceback" not in errors.getvalue()
