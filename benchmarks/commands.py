@@ -15,7 +15,9 @@ from pathlib import Path
 from unit import cpu_unit
 
 import nrbench
+from nrbench.api import run
 from nrbench.imaging.files import write_image
+from nrbench.running.runner import Options
 
 COMMANDS = (
     "--help",
@@ -23,6 +25,7 @@ COMMANDS = (
     "show rsgf",
     "plan core",
     "status missing",
+    "status R",
     "run missing.toml",
     "synth brick.png -m rsgf --size 256x256 --lattice 27.3,0,13.65,12.2 -o out.png",
     "synth brick.png -m quilting --size 256x256 -o out.png",
@@ -44,6 +47,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         write_image(Path("brick.png"), nrbench.texture("brick", shape=(128, 128), color=0.3).image)
+        run("core", methods=["scatter"], textures="brick-mild", out="R", options=Options(jobs=0))
         for command in COMMANDS:
             cpu_seconds(command)
             seconds, unit = min(cpu_seconds(command) for _ in range(3)), cpu_unit()

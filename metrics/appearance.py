@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy import fft, ndimage
-from scipy.stats import wasserstein_distance
 
 from nrbench.imaging.convert import Image, gray
 from nrbench.lattice.geometry import Lattice
@@ -175,7 +175,7 @@ def histograms(values: NDArray[np.float32]) -> Histograms:
 def histogram_distance(one: Histograms, other: Histograms) -> float:
     """Return the Wasserstein distance of order 1 between distributions over [0, 1], mean over the histograms."""
     bins = np.arange(_BINS + 1) / _BINS
-    return float(np.mean([wasserstein_distance(bins, bins, a, b) for a, b in zip(one, other, strict=True)]))
+    return float(np.mean([scipy.stats.wasserstein_distance(bins, bins, a, b) for a, b in zip(one, other, strict=True)]))
 
 
 def color_histograms(image: Image) -> Histograms:

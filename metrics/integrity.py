@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.stats import nbinom
 
 from nrbench.imaging.convert import Image, gray, quantize
 from nrbench.lattice.geometry import Points
@@ -672,7 +672,7 @@ class _Limit:
         power = float(sizes @ [group.power(rate) for group in groups] / sizes.sum())
         known = rate * sum(group.references for group in groups) / clump
         mean = rate * sizes.sum() / clump
-        most = float(nbinom.isf(_ALARMS, known, known / (known + mean)) * clump / sizes.sum())
+        most = float(scipy.stats.nbinom.isf(_ALARMS, known, known / (known + mean)) * clump / sizes.sum())
         return cls(rate, power, max(rate, (most - (1 - _FRESH) * power) / _FRESH))
 
     @property

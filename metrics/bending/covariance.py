@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 from scipy.spatial.distance import cdist
 from scipy.special import j0
 
@@ -130,7 +130,7 @@ class Covariance:
         """Return the covariance that fits a correlogram."""
         distances, importance = correlogram.distances, np.sqrt(correlogram.pairs)
         basis = np.column_stack([j0(distances[:, np.newaxis] * _wave_numbers()), distances == 0])
-        weights, _ = nnls(basis * importance[:, np.newaxis], correlogram.products * importance)
+        weights, _ = scipy.optimize.nnls(basis * importance[:, np.newaxis], correlogram.products * importance)
         floor = _FLOOR * correlogram.products[0] / (len(weights) - 1)
         return cls(weights[:-1] + floor, float(max(weights[-1], _LEAST_NOISE**2)))
 

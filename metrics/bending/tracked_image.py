@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import interpolate
@@ -172,4 +172,4 @@ def _spread(values: Points, at: tuple[Values, Values], wanted: tuple[Values, Val
 
 def _spline_weights(at: Values, wanted: Values) -> Values:
     """Return the matrix ``(m, n)`` of cubic splines from n places to m others."""
-    return np.asarray(make_interp_spline(at, np.eye(len(at)), k=min(3, len(at) - 1))(wanted))
+    return np.asarray(scipy.interpolate.make_interp_spline(at, np.eye(len(at)), k=min(3, len(at) - 1))(wanted))

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.stats import chi2
 
 from nrbench.imaging.convert import mean_channels
 from nrbench.imaging.fold import Values
@@ -59,7 +59,7 @@ class Distance:
         numbers (Szekely and Rizzo, 2013). Its mean is known from fresh draws. Its upper limit is that of as few squares
         as there can be: the fewer, the wider they scatter.
         """
-        return float(chi2.isf(_ALARMS, _FREEDOM) / _FREEDOM - 1) * self.usual
+        return float(scipy.stats.chi2.isf(_ALARMS, _FREEDOM) / _FREEDOM - 1) * self.usual
 
     @property
     def excess(self) -> float:

@@ -134,7 +134,7 @@ def _report_exception(error: Exception, debug: bool) -> int:
     return _print_error(f"internal error: {describe_error(error)}; run with --debug for the traceback", 1)
 
 
-def _print_warning(message: Warning | str, *_: Any) -> None:
+def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     _print_error(f"warning: {message}", 0)
 
 

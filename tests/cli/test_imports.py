@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 import nrbench
+from nrbench.api import run
 from nrbench.imaging.files import write_image
+from nrbench.running.runner import Options
 from nrbench.running.worker import DEFERRED
 
 ROOT = Path(__file__).parents[2]
@@ -71,6 +73,12 @@ def test_synth_imports_no_tables_and_no_statistics(tmp_path: Path) -> None:
     command = "synth brick.png -m rsgf --size 128x128 --lattice 27.3,0,13.65,12.2 -o out.png"
     assert imported(command, tmp_path) <= {"numba", "scipy.ndimage"}
     assert (tmp_path / "out.png").is_file()
+
+
+def test_status_of_a_run_imports_no_tables_and_no_statistics(tmp_path: Path) -> None:
+    """To read the scores of a run, its metrics are imported without the libraries that only scoring needs."""
+    run("core", methods=["scatter"], textures="brick-mild", out=tmp_path / "R", options=Options(jobs=0), size="128x128")
+    assert imported("status R", tmp_path) <= {"pydantic", "scipy.ndimage"}
 
 
 def test_a_worker_imports_all_that_is_imported_on_first_use() -> None:
