@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -9,6 +10,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from nrbench.datasets_procedural.jigsaw import Jigsaw
+from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.datasets_procedural.overlap import Overlap
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.bending.covariance import Correlogram, Covariance, SampledField, Variogram
@@ -222,3 +226,40 @@ def test_an_output_without_the_displacements_of_bend_1_is_too_regular() -> None:
     score = Regularity().score(observe_strong(straightened))
     assert score.values["preserved"] is True and score.records["displacements"]["too_regular"] is True
     assert Randomness().score(observe_strong(straightened)).values["score"] < 0.4
+
+
+def observe_model(model: Model, make_output: Callable[[Image], Image], side: int) -> Observation:
+    """Return an observation of an output that is made of a fresh draw of a model, ``side`` px wide and high."""
+    truth = model.render((128, 128), np.random.default_rng(11))
+    truth = replace(truth, image=quantize(truth.image))
+
+    def again(shape: Shape, k: int) -> Texture:
+        return model.again(truth, shape, np.random.default_rng([12, k]))
+
+    output = quantize(make_output(again((side, side), 0).image))
+    return Observation(truth.image, output, truth, again=again)
+
+
+def shuffle_patches(image: Image) -> Image:
+    """Return an image of random patches of 24 x 24 px of an image whose sides are multiples of 24 px."""
+    rng, (height, width) = np.random.default_rng(13), image.shape[:2]
+    result = np.empty_like(image)
+    for y in range(0, height, 24):
+        for x in range(0, width, 24):
+            v, u = rng.integers(0, height - 23), rng.integers(0, width - 23)
+            result[y : y + 24, x : x + 24] = image[v : v + 24, u : u + 24]
+    return result
+
+
+def test_rubble_is_lost_although_its_displacement_is_unknown() -> None:
+    """Random patches of a texture of large bent tiles are lost: nothing of the output is left out of the verdict."""
+    score = Regularity().score(observe_model(Jigsaw(color=0.2, noise=0.03, bend=0.5), shuffle_patches, 192))
+    assert score.values["preserved"] is False
+    assert any(fault.startswith("the tile was not found") for fault in score.records["faults"])
+
+
+def test_a_cell_larger_than_the_fresh_draws_is_undecided() -> None:
+    """A bent texture whose fresh draws hold no two tiles gives a reason instead of an error."""
+    score = Regularity().score(observe_model(Overlap(color=0.2, bend=0.5), lambda image: image, 400))
+    assert score.values["preserved"] is None
+    assert score.reasons["preserved"] == "undecided: the fresh draws are smaller than a window of 2 tiles"
