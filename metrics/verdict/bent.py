@@ -21,7 +21,14 @@ from nrbench.tracking.tracker import MeanTile
 
 from ..bending.covariance import Covariance, Variogram
 from ..bending.field_tests import Faults, FieldTests, measure_faults
-from ..bending.tracked_image import StraightenedImage, TrackedImage, straighten, track_image, track_references
+from ..bending.tracked_image import (
+    StraightenedImage,
+    TrackedImage,
+    leave_unchanged,
+    straighten,
+    track_image,
+    track_references,
+)
 from ..ncc.periodic import Periodic, tile_box
 from . import limits
 from .exponential_tail import ExponentialTail
@@ -78,8 +85,19 @@ class Bending:
         return track_image(image, self.tile, self.references[0].level, self.covariance)
 
     def straighten(self, tracked: TrackedImage) -> StraightenedImage:
-        """Return an image without its smooth displacement."""
+        """Return an image without its smooth displacement.
+
+        An image in most of which the tile was not found is returned as it is. Straightening by a displacement that has
+        no meaning would leave so small a part of the image that nothing could be decided.
+        """
+        if tracked.reliable_share < (1 - limits.GROSS_SHARE) * (1 - self.usual_untracked):
+            return leave_unchanged(tracked)
         return straighten(tracked, self.covariance)
+
+    @cached_property
+    def usual_untracked(self) -> float:
+        """Largest share of the places of a reference at which the tile was not found."""
+        return max(1 - one.reliable_share for one in self.references)
 
     @cached_property
     def tests(self) -> tuple[FieldTests, ...]:
@@ -363,14 +381,13 @@ class BentVerdict(Verdict):
 
     def compare_limits(self) -> dict[str, float]:
         """Return the ratio of each fault to its limit; above 1 regularity is lost."""
-        usual = max(1 - one.reliable_share for one in self.bending.references)
         tolerance = self.amplitude_tolerance
         usual_faults = super().compare_limits()
         return {
             **{name: excess * limits.BENT_FACTORS.get(name, 1.0) for name, excess in usual_faults.items()},
             "phase step": float(self.line_excess.max(initial=0.0)),
             "patch": float(self.patch_excess.max(initial=0.0)),
-            "not tracked": self.untracked_share / (limits.MISPLACED_SHARE + 2 * usual),
+            "not tracked": self.untracked_share / (limits.MISPLACED_SHARE + 2 * self.bending.usual_untracked),
             "amplitude": math.log(max(self.amplitude_ratio, 1e-6)) / tolerance,
             "roughness": math.log(max(self.roughness_ratio, 1e-6)) / tolerance if not self.too_regular else 0.0,
         }
