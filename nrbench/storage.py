@@ -29,7 +29,12 @@ def write_aside(path: Path, write: Callable[[Path], object]) -> None:
         write(aside)
         aside.replace(path)
     except OSError as error:
-        error.filename = error.filename or str(path)  # a full disk names no file
+        if error.filename in (
+            None,
+            str(aside),
+            aside,
+        ):  # a full disk names no file; the name beside means nothing to a user
+            error.filename = str(path)
         raise
     finally:
         aside.unlink(missing_ok=True)

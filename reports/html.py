@@ -70,7 +70,8 @@ class HtmlReport:
     ----------
     single_file
         Embed every output with all its pixels. Otherwise the page embeds small copies and needs the folder
-        ``pictures`` beside it only to show all pixels of a magnified output.
+        ``pictures`` beside it only to show all pixels of a magnified output. A page of so many outputs that the small
+        copies exceed 7 MB loads them from that folder, too.
     labels
         Answer files of the labelling pages of ``nrbench label``. They add the agreement of people with the scores.
     tests
@@ -105,6 +106,7 @@ class HtmlReport:
             for name, asked in (people.questions.items() if people else ())
         }
         sections = build_gallery(run, comparison, pictures)
+        embed = pictures.embeds()
         references = (i for i, method in enumerate(comparison.methods) if i and method.reference)
         content: dict[str, Any] = {
             "info": run.info,
@@ -132,6 +134,8 @@ class HtmlReport:
             "sections": sections,
             "layers": list_layers(sections),
             "source_map": SOURCE_MAP,
+            "address": cache(lambda picture: pictures.address(picture, embed)),
+            "embedded": embed,
             "unfinished": _unfinished_cells(run.cells),
             "failed_scores": _failed_scores(run.cells),
             "columns": describe_scores(run),

@@ -32,7 +32,16 @@ from ..bending.tracked_image import (
 from ..ncc.periodic import Periodic, tile_box
 from . import limits
 from .exponential_tail import ExponentialTail
-from .reference import DRAWS, FIRST_DRAW, KnownLattice, Reference, ReferenceImage, canonical_lattice
+from .reference import (
+    DRAWS,
+    FIRST_DRAW,
+    KnownLattice,
+    Reference,
+    ReferenceImage,
+    canonical_lattice,
+    draw_fresh_texture,
+    ideal_of,
+)
 from .tiles import breakage_excess, displacement_excess
 from .verdict import Verdict, compute_verdict
 
@@ -145,19 +154,13 @@ def bent_reference_from_model(truth: Texture, lattice: Lattice, again: Again) ->
     """Return the reference of a texture whose model displaces its content.
 
     Fresh draws are tracked and straightened. The variance of each pixel from tile to tile, and the regular share, are
-    those of the straightened draws.
+    those of the straightened draws. Without fresh draws :class:`~.reference.NoFreshDraw` is raised.
     """
     lattice = canonical_lattice(lattice)
     side = np.ceil(np.clip(_TILES_A_SIDE * tile_box(lattice), *_SIDES)).astype(int)
     shape = (int(side[1]), int(side[0]))
-    draws = []
-    for k in range(DRAWS):
-        draw = again(shape, FIRST_DRAW + k)
-        if draw is None or draw.ideal is None:
-            raise ValueError(f"the texture's model gave no fresh draw of {shape[1]}x{shape[0]} px with an ideal image")
-        draws.append(draw)
-    whole = draws[0].ideal
-    assert whole is not None
+    draws = [draw_fresh_texture(again, shape, FIRST_DRAW + k) for k in range(DRAWS)]
+    whole = ideal_of(draws[0])
     bending = Bending.of([quantize(draw.image) for draw in draws], MeanTile.of(whole, lattice.reduced()))
     straight = [bending.straighten(one) for one in bending.references]
     folded = [_fold_departures(one, whole, lattice) for one in straight]
@@ -168,10 +171,7 @@ def bent_reference_from_model(truth: Texture, lattice: Lattice, again: Again) ->
     def ideal(wanted: Shape) -> Values:
         if wanted[0] <= shape[0] and wanted[1] <= shape[1]:
             return np.asarray(whole[: wanted[0], : wanted[1]])
-        large = again(wanted, FIRST_DRAW)
-        if large is None or large.ideal is None:
-            raise ValueError(f"the texture's model gave no fresh draw of {wanted[1]}x{wanted[0]} px")
-        return large.ideal
+        return ideal_of(draw_fresh_texture(again, wanted, FIRST_DRAW))
 
     periodic = Periodic(lattice, ideal, variance)
     regular = float(whole.var((0, 1), dtype=np.float64).mean())

@@ -6,6 +6,7 @@ import importlib
 import io
 import itertools
 import sys
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -78,14 +79,16 @@ def main(arguments: list[str] | None = None) -> None:
             stream.reconfigure(errors="backslashreplace")
     words = move_global_options(list(sys.argv[1:] if arguments is None else arguments))
     try:
-        code = nrbench.main(args=words, prog_name="nrbench", standalone_mode=False)
+        with warnings.catch_warnings():
+            warnings.showwarning = _print_warning
+            code = nrbench.main(args=words, prog_name="nrbench", standalone_mode=False)
     except (KeyboardInterrupt, click.Abort):
         code = _print_error("interrupted; run the same command again to resume", 130)
     except click.exceptions.NoArgsIsHelpError as help_text:
         print(help_text.format_message())
         code = 0
     except click.ClickException as error:
-        code = _print_error(f"{error.format_message()}; see `{_command_path(error)} --help`", 2)
+        code = _print_error(f"{error.format_message().rstrip('.')}; see `{_command_path(error)} --help`", 2)
     except Exception as error:
         code = _report_exception(error, "--debug" in words)
     sys.exit(code if isinstance(code, int) else 0)
@@ -129,6 +132,10 @@ def _report_exception(error: Exception, debug: bool) -> int:
     if isinstance(error, OSError):
         return _print_error(f"{error.filename or 'file'}: {error.strerror or error}", 2)
     return _print_error(f"internal error: {describe_error(error)}; run with --debug for the traceback", 1)
+
+
+def _print_warning(message: Warning | str, *_: Any) -> None:
+    _print_error(f"warning: {message}", 0)
 
 
 def _print_error(message: str, code: int) -> int:

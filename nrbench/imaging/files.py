@@ -35,7 +35,9 @@ _TURNED = (5, 6, 7, 8)
 
 
 def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
-    """Read an image file: PNG, JPEG, TIFF or another of :data:`FORMATS`; the first frame if there are several.
+    """Read an image file: PNG, JPEG, TIFF or another of :data:`FORMATS`.
+
+    Of several frames the first one is read, with a warning.
 
     Parameters
     ----------
@@ -58,7 +60,10 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     """
     where = f"picture {path}"
     with _opened(path, where) as picture:
+        several = _has_several_frames(picture)
         pixels = _pixels(PIL.ImageOps.exif_transpose(picture), where)
+    if several:
+        warnings.warn(f"{where}: has several frames; the first one is read", UserWarning, stacklevel=2)
     return as_image(pixels, where, smallest)
 
 
@@ -131,6 +136,16 @@ def _check_file(path: Path, where: str) -> None:
         raise BadInput(f"{where}: is empty (0 bytes); save or download it again")
 
 
+def _has_several_frames(picture: PIL.Image.Image) -> bool:
+    """Return whether a picture is animated or has pages; the previews in a photograph as JPEG do not count."""
+    if picture.format in ("JPEG", "MPO"):
+        return False
+    try:
+        return bool(getattr(picture, "is_animated", False))
+    except Exception:  # the second frame is broken, the first one may not be
+        return False
+
+
 def _pixels(picture: PIL.Image.Image, where: str) -> NDArray[Any]:
     if picture.mode.startswith("I"):
         return _sixteen_bits(np.asarray(picture), picture.info.get("transparency"), where)
@@ -139,7 +154,8 @@ def _pixels(picture: PIL.Image.Image, where: str) -> NDArray[Any]:
     elif picture.mode in _VIA:
         picture = picture.convert(_VIA[picture.mode])
     if picture.mode not in _DIRECT:
-        raise BadInput(f"{where}: has pixels of mode {picture.mode}; save it with 8 or 16 bits a channel")
+        found = "float pixels" if picture.mode == "F" else f"pixels of mode {picture.mode}"
+        raise BadInput(f"{where}: has {found}; save it with 8 or 16 bits a channel")
     return np.asarray(picture)
 
 

@@ -1,4 +1,4 @@
-"""Prepare the pictures of the page: small WebP copies that the page embeds, overlays, and the files for zooming."""
+"""Prepare the pictures of the page: small WebP copies, overlays, and the files for zooming."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,10 @@ from ..plots.marks import find_marks
 SMALLEST, LARGEST = 192, 384
 """Widths on the page, px: smaller pictures are magnified, larger ones are reduced."""
 FOLDER = "pictures"
-"""The folder beside the page with the files for zooming."""
-_RECIPE = "1"
+"""The folder beside the page with the small copies and the files for zooming."""
+EMBEDDED = 7_000_000
+"""Most bytes of small copies that a page embeds; a page with more of them loads all from :data:`FOLDER`."""
+_RECIPE = "2"
 """Part of every name in the folder; raise it when the same file would give another picture."""
 _QUALITY, _LAYER_QUALITY, _MAP_QUALITY = 68, 50, 30
 _SHADE = 190
@@ -41,15 +44,15 @@ class PagePicture:
 
     Parameters
     ----------
-    source
-        The value of ``src``: the embedded pixels.
+    name
+        Name of the file in :data:`FOLDER` that the page embeds or loads.
     width, height
         Size of the picture in px.
     full
-        Address of the file of all pixels, relative to the page; empty if ``source`` has all pixels.
+        Address of the file of all pixels, relative to the page; empty if ``name`` has all pixels.
     """
 
-    source: str
+    name: str
     width: int
     height: int
     full: str = ""
@@ -100,9 +103,9 @@ class PictureStore:
             width, height = image.size
             kind = "lossless" if self.single_file or width <= 64 else "small"
             name = _name(kind, content)
-            small = self._kept(f"{name}.webp", lambda: _shrink(image, kind == "lossless"))
+            small = self._kept(f"{name}.webp", lambda: _shrink(_decode(content), kind == "lossless"))
         full = "" if kind == "lossless" else f"{FOLDER}/{self._link(path, _name('full', content))}"
-        return PagePicture(_address(small), width, height, full)
+        return PagePicture(small, width, height, full)
 
     def overlay(self, output: Path, layer: Path | None) -> PagePicture | None:
         """Return the marks of a metric's picture over an output, transparent elsewhere.
@@ -126,8 +129,8 @@ class PictureStore:
                 if image.size != base.size:
                     return None
                 name = f"{_name('overlay', content, below)}.webp"
-                kept = self._kept(name, lambda: _encode(_marks(_pixels(image), _pixels(base)), _LAYER_QUALITY))
-                return PagePicture(_address(kept), *image.size)
+                kept = self._kept(name, lambda: _encode(_marks(_pixels(image), _decode(below)), _LAYER_QUALITY))
+                return PagePicture(kept, *image.size)
         except _UNREADABLE:
             return None
 
@@ -145,7 +148,7 @@ class PictureStore:
                 places = np.asarray(arrays["source"][..., :2], np.float64)
             name = f"{_name('source', content)}.webp"
             kept = self._kept(name, lambda: _encode(_place_colors(places), _MAP_QUALITY))
-            return PagePicture(_address(kept), places.shape[1], places.shape[0])
+            return PagePicture(kept, places.shape[1], places.shape[0])
         except _UNREADABLE:
             return None
 
@@ -156,17 +159,27 @@ class PictureStore:
             if file.name not in self._used and file.suffix in (".webp", ".png"):
                 file.unlink(missing_ok=True)
 
-    def _kept(self, name: str, make: Callable[[], bytes]) -> bytes:
-        """Return the bytes of a file of the folder, made if it is absent."""
-        self._used.add(name)
+    def embeds(self) -> bool:
+        """Return whether the page embeds the small copies of all pictures that were made so far."""
+        files = (self.directory / FOLDER / name for name in sorted(self._used) if name.endswith(".webp"))
+        return self.single_file or sum(file.stat().st_size for file in files) <= EMBEDDED
+
+    def address(self, picture: PagePicture, embed: bool) -> str:
+        """Return the value of ``src`` of a picture: its embedded bytes, or the address of its file."""
+        if not embed:
+            return f"{FOLDER}/{picture.name}"
+        content = base64.b64encode((self.directory / FOLDER / picture.name).read_bytes())
+        return f"data:image/webp;base64,{content.decode('ascii')}"
+
+    def _kept(self, name: str, make: Callable[[], bytes]) -> str:
+        """Return the name of a file of the folder, which is made if it is absent."""
         file = self.directory / FOLDER / name
-        try:
-            return file.read_bytes()
-        except OSError:
+        if not file.exists():
             content = make()
             file.parent.mkdir(parents=True, exist_ok=True)
             write_aside(file, lambda aside: aside.write_bytes(content))
-            return content
+        self._used.add(name)
+        return name
 
     def _link(self, path: Path, name: str) -> str:
         """Put a file of the run into the folder, as a hard link where the disk can, and return its name there."""
@@ -189,17 +202,20 @@ def _name(kind: str, *contents: bytes) -> str:
     return digest.hexdigest()
 
 
-def _address(content: bytes) -> str:
-    return f"data:image/webp;base64,{base64.b64encode(content).decode('ascii')}"
+@lru_cache(maxsize=4)
+def _decode(content: bytes) -> Pixels:
+    """Return the pixels of an output; its thumbnail and its layers need them one after another."""
+    with PIL.Image.open(io.BytesIO(content)) as image:
+        return _pixels(image)
 
 
 def _pixels(image: PIL.Image.Image) -> Pixels:
     return np.asarray(image.convert("RGB"))
 
 
-def _shrink(image: PIL.Image.Image, lossless: bool) -> bytes:
+def _shrink(pixels: Pixels, lossless: bool) -> bytes:
     """Return a picture as WebP: with all pixels, or reduced to the size on the page."""
-    whole = image.convert("RGB")
+    whole = PIL.Image.fromarray(pixels)
     if not lossless:
         whole.thumbnail((LARGEST, 4 * LARGEST))
     file = io.BytesIO()
@@ -218,14 +234,27 @@ def _encode(pixels: Pixels, quality: int) -> bytes:
 def _marks(layer: Pixels, output: Pixels) -> Pixels:
     """Return a metric's picture with an alpha channel that hides what is gray or equal to the output."""
     marked = find_marks(layer, output)
-    return np.dstack([np.where(marked[..., None], layer, 0), np.where(marked, _SHADE, 0)]).astype(np.uint8)
+    shown = np.empty((*marked.shape, 4), np.uint8)
+    np.multiply(layer, marked[..., None], out=shown[..., :3])
+    np.multiply(marked, np.uint8(_SHADE), out=shown[..., 3])
+    return shown
 
 
 def _place_colors(places: NDArray[np.float64]) -> Pixels:
     """Return colors of places (x, y) in the sample, blended between the colors of the corners of the used region."""
-    low, high = places.min((0, 1)), places.max((0, 1))
-    x, y = np.moveaxis((places - low) / np.maximum(high - low, 1e-9), -1, 0)[..., None]
-    top = _CORNERS[0, 0] * (1 - x) + _CORNERS[0, 1] * x
-    bottom = _CORNERS[1, 0] * (1 - x) + _CORNERS[1, 1] * x
-    colors: Pixels = np.rint(top * (1 - y) + bottom * y).astype(np.uint8)
+    x, y = (np.rint(255 * _relative(places[..., axis])).astype(np.uint8) for axis in (0, 1))
+    return _color_table()[y, x]
+
+
+def _relative(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    low, high = values.min(), values.max()
+    return np.asarray((values - low) / max(float(high - low), 1e-9))
+
+
+@cache
+def _color_table() -> Pixels:
+    """Return 256 x 256 colors, blended between :data:`_CORNERS`."""
+    x = np.linspace(0, 1, 256)[:, None]
+    top, bottom = (left * (1 - x) + right * x for left, right in _CORNERS)
+    colors: Pixels = np.rint(top * (1 - x[:, None]) + bottom * x[:, None]).astype(np.uint8)
     return colors

@@ -20,7 +20,9 @@ def find_marks(layer: NDArray[np.uint8], output: NDArray[np.uint8]) -> NDArray[n
     layer, output
         The picture and the output, ``(H, W, 3)``.
     """
-    spread = layer.max(-1).astype(np.int16) - layer.min(-1)
-    apart = np.abs(layer.astype(np.int16) - output).max(-1)
+    # planes are contiguous, which is many times faster than a reduction over the last axis
+    planes, below = (np.ascontiguousarray(np.moveaxis(picture, -1, 0)) for picture in (layer, output))
+    spread = planes.max(0) - planes.min(0)
+    apart = (np.maximum(planes, below) - np.minimum(planes, below)).max(0)
     marked: NDArray[np.bool_] = (spread > _LEVELS) & (apart > _LEVELS)
     return marked

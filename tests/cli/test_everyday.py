@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import PIL.Image
 import pytest
 
 import nrbench
@@ -174,3 +175,16 @@ def test_show_prints_the_file_of_a_suite(capsys: pytest.CaptureFixture[str]) -> 
     assert load_suite("mine.toml").hash == load_suite("core").hash
     assert call("show rsgf --toml") == 2
     assert call("show core --toml --json") == 2
+
+
+def test_warnings_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A warning on the command line is one line without the place in the source."""
+    monkeypatch.chdir(tmp_path)
+    frames = [PIL.Image.fromarray(np.random.default_rng(n).integers(0, 256, (48, 48), np.uint8)) for n in (0, 1)]
+    frames[0].save("two.tif", save_all=True, append_images=frames[1:])
+    assert call("lattice two.tif -d dominance") == 0
+    error = capsys.readouterr().err
+    assert "nrbench: warning: picture two.tif: has several frames; the first one is read\n" in error
+    assert "files.py" not in error and "UserWarning" not in error

@@ -40,3 +40,12 @@ def test_an_error_of_a_disk_names_the_file(tmp_path: Path) -> None:
 
     with pytest.raises(OSError, match=r"No space left on device: .*table.csv"):
         write_aside(tmp_path / "table.csv", fill)
+
+
+def test_an_error_names_the_file_that_was_to_be_written(tmp_path: Path) -> None:
+    """Where the new file cannot take its name, the error names the file, not the name beside it."""
+    (tmp_path / "target" / "full").mkdir(parents=True)
+    with pytest.raises(OSError) as caught:
+        write_aside(tmp_path / "target", lambda aside: aside.write_bytes(b"x"))
+    assert caught.value.filename == str(tmp_path / "target")
+    assert [one.name for one in tmp_path.iterdir()] == ["target"]

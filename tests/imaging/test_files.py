@@ -305,3 +305,15 @@ def _examples() -> dict[str, bytes]:
 
 
 _EXAMPLES = _examples()
+
+
+@pytest.mark.parametrize("kind", ["gif", "tiff"])
+def test_the_first_of_several_frames_is_read_with_a_warning(tmp_path: Path, kind: str) -> None:
+    """A file of two frames gives its first one and a warning; a file of one frame gives none."""
+    frames = [PIL.Image.new("RGB", (16, 16), color) for color in ("red", "blue")]
+    frames[0].save(tmp_path / f"two.{kind}", save_all=True, append_images=frames[1:])
+    frames[0].save(tmp_path / f"one.{kind}")
+    with pytest.warns(UserWarning, match="two.*has several frames; the first one is read"):
+        first = read_image(tmp_path / f"two.{kind}")
+    with warnings.catch_warnings(action="error"):
+        assert np.array_equal(first, read_image(tmp_path / f"one.{kind}"))

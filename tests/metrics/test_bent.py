@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from nrbench.datasets_procedural.jigsaw import Jigsaw
 from nrbench.datasets_procedural.modelling.model import Model
@@ -111,6 +112,24 @@ def test_a_step_in_a_field_is_found_and_measured() -> None:
     assert lines.distance[lines.statistic.argmax()] == pytest.approx(0.25, abs=0.08)
 
 
+def test_an_affine_part_of_a_field_is_no_fault() -> None:
+    """Slopes of 4 % hardly change the statistics of lines and patches, and kriging continues them."""
+    rng = np.random.default_rng(3)
+    covariance = Covariance.fit(Correlogram.of([sine_waves(rng) for _ in range(6)]))
+    field = sine_waves(rng)
+    slopes = np.array([[0.04, 0.01], [-0.02, -0.04]])
+    steep = replace(field, displacement=field.displacement + field.places @ slopes)
+    for usual, found in zip(
+        (measure_faults(field, covariance).lines, measure_faults(field, covariance).patches),
+        (measure_faults(steep, covariance).lines, measure_faults(steep, covariance).patches),
+        strict=True,
+    ):
+        assert found.statistic.max() < 1.3 * usual.statistic.max() + 1
+    beyond = field.places[-1, -1][np.newaxis] + 2
+    change = smooth_field(steep, covariance, beyond) - smooth_field(field, covariance, beyond)
+    assert change[0] == pytest.approx((beyond @ slopes)[0], abs=0.05)
+
+
 def test_outliers_are_dropped_and_predicted() -> None:
     """Nodes on wrong places are dropped, and kriging predicts their displacements from the others."""
     rng = np.random.default_rng(2)
@@ -163,6 +182,14 @@ def test_a_straightened_output_has_lost_randomness() -> None:
     assert score.values["misplacement_ratio"] < 0.3
     assert Randomness().score(straight()).values["score"] < 0.4
     assert Randomness().score(fresh()).values["score"] > 0.9
+
+
+def test_an_output_on_a_slightly_larger_lattice_has_no_phase_step() -> None:
+    """Where all tiles are 4 % larger, as in a continued sample whose lattice departs, no step is found."""
+    large = draw((SIDE, SIDE), 9).image
+    zoomed = np.clip(ndimage.zoom(large, (1.04, 1.04, 1), order=3)[:SIDE, :SIDE], 0, 1).astype(np.float32)
+    score = Regularity().score(observe(zoomed))
+    assert score.values["preserved"] is True and score.records["excess"]["phase step"] < 1
 
 
 def test_places_are_mapped_to_the_output() -> None:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -86,9 +85,7 @@ def test_overlays_are_transparent(tmp_path: Path) -> None:
     store = PictureStore(tmp_path / "report")
     overlay = store.overlay(tmp_path / "output.png", tmp_path / "layer.png")
     assert overlay is not None
-    import base64
-
-    alpha = np.asarray(PIL.Image.open(io.BytesIO(base64.b64decode(overlay.source.partition(",")[2]))))[..., 3]
+    alpha = np.asarray(PIL.Image.open(tmp_path / "report" / "pictures" / overlay.name))[..., 3]
     assert (alpha[20:30, 40:50] > 100).all() and alpha[:16].max() == 0
     assert store.overlay(tmp_path / "output.png", tmp_path / "other.png") is None
     assert store.overlay(tmp_path / "output.png", None) is None

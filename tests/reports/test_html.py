@@ -173,6 +173,21 @@ def test_large_pictures_have_a_file_or_all_pixels(
         assert (tmp_path / shown["data-full"]).read_bytes() == content
 
 
+def test_a_page_of_many_pictures_loads_them_from_their_folder(
+    make_cell: Make, make_run: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beyond the limit the page embeds no picture, names files that exist, and says that they lie beside it."""
+    run = make_run([make_cell("a", side=96), make_cell("b", side=80)])
+    small = HtmlReport().render(run, tmp_path)
+    size = sum(file.stat().st_size for file in (tmp_path / "pictures").glob("*.webp"))
+    monkeypatch.setattr("nrbench.reports.page.pictures.EMBEDDED", size - 1)
+    page = HtmlReport().render(run, tmp_path)
+    sources = [one["src"] for one in Page(page).all("img")]
+    assert "data:image" in small and "beside this page" not in small
+    assert "beside this page" in page and len(page) < len(small)
+    assert sources and all(name.startswith("pictures/") and (tmp_path / name).is_file() for name in sources)
+
+
 def test_only_changed_pictures_are_made_again(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
     """A second report leaves the pictures of unchanged cells alone, and removes those that the page no longer has."""
     first, second = make_cell("a", side=96), make_cell("b", side=80)
