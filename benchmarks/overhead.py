@@ -1,48 +1,64 @@
-"""What a cell costs beyond its method and metrics: `python benchmarks/overhead.py` prints it in ms and in u.
+"""What a cell costs beyond its method: `python benchmarks/overhead.py [--cells 2000]` prints it in ms and in u.
 
-A warm worker forks one child that runs the cheapest method on a 64 x 64 texture and one that reads its folder for the
-`cost` metric; what the method itself takes is subtracted. Encoding and decoding of the small pictures is included.
+A real run of trivial cells, one at a time: a warm worker forks one child that repeats the pixels of a 64 x 64 sample,
+and one that reads the cell's folder for the `cost` metric. The time that the methods themselves take is subtracted.
+Encoding and decoding of the small pictures, the writing of all files, and the work of the coordinator are included.
+The start of the worker is not. The second line is the memory of the coordinator, which must not grow with the cells.
 """
 
 from __future__ import annotations
 
-import shutil
+import argparse
 import statistics
 import tempfile
 import time
+from itertools import pairwise
 from pathlib import Path
 
+import psutil
+from trivial_cells import write_plugin, write_suite
 from unit import machine_unit
 
+from nrbench import plugins
 from nrbench.api import run
+from nrbench.running.progress import Step
 from nrbench.running.runner import Options
-from nrbench.running.supervisor import Job, Supervisor, perform_job
-from nrbench.runs.store import CellFolder
-from nrbench.suites.suite import Suite, TextureRow
 
-REPEATS = 41
+BLOCKS = 20
+"""The cells are timed in so many blocks. The first one, with the start of the worker, is left out."""
 
 
 def main() -> None:
-    """Print the median overhead of a cell."""
-    wall = TextureRow(name="wall", dataset="brick")
-    suite = Suite(name="overhead", sample=(64, 64), size=(64, 64), methods=("scatter",), texture=(wall,))
-    with tempfile.TemporaryDirectory() as place, Supervisor() as supervisor:
-        first = run(suite, out=Path(place) / "run", options=Options(jobs=0)).cells[0]
-        where = CellFolder(first.folder)
-        job = Job("cell", str(where.path), seconds=20, mib=1024, metrics=("cost",))
-        taken = [_once(where, job, supervisor) for _ in range(REPEATS)][3:]
-    unit = machine_unit()
-    median = statistics.median(taken)
-    print(f"overhead of a cell, warm: {1000 * median:.1f} ms = {median / unit:.2f} u (u = {1000 * unit:.2f} ms)")
+    """Print the overhead of a cell and the memory of the coordinator."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cells", type=int, default=2000, help="at least 200; rounded down to a multiple of 200")
+    count = max(200, parser.parse_args().cells // 200 * 200)
+    block, process = count // BLOCKS, psutil.Process()
+    marks: list[tuple[float, float]] = []
 
+    def follow(step: Step) -> None:
+        if step.done % block == 0:
+            marks.append((time.perf_counter(), process.memory_info().rss / 2**20))
 
-def _once(where: CellFolder, job: Job, supervisor: Supervisor) -> float:
-    where.result_file.unlink()
-    shutil.rmtree(where.scores)
-    start = time.perf_counter()
-    result = perform_job(job, supervisor)
-    return time.perf_counter() - start - float(result["seconds"])
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        plugins.add_file(write_plugin(folder))
+        done = run(write_suite(folder, count), out=folder / "run", options=Options(jobs=1), progress=follow)
+        cells = done.cells
+    if len(cells) != count or any(cell.status != "ok" for cell in cells):
+        raise SystemExit("overhead: a trivial cell failed")
+    method = statistics.fmean(float(cell.result["seconds"]) for cell in cells)
+    blocks = [(end[0] - start[0]) / block - method for start, end in pairwise(marks)]
+    unit, median = machine_unit(), statistics.median(blocks)
+    print(
+        f"overhead of a cell, warm, over {count} trivial cells: {1000 * median:.1f} ms = {median / unit:.2f} u "
+        f"(blocks of {block} cells from {1000 * min(blocks):.1f} to {1000 * max(blocks):.1f} ms; "
+        f"u = {1000 * unit:.2f} ms)"
+    )
+    print(
+        f"memory of the coordinator: {marks[0][1]:.0f} MiB after {block} cells, {marks[-1][1]:.0f} MiB after {count} "
+        f"({1024 * (marks[-1][1] - marks[0][1]) / (count - block):.2f} KiB a cell)"
+    )
 
 
 if __name__ == "__main__":

@@ -28,30 +28,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import psutil
+from trivial_cells import write_plugin, write_suite
 
 from nrbench import plugins
 from nrbench.runs.records import Run
 
-PLUGIN = '''
-from dataclasses import dataclass
-from typing import ClassVar
-
-import numpy as np
-
-from nrbench.plugins.forms import Synthesis, Task
-
-
-@dataclass(frozen=True)
-class Trivial:
-    """The sample's first pixels, repeated."""
-
-    number: int = 0
-    uses_lattice: ClassVar[bool] = False
-
-    def synthesize(self, task: Task) -> Synthesis:
-        """Repeat them."""
-        return Synthesis(np.resize(np.roll(task.sample, self.number, axis=1), (*task.shape, task.sample.shape[2])))
-'''
 SUITE = """name = "soak"
 sample = "64x64"
 size = "64x64"
@@ -181,10 +162,7 @@ def kills(soak: Soak, count: int, cells: int) -> None:
 
 def cells(soak: Soak, count: int, number: int) -> None:
     """Run trivial cells, and watch the memory of the coordinator."""
-    methods = ", ".join(f'"trivial:number={k}"' for k in range(number // 10))
-    rows = ",\n".join(f'{{ name = "wall{k}", dataset = "brick", parameters = {{ color = 0.{k} }} }}' for k in range(10))
-    head = 'name = "many"\nsample = "64x64"\nsize = "64x64"\nmetrics = ["cost"]\n'
-    (soak.place / "many.toml").write_text(f"{head}methods = [{methods}]\ntexture = [{rows}]\n")
+    write_suite(soak.place, number)
     command = soak.command("many", suite="many.toml")
     running = subprocess.Popen(command, cwd=soak.place, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     process, start, memory, marks = psutil.Process(running.pid), 0.0, [], []
@@ -283,9 +261,8 @@ def soaking(jobs: int, replicates: int) -> Iterator[Soak]:
     """Make the folder, the plugin, the suite and the undisturbed run; remove them afterwards."""
     with tempfile.TemporaryDirectory(prefix="soak-", ignore_cleanup_errors=True) as place:
         soak = Soak(Path(place), jobs)
-        (soak.place / "trivial.py").write_text(PLUGIN)
         (soak.place / "suite.toml").write_text(SUITE.format(replicates=replicates))
-        plugins.add_file(soak.place / "trivial.py")
+        plugins.add_file(write_plugin(soak.place))
         code, line = soak.finish("whole")
         if code != 0:
             raise SystemExit(f"the undisturbed run ended with exit code {code}: {line}")

@@ -21,7 +21,7 @@ from .residual_tiles.tiles import align_middles, draw_fresh, find_middles, measu
 from .verdict.examination import examine
 from .verdict.exponential_tail import ExponentialTail
 from .verdict.measurements import Measurements
-from .verdict.reference import Reference
+from .verdict.reference import NoFreshDraw, Reference
 from .verdict.verdict import Verdict
 from .whole_elements.composite_tiles import (
     Discriminant,
@@ -172,7 +172,10 @@ def _score(observation: Observation) -> Score:
     verdict = examine(observation).verdict
     if isinstance(verdict, str):
         return Score.missing(Integrity.columns, verdict)
-    broken = find_broken(verdict, observation)
+    try:
+        broken = find_broken(verdict, observation)
+    except NoFreshDraw as without:
+        return Score.missing(Integrity.columns, str(without))
     if isinstance(broken, str):
         return Score.missing(Integrity.columns, broken)
     values: dict[str, float | None] = {

@@ -19,6 +19,7 @@ from .residual_tiles.distance import measure_distances
 from .residual_tiles.repetition import SIZES, Twins, copied_share, count_sources, find_twins
 from .residual_tiles.tiles import ComparedTiles, TileSet, part_starts, quarters
 from .verdict.examination import examine
+from .verdict.reference import NoFreshDraw
 from .verdict.verdict import Verdict
 
 _LEAST_TILES = 4
@@ -109,7 +110,12 @@ class Randomness:
 
 def _score(observation: Observation) -> Score:
     verdict = examine(observation).verdict
-    return Score.missing(Randomness.columns, verdict) if isinstance(verdict, str) else score_tiles(observation, verdict)
+    if isinstance(verdict, str):
+        return Score.missing(Randomness.columns, verdict)
+    try:
+        return score_tiles(observation, verdict)
+    except NoFreshDraw as without:
+        return Score.missing(Randomness.columns, str(without))
 
 
 def score_tiles(observation: Observation, verdict: Verdict) -> Score:

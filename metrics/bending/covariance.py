@@ -127,7 +127,9 @@ class Covariance:
 
     @classmethod
     def fit(cls, correlogram: Correlogram) -> Covariance:
-        """Return the covariance that fits a correlogram."""
+        """Return the covariance that fits a correlogram. Without any pair it is that of errors alone."""
+        if not len(correlogram.pairs):
+            return cls(np.zeros(_WAVE_LENGTHS[2]), _LEAST_NOISE**2)
         distances, importance = correlogram.distances, np.sqrt(correlogram.pairs)
         basis = np.column_stack([j0(distances[:, np.newaxis] * _wave_numbers()), distances == 0])
         weights, _ = scipy.optimize.nnls(basis * importance[:, np.newaxis], correlogram.products * importance)

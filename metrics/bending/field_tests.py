@@ -34,6 +34,10 @@ _RAMP = 0.35
 """Standard deviation, in s, of the Gaussian that smooths a step: the window of a node shows both sides of the line."""
 _FREE = 10.0
 """Standard deviation, in s, of the phase of the field. It is free, so any large number serves."""
+_SLOPE = 0.008
+"""Standard deviation of the slopes of an affine part of the field. An output that continues a bent sample has the mean
+lattice of the sample, which departs by some percent from that of the texture; this is no step. A larger deviation costs
+power: a step across an image looks like a slope."""
 
 
 @dataclass(frozen=True)
@@ -131,15 +135,22 @@ def _block_starts(side: int) -> list[int]:
     return [int(start) for start in np.unique(np.linspace(0, max(side - _BLOCK, 0), count).astype(int))]
 
 
+def _covariance_between(places: Points, nodes: Points, covariance: Covariance) -> Values:
+    """Return the covariance of displacements along one axis at places and at nodes, with a free phase and slope."""
+    middle = nodes.mean(0)
+    slope = (places - middle) @ (nodes - middle).T
+    return np.asarray(covariance.between(places, nodes) + _FREE**2 + _SLOPE**2 * slope)
+
+
 def _node_covariance(places: Points, covariance: Covariance) -> Values:
-    """Return the covariance matrix of displacements along one axis, with a free mean."""
-    matrix = covariance.between(places, places) + _FREE**2
+    """Return the covariance matrix of measured displacements along one axis, with a free phase and slope."""
+    matrix = _covariance_between(places, places, covariance)
     matrix[np.diag_indices_from(matrix)] += covariance.noise
     return matrix
 
 
 def _precision(places: Points, covariance: Covariance) -> Values:
-    """Return the inverse of the covariance matrix of displacements along one axis, with a free mean."""
+    """Return the inverse of the covariance matrix of measured displacements along one axis."""
     return np.asarray(scipy.linalg.inv(_node_covariance(places, covariance), overwrite_a=True, check_finite=False))
 
 
@@ -216,7 +227,7 @@ def smooth_field(field: SampledField, covariance: Covariance, places: Points) ->
             if not len(block) or not wanted.any():
                 continue
             nodes, values = field.places.reshape(-1, 2)[block], field.displacement.reshape(-1, 2)[block]
-            cross = covariance.between(places[wanted], nodes) + _FREE**2
+            cross = _covariance_between(places[wanted], nodes, covariance)
             matrix = _node_covariance(nodes, covariance)
             result[wanted] = cross @ scipy.linalg.solve(matrix, values, overwrite_a=True, assume_a="pos")
     return result

@@ -121,6 +121,13 @@ class StraightenedImage:
     tracked: TrackedImage
 
 
+def leave_unchanged(tracked: TrackedImage) -> StraightenedImage:
+    """Return the whole image as it is. The displacement of an image in which little was found has no meaning."""
+    height, width = tracked.followed.image.shape[:2]
+    sources = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(height))), -1)
+    return StraightenedImage(tracked.followed.image, (0, 0), sources, tracked)
+
+
 def straighten(tracked: TrackedImage, covariance: Covariance) -> StraightenedImage:
     """Return the image without the smooth part of its displacement."""
     image = tracked.followed.image

@@ -18,7 +18,7 @@ from nrbench.plugins.forms import Observation, Shape, Texture
 from ..ncc.periodic import TOLERANCE
 from ..verdict.examination import examine
 from ..verdict.measurements import Measurements
-from ..verdict.reference import FIRST_DRAW
+from ..verdict.reference import FIRST_DRAW, NoFreshDraw
 from ..verdict.verdict import Verdict
 
 _DRAWS, _MOST_DRAWS = 4, 12
@@ -293,11 +293,17 @@ def _cut_displaced(image: Measurements, references: tuple[Measurements, ...], gr
 
 
 def draw_fresh(observation: Observation) -> tuple[Texture, ...]:
-    """Return fresh draws of the output's size, or none without a model. Metrics share them."""
+    """Return fresh draws of the output's size, or none without a model. Metrics share them.
+
+    Raises
+    ------
+    NoFreshDraw
+        When the dataset gives no draw of this size.
+    """
     draws = observation.shared(try_fresh)
     if any(draw is None for draw in draws):
         height, width = observation.output.shape[:2]
-        raise ValueError(f"the texture's model gave no fresh draw of {width}x{height} px")
+        raise NoFreshDraw(f"not applicable: the texture's dataset gives no fresh draw of {width}x{height} px")
     return tuple(draw for draw in draws if draw is not None)
 
 

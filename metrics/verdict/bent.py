@@ -21,11 +21,27 @@ from nrbench.tracking.tracker import MeanTile
 
 from ..bending.covariance import Covariance, Variogram
 from ..bending.field_tests import Faults, FieldTests, measure_faults
-from ..bending.tracked_image import StraightenedImage, TrackedImage, straighten, track_image, track_references
+from ..bending.tracked_image import (
+    StraightenedImage,
+    TrackedImage,
+    leave_unchanged,
+    straighten,
+    track_image,
+    track_references,
+)
 from ..ncc.periodic import Periodic, tile_box
 from . import limits
 from .exponential_tail import ExponentialTail
-from .reference import DRAWS, FIRST_DRAW, KnownLattice, Reference, ReferenceImage, canonical_lattice
+from .reference import (
+    DRAWS,
+    FIRST_DRAW,
+    KnownLattice,
+    Reference,
+    ReferenceImage,
+    canonical_lattice,
+    draw_fresh_texture,
+    ideal_of,
+)
 from .tiles import breakage_excess, displacement_excess
 from .verdict import Verdict, compute_verdict
 
@@ -69,8 +85,19 @@ class Bending:
         return track_image(image, self.tile, self.references[0].level, self.covariance)
 
     def straighten(self, tracked: TrackedImage) -> StraightenedImage:
-        """Return an image without its smooth displacement."""
+        """Return an image without its smooth displacement.
+
+        An image in most of which the tile was not found is returned as it is. Straightening by a displacement that has
+        no meaning would leave so small a part of the image that nothing could be decided.
+        """
+        if tracked.reliable_share < (1 - limits.GROSS_SHARE) * (1 - self.usual_untracked):
+            return leave_unchanged(tracked)
         return straighten(tracked, self.covariance)
+
+    @cached_property
+    def usual_untracked(self) -> float:
+        """Largest share of the places of a reference at which the tile was not found."""
+        return max(1 - one.reliable_share for one in self.references)
 
     @cached_property
     def tests(self) -> tuple[FieldTests, ...]:
@@ -127,19 +154,13 @@ def bent_reference_from_model(truth: Texture, lattice: Lattice, again: Again) ->
     """Return the reference of a texture whose model displaces its content.
 
     Fresh draws are tracked and straightened. The variance of each pixel from tile to tile, and the regular share, are
-    those of the straightened draws.
+    those of the straightened draws. Without fresh draws :class:`~.reference.NoFreshDraw` is raised.
     """
     lattice = canonical_lattice(lattice)
     side = np.ceil(np.clip(_TILES_A_SIDE * tile_box(lattice), *_SIDES)).astype(int)
     shape = (int(side[1]), int(side[0]))
-    draws = []
-    for k in range(DRAWS):
-        draw = again(shape, FIRST_DRAW + k)
-        if draw is None or draw.ideal is None:
-            raise ValueError(f"the texture's model gave no fresh draw of {shape[1]}x{shape[0]} px with an ideal image")
-        draws.append(draw)
-    whole = draws[0].ideal
-    assert whole is not None
+    draws = [draw_fresh_texture(again, shape, FIRST_DRAW + k) for k in range(DRAWS)]
+    whole = ideal_of(draws[0])
     bending = Bending.of([quantize(draw.image) for draw in draws], MeanTile.of(whole, lattice.reduced()))
     straight = [bending.straighten(one) for one in bending.references]
     folded = [_fold_departures(one, whole, lattice) for one in straight]
@@ -150,10 +171,7 @@ def bent_reference_from_model(truth: Texture, lattice: Lattice, again: Again) ->
     def ideal(wanted: Shape) -> Values:
         if wanted[0] <= shape[0] and wanted[1] <= shape[1]:
             return np.asarray(whole[: wanted[0], : wanted[1]])
-        large = again(wanted, FIRST_DRAW)
-        if large is None or large.ideal is None:
-            raise ValueError(f"the texture's model gave no fresh draw of {wanted[1]}x{wanted[0]} px")
-        return large.ideal
+        return ideal_of(draw_fresh_texture(again, wanted, FIRST_DRAW))
 
     periodic = Periodic(lattice, ideal, variance)
     regular = float(whole.var((0, 1), dtype=np.float64).mean())
@@ -363,14 +381,13 @@ class BentVerdict(Verdict):
 
     def compare_limits(self) -> dict[str, float]:
         """Return the ratio of each fault to its limit; above 1 regularity is lost."""
-        usual = max(1 - one.reliable_share for one in self.bending.references)
         tolerance = self.amplitude_tolerance
         usual_faults = super().compare_limits()
         return {
             **{name: excess * limits.BENT_FACTORS.get(name, 1.0) for name, excess in usual_faults.items()},
             "phase step": float(self.line_excess.max(initial=0.0)),
             "patch": float(self.patch_excess.max(initial=0.0)),
-            "not tracked": self.untracked_share / (limits.MISPLACED_SHARE + 2 * usual),
+            "not tracked": self.untracked_share / (limits.MISPLACED_SHARE + 2 * self.bending.usual_untracked),
             "amplitude": math.log(max(self.amplitude_ratio, 1e-6)) / tolerance,
             "roughness": math.log(max(self.roughness_ratio, 1e-6)) / tolerance if not self.too_regular else 0.0,
         }

@@ -11,7 +11,7 @@ from nrbench.plugins.forms import Observation
 
 from ..ncc.periodic import WINDOW_TILES, window_shape
 from .bent import BentReference, bent_reference_from_model, compute_bent_verdict
-from .reference import LATTICE_UNCERTAINTY, KnownLattice, Reference, find_known_lattice, make_reference
+from .reference import LATTICE_UNCERTAINTY, KnownLattice, NoFreshDraw, Reference, find_known_lattice, make_reference
 from .verdict import Verdict, compute_verdict
 
 _BENT_KINDS = ("II", "III")
@@ -41,11 +41,10 @@ class Examination:
         reason = self.known_lattice.reason or self._find_small_picture()
         if reason:
             return reason
-        truth, again, lattice = self.observation.truth, self.observation.again, self.known_lattice.lattice
-        if self.known_lattice.origin == "model" and truth is not None and truth.kind in _BENT_KINDS:
-            assert lattice is not None and again is not None
-            return bent_reference_from_model(truth, lattice, again)
-        return make_reference(self.observation, self.known_lattice)
+        try:
+            return self._make_reference()
+        except NoFreshDraw as without:
+            return str(without)
 
     @cached_property
     def verdict(self) -> Verdict | str:
@@ -53,12 +52,22 @@ class Examination:
         if isinstance(self.reference, str):
             return self.reference
         output, reference = self.observation.output, self.reference
-        verdict = (
-            compute_bent_verdict(output, reference)
-            if isinstance(reference, BentReference)
-            else compute_verdict(output, reference)
-        )
+        try:
+            verdict = (
+                compute_bent_verdict(output, reference)
+                if isinstance(reference, BentReference)
+                else compute_verdict(output, reference)
+            )
+        except NoFreshDraw as without:  # one as large as the output is drawn here
+            return str(without)
         return verdict.obstacle or verdict
+
+    def _make_reference(self) -> Reference:
+        truth, again, lattice = self.observation.truth, self.observation.again, self.known_lattice.lattice
+        if self.known_lattice.origin == "model" and truth is not None and truth.kind in _BENT_KINDS:
+            assert lattice is not None and again is not None
+            return bent_reference_from_model(truth, lattice, again)
+        return make_reference(self.observation, self.known_lattice)
 
     def _find_small_picture(self) -> str:
         """Return the reason if the output or the sample is smaller than a window; empty if none is.

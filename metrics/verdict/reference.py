@@ -282,23 +282,27 @@ def _subtract_blur(image: Values, sigma: float) -> Values:
 
 
 def reference_from_model(truth: Texture, lattice: Lattice, again: Again) -> Reference:
-    """Return the reference of a texture whose model is known."""
+    """Return the reference of a texture whose model is known; raise :class:`NoFreshDraw` without fresh draws."""
     lattice = canonical_lattice(lattice)
     box = tile_box(lattice)
     side = np.ceil(np.maximum(np.clip(LARGE * box, *_SIDES), _LEAST_TILES_A_SIDE * box)).astype(int)
     shape = (int(side[1]), int(side[0]))
-    draws = [_draw(again, shape, FIRST_DRAW + k) for k in range(DRAWS)]
-    departures = mean_channels(np.mean([(draw.image - _ideal(draw)) ** 2 for draw in draws], 0))[..., np.newaxis]
+    draws = [draw_fresh_texture(again, shape, FIRST_DRAW + k) for k in range(DRAWS)]
+    departures = mean_channels(np.mean([(draw.image - ideal_of(draw)) ** 2 for draw in draws], 0))[..., np.newaxis]
     variance = fold(departures, lattice)
 
     def ideal(wanted: Shape) -> Values:
         enough = wanted[0] <= shape[0] and wanted[1] <= shape[1]
-        return _ideal(draws[0])[: wanted[0], : wanted[1]] if enough else _ideal(_draw(again, wanted, FIRST_DRAW))
+        return (
+            ideal_of(draws[0])[: wanted[0], : wanted[1]]
+            if enough
+            else ideal_of(draw_fresh_texture(again, wanted, FIRST_DRAW))
+        )
 
     periodic = Periodic(lattice, ideal, variance)
     share = truth.regular_share
     if share is None:
-        share = _regular_share(_ideal(draws[0]), float(departures.mean()))
+        share = _regular_share(ideal_of(draws[0]), float(departures.mean()))
     images = tuple(ReferenceImage(quantize(draw.image), periodic) for draw in draws)
     return Reference("model", periodic, images, share, KnownLattice(lattice, "model"))
 
@@ -428,14 +432,20 @@ def _regular_share(ideal: Values, departures: float) -> float:
     return regular / max(regular + departures, 1e-12)
 
 
-def _draw(again: Again, shape: Shape, k: int) -> Texture:
+class NoFreshDraw(Exception):
+    """The dataset of a texture gave no fresh draw, or one without its ideal image; the message is the reason."""
+
+
+def draw_fresh_texture(again: Again, shape: Shape, k: int) -> Texture:
+    """Return a fresh draw; raise :class:`NoFreshDraw` if the dataset gives none."""
     draw = again(shape, k)
     if draw is None:
-        raise ValueError(f"the texture's model gave no fresh draw of {shape[1]}x{shape[0]} px")
+        raise NoFreshDraw(f"not applicable: the texture's dataset gives no fresh draw of {shape[1]}x{shape[0]} px")
     return draw
 
 
-def _ideal(texture: Texture) -> Values:
-    if texture.ideal is None:
-        raise ValueError(f"texture {texture.name!r}: a fresh draw came without its ideal image")
-    return texture.ideal
+def ideal_of(draw: Texture) -> Values:
+    """Return the ideal image of a fresh draw; raise :class:`NoFreshDraw` if it has none."""
+    if draw.ideal is None:
+        raise NoFreshDraw("not applicable: the fresh draws of the texture's dataset have no ideal image")
+    return draw.ideal

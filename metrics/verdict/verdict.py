@@ -384,9 +384,10 @@ class Verdict:
         """Reason why output and reference cannot be compared; empty if they can."""
         if self.reference.regular_share < limits.NO_SHARE:
             return f"undecided: the lattice explains {self.reference.regular_share:.0%} of the sample's variance"
-        for name, images in (("output", (self.output,)), (self.reference.source, self.references)):
+        draws = f"{self._reference_name} {'are' if self.reference.source == 'model' else 'is'}"
+        for subject, images in (("output is", (self.output,)), (draws, self.references)):
             if not all(len(image.windows.corners) and image.tiles.whole.any() for image in images):
-                return f"undecided: the {name} is smaller than a window of 2 tiles"
+                return f"undecided: the {subject} smaller than a window of 2 tiles"
         return ""
 
     @property

@@ -311,8 +311,13 @@ def _data_bytes() -> int:
 
 
 def die_with_parent() -> None:
-    """Ask the kernel to kill the calling process when its parent dies (Linux)."""
+    """Let the kernel kill the calling process when the thread that started it ends (Linux)."""
     _prctl(1, signal.SIGKILL)
+
+
+def outlive_parent() -> None:
+    """Undo :func:`die_with_parent`."""
+    _prctl(1, 0)
 
 
 def _prctl(option: int, value: int) -> None:

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 import uuid
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -167,17 +167,22 @@ def warm(compiling: Callable[[], None]) -> None:
     load_kernels(compiling)
 
 
-@contextlib.contextmanager
-def _ends_with_parent() -> Iterator[None]:
-    """Leave the process if its parent dies; a worker that serves requests notices it by the end of its input."""
-    parent = os.getppid()
-    before = signal.signal(signal.SIGALRM, lambda number, frame: os.getppid() == parent or os._exit(0))
-    signal.setitimer(signal.ITIMER_REAL, 0.5, 0.5)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+def _die_with_parent(out: int) -> None:
+    """Let the kernel kill this process when the thread that started it ends; leave if its process has ended already.
+
+    No signal handler of Python would do, because none runs while a kernel is compiled, which takes minutes.
+
+    Parameters
+    ----------
+    out
+        The pipe to the process that started this one.
+    """
+    guard.die_with_parent()
+    if sys.platform.startswith("linux"):
+        poll = select.poll()
+        poll.register(out, 0)
+        if poll.poll(0):  # nobody reads it any more
+            os._exit(0)
 
 
 def may_fork() -> bool:
@@ -301,10 +306,10 @@ def main() -> None:
     def write(line: str) -> None:
         out.write(line + "\n")
 
+    _die_with_parent(out.fileno())
     for file in [argument for argument in arguments if not argument.startswith("--")]:
         plugins.add_file(file)
     if "--once" in arguments:
-        guard.die_with_parent()
         request = Request.from_json(sys.stdin.readline())
         try:
             _use_temporary(request.temporary)
@@ -317,7 +322,7 @@ def main() -> None:
         os._exit(0)
     guard.adopt_orphans()
     if may_fork():
-        with _ends_with_parent():
-            warm(lambda: write(json.dumps({"compiling": True})))
+        warm(lambda: write(json.dumps({"compiling": True})))
+    guard.outlive_parent()  # the end of its input ends it from here on, whatever thread of the parent uses it
     write(json.dumps({"fork": may_fork()}))  # again, because a plugin may have started a thread
     serve(sys.stdin, write)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
+from nrbench.datasets_procedural.jigsaw import Jigsaw
+from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.datasets_procedural.overlap import Overlap
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.bending.covariance import Correlogram, Covariance, SampledField, Variogram
@@ -107,6 +112,24 @@ def test_a_step_in_a_field_is_found_and_measured() -> None:
     assert lines.distance[lines.statistic.argmax()] == pytest.approx(0.25, abs=0.08)
 
 
+def test_an_affine_part_of_a_field_is_no_fault() -> None:
+    """Slopes of 4 % hardly change the statistics of lines and patches, and kriging continues them."""
+    rng = np.random.default_rng(3)
+    covariance = Covariance.fit(Correlogram.of([sine_waves(rng) for _ in range(6)]))
+    field = sine_waves(rng)
+    slopes = np.array([[0.04, 0.01], [-0.02, -0.04]])
+    steep = replace(field, displacement=field.displacement + field.places @ slopes)
+    for usual, found in zip(
+        (measure_faults(field, covariance).lines, measure_faults(field, covariance).patches),
+        (measure_faults(steep, covariance).lines, measure_faults(steep, covariance).patches),
+        strict=True,
+    ):
+        assert found.statistic.max() < 1.3 * usual.statistic.max() + 1
+    beyond = field.places[-1, -1][np.newaxis] + 2
+    change = smooth_field(steep, covariance, beyond) - smooth_field(field, covariance, beyond)
+    assert change[0] == pytest.approx((beyond @ slopes)[0], abs=0.05)
+
+
 def test_outliers_are_dropped_and_predicted() -> None:
     """Nodes on wrong places are dropped, and kriging predicts their displacements from the others."""
     rng = np.random.default_rng(2)
@@ -161,6 +184,14 @@ def test_a_straightened_output_has_lost_randomness() -> None:
     assert Randomness().score(fresh()).values["score"] > 0.9
 
 
+def test_an_output_on_a_slightly_larger_lattice_has_no_phase_step() -> None:
+    """Where all tiles are 4 % larger, as in a continued sample whose lattice departs, no step is found."""
+    large = draw((SIDE, SIDE), 9).image
+    zoomed = np.clip(ndimage.zoom(large, (1.04, 1.04, 1), order=3)[:SIDE, :SIDE], 0, 1).astype(np.float32)
+    score = Regularity().score(observe(zoomed))
+    assert score.values["preserved"] is True and score.records["excess"]["phase step"] < 1
+
+
 def test_places_are_mapped_to_the_output() -> None:
     """The straightened output shows at a place what the output shows at the place that it is mapped to."""
     reference = examine(fresh()).reference
@@ -195,3 +226,40 @@ def test_an_output_without_the_displacements_of_bend_1_is_too_regular() -> None:
     score = Regularity().score(observe_strong(straightened))
     assert score.values["preserved"] is True and score.records["displacements"]["too_regular"] is True
     assert Randomness().score(observe_strong(straightened)).values["score"] < 0.4
+
+
+def observe_model(model: Model, make_output: Callable[[Image], Image], side: int) -> Observation:
+    """Return an observation of an output that is made of a fresh draw of a model, ``side`` px wide and high."""
+    truth = model.render((128, 128), np.random.default_rng(11))
+    truth = replace(truth, image=quantize(truth.image))
+
+    def again(shape: Shape, k: int) -> Texture:
+        return model.again(truth, shape, np.random.default_rng([12, k]))
+
+    output = quantize(make_output(again((side, side), 0).image))
+    return Observation(truth.image, output, truth, again=again)
+
+
+def shuffle_patches(image: Image) -> Image:
+    """Return an image of random patches of 24 x 24 px of an image whose sides are multiples of 24 px."""
+    rng, (height, width) = np.random.default_rng(13), image.shape[:2]
+    result = np.empty_like(image)
+    for y in range(0, height, 24):
+        for x in range(0, width, 24):
+            v, u = rng.integers(0, height - 23), rng.integers(0, width - 23)
+            result[y : y + 24, x : x + 24] = image[v : v + 24, u : u + 24]
+    return result
+
+
+def test_rubble_is_lost_although_its_displacement_is_unknown() -> None:
+    """Random patches of a texture of large bent tiles are lost: nothing of the output is left out of the verdict."""
+    score = Regularity().score(observe_model(Jigsaw(color=0.2, noise=0.03, bend=0.5), shuffle_patches, 192))
+    assert score.values["preserved"] is False
+    assert any(fault.startswith("the tile was not found") for fault in score.records["faults"])
+
+
+def test_a_cell_larger_than_the_fresh_draws_is_undecided() -> None:
+    """A bent texture whose fresh draws hold no two tiles gives a reason instead of an error."""
+    score = Regularity().score(observe_model(Overlap(color=0.2, bend=0.5), lambda image: image, 400))
+    assert score.values["preserved"] is None
+    assert score.reasons["preserved"] == "undecided: the fresh draws are smaller than a window of 2 tiles"

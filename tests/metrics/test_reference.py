@@ -12,6 +12,7 @@ from nrbench.metrics.verdict.limits import SURE_SHARE
 from nrbench.metrics.verdict.reference import DRAWS, Reference, fold_reference, reference_from_sample
 from nrbench.metrics.verdict.verdict import compute_verdict
 from nrbench.plugins.forms import Observation, Texture
+from nrbench.running.phases import score_observation
 
 from .conftest import MODELS, Case
 
@@ -72,6 +73,25 @@ def test_a_truth_without_a_lattice_has_no_reference(case: Cases) -> None:
     observation = case("brick").observe(case("brick").fresh())
     for truth in (Texture(observation.sample), None):
         assert examine(replace(observation, truth=truth)).reference == "not applicable: no lattice in the truth"
+
+
+@pytest.mark.parametrize("model", ["brick", "bent"])
+@pytest.mark.parametrize("largest", [0, 400])
+def test_without_fresh_draws_nothing_is_scored(model: str, largest: int) -> None:
+    """A dataset that gives no fresh draw, or none as large as the output, leaves columns None with that reason."""
+    wall = Brick(color=0.2, bend=0.3 if model == "bent" else 0.0)
+    drawn = wall.render((128, 128), np.random.default_rng(0))
+    output = wall.render((480, 480), np.random.default_rng(1)).image
+
+    def again(shape: tuple[int, int], k: int) -> Texture | None:
+        return wall.again(drawn, shape, np.random.default_rng(k)) if max(shape) <= largest else None
+
+    observation = Observation(quantize(drawn.image), quantize(output), drawn, drawn.lattice, again=again)
+    small = ("regularity", "quality") if not largest else ()  # these use draws that are smaller than the output
+    for name in ("integrity", "randomness", *small):
+        score = score_observation(observation, name)
+        assert set(score.values.values()) == {None}, name
+        assert all("no fresh draw" in reason for reason in score.reasons.values()), (name, score.reasons)
 
 
 def test_each_part_of_a_sample_is_compared_with_the_rest(case: Cases) -> None:

@@ -82,6 +82,8 @@ def misbehave(how: str) -> None:
 
 
 kept: list[mmap.mmap] = []
+MISJUDGED = "misjudged"
+"""The extra of an output on which the metrics below misbehave. A run that names no metrics scores by all of them."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ class Rogue:
             return Synthesis(good.image.astype(object))
         if self.how == "integers":
             return Synthesis((255 * good.image).astype(np.uint8))
-        return good
+        return dataclasses.replace(good, extras={MISJUDGED: np.ones(1)})
 
 
 @dataclass(frozen=True)
@@ -132,10 +134,12 @@ class Follower:
 
 
 def make_judge(how: str) -> type:
-    """Return a metric that does to its process what ``how`` says, and then scores 1."""
+    """Return a metric that does to its process what ``how`` says for the outputs of ``rogue``, and then scores 1."""
 
     def score(self: Any, observation: Observation) -> Score:
         """Misbehave."""
+        if MISJUDGED not in observation.extras:
+            return Score({"value": 1.0})
         misbehave(how)
         if how == "mutate":
             observation.output[...] = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -20,9 +21,9 @@ MakeExecutor = Callable[..., AbstractContextManager[Executor]]
 
 
 @pytest.fixture(scope="session")
-def supervisors() -> Iterator[list[Supervisor]]:
-    """Start two workers, which know the plugins that misbehave."""
-    with ExitStack() as stack:
+def supervisors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Supervisor]]:
+    """Start two workers, which know the plugins that misbehave, in a folder for what these leave there."""
+    with ExitStack() as stack, contextlib.chdir(tmp_path_factory.mktemp("workers")):
         started = [stack.enter_context(Supervisor()) for _ in range(2)]
         with registered_faults(), ThreadPoolExecutor(2) as threads:
             assert all(threads.map(Supervisor._start, started))

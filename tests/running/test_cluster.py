@@ -14,7 +14,7 @@ from typing import Any
 import psutil
 import pytest
 from faults import registered_faults
-from machines import machines
+from machines import Machines, machines
 
 from nrbench.api import run
 from nrbench.cli.main import main
@@ -102,6 +102,15 @@ def test_a_run_survives_its_workers(tmp_path: Path) -> None:
                 run(suite, out=tmp_path / "other", options=options)
 
 
+def kill_once_connected(made: Machines, root: Path) -> None:
+    """Kill the scheduler a moment after a run has connected to it, however long that takes."""
+    deadline = time.monotonic() + 60
+    while not list(root.glob(f"{cluster.TOKEN}*")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(1.0)
+    made.processes["scheduler"].kill()
+
+
 def test_a_cluster_that_dies_ends_the_run(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,7 +132,7 @@ def test_a_cluster_that_dies_ends_the_run(
         assert "3 of 3 cells" in seen.err
         assert len(seen.err.splitlines()) == 3
         assert "3 missing" in seen.out
-        threading.Timer(2.0, made.processes["scheduler"].send_signal, [signal.SIGKILL]).start()
+        threading.Thread(target=kill_once_connected, args=(made, tmp_path / "run"), daemon=True).start()
         start = time.monotonic()
         with pytest.raises(SystemExit) as left:
             main(words)
@@ -155,9 +164,12 @@ def test_a_run_that_is_stopped_takes_its_jobs_back(tmp_path: Path) -> None:
             stdout=subprocess.DEVNULL,
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         )
-        while running.poll() is None and not list(tmp_path.glob("run/cells/*/log.txt")):
+        deadline = time.monotonic() + 120
+        while running.poll() is None and "asleep\n" not in [
+            log.read_text() for log in tmp_path.glob("run/cells/*/log.txt")
+        ]:
+            assert time.monotonic() < deadline
             time.sleep(0.05)
-        time.sleep(0.3)
         worker = psutil.Process(made.processes["only"].pid)
         children = worker.children(recursive=True)
         running.send_signal(signal.SIGINT)

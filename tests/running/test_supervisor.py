@@ -158,6 +158,7 @@ def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
         assert [cell.status for cell in Run(done.root).cells] == ["ok"]
 
 
+@pytest.mark.usefixtures("warm_workers")
 def test_an_output_that_was_changed_is_not_scored(faulty_run: FaultyRun) -> None:
     """Scores are of the pixels that the method returned: an output that another program overwrote gets none.
 
@@ -320,7 +321,9 @@ def test_an_interrupted_run_ends_at_once_and_resumes(
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # where the tests run in the background
     )
     cells = tmp_path / "run" / "cells"
+    deadline = time.monotonic() + 120
     while running.poll() is None and [log.read_text() for log in cells.glob("*/log.txt")] != ["asleep\n"] * 2:
+        assert time.monotonic() < deadline
         time.sleep(0.02)
     children = psutil.Process(running.pid).children(recursive=True)
     running.send_signal(signal.SIGINT)
@@ -375,6 +378,28 @@ def test_the_worker_has_one_thread(supervisors: list[Supervisor]) -> None:
     for supervisor in supervisors:
         assert supervisor._forks and supervisor._worker is not None
         assert len(list(Path(f"/proc/{supervisor._worker.pid}/task").iterdir())) == 1
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="asks the kernel of Linux")
+def test_a_worker_that_starts_ends_with_its_run(tmp_path: Path) -> None:
+    """A worker that is busy in compiled code, where no signal handler runs, ends when its run is killed."""
+    (tmp_path / "slow.py").write_text("from pathlib import Path\nPath('busy').touch()\nsum(range(10**12))\n")
+    program = (
+        "from pathlib import Path\nfrom nrbench.plugins import registry\n"
+        "from nrbench.running.supervisor import Supervisor\n"
+        "registry._files[Path('slow.py').resolve()] = []\n"
+        "Supervisor()._start()\n"
+    )
+    running = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path)
+    deadline = time.monotonic() + 60
+    while running.poll() is None and not (tmp_path / "busy").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    children = psutil.Process(running.pid).children(recursive=True)
+    running.kill()
+    running.wait()
+    assert children
+    assert not psutil.wait_procs(children, timeout=5)[1]
 
 
 @pytest.mark.usefixtures("faulty")

@@ -57,6 +57,8 @@ def prominences(surface: NDArray[np.int32], order: NDArray[np.int64]) -> NDArray
             continue
         highest = pixel if highest < 0 else highest
         parent[pixel] = pixel
+        # The root of a region is its peak: the pixel that was added first.
+        one = pixel
         for step in range(9):
             near_y, near_x = y + step // 3 - 1, x + step % 3 - 1
             if near_x < 0 or (near_x == 0 and near_y < middle):
@@ -66,8 +68,7 @@ def prominences(surface: NDArray[np.int32], order: NDArray[np.int64]) -> NDArray
             near = near_y * columns + near_x
             if parent[near] < 0:
                 continue
-            # The root of a region is its peak: the pixel that was added first.
-            one, other = root(parent, pixel), root(parent, near)
+            other = root(parent, near)
             if one == other:
                 continue
             if height[one] < height[other] or (height[one] == height[other] and one == pixel):
@@ -76,6 +77,74 @@ def prominences(surface: NDArray[np.int32], order: NDArray[np.int64]) -> NDArray
             parent[other] = one
     found[highest] = height[highest] - height[order[-1]]
     return found.reshape(surface.shape)
+
+
+@kernel("float64(float32[:, ::1], int64, int64)")
+def value_at(gamma: NDArray[np.float32], x: int, y: int) -> float:
+    """Return the correlation at a whole lag (x, y) on either half-plane, given the right half, ``(2H-1, W)``."""
+    middle = gamma.shape[0] // 2
+    return float(gamma[middle - y, -x]) if x < 0 else float(gamma[middle + y, x])
+
+
+@kernel("float64(float64, float64, float64)")
+def vertex(before: float, middle: float, after: float) -> float:
+    """Return the position of the vertex of the parabola through samples at -1, 0 and 1; 0 if 0 is no maximum."""
+    bend = 2 * middle - before - after
+    if middle < before or middle < after or bend <= 0:
+        return 0.0
+    return min(max((after - before) / 2 / max(bend, 1e-12), -0.5), 0.5)
+
+
+@kernel("float64[:, ::1](float32[:, ::1], float64[:, ::1], float64[::1], int64, float64)")
+def follow_multiples(
+    gamma: NDArray[np.float32],
+    vectors: NDArray[np.float64],
+    reach: NDArray[np.float64],
+    most: int,
+    near: float,
+) -> NDArray[np.float64]:
+    """Fit each vector to the peaks at its multiples, from the nearest one to the first that is missing.
+
+    Parameters
+    ----------
+    gamma
+        The right half of an autocorrelation, ``(2H-1, W)``.
+    vectors
+        ``(n, 2)``, (x, y) px.
+    reach
+        Largest lag along x and y, px; at least 2 px less than the sides.
+    most
+        Number of the last multiple.
+    near
+        px; the peak of a multiple is the sub-pixel position of the highest of the nine lags around it. It is missing if
+        it lies further away than this along x or y.
+
+    Returns
+    -------
+    NDArray
+        ``(n, 2)``: the vectors that fit best to these peaks, by least squares.
+    """
+    fitted = vectors.copy()
+    for i in range(vectors.shape[0]):
+        product_x, product_y, squares = vectors[i, 0], vectors[i, 1], 1.0
+        for k in range(2, most + 1):
+            x, y = k * fitted[i, 0], k * fitted[i, 1]
+            if not (abs(x) <= reach[0] and abs(y) <= reach[1]):
+                break
+            column, row = int(np.rint(x)), int(np.rint(y))
+            best, best_x, best_y = -np.inf, column - 1, row - 1
+            for step in range(9):
+                value = value_at(gamma, column + step % 3 - 1, row + step // 3 - 1)
+                if value > best:
+                    best, best_x, best_y = value, column + step % 3 - 1, row + step // 3 - 1
+            left, right = value_at(gamma, best_x - 1, best_y), value_at(gamma, best_x + 1, best_y)
+            above, below = value_at(gamma, best_x, best_y - 1), value_at(gamma, best_x, best_y + 1)
+            peak_x, peak_y = best_x + vertex(left, best, right), best_y + vertex(above, best, below)
+            if not (abs(peak_x - x) <= near and abs(peak_y - y) <= near):
+                break
+            product_x, product_y, squares = product_x + k * peak_x, product_y + k * peak_y, squares + k * k
+            fitted[i, 0], fitted[i, 1] = product_x / squares, product_y / squares
+    return fitted
 
 
 @kernel("float64[::1](float32[:, ::1], int64[::1])")

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.peak_kernels import prominences
+from nrbench.detectors.autocorrelation.peak_kernels import follow_multiples, prominences
 from nrbench.imaging.correlation import Correlation
 from nrbench.imaging.parabola import find_vertex
 from nrbench.lattice.geometry import Points
@@ -55,7 +55,9 @@ def find_peaks(gamma: Correlation, reach: tuple[int, int]) -> Peaks:
     """
     middle, (x_end, y_end) = gamma.shape[0] // 2, reach
     surface = quantize_correlation(gamma[middle - y_end - 1 : middle + y_end + 2, : x_end + 2])
-    order = np.argsort(-surface.ravel(), kind="stable")
+    # Height and index make one number, because numpy sorts numbers faster than it sorts indices by height.
+    indices = np.arange(surface.size, dtype=np.int64)
+    order = np.sort((-surface.ravel().astype(np.int64) << 32) | indices) & 0xFFFFFFFF
     heights = prominences(surface, order)
     y, x = np.nonzero((heights > 0) & (surface > 0))
     lags = np.stack([x, y - y_end - 1], 1)
@@ -126,16 +128,9 @@ def fit_multiples(gamma: Correlation, vectors: Points, reach: tuple[int, int]) -
     reach
         Largest lag along x and y, px.
     """
-    lengths, fitted, live = np.hypot(*vectors.T), vectors.copy(), np.arange(len(vectors))
-    products, squares = vectors.copy(), np.ones(len(vectors))
-    for k in range(2, int(np.hypot(*reach) / lengths.min(initial=np.inf)) + 1):
-        live = live[(np.abs(k * fitted[live]) <= reach).all(1)]
-        peaks, _ = climb(gamma, k * fitted[live])
-        near = (np.abs(peaks - k * fitted[live]) <= NEAR).all(1)
-        live, peaks = live[near], peaks[near]
-        products[live] += k * peaks
-        squares[live] += k * k
-        fitted[live] = products[live] / squares[live, np.newaxis]
+    lengths = np.hypot(*vectors.T)
+    most = int(np.hypot(*reach) / lengths.min(initial=np.inf)) + 1
+    fitted = follow_multiples(gamma, np.array(vectors, np.float64, order="C"), np.array(reach, np.float64), most, NEAR)
     too_far = np.hypot(*(fitted - vectors).T) > lengths * MAX_SHIFT
     return np.where(too_far[:, np.newaxis], vectors, fitted)
 

@@ -1,0 +1,45 @@
+"""A suite of many cells that cost next to nothing, for benchmarks of what a run adds to its methods and metrics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+PLUGIN = '''
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from nrbench.plugins.forms import Synthesis, Task
+
+
+@dataclass(frozen=True)
+class Trivial:
+    """The sample's first pixels, repeated."""
+
+    number: int = 0
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Repeat them."""
+        return Synthesis(np.resize(np.roll(task.sample, self.number, axis=1), (*task.shape, task.sample.shape[2])))
+'''
+TEXTURES = 10
+"""Samples of the suite; each one has a tenth of the cells."""
+
+
+def write_plugin(folder: Path) -> Path:
+    """Write the file of the method ``trivial``; return its path."""
+    path = folder / "trivial.py"
+    path.write_text(PLUGIN)
+    return path
+
+
+def write_suite(folder: Path, count: int) -> Path:
+    """Write a suite of ``count`` cells of 64 x 64 px, a multiple of :data:`TEXTURES`, scored by their cost alone."""
+    methods = ", ".join(f'"trivial:number={k}"' for k in range(max(1, count // TEXTURES)))
+    rows = (f'{{ name = "wall{k}", dataset = "brick", parameters = {{ color = 0.{k} }} }}' for k in range(TEXTURES))
+    head = 'name = "many"\nsample = "64x64"\nsize = "64x64"\nmetrics = ["cost"]\n'
+    path = folder / "many.toml"
+    path.write_text(f"{head}methods = [{methods}]\ntexture = [{', '.join(rows)}]\n")
+    return path
