@@ -33,7 +33,7 @@ def parse_size(text: Any) -> Shape:
         text = "x".join(str(part) for part in reversed(text))
     width, x, height = str(text).lower().partition("x")
     if not (x and width.isdecimal() and height.isdecimal() and len(width + height) <= 40):
-        raise BadInput(f"size {str(text)[:60]!r}: write WIDTHxHEIGHT in px, e.g. 256x256")
+        raise BadInput(f"size {repr(text)[:60]}: write WIDTHxHEIGHT in px, e.g. 256x256")
     if not (1 <= int(width) <= LARGEST_SIDE and 1 <= int(height) <= LARGEST_SIDE):
         raise BadInput(f"size {text!r}: each side must be from 1 to {LARGEST_SIDE} px")
     return int(height), int(width)

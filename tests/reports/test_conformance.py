@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from conformance import violations
@@ -12,17 +13,18 @@ from nrbench.running import conformance
 
 
 @pytest.fixture(autouse=True, scope="module")
-def one_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def one_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Make the run of the clauses once."""
     made = conformance._make_run(tmp_path_factory.mktemp("reports") / "run")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(conformance, "_make_run", lambda root: made)
-        yield
+        yield made
 
 
 @pytest.mark.parametrize("name", [plugin.name for plugin in plugins.inventory("reports") if plugin.own])
-def test_a_report_conforms(name: str) -> None:
+def test_a_report_conforms(name: str, one_run: Path) -> None:
     """The report fails no clause; that of the terminal alone is printed, and some formats have no markup."""
     slow = ("randomness", "side effects") if name in ("perils", "html") else ()
     skipped = ("terminal", "markup") if name in ("figure", "json", "text") else ("terminal",)
-    assert violations("reports", name, {}, slow, skipped) == []
+    parameters = {"baseline": str(one_run)} if name == "changes" else {}
+    assert violations("reports", name, parameters, slow, skipped) == []
