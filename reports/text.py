@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from io import StringIO
 from pathlib import Path
@@ -174,7 +174,12 @@ def _entry(entry: Entry | None) -> Text:
 
 
 def _estimate(line: SummaryRow, index: int) -> Text:
-    return _estimate_text(line.estimates[index], line.rate)
+    one = line.estimates[index]
+    if one is not None and line.column.range == (0.0, 1.0):
+        # Among shares of 1, less than 0.001 is 0: "1.2e-04" would only make the column wide.
+        numbers = {name: getattr(one, name) for name in ("value", "low", "high")}
+        one = replace(one, **{name: 0.0 for name, value in numbers.items() if value is not None and value < 0.001})
+    return _estimate_text(one, line.rate)
 
 
 def _estimate_text(one: Estimate | None, rate: bool) -> Text:
