@@ -34,7 +34,7 @@ _RAMP = 0.35
 """Standard deviation, in s, of the Gaussian that smooths a step: the window of a node shows both sides of the line."""
 _FREE = 10.0
 """Standard deviation, in s, of the phase of the field. It is free, so any large number serves."""
-_SLOPE = 0.008
+_SLOPE = 0.006
 """Standard deviation of the slopes of an affine part of the field. An output that continues a bent sample has the mean
 lattice of the sample, which departs by some percent from that of the texture; this is no step. A larger deviation costs
 power: a step across an image looks like a slope."""
