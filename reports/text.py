@@ -177,9 +177,12 @@ def _estimate(line: SummaryRow, index: int) -> Text:
     one = line.estimates[index]
     if one is not None and line.column.range == (0.0, 1.0):
         # Among shares of 1, less than 0.001 is 0: "1.2e-04" would only make the column wide.
-        numbers = {name: getattr(one, name) for name in ("value", "low", "high")}
-        one = replace(one, **{name: 0.0 for name, value in numbers.items() if value is not None and value < 0.001})
+        one = replace(one, value=_round_small(one.value), low=_round_small(one.low), high=_round_small(one.high))
     return _estimate_text(one, line.rate)
+
+
+def _round_small(value: float | None) -> float | None:
+    return 0.0 if value is not None and value < 0.001 else value
 
 
 def _estimate_text(one: Estimate | None, rate: bool) -> Text:
