@@ -29,15 +29,22 @@ def write_aside(path: Path, write: Callable[[Path], object]) -> None:
         write(aside)
         aside.replace(path)
     except OSError as error:
-        if error.filename in (
-            None,
-            str(aside),
-            aside,
-        ):  # a full disk names no file; the name beside means nothing to a user
+        # A full disk names no file, and the temporary name means nothing to a user.
+        if error.filename in (None, str(aside), aside):
             error.filename = str(path)
         raise
     finally:
         aside.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file, atomically."""
+    write_aside(path, lambda aside: aside.write_bytes(content))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write text as UTF-8, atomically. What UTF-8 cannot hold, such as half of a surrogate pair, is written escaped."""
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ from nrbench.labelling.labels import content_hash
 from nrbench.labelling.questions import ANSWERS, WHOLE_SCORE
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RUN_FILE
-from nrbench.storage import write_aside
+from nrbench.storage import write_text
 
 from .csv import csv_text, summary_table
 from .latex import bibliography, latex_text
@@ -90,8 +90,8 @@ class HtmlReport:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``report.html`` and return its path."""
-        path, page = directory / "report.html", self.render(run, directory).encode("utf-8", "backslashreplace")
-        write_aside(path, lambda aside: aside.write_bytes(page))
+        path = directory / "report.html"
+        write_text(path, self.render(run, directory))
         return [path]
 
     def render(self, run: Run, directory: Path) -> str:

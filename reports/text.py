@@ -18,7 +18,7 @@ from rich.text import Text
 from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import Run
-from nrbench.storage import write_aside
+from nrbench.storage import write_text
 
 from .statistics.comparison import (
     LEADING_SIGN,
@@ -77,8 +77,8 @@ class TextTable:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``comparison.txt`` and return its path."""
-        path, content = directory / "comparison.txt", self.render(run).encode("utf-8", "backslashreplace")
-        write_aside(path, lambda aside: aside.write_bytes(content))
+        path = directory / "comparison.txt"
+        write_text(path, self.render(run))
         return [path]
 
     def render(self, run: Run) -> str:

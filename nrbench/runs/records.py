@@ -15,7 +15,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column, Value
 from nrbench.runs.store import RUN_FILE, CellFolder, Result, RunDirectory
-from nrbench.storage import read_json, write_aside
+from nrbench.storage import read_json, write_bytes
 from nrbench.suites.cell import Cell
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ class Plot:
         if kind not in ("svg", "pdf", "png"):
             raise BadInput(f"{path}: end the name in .svg, .pdf or .png")
         content = self._render(kind)
-        write_aside(target, lambda aside: aside.write_bytes(content))
+        write_bytes(target, content)
         return target
 
     def _render(self, kind: str) -> bytes:

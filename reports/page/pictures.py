@@ -16,7 +16,7 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from nrbench.storage import write_aside
+from nrbench.storage import write_aside, write_bytes
 
 from ..plots.marks import find_marks
 
@@ -177,7 +177,7 @@ class PictureStore:
         if not file.exists():
             content = make()
             file.parent.mkdir(parents=True, exist_ok=True)
-            write_aside(file, lambda aside: aside.write_bytes(content))
+            write_bytes(file, content)
         self._used.add(name)
         return name
 

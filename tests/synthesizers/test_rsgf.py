@@ -5,7 +5,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from synthesis_cases import FRACTIONAL, noise, places, synthesize
 
@@ -69,6 +69,7 @@ def test_every_seam_continues_exactly(seam: Any, subpixel: bool, deform: float) 
     st.sampled_from([0.0, 1.5]),
     st.integers(0, 99),
 )
+@example((23, 23), 11, 1, 3, "dynamic", False, 1.5, 16)
 def test_what_the_source_map_calls_a_copy_is_one(
     shape: tuple[int, int],
     block: int,
