@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from nrbench.labelling.questions import Question
 from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 
 from ..statistics.comparison import COSTS, Comparison, Method, TextureRow, headline_columns, sort_headlines_first
@@ -54,6 +55,35 @@ class ScoreLine:
     text: str
     meaning: str
     reason: str
+
+
+@dataclass(frozen=True)
+class _ScoreTexts:
+    """The scores of a run as text; what does not depend on the cell is computed once."""
+
+    columns: Mapping[str, Column]
+    meanings: Mapping[str, str]
+    headline: Sequence[str]
+    every: Sequence[str]
+
+    @classmethod
+    def of(cls, run: Run) -> _ScoreTexts:
+        headline = [name for name in headline_columns(run) if name != SCORE]
+        described = {name: describe_column(column) for name, column in {**run.columns, **COSTS}.items()}
+        return cls(run.columns, described, headline, sort_headlines_first(run.columns))
+
+    def select(self, record: CellRecord, names: Iterable[str]) -> list[ScoreLine]:
+        """Return those of the scores that the cell has, and its seconds if they are among ``names``."""
+        lines = []
+        for name in names:
+            if name == "seconds" and record.seconds is not None:
+                lines.append(ScoreLine("time", f"{format_number(record.seconds)} s", self.meanings[name], ""))
+            elif name in record.values:
+                value = record.values[name]
+                unit = f" {self.columns[name].unit}" if self.columns[name].unit and value is not None else ""
+                reason = record.reasons.get(name, "")
+                lines.append(ScoreLine(name, format_number(value) + unit, self.meanings[name], reason))
+        return lines
 
 
 @dataclass(frozen=True)
@@ -190,13 +220,13 @@ def build_gallery(run: Run, comparison: Comparison, pictures: PictureStore) -> l
     titles = [*sort_headlines_first(names), SOURCE_MAP]
     with ThreadPoolExecutor(2) as pool:  # images are decoded and encoded outside of Python's lock
         list(pool.map(lambda record: _lay_over(record, titles, pictures), run.cells))
-    sections = []
+    lines, sections = _ScoreTexts.of(run), []
     for row in comparison.rows:
         replicates: dict[int, list[CellRecord]] = {}
         for entry in row.entries:
             for record in entry.records if entry else ():
                 replicates.setdefault(record.replicate, []).append(record)
-        draws = [_texture_draw(run, comparison.score, titles, pictures, replicates[n]) for n in sorted(replicates)]
+        draws = [_texture_draw(lines, comparison.score, titles, pictures, replicates[n]) for n in sorted(replicates)]
         sections.append(TextureSection(row, draws))
     return sections
 
@@ -212,15 +242,15 @@ def build_disagreement(run: Run, record: CellRecord, question: Question, picture
         layer=pictures.load(record.pictures.get(_DEFECTS.get(question.metric, ""))) if output else None,
         scale=output.scale if output else 1.0,
         explanation=explain_verdict(record, question.column),
-        scores=_score_lines(run, record, names),
+        scores=_ScoreTexts.of(run).select(record, names),
     )
 
 
 def _texture_draw(
-    run: Run, score: str, titles: Sequence[str], pictures: PictureStore, records: Sequence[CellRecord]
+    lines: _ScoreTexts, score: str, titles: Sequence[str], pictures: PictureStore, records: Sequence[CellRecord]
 ) -> TextureDraw:
     sample = next(filter(None, (pictures.load(record.folder / "sample.png") for record in records)), None)
-    figures = [_output_figure(run, record, score, titles, pictures) for record in records]
+    figures = [_output_figure(lines, record, score, titles, pictures) for record in records]
     outputs = [one.output for one in figures if one.output]
     known = next((record.lattice_truth for record in records if record.lattice_truth), None)
     truth = Lattice.from_dict(known).reduced() if known else None
@@ -241,7 +271,7 @@ def _texture_draw(
 
 
 def _output_figure(
-    run: Run, record: CellRecord, score: str, titles: Sequence[str], pictures: PictureStore
+    lines: _ScoreTexts, record: CellRecord, score: str, titles: Sequence[str], pictures: PictureStore
 ) -> OutputFigure:
     known, word = record.values.get(score), verdict(record)
     value = None if known is None else float(known)
@@ -263,8 +293,8 @@ def _output_figure(
         layers=layers,
         insets=insets,
         lattice=_output_lattice(record, (output.height, output.width)) if output else None,
-        headline=_score_lines(run, record, [name for name in headline_columns(run) if name != SCORE]),
-        scores=_score_lines(run, record, sort_headlines_first(run.columns)),
+        headline=lines.select(record, lines.headline),
+        scores=lines.select(record, lines.every),
         valid_baseline=explain_valid_baseline(record),
     )
 
@@ -280,7 +310,7 @@ def _lay_over(
     for index, title in enumerate(titles, 1):
         path = record.pictures.get(title)
         if title == SOURCE_MAP:
-            laid = pictures.source_map(record.folder / "source.npz")
+            laid = pictures.source_map(record.folder / "output.png", record.folder / "source.npz")
         else:
             laid = pictures.overlay(record.folder / "output.png", path)
         if laid:
@@ -306,20 +336,6 @@ def _limiting_peril(record: CellRecord) -> str:
     """Return the peril with the smallest score; empty without a quality, and for a quality of 1."""
     quality = record.values.get(QUALITY)
     return "" if quality is None or quality >= _FULL else str(record.records.get("quality", {}).get("worst", ""))
-
-
-def _score_lines(run: Run, record: CellRecord, names: Iterable[str]) -> list[ScoreLine]:
-    """Return those of the scores that the cell has, and its seconds if they are among ``names``."""
-    lines = []
-    for name in names:
-        if name == "seconds" and record.seconds is not None:
-            lines.append(ScoreLine("time", f"{format_number(record.seconds)} s", describe_column(COSTS[name]), ""))
-        elif name in record.values:
-            column, value = run.columns[name], record.values[name]
-            unit = f" {column.unit}" if column.unit and value is not None else ""
-            reason = record.reasons.get(name, "")
-            lines.append(ScoreLine(name, format_number(value) + unit, describe_column(column), reason))
-    return lines
 
 
 def _method_of(record: CellRecord) -> Method:

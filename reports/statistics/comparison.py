@@ -814,7 +814,8 @@ def headline_columns(run: Run) -> dict[str, Column]:
     """
     columns = describe_scores(run)
     names = HEADLINES if RANKING in columns else HEADLINES_WITHOUT_QUALITY
-    added = [name for name in columns if _is_added(name.partition(".")[0])]
+    added_metrics = {metric for metric in {name.partition(".")[0] for name in columns} if _is_added(metric)}
+    added = [name for name in columns if name.partition(".")[0] in added_metrics]
     return {name: columns[name] for name in (*names, "seconds", *added) if name in columns}
 
 
