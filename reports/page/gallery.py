@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
 from nrbench.labelling.questions import Question
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 
+from ..plots.marks import DEFECTS
 from ..statistics.comparison import COSTS, Comparison, Method, TextureRow, headline_columns, sort_headlines_first
 from ..statistics.format import describe_column, format_number
 from ..statistics.verdicts import MARKS, QUALITY, SCORE, explain_valid_baseline, explain_verdict, verdict
@@ -22,8 +24,8 @@ SAME_LATTICE = 0.05
 SOURCE_MAP = "source map"
 """Name of the layer that shows where in the sample each pixel comes from."""
 _MAX_LOST_SHADE = 3
-_DEFECTS = {"regularity": "regularity.defects", "integrity": "integrity.broken"}
-"""The picture of the defects that a metric finds."""
+_WEAKEST = 4
+"""Number of weak outputs that are shown of a method."""
 _FULL = 0.995
 """From this quality on, which is printed as 1.00, no peril limits an output."""
 
@@ -203,6 +205,58 @@ class TextureSection:
     draws: Sequence[TextureDraw]
 
 
+@dataclass(frozen=True)
+class WeakOutput:
+    """An output among the weakest of a method.
+
+    Parameters
+    ----------
+    texture
+        Name of its texture.
+    record
+        Its cell.
+    verdict, mark
+        As in the comparison.
+    quality
+        Its quality.
+    limit
+        The peril that limits the quality.
+    crop
+        Its worst place.
+    """
+
+    texture: str
+    record: CellRecord
+    verdict: str
+    mark: str
+    quality: float
+    limit: str
+    crop: PagePicture | None
+
+
+@dataclass(frozen=True)
+class MethodFailings:
+    """Where a method fails.
+
+    Parameters
+    ----------
+    method
+        The method.
+    textures
+        Number of textures on which it ran.
+    lost, unfinished
+        The cells of textures on which it lost the lattice, and on which it gave no output: the first of each texture.
+    weakest
+        Its weakest outputs, from the weakest; one for a texture.
+    """
+
+    method: Method
+    textures: int
+    lost: Sequence[CellRecord]
+    unfinished: Sequence[CellRecord]
+    weakest: Sequence[WeakOutput]
+
+
 def score_shade(score: float | None) -> int | None:
     """Return the shade of a score, from 0 (worst) to 10."""
     return None if score is None else round(10 * min(1.0, max(0.0, score)))
@@ -231,6 +285,44 @@ def build_gallery(run: Run, comparison: Comparison, pictures: PictureStore) -> l
     return sections
 
 
+def list_failings(comparison: Comparison, pictures: PictureStore) -> list[MethodFailings]:
+    """Return where each ranked method fails, in the order of the ranking: references fail by their nature."""
+    found = []
+    for place, method in enumerate(comparison.methods):
+        if not method.reference and comparison.summaries[place].rank:
+            cells = [entry.records for row in comparison.rows if (entry := row.entries[place])]
+            found.append(_failings(method, cells, pictures))
+    return found
+
+
+def _failings(method: Method, cells: Sequence[Sequence[CellRecord]], pictures: PictureStore) -> MethodFailings:
+    """Return where a method fails, of its cells on each texture."""
+
+    def first(wanted: Callable[[CellRecord], bool]) -> list[CellRecord]:
+        return [next(filter(wanted, records)) for records in cells if any(map(wanted, records))]
+
+    rated = [
+        min(known, key=lambda pair: pair[0])
+        for records in cells
+        if (known := [(float(value), one) for one in records if (value := one.values.get(QUALITY)) is not None])
+    ]
+    weak = sorted((pair for pair in rated if pair[0] < _FULL), key=lambda pair: pair[0])[:_WEAKEST]
+    return MethodFailings(
+        method,
+        len(cells),
+        lost=first(lambda one: verdict(one) == "lost"),
+        unfinished=first(lambda one: one.status not in ("ok", "missing")),
+        weakest=[_weak_output(record, quality, pictures) for quality, record in weak],
+    )
+
+
+def _weak_output(record: CellRecord, quality: float, pictures: PictureStore) -> WeakOutput:
+    word = verdict(record)
+    layers = [record.pictures[name] for name in DEFECTS if name in record.pictures]
+    crop = pictures.worst_crop(record.folder / "output.png", layers)
+    return WeakOutput(record.texture, record, word, MARKS[word], quality, _limiting_peril(record), crop)
+
+
 def build_disagreement(run: Run, record: CellRecord, question: Question, pictures: PictureStore) -> DisagreementFigure:
     """Return the figure of a cell on which people and the automatic answer to a question differ."""
     output = pictures.load(record.folder / "output.png")
@@ -239,10 +331,17 @@ def build_disagreement(run: Run, record: CellRecord, question: Question, picture
         method=_method_of(record),
         sample=pictures.load(record.folder / "sample.png"),
         output=output,
-        layer=pictures.load(record.pictures.get(_DEFECTS.get(question.metric, ""))) if output else None,
+        layer=pictures.load(_defects_of(record, question.metric)) if output else None,
         scale=output.scale if output else 1.0,
         explanation=explain_verdict(record, question.column),
         scores=_ScoreTexts.of(run).select(record, names),
+    )
+
+
+def _defects_of(record: CellRecord, metric: str) -> Path | None:
+    """Return the picture of the defects that a metric found; None if it has none."""
+    return next(
+        (record.pictures[name] for name in DEFECTS if name.startswith(f"{metric}.") and name in record.pictures), None
     )
 
 

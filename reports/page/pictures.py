@@ -9,7 +9,7 @@ import os
 import shutil
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 
 from nrbench.storage import write_aside, write_bytes
 
-from ..plots.marks import find_marks
+from ..plots.marks import find_marks, worst_place
 
 SMALLEST, LARGEST = 192, 384
 """Widths on the page, px: smaller pictures are magnified, larger ones are reduced."""
+CROP = 96
+"""Side of the magnified part of a weak output, px."""
 FOLDER = "pictures"
 """The folder beside the page with the small copies and the files for zooming."""
 EMBEDDED = 7_000_000
@@ -160,6 +162,24 @@ class PictureStore:
         except _UNREADABLE:
             return None
 
+    def worst_crop(self, output: Path, layers: Sequence[Path]) -> PagePicture | None:
+        """Return the square of an output with the most marks of defects, its middle without marks; None if unreadable.
+
+        Parameters
+        ----------
+        output
+            The output.
+        layers
+            Pictures of defects over the output; the first with any marks decides.
+        """
+        try:
+            digest, size = self._identify(output)
+            side = min(CROP, *size)
+            name = f"{_name('crop', digest, *(self._identify(layer)[0] for layer in layers))}.webp"
+            return PagePicture(self._kept(name, lambda: _crop(_decode(output, digest), layers, side)), side, side)
+        except _UNREADABLE:
+            return None
+
     def sweep(self) -> None:
         """Remove the files of pictures that the page no longer has."""
         folder = self.directory / FOLDER
@@ -220,6 +240,17 @@ def _decode(path: Path, digest: str) -> Pixels:
 def _pixels(path: Path) -> Pixels:
     with PIL.Image.open(path) as image:
         return np.asarray(image.convert("RGB"))
+
+
+def _crop(output: Pixels, layers: Sequence[Path], side: int) -> bytes:
+    height, width = output.shape[:2]
+    x, y = worst_place(output, [_pixels(layer) for layer in layers], side) or (
+        (width - side) // 2,
+        (height - side) // 2,
+    )
+    file = io.BytesIO()
+    PIL.Image.fromarray(output[y : y + side, x : x + side]).save(file, "WEBP", quality=_QUALITY, method=2)
+    return file.getvalue()
 
 
 def _shrink(pixels: Pixels, lossless: bool) -> bytes:

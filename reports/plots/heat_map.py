@@ -76,7 +76,7 @@ def _figure(comparison: Comparison) -> Figure:
 def _draw_fields(axes: Axes, fields: Sequence[tuple[float, float, Any, Any]]) -> None:
     """Draw all fields as one artist: a run can have thousands."""
     corners = np.array([(0.5, 0.5), (_SIDE - 0.5, 0.5), (_SIDE - 0.5, _SIDE - 0.5), (0.5, _SIDE - 0.5)])
-    squares = [corners + (x, y) for x, y, _, _ in fields]
+    squares = [corners + np.array([x, y]) for x, y, _, _ in fields]
     axes.add_collection(
         PolyCollection(squares, facecolors=[one[2] for one in fields], edgecolors=[one[3] for one in fields], lw=0.5)
     )
