@@ -7,6 +7,7 @@ import difflib
 import inspect
 import re
 from collections.abc import Collection, Iterable, Mapping
+from functools import cache
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from nrbench.errors import BadInput
@@ -131,11 +132,17 @@ def converted(cls: type[Any], parameters: Mapping[str, Any], where: str) -> dict
     """
     if not parameters:
         return {}
+    fields = _adapters(cls)
+    return {key: _convert(fields, key, value, where) for key, value in parameters.items()}
+
+
+@cache
+def _adapters(cls: type[Any]) -> Mapping[str, TypeAdapter[Any]]:
+    """Return what converts a value to the declared type of each field. It takes milliseconds to make."""
     from pydantic import TypeAdapter
 
     hints = get_type_hints(cls)
-    fields = {field.name: TypeAdapter(hints[field.name]) for field in dataclasses.fields(cls)}
-    return {key: _convert(fields, key, value, where) for key, value in parameters.items()}
+    return {field.name: TypeAdapter(hints[field.name]) for field in dataclasses.fields(cls)}
 
 
 def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
