@@ -31,7 +31,7 @@ from nrbench.jit import load_kernels
 from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import read_json
+from nrbench.storage import leave_user_folder, read_json
 
 LONGEST = 70
 """Bytes of the path of a folder of temporary files; Python's ``multiprocessing`` adds up to 35 for its sockets."""
@@ -44,6 +44,17 @@ DEFERRED = (
     *("encodings.ascii", "pydantic.type_adapter"),
 )
 """Modules that libraries import on first use. A worker imports them before it forks, not each of its children."""
+
+
+def _working_folder() -> str:
+    try:
+        return str(Path.cwd())
+    except FileNotFoundError:  # somebody has removed it
+        return tempfile.gettempdir()
+
+
+def _new_temporary_path() -> str:
+    return str(Path(tempfile.gettempdir(), f"nrbench-{uuid.uuid4().hex[:12]}"))
 
 
 @dataclass(frozen=True)
@@ -60,8 +71,10 @@ class Request:
         Limits, see :class:`~nrbench.running.guard.Limits`.
     metrics
         The metrics of the phase ``score``.
-    name
-        The name of the folder of temporary files where the cell's folder has a long path.
+    user_folder
+        The folder in which the user started nrbench: relative paths in parameters start from there.
+    elsewhere
+        The folder of temporary files where the cell's folder has a long path.
     """
 
     phase: Literal["render", "detect", "synthesize", "score", "report", "check"]
@@ -69,7 +82,8 @@ class Request:
     seconds: float
     mib: float
     metrics: tuple[str, ...] = ()
-    name: str = dataclasses.field(default_factory=lambda: f"nrbench-{uuid.uuid4().hex[:12]}")
+    user_folder: str = dataclasses.field(default_factory=_working_folder)
+    elsewhere: str = dataclasses.field(default_factory=_new_temporary_path)
 
     @property
     def log(self) -> Path:
@@ -83,7 +97,13 @@ class Request:
         It lies in the cell's folder, unless that has a long path: the path of a socket has 107 bytes at most.
         """
         near = Path(self.folder) / "tmp"
-        return near if len(os.fsencode(near)) <= LONGEST else Path(tempfile.gettempdir(), self.name)
+        return near if len(os.fsencode(near)) <= LONGEST else Path(self.elsewhere)
+
+    def settle(self) -> None:
+        """Give the calling process the temporary files and the working directory of the phase."""
+        self.temporary.mkdir(mode=0o700, exist_ok=True)
+        os.environ["TMPDIR"] = tempfile.tempdir = str(self.temporary)
+        leave_user_folder(Path(self.user_folder), self.temporary / "work")
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""
@@ -302,10 +322,12 @@ def _is_own(request: Request) -> bool:
     """
     if request.phase != "score" or not all(plugins.find("metrics", name).own for name in request.metrics):
         return False
-    recipe: Any = (read_json(CellFolder(Path(request.folder)).cell_file) or {}).get("recipe")
+    try:
+        recipe: Any = (read_json(CellFolder(Path(request.folder)).cell_file) or {}).get("recipe")
+    except OSError:  # it is a folder, or cannot be read
+        return False
     name = recipe.get("dataset") if isinstance(recipe, dict) else None
-    own = (plugin.name for plugin in plugins.inventory("datasets") if plugin.own and plugin.cls is not None)
-    return name in set(own)
+    return name in [plugin.name for plugin in plugins.inventory("datasets") if plugin.own and plugin.cls is not None]
 
 
 def _watch(child: Child, request: Request, receive: guard.Receive, ended: Callable[[], bool], base: int) -> guard.Watch:
@@ -347,7 +369,7 @@ def _run_request(request: Request, channel: int) -> None:
     try:
         _redirect(request.log)
         guard.confine(guard.Limits(request.seconds, request.mib))
-        _use_temporary(request.temporary)
+        request.settle()
         perform(request, lambda message: _send(channel, message))
     except BaseException as error:
         phases.send_error(error, lambda message: _send(channel, message))
@@ -355,12 +377,6 @@ def _run_request(request: Request, channel: int) -> None:
         with contextlib.suppress(Exception):
             sys.stdout.flush()
             sys.stderr.flush()
-
-
-def _use_temporary(folder: Path) -> None:
-    """Make a folder, and let this process and what it starts put temporary files there."""
-    folder.mkdir(mode=0o700, exist_ok=True)
-    os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
 
 
 def _redirect(log: Path) -> None:
@@ -417,7 +433,7 @@ def main() -> None:
     if "--once" in arguments:
         request = Request.from_json(sys.stdin.readline())
         try:
-            _use_temporary(request.temporary)
+            request.settle()
             guard.confine(guard.Limits(request.seconds, request.mib))
             write(json.dumps({"held": guard.held_bytes(os.getpid())}))
             perform(request, lambda message: write(json.dumps(message)))
