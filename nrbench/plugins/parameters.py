@@ -134,7 +134,7 @@ def converted(cls: type[Any], parameters: Mapping[str, Any], where: str) -> dict
     """
     if not parameters:
         return {}
-    fields = _adapters(cls)
+    fields = _adapters(cls)  # type: ignore[arg-type]  # mypy does not know that a class can be hashed
     return {key: _convert(fields, key, value, where) for key, value in parameters.items()}
 
 
