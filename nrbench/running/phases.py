@@ -129,7 +129,7 @@ def send_error(error: BaseException, send: Send) -> None:
     traceback.print_exc()
     disk = storage_fault(error)
     if disk is not None:
-        send({"status": "storage", "message": f"{disk.filename or 'disk'}: {disk.strerror}"})
+        send({"status": "storage", "message": f"{disk.filename}: {disk.strerror}" if disk.filename else str(disk.strerror)})
     else:
         send({"status": "error", "message": describe_error(error)})
 
