@@ -231,7 +231,7 @@ def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
             "method": cell.label,
             "lattice_source": cell.lattice_source,
             "replicate": cell.replicate,
-            "sample": size_text(sample.texture.image.shape[:2]) if sample.texture else "",
+            "sample": size_text(sample.size) if sample.size else "",
             "size": size_text(sample.shape),
             "cached": is_cached(directory, cell, metrics, retry_failed),
             "fault": cell.fault,

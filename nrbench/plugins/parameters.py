@@ -7,10 +7,13 @@ import difflib
 import inspect
 import re
 from collections.abc import Collection, Iterable, Mapping
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Shape
+from nrbench.storage import user_path
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -131,11 +134,17 @@ def converted(cls: type[Any], parameters: Mapping[str, Any], where: str) -> dict
     """
     if not parameters:
         return {}
+    fields = _adapters(cls)
+    return {key: _convert(fields, key, value, where) for key, value in parameters.items()}
+
+
+@cache
+def _adapters(cls: type[Any]) -> Mapping[str, TypeAdapter[Any]]:
+    """Return what converts a value to the declared type of each field. It takes milliseconds to make."""
     from pydantic import TypeAdapter
 
     hints = get_type_hints(cls)
-    fields = {field.name: TypeAdapter(hints[field.name]) for field in dataclasses.fields(cls)}
-    return {key: _convert(fields, key, value, where) for key, value in parameters.items()}
+    return {field.name: TypeAdapter(hints[field.name]) for field in dataclasses.fields(cls)}
 
 
 def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
@@ -167,10 +176,17 @@ def _convert(fields: Mapping[str, TypeAdapter[Any]], key: str, value: Any, where
         raise BadInput(f"{where}: parameter {key!r} is not known{nearest(key, fields)}")
     for attempt in _readings(value):
         try:
-            return fields[key].validate_python(attempt)
+            return _located(fields[key].validate_python(attempt))
         except ValidationError as error:
             why = error.errors()[0]["msg"]
     raise BadInput(f"{where}: {key}={value!r}: {why[:1].lower()}{why[1:]}")
+
+
+def _located(value: Any) -> Any:
+    """Return a value whose paths can be opened: the working directory of a plugin may not be the user's folder."""
+    if type(value) in (tuple, list):
+        return type(value)(map(_located, value))
+    return user_path(value) if isinstance(value, Path) else value
 
 
 def _readings(value: Any) -> list[Any]:
