@@ -140,7 +140,7 @@ def test_a_metric_alters_nothing_for_the_next_one(faulty_run: FaultyRun) -> None
 
 
 def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
-    """A result or score that is empty, cut, garbled, too deep, of another shape or a folder is computed again."""
+    """A result or score that is empty, cut, garbled, too deep or of another shape is computed again."""
     suite, options = small_suite(["fine"]), Options(jobs=0)
     done = faulty_run(suite, options)
     (record,) = done.cells
@@ -154,6 +154,9 @@ def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
                 (again,) = run(suite, out=done.root, options=options).cells
                 assert again.status == "ok", (file.name, damage[:20])
                 assert again.values["cost.seconds"] is not None
+        result.unlink()
+        result.mkdir()
+        assert [cell.status for cell in run(suite, out=done.root, options=options).cells] == ["ok"]
         (record.folder / "cell.json").write_bytes(b"\xff")
         assert [cell.status for cell in Run(done.root).cells] == ["ok"]
 
