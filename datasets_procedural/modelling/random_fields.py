@@ -110,7 +110,7 @@ def smooth_inside(field: NDArray[Any], kernel: NDArray[np.float64]) -> NDArray[A
     for far in range(reach, 0, -1):
         pair = field[reach - far : reach - far + rows].astype(np.float64) + field[reach + far : reach + far + rows]
         total += pair * kernel[reach - far]
-    return total.astype(field.dtype)
+    return np.asarray(total.astype(field.dtype))
 
 
 def waves(seed: int, shape: Shape, period: float, count: int = WAVES) -> Field:

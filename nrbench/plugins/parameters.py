@@ -170,7 +170,7 @@ def _convert(cls: type[Any], key: str, value: Any, where: str) -> Any:
         raise BadInput(f"{where}: parameter {key!r} is not known{nearest(key, names)}")
     for attempt in _readings(value):
         try:
-            return _adapter(cls, key).validate_python(attempt)
+            return _adapter(cls, key).validate_python(attempt)  # type: ignore[arg-type]
         except ValidationError as error:
             why = error.errors()[0]["msg"]
     raise BadInput(f"{where}: {key}={value!r}: {why[:1].lower()}{why[1:]}")
