@@ -24,7 +24,7 @@ from nrbench import plugins
 from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.imaging.files import read_image, write_image
-from nrbench.running import guard, guarded, runner
+from nrbench.running import guard, runner
 from nrbench.running.guarded import write_guarded
 from nrbench.running.progress import Step
 from nrbench.running.runner import Options
@@ -92,7 +92,7 @@ def test_every_fault_of_a_dataset_is_a_row(
     supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A texture whose dataset fails in any way is a failed cell with its cause; the other textures are drawn."""
-    monkeypatch.setattr(guarded, "Supervisor", lambda: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
     rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*DRAWING_HOWS, "fine")]
     content = {"name": "drawn", "sample": "64x64", "size": "64x64", "methods": ["fine"], "metrics": ["cost"]}
     suite = validated_suite({**content, "texture": rows}, "test")
@@ -108,7 +108,7 @@ def test_a_report_that_dies_takes_nothing_with_it(
     supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A report of others is written in a process of its own: how it fails is an error with its cause."""
-    monkeypatch.setattr(guarded, "Supervisor", lambda: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
     done = faulty_run(small_suite(["fine"]), Options(jobs=0))
     causes = {
         "exit": "ended without an answer",
