@@ -176,15 +176,14 @@ class ShortList:
 
         Also return that excess in standard errors of the mean over the vectors, and the supercells.
         """
-        bases = reduce_all(hermite_matrices(index) @ basis)
+        changes = hermite_matrices(index)
         splits, certain = [], []
-        for coarser in bases:
-            own, others = evidence.agreement(coarser), evidence.agreement(basis, coarser)
+        for own, others in evidence.split(basis, changes):
             known = min(own.lags, others.lags) > 0
             splits.append(own.mean - others.mean if known else -1.0)
             error = math.sqrt(own.variance / max(own.lags, 1) + others.variance / max(others.lags, 1))
             certain.append(splits[-1] / max(error, 1e-6) if min(own.lags, others.lags) >= FEWEST_LAGS else 0.0)
-        return splits, certain, bases
+        return splits, certain, reduce_all(changes @ basis)
 
     def _measure(self, basis: Points, best: float, first: bool, proposals: Mapping[str, Sequence[Points]]) -> Traits:
         pooled, structure = (max(one.repeated(basis), 1e-3) for one in (self.pooled, self.structure))
