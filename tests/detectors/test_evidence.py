@@ -106,7 +106,9 @@ def test_few_of_many_multiples_fit_a_basis(monkeypatch: pytest.MonkeyPatch, evid
 def test_no_multiples() -> None:
     """Where a lattice has no multiple within reach, the mean is -1 and the count 0."""
     spline = np.zeros((15, 8 + PAD))
-    np.testing.assert_array_equal(between(spline, 90 * np.eye(2), np.zeros((2, 2)), np.full(2, 5.0), PAD, 0), [-1, 0, 0])
+    np.testing.assert_array_equal(
+        between(spline, 90 * np.eye(2), np.zeros((2, 2)), np.full(2, 5.0), PAD, 0), [-1, 0, 0]
+    )
 
 
 @settings(max_examples=40, deadline=None)

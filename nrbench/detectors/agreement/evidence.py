@@ -37,6 +37,8 @@ NEAREST = 8
 """... all that are sums of up to this number of each vector, from which the fit starts."""
 MARGIN = 0.02
 """Multiples within reach may move by this share of the image's sides while a basis is fitted."""
+LINES = np.array([(1, 0, 1, 1), (0, 1, 1, -1)])
+"""Columns: sums of the multiples (a, b) that are the same along lines of lags in four directions."""
 GROWTH = 1.7
 """Factor by which the radius of a fit grows at each step."""
 STEPS = 14
@@ -148,6 +150,37 @@ class Evidence:
             (Agreement(mean, variance, int(lags)), Agreement(other_mean, other_variance, int(other_lags)))
             for mean, variance, lags, other_mean, other_variance, other_lags in rows.tolist()
         ]
+
+    def split_error(self, basis: Points, change: NDArray[np.int64]) -> float:
+        """Return the standard error of the difference of the two means of :meth:`split`, for threads of any length.
+
+        Threads or rows of one color reach through many tiles, so the correlations at the lags of one line, and at those
+        of the opposite line, agree. The error is that of lines instead of lags, in the two directions where they
+        scatter most.
+
+        Parameters
+        ----------
+        basis
+            Rows (x, y) px.
+        change
+            ``(2, 2)``: an integer matrix H; the basis of the coarser lattice is H times ``basis``.
+        """
+        numbers = self.multiples(basis)
+        lags = numbers @ basis
+        values, weights = self.jets(lags)[:, 0], self.overlaps(lags)
+        cells = numbers @ np.linalg.inv(change)
+        inside = (np.abs(cells - np.rint(cells)) < 1e-6).all(1)
+        parts = np.zeros(len(numbers))
+        for chosen, sign in ((inside, 1), (~inside, -1)):
+            shares = weights[chosen] / weights[chosen].sum()
+            parts[chosen] = sign * shares * (values[chosen] - shares @ values[chosen])
+        single = float((parts**2).sum())
+        by_line = []
+        for line in np.abs(numbers @ LINES).T:
+            sums = np.bincount(line, parts)
+            count = len(np.unique(line))
+            by_line.append(float((sums**2).sum()) * count / max(count - 1, 1))
+        return float(np.sqrt(max(sum(sorted(by_line)[-2:]) - single, single)))
 
     def repeated(self, basis: Points) -> float:
         """Return the mean correlation at all multiples of a basis: the share of the variance that repeats."""
