@@ -42,13 +42,8 @@ class Recipe:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the recipe as a mapping that can be written as JSON."""
-<<<<<<< HEAD
         known = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
         return {**known, "parameters": dict(self.parameters), "shape": list(self.shape)}
-=======
-        content = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        return {**content, "parameters": dict(self.parameters), "shape": list(self.shape)}
->>>>>>> daily
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Recipe:
