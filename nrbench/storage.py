@@ -145,10 +145,10 @@ def _plain(value: Any) -> Any:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Return the mapping in a JSON file; None where the file is missing, incomplete or damaged."""
+    """Return the mapping in a JSON file; None where it is missing, incomplete, damaged or no file."""
     try:
         content = json.loads(path.read_text("utf-8"))
-    except (FileNotFoundError, ValueError, RecursionError):  # not UTF-8 and not JSON are both a ValueError
+    except (FileNotFoundError, IsADirectoryError, ValueError, RecursionError):  # ValueError: not UTF-8, not JSON
         return None
     return content if isinstance(content, dict) else None
 

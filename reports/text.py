@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from io import StringIO
 from pathlib import Path
@@ -174,15 +174,7 @@ def _entry(entry: Entry | None) -> Text:
 
 
 def _estimate(line: SummaryRow, index: int) -> Text:
-    one = line.estimates[index]
-    if one is not None and line.column.range == (0.0, 1.0):
-        # Among shares of 1, less than 0.001 is 0: "1.2e-04" would only make the column wide.
-        one = replace(one, value=_round_small(one.value), low=_round_small(one.low), high=_round_small(one.high))
-    return _estimate_text(one, line.rate)
-
-
-def _round_small(value: float | None) -> float | None:
-    return 0.0 if value is not None and value < 0.001 else value
+    return _estimate_text(line.shown[index], line.rate)
 
 
 def _estimate_text(one: Estimate | None, rate: bool) -> Text:

@@ -14,14 +14,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from nrbench.detectors.consensus import Consensus
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, match_channels
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Task, require_lattice
 from nrbench.plugins.parameters import checked_label
+<<<<<<< HEAD
 from nrbench.storage import user_path
+=======
+from nrbench.plugins.registry import NamedDetector
+>>>>>>> daily
 
 LATTICE_FIELDS = ("lattice", "t1x", "t1y", "t2x", "t2y", "originx", "originy")
 FIELDS = ("sample", "output", "width", "height", "seed", *LATTICE_FIELDS)
@@ -83,7 +86,7 @@ class Command:
         """
         lattice, seconds = None, 0.0
         if self.uses_lattice:
-            lattice, seconds = require_lattice(task, Consensus(), "the command takes one")
+            lattice, seconds = require_lattice(task, NamedDetector("consensus"), "the command takes one")
         with tempfile.TemporaryDirectory(prefix="nrbench-") as folder:
             sample, output = Path(folder, "sample.png"), Path(folder, "output.png")
             write_image(sample, task.sample)

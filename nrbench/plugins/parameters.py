@@ -132,19 +132,7 @@ def converted(cls: type[Any], parameters: Mapping[str, Any], where: str) -> dict
     BadInput
         For an unknown parameter (the message names the nearest) or a value of the wrong type.
     """
-    if not parameters:
-        return {}
-    fields = _adapters(cls)  # type: ignore[arg-type]  # mypy does not know that a class can be hashed
-    return {key: _convert(fields, key, value, where) for key, value in parameters.items()}
-
-
-@cache
-def _adapters(cls: type[Any]) -> Mapping[str, TypeAdapter[Any]]:
-    """Return what converts a value to the declared type of each field. It takes milliseconds to make."""
-    from pydantic import TypeAdapter
-
-    hints = get_type_hints(cls)
-    return {field.name: TypeAdapter(hints[field.name]) for field in dataclasses.fields(cls)}
+    return {key: _convert(cls, key, value, where) for key, value in parameters.items()}
 
 
 def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
@@ -169,14 +157,22 @@ def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
         raise BadInput(f"{where}: {error}") from error
 
 
-def _convert(fields: Mapping[str, TypeAdapter[Any]], key: str, value: Any, where: str) -> Any:
+@cache
+def _adapter(cls: type[Any], name: str) -> TypeAdapter[Any]:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(get_type_hints(cls)[name])
+
+
+def _convert(cls: type[Any], key: str, value: Any, where: str) -> Any:
     from pydantic import ValidationError
 
-    if key not in fields:
-        raise BadInput(f"{where}: parameter {key!r} is not known{nearest(key, fields)}")
+    names = [field.name for field in dataclasses.fields(cls)]
+    if key not in names:
+        raise BadInput(f"{where}: parameter {key!r} is not known{nearest(key, names)}")
     for attempt in _readings(value):
         try:
-            return _located(fields[key].validate_python(attempt))
+            return _located(_adapter(cls, key).validate_python(attempt))  # type: ignore[arg-type]
         except ValidationError as error:
             why = error.errors()[0]["msg"]
     raise BadInput(f"{where}: {key}={value!r}: {why[:1].lower()}{why[1:]}")

@@ -136,7 +136,7 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
         RunDirectory(options.reuse).info()
     directory.claim()
     with directory.locked():
-        directory.write_info(plan, options.argv)
+        directory.write_info(plan, options.argv, metrics)
         if options.reuse is not None:
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
         with executor(options.jobs, options.scheduler, root, options.worker_wait, options.tell) as pool:

@@ -18,7 +18,7 @@ from machines import machines
 from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
-from nrbench.running import guard, guarded, runner
+from nrbench.running import guard, runner
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
 from nrbench.running.worker import Request
@@ -154,6 +154,7 @@ def test_metrics(way: Any, tmp_path: Path) -> None:
     for how in fine:
         assert record.values[f"judge-{how}.value"] == 1.0, (how, record.reasons.get(f"judge-{how}.value"))
     assert record.values["cost.seconds"] is not None
+    assert found.ends()[0].reasons == {f"judge-{how}": record.reasons[f"judge-{how}.value"] for how in failing}
     log = (record.folder / "log.txt").read_text()
     flooded = [*failing, *fine].index("flood") if "flood" in fine else -1
     assert all(f"planted {how}" in log for how in [*failing, *fine][flooded + 1 :])
@@ -165,7 +166,7 @@ def test_metrics(way: Any, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("faulty")
 def test_datasets(supervisors: list[Supervisor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A texture whose dataset fails is a failed cell with its cause and log; one whose dataset litters is drawn."""
-    monkeypatch.setattr(guarded, "Supervisor", lambda: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
     failing, fine = ("raise", "stubborn", "hog"), (*HARMLESS, "fine")
     rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*failing, *fine)]
     options = Options(jobs=0, timeout=3, memory=300)

@@ -24,7 +24,7 @@ from nrbench import plugins
 from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.imaging.files import read_image, write_image
-from nrbench.running import guard, guarded, runner
+from nrbench.running import guard, runner
 from nrbench.running.guarded import write_guarded
 from nrbench.running.progress import Step
 from nrbench.running.runner import Options
@@ -92,7 +92,7 @@ def test_every_fault_of_a_dataset_is_a_row(
     supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A texture whose dataset fails in any way is a failed cell with its cause; the other textures are drawn."""
-    monkeypatch.setattr(guarded, "Supervisor", lambda: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
     rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*DRAWING_HOWS, "fine")]
     content = {"name": "drawn", "sample": "64x64", "size": "64x64", "methods": ["fine"], "metrics": ["cost"]}
     suite = validated_suite({**content, "texture": rows}, "test")
@@ -108,7 +108,7 @@ def test_a_report_that_dies_takes_nothing_with_it(
     supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A report of others is written in a process of its own: how it fails is an error with its cause."""
-    monkeypatch.setattr(guarded, "Supervisor", lambda: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
     done = faulty_run(small_suite(["fine"]), Options(jobs=0))
     causes = {
         "exit": "ended without an answer",
@@ -141,7 +141,7 @@ def test_a_metric_alters_nothing_for_the_next_one(faulty_run: FaultyRun) -> None
 
 
 def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
-    """A result or score that is empty, cut, garbled, too deep, of another shape or a folder is computed again."""
+    """A result or score that is empty, cut, garbled, too deep or of another shape is computed again."""
     suite, options = small_suite(["fine"]), Options(jobs=0)
     done = faulty_run(suite, options)
     (record,) = done.cells
@@ -155,6 +155,9 @@ def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
                 (again,) = run(suite, out=done.root, options=options).cells
                 assert again.status == "ok", (file.name, damage[:20])
                 assert again.values["cost.seconds"] is not None
+        result.unlink()
+        result.mkdir()
+        assert [cell.status for cell in run(suite, out=done.root, options=options).cells] == ["ok"]
         (record.folder / "cell.json").write_bytes(b"\xff")
         assert [cell.status for cell in Run(done.root).cells] == ["ok"]
 
