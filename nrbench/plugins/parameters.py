@@ -195,11 +195,16 @@ def _readings(value: Any) -> list[Any]:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return ``" (did you mean 'x'?)"``, or a list of the known words if none is similar."""
+    """Return ``" (did you mean 'x'?)"``, or a list of the known words if none is similar.
+
+    Words are similar if two thirds of their letters agree, in the same order, or if one begins with the other. Of
+    those that are similar by their letters the nearest is returned, of the others up to three.
+    """
     options = list(known)
-    close = difflib.get_close_matches(word, options, n=1, cutoff=0.5)
-    if close:
-        return f" (did you mean {close[0]!r}?)"
+    begun = [each for each in options if len(word) > 2 and (each.startswith(word) or word.startswith(each))]
+    close = difflib.get_close_matches(word, options, n=1, cutoff=0.67) or begun
+    if 0 < len(close) <= 3:
+        return f" (did you mean {' or '.join(map(repr, close))}?)"
     return f" (known: {', '.join(options)})" if options else " (there are none)"
 
 

@@ -15,7 +15,7 @@ import pytest
 import nrbench
 from nrbench import api, plugins
 from nrbench.errors import BadInput
-from nrbench.plugins.parameters import parse_spec, validated
+from nrbench.plugins.parameters import nearest, parse_spec, validated
 
 
 @pytest.mark.parametrize("kind", plugins.FORMS)
@@ -48,6 +48,21 @@ def test_a_named_detector_is_imported_when_it_detects() -> None:
     assert found.lattice == nrbench.detect_lattice(image, "gncc", preset="paper").lattice
     with pytest.raises(BadInput, match="detector 'gnc' is not known"):
         plugins.NamedDetector("gnc").detect(image)
+
+
+@pytest.mark.parametrize(
+    ("word", "hint"),
+    [
+        ("gnc", "did you mean 'gncc'?"),
+        ("fftm", "did you mean 'fftm-patch' or 'fftm-pixel'?"),
+        ("quilt", "did you mean 'quilting'?"),
+        ("mean", "known: gncc, fftm-patch, fftm-pixel, quilting"),
+        ("q", "known: gncc, fftm-patch, fftm-pixel, quilting"),
+    ],
+)
+def test_only_a_near_word_is_proposed(word: str, hint: str) -> None:
+    """A word of other letters brings the list of the known ones, not the least distant of them."""
+    assert nearest(word, ["gncc", "fftm-patch", "fftm-pixel", "quilting"]) == f" ({hint})"
 
 
 def test_an_unknown_parameter_names_the_nearest() -> None:
