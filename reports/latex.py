@@ -11,7 +11,7 @@ from typing import ClassVar
 from nrbench import plugins
 from nrbench.errors import BadInput, strip_control
 from nrbench.runs.records import Run
-from nrbench.storage import write_aside
+from nrbench.storage import write_text
 
 from .statistics.comparison import (
     Comparison,
@@ -114,7 +114,7 @@ class LatexTables:
 
 
 def _write(path: Path, text: str) -> Path:
-    write_aside(path, lambda aside: aside.write_bytes(text.encode("utf-8", "backslashreplace")))
+    write_text(path, text)
     return path
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import Run
-from nrbench.storage import write_aside
+from nrbench.storage import write_bytes
 
 from .plots.cost_plane import has_cost, plot_cost
 from .plots.critical_difference import plot_ranks
@@ -72,7 +71,7 @@ class PerilsPlane:
                 contents["heat-map"] = plot_heat_map(comparison, kind)
             for name, content in contents.items():
                 path = directory / f"{name}.{kind}"
-                write_aside(path, partial(Path.write_bytes, data=content))
+                write_bytes(path, content)
                 paths.append(path)
         return paths
 

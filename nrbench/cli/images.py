@@ -66,7 +66,7 @@ def synth_command(image: Path, method: str, size: str, lattice: str | None, seed
 
 
 def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
-    """Return the lattice of the option ``--lattice``: its numbers, or what a detector finds, which is told.
+    """Return the lattice of the option ``--lattice``: its numbers, or what a detector finds, which is printed.
 
     Raises
     ------

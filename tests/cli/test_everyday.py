@@ -100,7 +100,7 @@ def test_synth_takes_a_detector(
 def test_synth_warns_of_another_lattice(
     brick: Lattice, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A method whose own lattice is none of consensus is told; the same lattice and a supercell are not."""
+    """A method whose own lattice is none of consensus brings a warning; the same lattice and a supercell do not."""
     doubled = Lattice((2 * brick.t1[0], 0), brick.t2)
     command = "synth brick.png -m shuffle --size 128x128 -o made.png"
     half = Lattice((brick.t1[0] / 2, 0), brick.t2)

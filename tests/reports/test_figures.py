@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
+from nrbench.imaging.files import write_image
 from nrbench.reports.figure import PictureGrid
 from nrbench.reports.page.inline_svg import inline_svg
 from nrbench.reports.page.pictures import PictureStore
@@ -19,8 +20,7 @@ from nrbench.reports.plots.captions import count_crossings, lay_out_leaders, spr
 from nrbench.reports.plots.cost_plane import has_cost, plot_cost
 from nrbench.reports.plots.critical_difference import plot_ranks
 from nrbench.reports.plots.heat_map import plot_heat_map
-from nrbench.reports.plots.marks import find_marks
-from nrbench.reports.plots.picture_grid import worst_place
+from nrbench.reports.plots.marks import find_marks, worst_place
 from nrbench.reports.statistics.comparison import compare_methods
 from nrbench.runs.records import Run
 
@@ -97,11 +97,12 @@ def test_source_maps_are_colored_by_place(tmp_path: Path) -> None:
     places[:, 16:] = (20, 20)
     np.savez(tmp_path / "source.npz", source=places)
     (tmp_path / "bad.npz").write_bytes(b"no archive")
+    output = write_image(tmp_path / "output.png", np.zeros((32, 32, 3), np.float32))
     store = PictureStore(tmp_path / "report")
-    picture = store.source_map(tmp_path / "source.npz")
+    picture = store.source_map(output, tmp_path / "source.npz")
     assert picture is not None and (picture.width, picture.height) == (32, 32)
-    assert store.source_map(tmp_path / "bad.npz") is None
-    assert store.source_map(tmp_path / "absent.npz") is None
+    assert store.source_map(output, tmp_path / "bad.npz") is None
+    assert store.source_map(output, tmp_path / "absent.npz") is None
 
 
 def test_the_worst_place_has_the_marks() -> None:
