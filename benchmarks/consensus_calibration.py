@@ -43,6 +43,8 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Probabilities
 
 PENALTY = 0.3
+ENOUGH = 40
+"""Least number of textures in a tenth whose reliability is judged."""
 FOLDS = 6
 """Parts into which the families are divided to leave one out."""
 CLASSES = Probabilities._fields
@@ -222,14 +224,21 @@ def report(title: str, outcomes: Sequence[Outcome]) -> None:
         said = np.array([getattr(one.said, name) for one in outcomes])
         true = np.array([one.truth == name for one in outcomes])
         bins = np.clip((said * 10).astype(int), 0, 9)
-        gap, parts = 0.0, []
+        gap, parts, gaps = 0.0, [], []
         for number in np.unique(bins):
             there = bins == number
             weight = shares[there].sum()
             mean, right = (float(np.average(values[there], weights=shares[there])) for values in (said, true))
             gap += abs(mean - right) * weight / shares.sum()
             parts.append(f"{mean:.2f}/{right:.2f} ({weight:.0f})")
+            if weight >= ENOUGH:
+                gaps.append((abs(mean - right), np.sqrt(mean * (1 - mean) / weight)))
         print(f"  {name:17} expected calibration error {gap:.3f}; said/true (n): {'  '.join(parts)}")
+        worst = max(gaps, default=(np.nan, np.nan))
+        print(
+            f"  {'':17} largest gap of a tenth with {ENOUGH} textures {worst[0]:.3f}, by chance {worst[1]:.3f}", end=""
+        )
+        print(f" (one standard deviation); {sum(one[0] <= 0.05 for one in gaps)} of {len(gaps)} within 0.05")
     for kind, some in itertools.groupby(sorted(outcomes, key=lambda one: one.kind), key=lambda one: one.kind):
         group = list(some)
         n = sum(one.share for one in group)
