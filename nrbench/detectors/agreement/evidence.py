@@ -232,7 +232,7 @@ class Evidence:
         start = np.ascontiguousarray(basis)
         numbers = self.multiples(start)
         if len(numbers) > 2 * MOST_FITTED:
-            chosen = (np.abs(numbers) <= NEAREST).all(1)
+            chosen = np.asarray((np.abs(numbers) <= NEAREST).all(1))
             chosen[:: len(numbers) // MOST_FITTED] = True
             numbers = numbers[chosen]
         fitted = climb_multiples(self._spline, numbers, start, end, far, PAD, GROWTH, STEPS)
