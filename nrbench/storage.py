@@ -1,4 +1,4 @@
-"""Read and write files atomically: a file is written under another name, then renamed."""
+"""Write files atomically (under another name, then renamed), read them, and find those that users name."""
 
 from __future__ import annotations
 
@@ -35,6 +35,33 @@ def write_aside(path: Path, write: Callable[[Path], object]) -> None:
         raise
     finally:
         aside.unlink(missing_ok=True)
+
+
+_user_folder: Path | None = None
+
+
+def leave_user_folder(user_folder: Path, working: Path) -> None:
+    """Make another folder the working directory of this process, which is about to run a plugin.
+
+    Files that the plugin writes to relative paths then do not litter the user's folder. :func:`user_path` still starts
+    from there.
+
+    Parameters
+    ----------
+    user_folder
+        The folder in which the user started nrbench.
+    working
+        The new working directory. It is made if it does not exist.
+    """
+    global _user_folder
+    working.mkdir(mode=0o700, parents=True, exist_ok=True)
+    os.chdir(working)
+    _user_folder = user_folder
+
+
+def user_path(path: str | Path) -> Path:
+    """Return a path that a user gave, as it is to be opened: a relative one starts from the user's folder."""
+    return Path(path) if _user_folder is None else _user_folder / path
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -118,10 +145,10 @@ def _plain(value: Any) -> Any:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Return the mapping in a JSON file; None where the file is missing, incomplete or damaged."""
+    """Return the mapping in a JSON file; None where it is missing, incomplete, damaged or no file."""
     try:
         content = json.loads(path.read_text("utf-8"))
-    except (FileNotFoundError, ValueError, RecursionError):  # not UTF-8 and not JSON are both a ValueError
+    except (FileNotFoundError, IsADirectoryError, ValueError, RecursionError):  # ValueError: not UTF-8, not JSON
         return None
     return content if isinstance(content, dict) else None
 

@@ -18,17 +18,22 @@ Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 _WAVE_LENGTHS = (24.0, 1.0, 28)
 """Longest and shortest wave length of the spectrum, in s, and the number of wave lengths."""
-_BIN = 0.5
-"""Width, in s, of the bins of distances."""
+_TAPERS = 2
+"""Number of tapers along each axis."""
+_AROUND = 32
+"""Number of nodes from which a displacement that is not reliable is interpolated."""
+_ITERATIONS = 60
+"""Number of steps of the likelihood's maximization."""
+_LEAST_NOISE = 0.02
+"""Standard deviation, in s, of the part of the error that does not depend on the correlation."""
+_MOST_POWER = 3.0
+"""Ratio of a periodogram to its expectation above which the excess is ignored."""
+_LEAST_NODES = 12
+"""Least number of reliable nodes of a field that counts."""
+_LEAST_VARIANCE = 1e-12
+"""Variance, in s^2, below which a value counts as zero."""
 _FARTHEST = 8.0
-"""Largest distance, in s, at which the covariance is estimated."""
-_LEAST_PAIRS = 0.02
-"""Number of pairs of a bin, over that of the fullest bin, below which the bin is ignored."""
-_FLOOR = 0.01
-"""Share of the variance that is added as the same spectrum for all wave lengths. The estimate misses waves that the few
-references happen not to show."""
-_LEAST_NOISE = 0.01
-"""Smallest standard deviation, in s, of the error of a tracked displacement."""
+"""Largest distance, in s, at which correlations count for the area of one independent value."""
 _STEP = 0.02
 """Spacing, in s, of the table of the covariance."""
 
@@ -45,11 +50,15 @@ class SampledField:
         ``(rows, columns, 2)``: displacement (x, y) of the content that belongs at each node, in s.
     reliable
         ``bool (rows, columns)``: whether the content was found inside the image.
+    error
+        ``(rows, columns)``: variance of the error of each displacement, up to a factor that all fields of a texture
+        have in common, see :attr:`Covariance.noise`.
     """
 
     places: Points
     displacement: Points
     reliable: Flags
+    error: Values
 
     @property
     def centered(self) -> Points:
@@ -58,45 +67,11 @@ class SampledField:
         return np.asarray(np.where(self.reliable[..., np.newaxis], self.displacement - mean, 0.0))
 
 
-@dataclass(frozen=True)
-class Correlogram:
-    """Sums over the pairs of nodes of one or more fields, by distance.
-
-    Parameters
-    ----------
-    distances
-        ``(b,)``: mean distance of the pairs of each bin, in s; the first bin holds pairs of a node with itself.
-    products
-        ``(b,)``: mean product of two displacements along one axis, in s^2.
-    pairs
-        ``(b,)``: number of pairs.
-    """
-
-    distances: Values
-    products: Values
-    pairs: Values
-
-    @classmethod
-    def of(cls, fields: Sequence[SampledField]) -> Correlogram:
-        """Return the correlogram of some fields together. The time is that of FFTs of twice the grid."""
-        count = math.ceil(_FARTHEST / _BIN) + 1
-        sums = np.zeros((3, count))
-        for field in fields:
-            rows, columns = field.reliable.shape
-            table = np.concatenate([field.reliable[np.newaxis], np.moveaxis(field.centered, -1, 0)])
-            power = np.abs(np.fft.fft2(table, (2 * rows, 2 * columns))) ** 2
-            pairs = np.rint(np.fft.ifft2(power[0]).real)
-            products = np.fft.ifft2(power[1:].sum(0)).real / 2
-            step = np.array([_spacing(field.places, axis) for axis in (0, 1)])
-            y, x = (np.fft.fftfreq(2 * n, 1 / (2 * n)) * one for n, one in zip((rows, columns), step, strict=True))
-            distance = np.hypot(y[:, np.newaxis], x)
-            ring = np.ceil(distance / _BIN).astype(np.intp)
-            near = ring < count
-            for row, weights in zip(sums, (pairs, products, pairs * distance), strict=True):
-                row += np.bincount(ring[near], weights[near], minlength=count)
-        use = sums[0] > _LEAST_PAIRS * sums[0].max()
-        number = np.maximum(sums[0][use], 1)
-        return cls(sums[2][use] / number, sums[1][use] / number, sums[0][use])
+def _grid_lags(shape: tuple[int, int], places: Points) -> Values:
+    """Return the distance, in s, of two nodes of a grid for each lag of an FFT of some shape."""
+    step = _spacing(places, 0), _spacing(places, 1)
+    y, x = (np.fft.fftfreq(n, 1 / n) * one for n, one in zip(shape, step, strict=True))
+    return np.asarray(np.hypot(y[:, np.newaxis], x))
 
 
 def _spacing(places: Points, axis: int) -> float:
@@ -111,30 +86,52 @@ class Covariance:
     """The covariance of displacements along one axis: an isotropic spectrum, and the error of each node.
 
     The field is a sum of waves of all directions. The covariance of waves of one length is a Bessel function of the
-    distance. The weights of the lengths are fitted to the correlogram by least squares. They are not negative, so the
-    result is the covariance of some field, whatever the correlogram is.
+    distance.
 
     Parameters
     ----------
     weights
         ``(K,)``: variance of the waves of each length, in s^2.
     noise
-        Variance of the error of each node, in s^2.
+        Factor of the variance of the error of each node, in s^2, see :attr:`SampledField.error`.
     """
 
     weights: Values
     noise: float
 
     @classmethod
-    def fit(cls, correlogram: Correlogram) -> Covariance:
-        """Return the covariance that fits a correlogram. Without any pair it is that of errors alone."""
-        if not len(correlogram.pairs):
-            return cls(np.zeros(_WAVE_LENGTHS[2]), _LEAST_NOISE**2)
-        distances, importance = correlogram.distances, np.sqrt(correlogram.pairs)
-        basis = np.column_stack([j0(distances[:, np.newaxis] * _wave_numbers()), distances == 0])
-        weights, _ = scipy.optimize.nnls(basis * importance[:, np.newaxis], correlogram.products * importance)
-        floor = _FLOOR * correlogram.products[0] / (len(weights) - 1)
-        return cls(weights[:-1] + floor, float(max(weights[-1], _LEAST_NOISE**2)))
+    def fit(cls, fields: Sequence[SampledField]) -> Covariance:
+        """Return the most likely covariance of some fields together. Without any node it is that of errors alone.
+
+        The likelihood is that of the periodograms of the tapered fields, each of which is compared with its exact
+        expectation: missing nodes and the ends of the grid spread the power of a wave in a known way (debiased Whittle
+        likelihood; Sykulski, Olhede, Guillaumin, Lilly, Early, Biometrika 106, 2019). So waves of a small variance are
+        measured beside others that are a thousand times stronger, and nodes may be missing. It is maximized by
+        multiplications that keep variances positive (Zhou, Hu, Zhou, Lange, Journal of Computational and Graphical
+        Statistics 28, 2019). Powers far above their expectation are cut to a multiple of it. Time is that of FFTs of
+        twice the grid for each wave length.
+        """
+        parts = [_periodogram(field) for field in fields if field.reliable[1:-1, 1:-1].sum() >= _LEAST_NODES]
+        if not parts:
+            return cls(np.zeros(_WAVE_LENGTHS[2]), 0.0)
+        expected = np.concatenate([one for one, _ in parts], 1)
+        power = np.concatenate([one for _, one in parts])
+        weights = np.full(len(expected), power.sum() / max(float(expected.sum()), _LEAST_VARIANCE))
+        for _ in range(_ITERATIONS):
+            model = weights @ expected + _LEAST_VARIANCE
+            ascent = expected @ (np.minimum(power, _MOST_POWER * model) / model**2)
+            weights = weights * np.sqrt(ascent / np.maximum(expected @ (1 / model), _LEAST_VARIANCE))
+        return cls(weights[:-1], float(weights[-1]))
+
+    def extended_to(self, field: SampledField) -> Covariance:
+        """Return the covariance of a field that may be rougher or larger than the fields that this one was fitted to.
+
+        Waves of each length have the variance of those fields, or that of the field itself where it is larger. A step
+        along a line stays a surprise: its power lies on a line of the periodogram, and powers far above the expectation
+        are ignored.
+        """
+        own = Covariance.fit([field])
+        return Covariance(np.maximum(self.weights, own.weights), max(self.noise, own.noise))
 
     @property
     def variance(self) -> float:
@@ -145,7 +142,7 @@ class Covariance:
     def correlation_area(self) -> float:
         """Integral of the squared correlation over the plane, in s^2: the area that counts as one independent value."""
         table = np.arange(0, _FARTHEST, _STEP)
-        correlation = j0(table[:, np.newaxis] * _wave_numbers()) @ self.weights / (self.variance + self.noise)
+        correlation = j0(table[:, np.newaxis] * _wave_numbers()) @ self.weights / max(self.variance, _LEAST_VARIANCE)
         return float(2 * math.pi * (table * correlation**2).sum() * _STEP)
 
     def between(self, places: Points, others: Points) -> Values:
@@ -154,10 +151,56 @@ class Covariance:
         table = np.arange(0, float(apart.max(initial=0.0)) + 2 * _STEP, _STEP)
         return np.asarray(np.interp(apart, table, j0(table[:, np.newaxis] * _wave_numbers()) @ self.weights))
 
+    def of_error(self, error: Values) -> Values:
+        """Return the variance of the error of nodes, in s^2, given that up to the common factor."""
+        return np.asarray(self.noise * error + _LEAST_NOISE**2)
+
 
 def _wave_numbers() -> Values:
     longest, shortest, count = _WAVE_LENGTHS
     return np.asarray(2 * math.pi / np.geomspace(longest, shortest, count))
+
+
+def _periodogram(field: SampledField) -> tuple[Values, Values]:
+    """Return the expected periodogram of waves of each length and of errors, ``(K + 1, n)``, and the found one.
+
+    Tapers are products of sines (Riedel, Sidorenko, IEEE Transactions on Signal Processing 43, 1995). The periodogram
+    of a wave is the Fourier transform of its covariance times the autocorrelation of the taper. Nodes at the border,
+    whose displacements are often wrong, are left out.
+    """
+    inner = np.s_[1:-1, 1:-1]
+    reliable, error = field.reliable[inner], field.error[inner]
+    rows, columns = reliable.shape
+    twice = (2 * rows, 2 * columns)
+    lags = _grid_lags(twice, field.places)
+    tapers = np.einsum("iy,jx->ijyx", _sines(rows), _sines(columns)).reshape(-1, rows, columns)
+    values = np.moveaxis(_fill(field.places[inner], field.displacement[inner], reliable), -1, 0)
+    values = values - values.mean((1, 2), keepdims=True)
+    power = (np.abs(scipy.fft.rfft2(values[:, np.newaxis] * tapers, twice)) ** 2).mean(0).sum(0)
+    correlation = scipy.fft.irfft2((np.abs(scipy.fft.rfft2(tapers, twice)) ** 2).sum(0), twice)
+    waves = scipy.fft.rfft2(correlation * j0(lags * _wave_numbers()[:, np.newaxis, np.newaxis])).real
+    flat = np.full((1, *waves.shape[1:]), (tapers**2 * error * reliable).sum())
+    expected = np.maximum(np.concatenate([waves, flat]), 0.0)
+    return expected.reshape(len(expected), -1), power.ravel()
+
+
+def _fill(places: Points, displacement: Points, reliable: Flags) -> Points:
+    """Return displacements, those of nodes that are not reliable by thin plate splines through the others.
+
+    Zeros in their place would spread the power of long waves over all wave lengths.
+    """
+    if reliable.all():
+        return displacement
+    filled = displacement.copy()
+    spline = scipy.interpolate.RBFInterpolator(places[reliable], displacement[reliable], neighbors=_AROUND)
+    filled[~reliable] = spline(places[~reliable])
+    return filled
+
+
+def _sines(count: int) -> Values:
+    """Return the first sine tapers of some nodes, ``(_TAPERS, count)``."""
+    number = np.arange(1, _TAPERS + 1)[:, np.newaxis]
+    return np.asarray(np.sin(math.pi * number * np.arange(1, count + 1) / (count + 1)))
 
 
 @dataclass(frozen=True)
@@ -218,6 +261,4 @@ def _difference_lags(field: SampledField) -> tuple[Values, Values, Values]:
     powers = np.fft.ifft2(spectrum[3] * np.conj(spectrum[0])).real
     # A lag and its opposite count together, so that each pair contributes the squares of both of its nodes.
     squares = (powers - products) / 2
-    step = _spacing(field.places, 0), _spacing(field.places, 1)
-    y, x = (np.fft.fftfreq(2 * n, 1 / (2 * n)) * one for n, one in zip((rows, columns), step, strict=True))
-    return pairs, np.asarray(squares), np.hypot(y[:, np.newaxis], x)
+    return pairs, np.asarray(squares), _grid_lags((2 * rows, 2 * columns), field.places)

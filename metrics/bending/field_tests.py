@@ -19,6 +19,8 @@ Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 _DIRECTIONS = 12
 """Number of directions of lines."""
+_PARTS = 3
+"""Number of lines of one direction for each distance between nodes."""
 _LEAST_SIDE = 0.1
 """Least share of the nodes of a block on either side of a line."""
 _BLOCK = 18
@@ -30,7 +32,7 @@ _PATCHES = (2, 3)
 _OUTLYING, _TIMES_MEDIAN, _MOST_OUTLIERS = 8.0, 6.0, 0.1
 """A node is an outlier if its log-likelihood ratio exceeds both the first number and the second one times the median.
 At most the third share of the nodes is dropped: the tracker locks onto wrong places at a few nodes."""
-_RAMP = 0.35
+_RAMP = 0.25
 """Standard deviation, in s, of the Gaussian that smooths a step: the window of a node shows both sides of the line."""
 _FREE = 10.0
 """Standard deviation, in s, of the phase of the field. It is free, so any large number serves."""
@@ -95,7 +97,7 @@ def measure_faults(field: SampledField, covariance: Covariance) -> FieldTests:
     patches: list[Faults] = []
     for block in _blocks(field):
         places = field.places.reshape(-1, 2)[block]
-        precision = _precision(places, covariance)
+        precision = _precision(places, field.error.ravel()[block], covariance)
         values = field.displacement.reshape(-1, 2)[block]
         at = np.stack(np.divmod(block, columns), -1)
         for result, sets in ((lines, _half_planes(places)), (patches, _patches(at))):
@@ -108,7 +110,7 @@ def drop_outliers(field: SampledField, covariance: Covariance) -> SampledField:
     rows, columns = field.reliable.shape
     statistic = np.zeros(rows * columns)
     for block in _blocks(field):
-        precision = _precision(field.places.reshape(-1, 2)[block], covariance)
+        precision = _precision(field.places.reshape(-1, 2)[block], field.error.ravel()[block], covariance)
         residual = precision @ field.displacement.reshape(-1, 2)[block]
         statistic[block] = np.maximum(statistic[block], (residual**2).sum(1) / np.diag(precision) / 2)
     usual = statistic[field.reliable.ravel()]
@@ -142,25 +144,26 @@ def _covariance_between(places: Points, nodes: Points, covariance: Covariance) -
     return np.asarray(covariance.between(places, nodes) + _FREE**2 + _SLOPE**2 * slope)
 
 
-def _node_covariance(places: Points, covariance: Covariance) -> Values:
+def _node_covariance(places: Points, error: Values, covariance: Covariance) -> Values:
     """Return the covariance matrix of measured displacements along one axis, with a free phase and slope."""
     matrix = _covariance_between(places, places, covariance)
-    matrix[np.diag_indices_from(matrix)] += covariance.noise
+    matrix[np.diag_indices_from(matrix)] += covariance.of_error(error)
     return matrix
 
 
-def _precision(places: Points, covariance: Covariance) -> Values:
+def _precision(places: Points, error: Values, covariance: Covariance) -> Values:
     """Return the inverse of the covariance matrix of measured displacements along one axis."""
-    return np.asarray(scipy.linalg.inv(_node_covariance(places, covariance), overwrite_a=True, check_finite=False))
+    matrix = _node_covariance(places, error, covariance)
+    return np.asarray(scipy.linalg.inv(matrix, overwrite_a=True, check_finite=False))
 
 
 def _half_planes(places: Points) -> Values:
-    """Return how far nodes lie on one side of lines in all directions, half of the nodes' distance apart, ``(m, n)``.
+    """Return how far nodes lie on one side of lines in all directions, ``(m, n)``.
 
     The value rises from 0 to 1 across the line, because the window of a node near the line shows both sides.
     """
     sets = []
-    step = math.sqrt(float(np.ptp(places[:, 0]) * np.ptp(places[:, 1])) / len(places)) / 2
+    step = math.sqrt(float(np.ptp(places[:, 0]) * np.ptp(places[:, 1])) / len(places)) / _PARTS
     for angle in np.arange(_DIRECTIONS) * (math.pi / _DIRECTIONS):
         along = places @ (math.cos(angle), math.sin(angle))
         offsets = np.arange(along.min() + step / 2, along.max(), max(step, 1e-3))
@@ -228,7 +231,7 @@ def smooth_field(field: SampledField, covariance: Covariance, places: Points) ->
                 continue
             nodes, values = field.places.reshape(-1, 2)[block], field.displacement.reshape(-1, 2)[block]
             cross = _covariance_between(places[wanted], nodes, covariance)
-            matrix = _node_covariance(nodes, covariance)
+            matrix = _node_covariance(nodes, field.error.ravel()[block], covariance)
             result[wanted] = cross @ scipy.linalg.solve(matrix, values, overwrite_a=True, assume_a="pos")
     return result
 

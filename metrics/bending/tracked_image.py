@@ -19,7 +19,7 @@ from nrbench.lattice.geometry import Points
 from nrbench.tracking.known_texture import FollowedImage, follow_texture
 from nrbench.tracking.tracker import MeanTile
 
-from .covariance import Correlogram, Covariance, SampledField
+from .covariance import Covariance, SampledField
 from .field_tests import drop_outliers, smooth_field
 
 Flags = NDArray[np.bool_]
@@ -28,6 +28,10 @@ _CORRELATION = 0.75
 """Share of the references' median correlation below which a node is not reliable."""
 _MARGIN = 0.45
 """Distance, in s, from the border of the image from which nodes must be found."""
+_LEAST_CORRELATION = 0.05
+"""Correlation to which smaller ones are raised where errors are computed from them."""
+_AT_BORDER = 6.0
+"""Variance of the error of a node at the border, whose window is cut, over that of another one."""
 _SPACING = 0.25
 """Distance, in s, of the places at which the displacements are inverted."""
 _MOST_STEPS, _LONGEST, _EXACT = 15, 0.25, 0.02
@@ -51,28 +55,43 @@ class TrackedImage:
         Correlation below which a node is not reliable.
     dropped
         ``bool (rows, columns)``: further nodes of the coarse grid that are not reliable.
+    usual
+        Covariance of the fields of images without faults.
     """
 
     followed: FollowedImage
     s: float
     level: float
     dropped: Flags | None = None
+    usual: Covariance | None = None
 
     @cached_property
     def field(self) -> SampledField:
         """The displacement field at every second node along both axes, about 0.8 tiles apart."""
-        followed = self.followed
+        followed, places = self.followed, self.followed.nodes[::2, ::2]
         reliable = (followed.correlation > self.level)[::2, ::2]
         if self.dropped is not None:
             reliable = reliable & ~self.dropped
-        return SampledField(followed.nodes[::2, ::2] / self.s, followed.displacement[::2, ::2] / self.s, reliable)
+        correlation = np.clip(followed.correlation[::2, ::2], _LEAST_CORRELATION, 1)
+        error = (1 / correlation**2 - 1) * np.where(self._far_from_border, 1, _AT_BORDER)
+        return SampledField(places / self.s, followed.displacement[::2, ::2] / self.s, reliable, error)
+
+    @cached_property
+    def covariance(self) -> Covariance:
+        """Covariance of the field: the usual one, or its own where waves of some length are larger."""
+        return Covariance.fit([self.field]) if self.usual is None else self.usual.extended_to(self.field)
+
+    @property
+    def _far_from_border(self) -> Flags:
+        """Which nodes of the coarse grid are so far from the border that little of their windows is cut."""
+        last = np.array(self.followed.image.shape[1::-1]) - 1
+        at, margin = self.followed.nodes[::2, ::2], _MARGIN * self.s
+        return np.asarray(((at >= margin) & (at <= last - margin)).all(-1))
 
     @property
     def reliable_share(self) -> float:
         """Share of the nodes that are reliable, without those so near to the border that their windows are cut."""
-        last = np.array(self.followed.image.shape[1::-1]) - 1
-        at = self.field.places * self.s
-        inside = ((at >= _MARGIN * self.s) & (at <= last - _MARGIN * self.s)).all(-1)
+        inside = self._far_from_border
         return float(self.field.reliable[inside].mean()) if inside.any() else 0.0
 
 
@@ -83,20 +102,21 @@ def track_references(images: Sequence[Image], tile: MeanTile) -> tuple[tuple[Tra
     values = np.concatenate([one.correlation[one.correlation > 0] for one in followed])
     level = _CORRELATION * float(np.median(values)) if len(values) else 0.0
     tracked = tuple(TrackedImage(one, s, level) for one in followed)
-    covariance = Covariance.fit(Correlogram.of([one.field for one in tracked]))
-    tracked = tuple(_drop(one, covariance) for one in tracked)
-    return tracked, Covariance.fit(Correlogram.of([one.field for one in tracked]))
+    covariance = Covariance.fit([one.field for one in tracked])
+    tracked = tuple(_drop(replace(one, usual=covariance)) for one in tracked)
+    covariance = Covariance.fit([one.field for one in tracked])
+    return tuple(replace(one, usual=covariance) for one in tracked), covariance
 
 
-def _drop(tracked: TrackedImage, covariance: Covariance) -> TrackedImage:
+def _drop(tracked: TrackedImage) -> TrackedImage:
     """Drop the outlying nodes of an image."""
-    kept = drop_outliers(tracked.field, covariance).reliable
+    kept = drop_outliers(tracked.field, tracked.covariance).reliable
     return replace(tracked, dropped=tracked.field.reliable & ~kept)
 
 
 def track_image(image: Image, tile: MeanTile, level: float, covariance: Covariance) -> TrackedImage:
-    """Track an image whose field has the covariance of the references, if it has no faults."""
-    return _drop(TrackedImage(follow_texture(image, tile), tile.harmonics.lattice.s, level), covariance)
+    """Track an image beside references, whose fields have some covariance."""
+    return _drop(TrackedImage(follow_texture(image, tile), tile.harmonics.lattice.s, level, usual=covariance))
 
 
 @dataclass(frozen=True)
@@ -128,11 +148,11 @@ def leave_unchanged(tracked: TrackedImage) -> StraightenedImage:
     return StraightenedImage(tracked.followed.image, (0, 0), sources, tracked)
 
 
-def straighten(tracked: TrackedImage, covariance: Covariance) -> StraightenedImage:
+def straighten(tracked: TrackedImage) -> StraightenedImage:
     """Return the image without the smooth part of its displacement."""
     image = tracked.followed.image
     height, width = image.shape[:2]
-    sources = _invert(tracked, covariance)
+    sources = _invert(tracked)
     inside = np.asarray(((sources >= 0) & (sources <= (width - 1, height - 1))).all(-1))
     y0, y1, x0, x1 = largest_box(inside)
     sources = np.ascontiguousarray(sources[y0:y1, x0:x1])
@@ -142,14 +162,14 @@ def straighten(tracked: TrackedImage, covariance: Covariance) -> StraightenedIma
     return StraightenedImage(values, (x0, y0), sources, tracked)
 
 
-def _invert(tracked: TrackedImage, covariance: Covariance) -> Points:
+def _invert(tracked: TrackedImage) -> Points:
     """Return the place (x, y) px in the image of each pixel of the plane, ``(H, W, 2)``, by Newton's method.
 
     The displacement is the smooth part of that of the tracked image.
     """
     height, width = tracked.followed.image.shape[:2]
     field, s = tracked.field, tracked.s
-    smooth = smooth_field(field, covariance, field.places.reshape(-1, 2)).reshape(field.places.shape) * s
+    smooth = smooth_field(field, tracked.covariance, field.places.reshape(-1, 2)).reshape(field.places.shape) * s
     pixels = np.arange(float(height)), np.arange(float(width))
     displacement = _spread(smooth, (field.places[:, 0, 1] * s, field.places[0, :, 0] * s), pixels)
     table = np.concatenate([displacement, *np.gradient(displacement, axis=(1, 0))], -1).astype(np.float32)

@@ -92,7 +92,7 @@ class Bending:
         """
         if tracked.reliable_share < (1 - limits.GROSS_SHARE) * (1 - self.usual_untracked):
             return leave_unchanged(tracked)
-        return straighten(tracked, self.covariance)
+        return straighten(tracked)
 
     @cached_property
     def usual_untracked(self) -> float:
@@ -102,7 +102,7 @@ class Bending:
     @cached_property
     def tests(self) -> tuple[FieldTests, ...]:
         """Tests of the references."""
-        return tuple(measure_faults(one.field, self.covariance) for one in self.references)
+        return tuple(measure_faults(one.field, one.covariance) for one in self.references)
 
     @cached_property
     def line_tail(self) -> ExponentialTail:
@@ -421,7 +421,7 @@ def compute_bent_verdict(output: Image, reference: BentReference) -> BentVerdict
     bending = reference.displacements
     straightened = bending.straighten(bending.track(output))
     verdict = compute_verdict(straightened.image, reference)
-    tests = measure_faults(straightened.tracked.field, bending.covariance)
+    tests = measure_faults(straightened.tracked.field, straightened.tracked.covariance)
     return BentVerdict(
         reference=reference,
         output=verdict.output,

@@ -237,12 +237,12 @@ def status_command(run: Path, as_json: bool) -> None:
     from nrbench.cli.summary import failures, status_counts
     from nrbench.runs.records import Run
 
-    record = Run(run)
-    counts, failed = status_counts(record), failures(record)
+    cells = Run(run).ends()
+    counts, failed = status_counts(cells), failures(cells)
     if as_json:
-        print(json.dumps({"run": str(run), "cells": len(record.cells), "status": counts, "failures": failed}, indent=1))
+        print(json.dumps({"run": str(run), "cells": len(cells), "status": counts, "failures": failed}, indent=1))
         return
-    print(f"{run}: {len(record.cells)} cells: " + ", ".join(f"{n} {status}" for status, n in counts.items()))
+    print(f"{run}: {len(cells)} cells: " + ", ".join(f"{n} {status}" for status, n in counts.items()))
     print("\n".join(failed) or "nothing failed")
 
 
