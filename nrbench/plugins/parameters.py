@@ -174,7 +174,8 @@ def _convert(cls: type[Any], key: str, value: Any, where: str) -> Any:
         try:
             return _located(_adapter(cls, key).validate_python(attempt))  # type: ignore[arg-type]
         except ValidationError as error:
-            why = error.errors()[0]["msg"]
+            if attempt != (value,):  # that text is no list of one item says nothing about a number
+                why = error.errors()[0]["msg"]
     raise BadInput(f"{where}: {key}={value!r}: {why[:1].lower()}{why[1:]}")
 
 
@@ -191,7 +192,7 @@ def _readings(value: Any) -> list[Any]:
         return [value]
     if value.lower() in ("none", "null"):
         return [None, value]
-    return [value, value.split(",")] if "," in value else [value]
+    return [value, value.split(",")] if "," in value else [value, (value,)]
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -171,3 +171,11 @@ def test_a_file_that_holds_no_plugin_says_what_is_missing(text: str, tmp_path: P
     with pytest.raises(BadInput, match=re.escape(FILES[text])):
         plugins.add_file(file)
     assert str(file) not in plugins.files()
+
+
+def test_one_item_is_a_list_of_one() -> None:
+    """A parameter that is a list takes one item without a comma; a wrong number keeps its own message."""
+    grid = plugins.build("reports", "figure", {"methods": "rsgf", "textures": "a,b"})
+    assert (grid.methods, grid.textures) == (("rsgf",), ("a", "b"))  # type: ignore[attr-defined]
+    with pytest.raises(BadInput, match="valid number"):
+        plugins.build("reports", "figure", {"width": "wide"})
