@@ -176,6 +176,6 @@ def test_a_file_that_holds_no_plugin_says_what_is_missing(text: str, tmp_path: P
 def test_one_item_is_a_list_of_one() -> None:
     """A parameter that is a list takes one item without a comma; a wrong number keeps its own message."""
     grid = plugins.build("reports", "figure", {"methods": "rsgf", "textures": "a,b"})
-    assert (grid.methods, grid.textures) == (("rsgf",), ("a", "b"))  # type: ignore[attr-defined]
+    assert (grid.methods, grid.textures) == (("rsgf",), ("a", "b"))
     with pytest.raises(BadInput, match="valid number"):
         plugins.build("reports", "figure", {"width": "wide"})
