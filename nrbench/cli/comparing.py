@@ -28,8 +28,8 @@ _PATH = click.Path(path_type=Path)
 @click.option(
     "--fail-on-worse",
     is_flag=True,
-    help="Exit with 1 if any score of a method is worse by more than noise, or if more of its cells fail; with 2 if the "
-    "runs cannot be compared.",
+    help="Exit with 1 if any score of a method is worse by more than noise, or if more of its cells fail, and with 2 "
+    "if the runs cannot be compared.",
 )
 def compare_command(
     first: Path,

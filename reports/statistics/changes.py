@@ -185,9 +185,8 @@ class RunChanges:
             lines.append("the runs have no method on the same texture and draw in common: there is nothing to compare")
         versions = [run.info.get("results_version") for run in (self.first, self.second)]
         if versions[0] != versions[1]:
-            lines.append(
-                f"the runs were made by results versions {versions[0]} and {versions[1]}, whose scores are not comparable"
-            )
+            known = f"{versions[0]} and {versions[1]}"
+            lines.append(f"the runs were made by results versions {known}, whose scores are not comparable")
         return lines
 
     def as_dict(self) -> dict[str, Any]:
