@@ -129,8 +129,8 @@ def run_command(**arguments: Any) -> int:
     failed = print_summary(run, written, arguments["as_json"], columns)
     if lacking:
         tell(
-            f"{root} holds {lacking} more {'cell' if lacking == 1 else 'cells'} of an earlier command, which the tables "
-            "leave out; run that command again to see them, or use another --out for this one"
+            f"{root} holds {lacking} more {'cell' if lacking == 1 else 'cells'} of an earlier command, which the "
+            "tables leave out; run that command again to see them, or use another --out for this one"
         )
     if stale:
         tell(f"{stale} was of an earlier command and is removed; `nrbench report {root}` writes it again")
