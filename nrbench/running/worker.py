@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from nrbench import plugins
+from nrbench.errors import BadInput
 from nrbench.jit import load_kernels
 from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
@@ -199,6 +200,21 @@ def warm(compiling: Callable[[], None]) -> None:
     gc.collect()
     gc.freeze()  # a collection in a child would write into all objects of the worker, and so copy their memory
     guard.collapse_pages()
+
+
+def _import_plugins(request: Request) -> None:
+    """Import the plugins that a request names, so that its limits do not count that, as in a forked child."""
+    content: Any = read_json(CellFolder(Path(request.folder)).cell_file) or {}
+    recipe = content.get("recipe")
+    named = [("datasets", recipe.get("dataset") if isinstance(recipe, dict) else None)]
+    if request.phase == "score":
+        named += [("metrics", metric) for metric in request.metrics]
+    else:
+        named += [("synthesizers", content.get("method")), ("detectors", content.get("detector"))]
+    for kind, name in named:
+        if isinstance(name, str):
+            with contextlib.suppress(BadInput):  # its phase says why it does not load
+                plugins.find(kind, name)
 
 
 def _die_with_parent(out: int) -> None:
@@ -449,6 +465,7 @@ def main() -> None:
         request = Request.from_json(sys.stdin.readline())
         try:
             request.settle()
+            _import_plugins(request)
             guard.confine(guard.Limits(request.seconds, request.mib))
             write(json.dumps({"held": guard.held_bytes(os.getpid())}))
             perform(request, lambda message: write(json.dumps(message)))

@@ -27,9 +27,11 @@ from nrbench.suites.suite import Suite, validated_suite
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits as Linux enforces them")
 
+SECONDS = 5.0
+"""The limit of each phase: enough for 300 MiB to be allocated on a machine that does much else."""
 ENDINGS = {
     "raise": ("error", "RuntimeError: planted failure (faulty_plugins.py, line "),
-    "stubborn": ("timeout", "took longer than 3 s"),
+    "stubborn": ("timeout", f"took longer than {SECONDS:g} s"),
     "segfault": ("crash", "died by SIGSEGV"),
     "exit": ("crash", "ended without an "),
     "hog": ("memory", "emory"),
@@ -61,7 +63,7 @@ def suite_of(name: str, methods: list[str], metrics: list[str], **more: Any) -> 
 @pytest.fixture(scope="module", params=["threads", "fresh interpreters", "cluster"])
 def way(request: pytest.FixtureRequest, warm_executor: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Choose an executor; return its options, and which of the cases run on it."""
-    limits = {"timeout": 3.0, "memory": 300.0}
+    limits = {"timeout": SECONDS, "memory": 300.0}
     with registered_faults(), pytest.MonkeyPatch.context() as patch:
         if request.param == "cluster":
             with machines(tmp_path_factory.mktemp("cluster"), "first") as made:
@@ -169,9 +171,9 @@ def test_datasets(supervisors: list[Supervisor], tmp_path: Path, monkeypatch: py
     monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
     failing, fine = ("raise", "stubborn", "hog"), (*HARMLESS, "fine")
     rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*failing, *fine)]
-    options = Options(jobs=0, timeout=3, memory=300)
+    options = Options(jobs=0, timeout=SECONDS, memory=300)
     found = run(suite_of("datasets", ["fine"], ["cost"], texture=rows), out=tmp_path / "run", options=options)
-    causes = {"raise": "planted failure", "stubborn": "took longer than 3 s", "hog": "emory"}
+    causes = {"raise": "planted failure", "stubborn": ENDINGS["stubborn"][1], "hog": "emory"}
     for record in found.cells:
         if record.texture in fine:
             assert record.status == "ok", (record.texture, record.message)

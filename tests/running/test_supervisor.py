@@ -486,6 +486,28 @@ def test_only_the_own_code_of_nrbench_shares_a_process(faulty: Path, tmp_path: P
     assert not is_shared("brick", "cost", "none such")
 
 
+def test_a_fresh_interpreter_imports_plugins_before_its_limits_hold(tmp_path: Path) -> None:
+    """The plugins of a request are imported, and only those; a damaged file of the cell is left to the phase."""
+    script = (
+        "import pathlib, sys\n"
+        "from nrbench.running.worker import Request, _import_plugins\n"
+        "request, names = Request(sys.argv[1], '.', 1, 1, tuple(sys.argv[2:])), ('brick', 'scatter', 'regularity')\n"
+        "for content in ('', '[]', '{\"recipe\": 3, \"method\": [1]}', '{\"method\": \"none such\"}'):\n"
+        "    pathlib.Path('cell.json').write_text(content)\n"
+        "    _import_plugins(Request('synthesize', '.', 1, 1))\n"
+        'pathlib.Path(\'cell.json\').write_text(\'{"recipe": {"dataset": "brick"}, "method": "scatter"}\')\n'
+        "_import_plugins(request)\n"
+        "print([name for name in names if any(module.endswith('.' + name) for module in sys.modules)])\n"
+    )
+
+    def imported(*words: str) -> str:
+        command = [sys.executable, "-c", script, *words]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.strip()
+
+    assert imported("synthesize") == "['brick', 'scatter']"
+    assert imported("score", "regularity") == "['brick', 'regularity']"
+
+
 @pytest.mark.usefixtures("faulty")
 def test_a_worker_that_dies_is_replaced(supervisors: list[Supervisor], tmp_path: Path) -> None:
     """After its worker is killed a supervisor reports one crash, then goes on with a new worker."""
