@@ -117,6 +117,45 @@ def test_a_step_in_a_field_is_found_and_measured() -> None:
     assert lines.distance[lines.statistic.argmax()] == pytest.approx(0.25, abs=0.08)
 
 
+def test_a_covariance_shows_short_waves_beside_strong_ones_and_missing_nodes() -> None:
+    """Errors of 0.02 s are measured beside waves of 0.25 s, with a tenth of the nodes missing; none are invented."""
+    rng = np.random.default_rng(4)
+    fields = [sine_waves(rng, 18, 0.25) for _ in range(3)]
+    fields = [replace(one, reliable=rng.random(one.reliable.shape) > 0.1) for one in fields]
+    found = Covariance.fit(fields)
+    short = np.geomspace(24, 1, len(found.weights)) < 2.5
+    assert np.sqrt(found.variance) == pytest.approx(0.25, rel=0.25)
+    assert 0.012 < np.sqrt(found.noise + found.weights[short].sum()) < 0.03
+
+
+def test_nodes_of_larger_error_count_less() -> None:
+    """Where the right half of a field has errors of 0.1 s, and says so, no step is found in it."""
+    rng = np.random.default_rng(5)
+    covariance = Covariance.fit([sine_waves(rng) for _ in range(6)])
+    field = sine_waves(rng)
+    errors = np.where(field.places[..., 0] > 7, 0.1, 0.0)
+    worse = replace(field, displacement=field.displacement + rng.normal(0, 1, (*errors.shape, 2)) * errors[..., None])
+    known = replace(worse, error=1 + errors**2 / covariance.noise)
+    assert measure_faults(worse, covariance).lines.statistic.max() > 10
+    assert measure_faults(known, covariance).lines.statistic.max() < 6
+
+
+def test_a_rough_field_has_no_step_but_one_with_a_step_has() -> None:
+    """Waves half as long and twice as high as in the references are no step if they count; a step still is one."""
+    rng = np.random.default_rng(6)
+    covariance = Covariance.fit([sine_waves(rng, spread=0.06) for _ in range(6)])
+    field = sine_waves(rng, spread=0.06)
+    rough = sine_waves(rng, 36, 0.12)
+    rough = crop(replace(rough, places=rough.places / 2), np.s_[::2, ::2])
+    assert measure_faults(rough, covariance).lines.statistic.max() > 20
+    assert measure_faults(rough, covariance.extended_to(rough)).lines.statistic.max() < 8
+    beyond = (field.places @ (0.0, 1.0) > 7)[..., np.newaxis]
+    step = replace(field, displacement=field.displacement + beyond * (0.25, 0.0))
+    lines = measure_faults(step, covariance.extended_to(step)).lines
+    assert lines.statistic.max() > 20
+    assert lines.distance[lines.statistic.argmax()] == pytest.approx(0.25, abs=0.06)
+
+
 def test_an_affine_part_of_a_field_is_no_fault() -> None:
     """Slopes of 4 % hardly change the statistics of lines and patches, and kriging continues them."""
     rng = np.random.default_rng(3)
