@@ -23,11 +23,12 @@ import itertools
 import pickle
 import pprint
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from texture_kinds import Case, draw_kinds, draw_models
@@ -42,6 +43,8 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Probabilities
 
 PENALTY = 0.3
+ENOUGH = 40
+"""Least number of textures in a tenth whose reliability is judged."""
 FOLDS = 6
 """Parts into which the families are divided to leave one out."""
 CLASSES = Probabilities._fields
@@ -160,16 +163,30 @@ def _regress(rows: Sequence[tuple[list[float], str, float]], penalty: float) -> 
     scale = np.append(1.0, terms[:, 1:].std(0) + 1e-6)
     terms = terms / scale
 
-    def loss(flat: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        trained = flat.reshape(2, -1)
-        scores = np.column_stack([terms @ trained.T, np.zeros(len(terms))])
-        scores -= scores.max(1, keepdims=True)
-        logs = scores - np.log(np.exp(scores).sum(1, keepdims=True))
-        slope = ((np.exp(logs) - known) * parts)[:, :2].T @ terms
-        slope[:, 1:] += 2 * penalty * trained[:, 1:]
-        return float(-(parts * known * logs).sum() + penalty * (trained[:, 1:] ** 2).sum()), slope.ravel()
+    def shares(flat: NDArray[np.float64]) -> NDArray[np.float64]:
+        scores = np.column_stack([terms @ flat.reshape(2, -1).T, np.zeros(len(terms))])
+        return np.asarray(scipy.special.softmax(scores, 1))
 
-    found = minimize(loss, np.zeros(2 * terms.shape[1]), jac=True, method="L-BFGS-B", options={"maxiter": 2000}).x
+    damp = np.tile(np.append(0.0, np.full(terms.shape[1] - 1, 2 * penalty)), 2)
+    logs = parts * known
+
+    def loss(flat: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        said = shares(flat)
+        slope = ((said - known) * parts)[:, :2].T @ terms
+        value = -(logs * np.log(np.maximum(said, 1e-300))).sum() + (damp * flat**2).sum() / 2
+        return float(value), slope.ravel() + damp * flat
+
+    def curvature(flat: NDArray[np.float64]) -> NDArray[np.float64]:
+        said = shares(flat)[:, :2]
+        blocks = [
+            [((said[:, i] * ((i == j) - said[:, j]) * parts[:, 0])[:, np.newaxis] * terms).T @ terms for j in range(2)]
+            for i in range(2)
+        ]
+        return np.asarray(np.block(blocks) + np.diag(damp))
+
+    # Newton's method: tens of steps, where one that knows no curvature takes a thousand.
+    start = np.zeros(2 * terms.shape[1])
+    found = minimize(loss, start, jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-4}).x
     found = found.reshape(2, -1) / scale
     return {name: [round(float(weight), 3) for weight in row] for name, row in zip(CLASSES, found, strict=False)}
 
@@ -207,14 +224,21 @@ def report(title: str, outcomes: Sequence[Outcome]) -> None:
         said = np.array([getattr(one.said, name) for one in outcomes])
         true = np.array([one.truth == name for one in outcomes])
         bins = np.clip((said * 10).astype(int), 0, 9)
-        gap, parts = 0.0, []
+        gap, parts, gaps = 0.0, [], []
         for number in np.unique(bins):
             there = bins == number
             weight = shares[there].sum()
             mean, right = (float(np.average(values[there], weights=shares[there])) for values in (said, true))
             gap += abs(mean - right) * weight / shares.sum()
             parts.append(f"{mean:.2f}/{right:.2f} ({weight:.0f})")
+            if weight >= ENOUGH:
+                gaps.append((abs(mean - right), np.sqrt(mean * (1 - mean) / weight)))
         print(f"  {name:17} expected calibration error {gap:.3f}; said/true (n): {'  '.join(parts)}")
+        worst = max(gaps, default=(np.nan, np.nan))
+        print(
+            f"  {'':17} largest gap of a tenth with {ENOUGH} textures {worst[0]:.3f}, by chance {worst[1]:.3f}", end=""
+        )
+        print(f" (one standard deviation); {sum(one[0] <= 0.05 for one in gaps)} of {len(gaps)} within 0.05")
     for kind, some in itertools.groupby(sorted(outcomes, key=lambda one: one.kind), key=lambda one: one.kind):
         group = list(some)
         n = sum(one.share for one in group)
@@ -241,15 +265,38 @@ def leave_out(rated: Sequence[Rated], field: str) -> list[Outcome]:
     return outcomes
 
 
-def load(path: Path | None, seed: int, count: int, kinds: int) -> list[Rated]:
-    """Return rated draws; they are kept in a file if its path is given."""
-    if path is not None and path.exists():
-        return list(pickle.loads(path.read_bytes()))
+def load(folder: Path | None, seed: int, count: int, kinds: int) -> list[Rated]:
+    """Return rated draws.
+
+    If a folder is given, each one is appended to a file there as soon as it is rated. A run that was stopped goes on
+    behind the last one: the draws before it are drawn again, because they share a random stream, but not rated again.
+    """
     rng = np.random.default_rng(seed)
-    rated = list(rate(itertools.chain(draw_models(rng, count), draw_kinds(rng, kinds))))
-    if path is not None:
-        path.write_bytes(pickle.dumps(rated))
+    cases = itertools.chain(draw_models(rng, count), draw_kinds(rng, kinds))
+    if folder is None:
+        return list(rate(cases))
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"seed{seed}-count{count}-kinds{kinds}.pickle"
+    rated, end = _read_stream(path)
+    with path.open("ab") as file:
+        file.truncate(end)
+        for one in rate(itertools.islice(cases, len(rated), None)):
+            pickle.dump(one, file)
+            file.flush()
+            rated.append(one)
     return rated
+
+
+def _read_stream(path: Path) -> tuple[list[Rated], int]:
+    """Return the rated draws of a file, and where the last complete one ends, in bytes."""
+    rated: list[Rated] = []
+    end = 0
+    if path.exists():
+        with path.open("rb") as file, suppress(EOFError, pickle.UnpicklingError):
+            while True:
+                rated.append(pickle.load(file))
+                end = file.tell()
+    return rated, end
 
 
 def main() -> None:
@@ -257,12 +304,12 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, default=4, help="Draws of each model.")
     parser.add_argument("--kinds", type=int, default=1, help="Draws of each further kind.")
-    parser.add_argument("--keep", type=Path, help="Folder in which rated draws are kept.")
+    parser.add_argument(
+        "--keep", type=Path, help="Folder in which rated draws are kept, so that a run which was stopped goes on there."
+    )
     options = parser.parse_args()
     load_kernels()
-    first, second = (
-        load(options.keep and options.keep / f"{seed}.pickle", seed, options.count, options.kinds) for seed in (11, 12)
-    )
+    first, second = (load(options.keep, seed, options.count, options.kinds) for seed in (11, 12))
     noise = [np.exp(one.rivals[0].traits.sigmas) for one in first + second if one.rivals and one.case.family == "noise"]
     print(f"noise: the best lattice reaches {max(noise, default=0):.1f} sigmas in {len(noise)} draws")
     print("weights:", Traits._fields)

@@ -54,7 +54,7 @@ def describe_error(error: BaseException) -> str:
     last = max((i for i, frame in enumerate(frames) if Path(frame.filename).parent in _CALLERS), default=-1)
     own = [frame for frame in frames[last + 1 :] if last >= 0 and frame.filename == frames[last + 1].filename]
     where = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
-    return f"{type(error).__name__}: {text}{where}"
+    return f"{type(error).__name__}{': ' if text else ''}{text}{where}"
 
 
 def storage_fault(error: BaseException) -> OSError | None:

@@ -1,4 +1,4 @@
-"""Read and write files atomically: a file is written under another name, then renamed."""
+"""Write files atomically (under another name, then renamed), read them, and find those that users name."""
 
 from __future__ import annotations
 
@@ -29,15 +29,49 @@ def write_aside(path: Path, write: Callable[[Path], object]) -> None:
         write(aside)
         aside.replace(path)
     except OSError as error:
-        if error.filename in (
-            None,
-            str(aside),
-            aside,
-        ):  # a full disk names no file; the name beside means nothing to a user
+        # A full disk names no file, and the temporary name means nothing to a user.
+        if error.filename in (None, str(aside), aside):
             error.filename = str(path)
         raise
     finally:
         aside.unlink(missing_ok=True)
+
+
+_user_folder: Path | None = None
+
+
+def leave_user_folder(user_folder: Path, working: Path) -> None:
+    """Make another folder the working directory of this process, which is about to run a plugin.
+
+    Files that the plugin writes to relative paths then do not litter the user's folder. :func:`user_path` still starts
+    from there.
+
+    Parameters
+    ----------
+    user_folder
+        The folder in which the user started nrbench.
+    working
+        The new working directory. It is made if it does not exist.
+    """
+    global _user_folder
+    working.mkdir(mode=0o700, parents=True, exist_ok=True)
+    os.chdir(working)
+    _user_folder = user_folder
+
+
+def user_path(path: str | Path) -> Path:
+    """Return a path that a user gave, as it is to be opened: a relative one starts from the user's folder."""
+    return Path(path) if _user_folder is None else _user_folder / path
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file, atomically."""
+    write_aside(path, lambda aside: aside.write_bytes(content))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write text as UTF-8, atomically. What UTF-8 cannot hold, such as half of a surrogate pair, is written escaped."""
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 @contextlib.contextmanager
@@ -111,10 +145,10 @@ def _plain(value: Any) -> Any:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Return the mapping in a JSON file; None where the file is missing, incomplete or damaged."""
+    """Return the mapping in a JSON file; None where it is missing, incomplete, damaged or no file."""
     try:
         content = json.loads(path.read_text("utf-8"))
-    except (FileNotFoundError, ValueError, RecursionError):  # not UTF-8 and not JSON are both a ValueError
+    except (FileNotFoundError, IsADirectoryError, ValueError, RecursionError):  # ValueError: not UTF-8, not JSON
         return None
     return content if isinstance(content, dict) else None
 

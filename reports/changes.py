@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import ClassVar
 
 from nrbench.errors import strip_control
 from nrbench.runs.records import Run
-from nrbench.storage import write_aside
+from nrbench.storage import write_text
 
 from .markdown import escape_markdown
 from .statistics.changes import LEGEND, RunChanges, compare_runs
@@ -47,7 +46,7 @@ class Changes:
         changes = self.compare(run)
         texts = {"changes.md": self.markdown(changes), "changes.json": json.dumps(changes.as_dict(), indent=1) + "\n"}
         for name, text in texts.items():
-            write_aside(directory / name, partial(Path.write_text, data=text, encoding="utf-8"))
+            write_text(directory / name, text)
         return [directory / name for name in texts]
 
     def compare(self, run: Run) -> RunChanges:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import pandas as pd
 
 from nrbench.runs.records import Run
-from nrbench.storage import write_aside
+from nrbench.storage import write_text
 
 from .statistics.claims import claim_tests_table, claims_table, evaluate_claims
 from .statistics.comparison import (
@@ -269,7 +269,7 @@ def csv_text(table: pd.DataFrame) -> str:
 
 def _write(table: pd.DataFrame, path: Path) -> Path:
     text = csv_text(table)
-    write_aside(path, lambda aside: aside.write_bytes(text.encode("utf-8", "backslashreplace")))
+    write_text(path, text)
     return path
 
 

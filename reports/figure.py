@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import Run
-from nrbench.storage import write_aside
+from nrbench.storage import write_bytes
 
 from .plots.picture_grid import plot_pictures
 from .statistics.comparison import Comparison, Method, TextureRow, compare_methods
@@ -64,7 +63,7 @@ class PictureGrid:
         for kind in ("pdf", "png"):
             content = plot_pictures(comparison, rows, methods, kind, self.replicate, self.width, self.insets)
             path = directory / f"figure.{kind}"
-            write_aside(path, partial(Path.write_bytes, data=content))
+            write_bytes(path, content)
             paths.append(path)
         return paths
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,14 +18,14 @@ from nrbench.labelling.labels import content_hash
 from nrbench.labelling.questions import ANSWERS, WHOLE_SCORE
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RUN_FILE
-from nrbench.storage import write_aside
+from nrbench.storage import write_text
 
 from .csv import csv_text, summary_table
 from .latex import bibliography, latex_text
 from .page.forest_plot import forest_axes
-from .page.gallery import SOURCE_MAP, build_disagreement, build_gallery, list_layers, score_shade
+from .page.gallery import SOURCE_MAP, build_disagreement, build_gallery, list_failings, list_layers, score_shade
 from .page.inline_svg import inline_svg
-from .page.pictures import PictureStore
+from .page.pictures import CROP, PictureStore
 from .plots.claim_plot import plot_claim
 from .plots.cost_plane import has_cost, plot_cost
 from .plots.critical_difference import plot_ranks
@@ -49,6 +50,8 @@ from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MARKS, MEANINGS
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"
 _KEY_VERSIONS = ("nrbench", "python", "numpy", "scipy", "scikit-image", "numba", "pandas", "pillow")
+_MOST_DIFFERENCES = 1000
+"""More paired differences than this are in the CSV tables only: their number grows with the square of the methods."""
 _LEVELS_WIDTH = 8.7
 """Width of the plot of levels, inches: three columns."""
 _FILTERS = (
@@ -61,10 +64,11 @@ _FILTERS = (
 class HtmlReport:
     """The whole run on one page, ``report.html``, which works offline from ``file://``.
 
-    It shows the ranking of the methods by quality, the perils plane, where each method breaks, the comparison by
-    texture, the claims that the suite tests, the verdicts beside those that the report of 2004 published, the accuracy
-    of each detector of the lattice axis, each texture's sample, lattice and outputs side by side, the failures and
-    their causes, the provenance of the run, and the meaning of every score.
+    It shows the ranking of the methods by quality, the comparison by texture, where each method fails and what its
+    weakest outputs look like, the perils plane, where each method breaks, the claims that the suite tests, the verdicts
+    beside those that the report of 2004 published, the accuracy of each detector of the lattice axis, each texture's
+    sample, lattice and outputs side by side, the failures and their causes, the provenance of the run, and the meaning
+    of every score.
 
     Parameters
     ----------
@@ -90,8 +94,8 @@ class HtmlReport:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``report.html`` and return its path."""
-        path, page = directory / "report.html", self.render(run, directory).encode("utf-8", "backslashreplace")
-        write_aside(path, lambda aside: aside.write_bytes(page))
+        path = directory / "report.html"
+        write_text(path, self.render(run, directory))
         return [path]
 
     def render(self, run: Run, directory: Path) -> str:
@@ -106,11 +110,13 @@ class HtmlReport:
             for name, asked in (people.questions.items() if people else ())
         }
         sections = build_gallery(run, comparison, pictures)
+        failings = list_failings(comparison, pictures)
         embed = pictures.embeds()
         references = (i for i, method in enumerate(comparison.methods) if i and method.reference)
         content: dict[str, Any] = {
             "info": run.info,
             "created": _creation_time(run),
+            "command": shlex.join(map(str, run.info.get("argv") or [])),
             "versions": _split_versions(run.info.get("versions", {})),
             "run": run,
             "comparison": comparison,
@@ -133,6 +139,9 @@ class HtmlReport:
             "leading_legend": comparison.leading_legend,
             "sections": sections,
             "layers": list_layers(sections),
+            "failings": failings,
+            "crop": CROP,
+            "most_differences": _MOST_DIFFERENCES,
             "source_map": SOURCE_MAP,
             "address": cache(lambda picture: pictures.address(picture, embed)),
             "embedded": embed,

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from nrbench.errors import strip_control
 from nrbench.runs.records import Run
-from nrbench.storage import write_aside
+from nrbench.storage import write_text
 
 from .statistics.comparison import Comparison, MethodSummary, compare_methods, describe_scores
 from .statistics.estimates import Estimate
@@ -39,8 +39,8 @@ class JsonSummary:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``comparison.json`` and return its path."""
-        path, content = directory / "comparison.json", self.render(run).encode("utf-8", "backslashreplace")
-        write_aside(path, lambda aside: aside.write_bytes(content))
+        path = directory / "comparison.json"
+        write_text(path, self.render(run))
         return [path]
 
     def render(self, run: Run) -> str:

@@ -11,7 +11,7 @@ from typing import ClassVar
 from nrbench import plugins
 from nrbench.errors import BadInput, strip_control
 from nrbench.runs.records import Run
-from nrbench.storage import write_aside
+from nrbench.storage import write_text
 
 from .statistics.comparison import (
     Comparison,
@@ -114,7 +114,7 @@ class LatexTables:
 
 
 def _write(path: Path, text: str) -> Path:
-    write_aside(path, lambda aside: aside.write_bytes(text.encode("utf-8", "backslashreplace")))
+    write_text(path, text)
     return path
 
 
@@ -221,7 +221,7 @@ def _column_title(line: SummaryRow) -> str:
 
 def _value(line: SummaryRow, index: int, method: MethodSummary) -> str:
     """Return one number of a method above its interval; its quality is marked if it is in the leading group."""
-    one = line.estimates[index]
+    one = line.shown[index]
     if one is None or one.value is None:
         return "--"
     value = f"{100 * one.value:.0f}" if line.rate else _mathematical(format_number(one.value))

@@ -12,7 +12,7 @@ import jinja2
 
 from nrbench.errors import strip_control
 from nrbench.runs.records import Run
-from nrbench.storage import write_aside
+from nrbench.storage import write_text
 
 from .statistics import format as text_format
 from .statistics.comparison import LEADING_SIGN, compare_methods, list_patch_terms
@@ -46,8 +46,8 @@ class MarkdownTables:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``comparison.md`` and return its path."""
-        path, content = directory / "comparison.md", self.render(run).encode("utf-8", "backslashreplace")
-        write_aside(path, lambda aside: aside.write_bytes(content))
+        path = directory / "comparison.md"
+        write_text(path, self.render(run))
         return [path]
 
     def render(self, run: Run) -> str:

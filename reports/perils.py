@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import Run
-from nrbench.storage import write_aside
+from nrbench.storage import write_bytes
 
 from .plots.cost_plane import has_cost, plot_cost
 from .plots.critical_difference import plot_ranks
@@ -44,9 +43,12 @@ class PerilsPlane:
     ----------
     width
         Width in inches, from 3 to 12; the text keeps its size.
+    tests
+        Whether to test which methods differ. Without tests there are no ``ranks.*``.
     """
 
     width: float = 5.5
+    tests: bool = True
 
     version: ClassVar[str] = "2"
     folder: ClassVar[str] = "report"
@@ -57,7 +59,7 @@ class PerilsPlane:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; none if no method has a quality."""
-        comparison = compare_methods(run)
+        comparison = compare_methods(run, self.tests)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         paths = []
         for kind in ("svg", "pdf"):
@@ -72,7 +74,7 @@ class PerilsPlane:
                 contents["heat-map"] = plot_heat_map(comparison, kind)
             for name, content in contents.items():
                 path = directory / f"{name}.{kind}"
-                write_aside(path, partial(Path.write_bytes, data=content))
+                write_bytes(path, content)
                 paths.append(path)
         return paths
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from io import StringIO
 from pathlib import Path
@@ -18,7 +18,7 @@ from rich.text import Text
 from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import Run
-from nrbench.storage import write_aside
+from nrbench.storage import write_text
 
 from .statistics.comparison import (
     LEADING_SIGN,
@@ -77,8 +77,8 @@ class TextTable:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``comparison.txt`` and return its path."""
-        path, content = directory / "comparison.txt", self.render(run).encode("utf-8", "backslashreplace")
-        write_aside(path, lambda aside: aside.write_bytes(content))
+        path = directory / "comparison.txt"
+        write_text(path, self.render(run))
         return [path]
 
     def render(self, run: Run) -> str:
@@ -174,15 +174,7 @@ def _entry(entry: Entry | None) -> Text:
 
 
 def _estimate(line: SummaryRow, index: int) -> Text:
-    one = line.estimates[index]
-    if one is not None and line.column.range == (0.0, 1.0):
-        # Among shares of 1, less than 0.001 is 0: "1.2e-04" would only make the column wide.
-        one = replace(one, value=_round_small(one.value), low=_round_small(one.low), high=_round_small(one.high))
-    return _estimate_text(one, line.rate)
-
-
-def _round_small(value: float | None) -> float | None:
-    return 0.0 if value is not None and value < 0.001 else value
+    return _estimate_text(line.shown[index], line.rate)
 
 
 def _estimate_text(one: Estimate | None, rate: bool) -> Text:

@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
-from nrbench.detectors.consensus import Consensus
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.imaging.fold import fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Synthesizer, Task, find_lattice
+from nrbench.plugins.registry import NamedDetector
 
-from .ann_pixel import AnnPixel
 from .rsgf import Rsgf
 from .sampling.two_periods import shows_two_periods
 from .tile_set import TileSet
@@ -69,7 +68,7 @@ class Auto:
         Refused
             If the method that is picked refuses the sample.
         """
-        found = find_lattice(task, Consensus())
+        found = find_lattice(task, NamedDetector("consensus"))
         share = estimate_share(task.sample, found.lattice) if found.lattice else 0.0
         near_regular = found.lattice is not None and share >= self.threshold
         name: str = self.regular if near_regular else self.other
@@ -83,7 +82,11 @@ class Auto:
         return Rsgf() if self.regular == "rsgf" else TileSet()
 
     def _other_method(self) -> Synthesizer:
-        return Rsgf(search="stochastic") if self.other == "rsgf" else AnnPixel()
+        if self.other == "rsgf":
+            return Rsgf(search="stochastic")
+        from .ann_pixel import AnnPixel
+
+        return AnnPixel()
 
 
 def estimate_share(sample: Image, lattice: Lattice) -> float:

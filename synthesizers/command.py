@@ -14,13 +14,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from nrbench.detectors.consensus import Consensus
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, match_channels
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Task, require_lattice
 from nrbench.plugins.parameters import checked_label
+from nrbench.plugins.registry import NamedDetector
+from nrbench.storage import user_path
 
 LATTICE_FIELDS = ("lattice", "t1x", "t1y", "t2x", "t2y", "originx", "originy")
 FIELDS = ("sample", "output", "width", "height", "seed", *LATTICE_FIELDS)
@@ -33,7 +34,8 @@ class Command:
     """A program in any language that reads the sample from a PNG file and writes its output to another.
 
     The program runs without a shell, in an empty folder that is removed afterwards. The first word of the command is
-    searched in PATH as a shell does; words that name files of the current folder become absolute paths.
+    searched in PATH as a shell does; words that name files of the folder in which nrbench was started become
+    absolute paths.
 
     Parameters
     ----------
@@ -81,7 +83,7 @@ class Command:
         """
         lattice, seconds = None, 0.0
         if self.uses_lattice:
-            lattice, seconds = require_lattice(task, Consensus(), "the command takes one")
+            lattice, seconds = require_lattice(task, NamedDetector("consensus"), "the command takes one")
         with tempfile.TemporaryDirectory(prefix="nrbench-") as folder:
             sample, output = Path(folder, "sample.png"), Path(folder, "output.png")
             write_image(sample, task.sample)
@@ -118,7 +120,7 @@ def _fields(template: str) -> set[str]:
 
 
 def _absolute(word: str) -> str:
-    return str(Path(word).absolute()) if Path(word).is_file() else word
+    return str(user_path(word).absolute()) if user_path(word).is_file() else word
 
 
 def _execute(words: list[str], folder: Path) -> None:

@@ -14,6 +14,7 @@ from nrbench.imaging.convert import Image, match_channels
 from nrbench.imaging.files import read_image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.plugins.parameters import checked_label
+from nrbench.storage import user_path
 from nrbench.streams import pixels_hash
 
 _NAMES = ("sample", "output")
@@ -72,7 +73,7 @@ class Precomputed:
         return hashlib.blake2b(listed.encode(), digest_size=8).hexdigest()
 
     def _folder(self) -> Path:
-        folder = Path(self.directory).resolve()
+        folder = user_path(self.directory).resolve()
         if not folder.is_dir():
             raise BadInput(
                 f"precomputed: directory {self.directory!r} is no folder; give the one that holds the outputs"

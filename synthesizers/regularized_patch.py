@@ -10,11 +10,11 @@ from typing import Any, ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.detectors.consensus import Consensus
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, SourceMap, Synthesis, Task, require_lattice
+from nrbench.plugins.registry import NamedDetector
 
 from .geometry.straightening import Bend, StraightSample, trace_points
 from .geometry.vertex_field import Deform, Update
@@ -119,7 +119,7 @@ class RegularizedPatch:
         Refused
             If no lattice is found, or if the sample does not show two periods or two whole texels.
         """
-        lattice, seconds = require_lattice(task, Consensus(), "there are no texels; give a lattice")
+        lattice, seconds = require_lattice(task, NamedDetector("consensus"), "there are no texels; give a lattice")
         require_two_periods(lattice, task.sample.shape)
         straight = StraightSample.of(task.sample, lattice)
         deform: Deform = self.deform if straight.departs else "none"

@@ -13,12 +13,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.gncc import Gncc
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Detector, FoundLattice, Refused, Synthesis, Task, find_lattice
+from nrbench.plugins.forms import FoundLattice, Refused, Synthesis, Task, find_lattice
+from nrbench.plugins.registry import NamedDetector
 
 from .gap_filling.blocks import BlockGrid, check_border
 from .gap_filling.canvas import BlockCanvas, Map, SeamMethod
@@ -173,21 +173,16 @@ class Rsgf:
             If the sample does not hold a block with its borders, or no patch equal to one of the output's.
         """
         if self.geometry == "straighten":
-            return straighten_first(replace(self, geometry="as-is"), task, self._detector())
+            return straighten_first(replace(self, geometry="as-is"), task, NamedDetector(self.finder))
         grid = BlockGrid(task.shape, self.block, self.border)
         grid.search_shape(task.sample.shape)
-        found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, self._detector())
+        found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, NamedDetector(self.finder))
         filler = GapFiller(self, task, found.lattice)
         filler.place_blocks()
         filler.fill_gaps()
         image, source = filler.canvas.output()
         task.progress(1.0)
         return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=self._note(found))
-
-    def _detector(self) -> Detector:
-        if self.finder == "consensus":
-            return Consensus()
-        return Gncc() if self.finder == "gncc" else Gncc(**Gncc.presets["paper"])
 
     def _note(self, found: FoundLattice) -> str:
         if found.lattice or self.search == "stochastic":

@@ -10,10 +10,10 @@ from typing import Any, ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.detectors.consensus import Consensus
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Synthesis, Task, find_lattice
+from nrbench.plugins.registry import NamedDetector
 
 from .geometry.straightening import Geometry, straighten_first
 from .sampling.two_periods import require_two_periods
@@ -200,8 +200,8 @@ class TileSet:
             of one, or if registration, feather or margin is larger than s.
         """
         if self.geometry == "straighten":
-            return straighten_first(replace(self, geometry="as-is"), task, Consensus())
-        found = find_lattice(task, Consensus())
+            return straighten_first(replace(self, geometry="as-is"), task, NamedDetector("consensus"))
+        found = find_lattice(task, NamedDetector("consensus"))
         if found.lattice is None:
             raise Refused(f"no lattice found ({found.reason}), so that there are no tiles; give a lattice")
         self._require_within_s(found.lattice.s)

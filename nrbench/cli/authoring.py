@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from nrbench.cli.limits import limit_options
+
 KINDS = ("synthesizers", "detectors", "metrics", "datasets", "reports")
 ONE_OF = ("synthesizer", "detector", "metric", "dataset", "report")
 
@@ -16,22 +18,7 @@ ONE_OF = ("synthesizer", "detector", "metric", "dataset", "report")
 @click.command("check")
 @click.argument("plugin", required=False, metavar="[PLUGIN[:PARAM=VALUE,...]]")
 @click.option("--kind", type=click.Choice(KINDS), help="Check the plugin of this kind only.")
-@click.option(
-    "--timeout",
-    type=click.FloatRange(0, 1e7, min_open=True),
-    default=120.0,
-    show_default=True,
-    metavar="S",
-    help="Limit of the wall time of one clause, seconds.",
-)
-@click.option(
-    "--memory",
-    type=click.FloatRange(1, 1e7),
-    default=4096.0,
-    show_default=True,
-    metavar="MiB",
-    help="Limit of the memory of one clause, in addition to that of an idle worker.",
-)
+@limit_options("clause")
 @click.option("--clause", "only", multiple=True, metavar="NAME", help="Check this clause only; repeatable.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def check_command(

@@ -12,6 +12,8 @@ from typing import Any
 
 import click
 
+from nrbench.cli.startup import start_quickly
+
 VERBS: Mapping[str, str] = {
     **dict.fromkeys(("run", "plan", "report", "status", "label"), "nrbench.cli.runs"),
     "compare": "nrbench.cli.comparing",
@@ -72,8 +74,10 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit.
 
     The exit code is 0 on success, 1 if a cell, report or detector failed, 2 for wrong usage or bad input, and 130
-    after an interruption.
+    after an interruption. ``arguments`` are those of the process if None.
     """
+    if arguments is None:
+        start_quickly()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

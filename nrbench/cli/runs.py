@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from nrbench.cli.limits import limit_options
+
 if TYPE_CHECKING:
     from nrbench.running.progress import Step
     from nrbench.suites.plan import Plan
@@ -52,29 +54,6 @@ def _plan_options(command: F) -> F:
     return command
 
 
-def _limit_options(command: F) -> F:
-    for option in (
-        click.option(
-            "--memory",
-            type=click.FloatRange(1, 1e7),
-            default=4096.0,
-            show_default=True,
-            metavar="MiB",
-            help="Limit of the memory of one synthesis, metric or report, in addition to that of an idle worker.",
-        ),
-        click.option(
-            "--timeout",
-            type=click.FloatRange(0, 1e7, min_open=True),
-            default=120.0,
-            show_default=True,
-            metavar="S",
-            help="Limit of the wall time of one synthesis, metric or report, seconds.",
-        ),
-    ):
-        command = option(command)
-    return command
-
-
 def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
     from nrbench.api import changed
@@ -95,7 +74,7 @@ def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     type=click.IntRange(0),
     help="Number of cells that run at the same time; 0 runs them in this process.  [default: number of cores]",
 )
-@_limit_options
+@limit_options("synthesis, metric or report")
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Run the cells on a Dask cluster.")
 @click.option(
     "--worker-wait",
@@ -216,12 +195,16 @@ def plan_command(**arguments: Any) -> None:
     metavar="FILE...",
     help="Files with people's answers, one for each person. The reports then compare the verdicts with them.",
 )
-@_limit_options
+@click.option("--single-file", is_flag=True, help="Embed all pixels of all pictures in the HTML page.")
+@click.option("--no-tests", is_flag=True, help="Make no statistical tests: no leading group, no average ranks.")
+@limit_options("synthesis, metric or report")
 def report_command(
     run: Path,
     more: tuple[Path, ...],
     formats: tuple[str, ...],
     labels: tuple[Path, ...],
+    single_file: bool,
+    no_tests: bool,
     timeout: float,
     memory: float,
 ) -> int:
@@ -242,9 +225,11 @@ def report_command(
     record, files = Run(run), (*labels, *more)
     read_people(record, files)
     wanted = parse_formats(formats) if formats else None
+    chosen = {"labels": files, "single_file": single_file, "tests": not no_tests}
+    shared = {name: value for name, value in chosen.items() if value != (name == "tests")}
     limits = Limits(timeout, memory)
     with live_progress(patience=True) as progress:
-        written, broken = write_reports(record, wanted, labels=files, limits=limits, progress=progress)
+        written, broken = write_reports(record, wanted, shared=shared, limits=limits, progress=progress)
     for path in written:
         print(path)
     return int(broken)
@@ -258,12 +243,12 @@ def status_command(run: Path, as_json: bool) -> None:
     from nrbench.cli.summary import failures, status_counts
     from nrbench.runs.records import Run
 
-    record = Run(run)
-    counts, failed = status_counts(record), failures(record)
+    cells = Run(run).ends()
+    counts, failed = status_counts(cells), failures(cells)
     if as_json:
-        print(json.dumps({"run": str(run), "cells": len(record.cells), "status": counts, "failures": failed}, indent=1))
+        print(json.dumps({"run": str(run), "cells": len(cells), "status": counts, "failures": failed}, indent=1))
         return
-    print(f"{run}: {len(record.cells)} cells: " + ", ".join(f"{n} {status}" for status, n in counts.items()))
+    print(f"{run}: {len(cells)} cells: " + ", ".join(f"{n} {status}" for status, n in counts.items()))
     print("\n".join(failed) or "nothing failed")
 
 
@@ -295,7 +280,7 @@ def label_command(run: Path, output: Path | None, repeat: float, seed: int, ques
     from nrbench.errors import BadInput
     from nrbench.labelling.labels import make_page, page_html, write_key
     from nrbench.runs.records import Run
-    from nrbench.storage import write_aside
+    from nrbench.storage import write_text
 
     if output is not None and output.suffix.lower() not in (".html", ".htm"):
         raise BadInput(f"{output}: the page is HTML; end the name in .html")
@@ -305,7 +290,7 @@ def label_command(run: Path, output: Path | None, repeat: float, seed: int, ques
     path = output or page.key_file(run).with_suffix(".html")
     html = page_html(run, page)
     key = write_key(run, page)
-    write_aside(path, lambda aside: aside.write_text(html, "utf-8"))
+    write_text(path, html)
     repeats = sum(item.again for item in page.items)
     asked = ", ".join(page.questions)
     print(f"{path}\n{len(page.items)} items, {repeats} of them second showings; questions: {asked}")

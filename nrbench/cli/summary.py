@@ -11,36 +11,37 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
 from nrbench.plugins.parameters import nearest, parse_spec, size_text
-from nrbench.running.guard import Limits
-from nrbench.running.guarded import LIMITS, write_guarded
-from nrbench.running.runner import is_cached, metrics_of
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED, RUN_FILE, RunDirectory
 from nrbench.storage import read_json
-from nrbench.suites.cell import RESULTS_VERSION
-from nrbench.suites.plan import Plan
+from nrbench.suites.cell import RESULTS_VERSION, Cell
+
+# What runs cells and child processes is imported by the functions that need it: `status` only reads files.
+if TYPE_CHECKING:
+    from nrbench.running.guard import Limits
+    from nrbench.suites.plan import Plan
 
 
-def status_counts(run: Run) -> dict[str, int]:
+def status_counts(cells: Sequence[CellRecord]) -> dict[str, int]:
     """Return how many cells ended in each status."""
-    return dict(Counter(record.status for record in run.cells).most_common())
+    return dict(Counter(record.status for record in cells).most_common())
 
 
-def failures(run: Run) -> list[str]:
+def failures(cells: Sequence[CellRecord]) -> list[str]:
     """Return one line for each cell that failed, and one for each failure of a metric, which may concern many cells."""
-    lines = [f"{_where(one)}: {one.status}: {one.message}" for one in run.cells if one.status in FAILED]
+    lines = [f"{_where(one)}: {one.status}: {one.message}" for one in cells if one.status in FAILED]
     failed: dict[str, list[str]] = {}
-    for record in run.cells:
+    for record in cells:
         broken = {(name.partition(".")[0], why) for name, why in record.reasons.items() if why.startswith("failed:")}
         for metric, why in sorted(broken):
             failed.setdefault(f"{metric}: {why}", []).append(_where(record))
-    for what, cells in failed.items():
-        lines.append(f"{cells[0]}: {what}" + (f" (and {len(cells) - 1} more cells)" if len(cells) > 1 else ""))
+    for what, where in failed.items():
+        lines.append(f"{where[0]}: {what}" + (f" (and {len(where) - 1} more cells)" if len(where) > 1 else ""))
     return lines
 
 
@@ -79,8 +80,8 @@ def write_reports(
     run: Run,
     formats: Mapping[str, Mapping[str, Any]] | None = None,
     tables_only: bool = False,
-    labels: tuple[Path, ...] = (),
-    limits: Limits = LIMITS,
+    shared: Mapping[str, Any] | None = None,
+    limits: Limits | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> tuple[list[Path], bool]:
     """Write the reports of a run.
@@ -93,10 +94,10 @@ def write_reports(
         The parameters of each report, by its name; None for all reports.
     tables_only
         Whether reports other than tables are left out.
-    labels
-        Files with people's answers.
+    shared
+        Parameters of all reports that have them, such as the files of people's answers, ``labels``.
     limits
-        Limits of each report of another package.
+        Limits of each report of another package; None for the default ones.
     progress
         Called after each report with the number of reports done, of all, and the name of the last one.
 
@@ -107,6 +108,8 @@ def write_reports(
     broken
         Whether any report failed.
     """
+    from nrbench.running.guarded import LIMITS, write_guarded
+
     made_by = run.info.get("results_version")
     if made_by != RESULTS_VERSION:
         print(
@@ -116,15 +119,15 @@ def write_reports(
         )
     if formats is None:
         formats = {plugin.name: {} for plugin in plugins.inventory("reports") if plugin.cls is not None}
-    reports = {name: _build_report(name, labels, given) for name, given in formats.items()}
+    reports = {name: _build_report(name, shared or {}, given) for name, given in formats.items()}
     wanted = {name: one for name, one in reports.items() if not tables_only or _folder(one) == "tables"}
     written: list[Path] = []
-    broken = False
+    broken, allowed = False, limits or LIMITS
     for number, (name, report) in enumerate(wanted.items(), 1):
         folder = _folder(report)
         own = plugins.find("reports", name).own
         try:
-            files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder, limits)
+            files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder, allowed)
             written += [Path(path) for path in files]
         except (Exception, SystemExit) as error:
             broken = True
@@ -138,11 +141,11 @@ def _folder(report: Any) -> str:
     return str(getattr(report, "folder", "report"))
 
 
-def _build_report(name: str, labels: tuple[Path, ...], given: Mapping[str, Any]) -> Any:
-    """Return a report with its parameters, and with people's answers if it has a parameter ``labels``."""
+def _build_report(name: str, shared: Mapping[str, Any], given: Mapping[str, Any]) -> Any:
+    """Return a report with its own parameters, and those shared ones that it has."""
     cls: Any = plugins.find("reports", name).cls
-    takes_labels = "labels" in {field.name for field in fields(cls)}
-    return plugins.build("reports", name, {"labels": labels, **given} if labels and takes_labels else given)
+    known = {field.name for field in fields(cls)}
+    return plugins.build("reports", name, {**{key: shared[key] for key in shared if key in known}, **given})
 
 
 def check_columns(names: Sequence[str]) -> None:
@@ -187,7 +190,7 @@ def print_summary(run: Run, written: list[Path], as_json: bool, columns: Sequenc
         _print_terminal_reports(run, columns)
         page = next((path for path in written if path.suffix == ".html"), None)
         print(f"report: {page.resolve()}" if page else f"tables: {(run.root / 'tables').resolve()}")
-    failed = failures(run) + unfinished(run)
+    failed = failures(run.cells) + unfinished(run)
     for line in failed:
         print(f"nrbench: {line}", file=sys.stderr)
     return bool(failed)
@@ -212,8 +215,8 @@ def _summary(run: Run, written: list[Path]) -> dict[str, Any]:
     return {
         "run": str(run.root),
         "suite": {key: run.info["suite"][key] for key in ("name", "version", "hash")},
-        "status": status_counts(run),
-        "failures": failures(run),
+        "status": status_counts(run.cells),
+        "failures": failures(run.cells),
         "written": [str(path) for path in written],
         "cells": table.astype(object).where(table.notna(), None).to_dict("records"),
     }
@@ -221,9 +224,8 @@ def _summary(run: Run, written: list[Path]) -> dict[str, Any]:
 
 def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
     """Return the cells of a plan for JSON, and how many a run would reuse and start."""
-    directory = RunDirectory(root)
     # Metrics take seconds to import. No cell is cached where there is no run.
-    metrics = metrics_of(plan.suite) if plan.suite.metrics or root.is_dir() else []
+    is_done = _find_done(plan, root, retry_failed) if plan.suite.metrics or root.is_dir() else lambda cell: False
     cells = [
         {
             "key": cell.key,
@@ -231,9 +233,9 @@ def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
             "method": cell.label,
             "lattice_source": cell.lattice_source,
             "replicate": cell.replicate,
-            "sample": size_text(sample.texture.image.shape[:2]) if sample.texture else "",
+            "sample": size_text(sample.size) if sample.size else "",
             "size": size_text(sample.shape),
-            "cached": is_cached(directory, cell, metrics, retry_failed),
+            "cached": is_done(cell),
             "fault": cell.fault,
         }
         for cell, sample in plan.cells
@@ -241,6 +243,14 @@ def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
     cached = sum(bool(cell["cached"]) for cell in cells)
     head = {"suite": plan.suite.name, "hash": plan.suite.hash, "out": str(root)}
     return {**head, "cached": cached, "new": len(cells) - cached, "cells": cells}
+
+
+def _find_done(plan: Plan, root: Path, retry_failed: bool) -> Callable[[Cell], bool]:
+    """Return a function that tells whether a run would reuse the results of a cell."""
+    from nrbench.running.runner import is_cached, metrics_of
+
+    directory, metrics = RunDirectory(root), metrics_of(plan.suite)
+    return lambda cell: is_cached(directory, cell, metrics, retry_failed)
 
 
 def plan_lines(summary: dict[str, Any]) -> list[str]:

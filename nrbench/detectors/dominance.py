@@ -297,9 +297,15 @@ def _find_reach(gamma: Correlation) -> tuple[int, int]:
 
 def _rank_peaks(peaks: Points, values: Floats, candidates: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the order of the peaks by region of dominance, and the ``candidates`` largest by region over length."""
-    radii, lengths = dominance_radii(peaks, values), np.hypot(*peaks.T)
-    relative = np.lexsort((lengths, -radii / np.maximum(lengths, 1e-9)))
-    return np.lexsort((-values, -radii)), relative[:candidates]
+    radii = dominance_radii(peaks, values)
+    highest = np.argsort(-values, kind="stable")
+    lengths = np.hypot(*peaks.T)
+    ratios = -radii / np.maximum(lengths, 1e-9)
+    # Noise has thousands of peaks, of which only a few are sorted by region over length.
+    largest = np.partition(ratios, candidates - 1)[candidates - 1] if len(ratios) > candidates else 0.0
+    few = np.flatnonzero(ratios <= largest)
+    few = few[np.lexsort((lengths[few], ratios[few]))[:candidates]]
+    return highest[np.argsort(-radii[highest], kind="stable")], few
 
 
 def _select_smallest_cell(pairs: Pairs, needed: float) -> Choice | None:

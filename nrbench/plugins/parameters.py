@@ -7,10 +7,13 @@ import difflib
 import inspect
 import re
 from collections.abc import Collection, Iterable, Mapping
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Shape
+from nrbench.storage import user_path
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -129,13 +132,7 @@ def converted(cls: type[Any], parameters: Mapping[str, Any], where: str) -> dict
     BadInput
         For an unknown parameter (the message names the nearest) or a value of the wrong type.
     """
-    if not parameters:
-        return {}
-    from pydantic import TypeAdapter
-
-    hints = get_type_hints(cls)
-    fields = {field.name: TypeAdapter(hints[field.name]) for field in dataclasses.fields(cls)}
-    return {key: _convert(fields, key, value, where) for key, value in parameters.items()}
+    return {key: _convert(cls, key, value, where) for key, value in parameters.items()}
 
 
 def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
@@ -160,17 +157,33 @@ def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
         raise BadInput(f"{where}: {error}") from error
 
 
-def _convert(fields: Mapping[str, TypeAdapter[Any]], key: str, value: Any, where: str) -> Any:
+@cache
+def _adapter(cls: type[Any], name: str) -> TypeAdapter[Any]:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(get_type_hints(cls)[name])
+
+
+def _convert(cls: type[Any], key: str, value: Any, where: str) -> Any:
     from pydantic import ValidationError
 
-    if key not in fields:
-        raise BadInput(f"{where}: parameter {key!r} is not known{nearest(key, fields)}")
+    names = [field.name for field in dataclasses.fields(cls)]
+    if key not in names:
+        raise BadInput(f"{where}: parameter {key!r} is not known{nearest(key, names)}")
     for attempt in _readings(value):
         try:
-            return fields[key].validate_python(attempt)
+            return _located(_adapter(cls, key).validate_python(attempt))  # type: ignore[arg-type]
         except ValidationError as error:
-            why = error.errors()[0]["msg"]
+            if attempt != (value,):  # that text is no list of one item says nothing about a number
+                why = error.errors()[0]["msg"]
     raise BadInput(f"{where}: {key}={value!r}: {why[:1].lower()}{why[1:]}")
+
+
+def _located(value: Any) -> Any:
+    """Return a value whose paths can be opened: the working directory of a plugin may not be the user's folder."""
+    if type(value) in (tuple, list):
+        return type(value)(map(_located, value))
+    return user_path(value) if isinstance(value, Path) else value
 
 
 def _readings(value: Any) -> list[Any]:
@@ -179,15 +192,20 @@ def _readings(value: Any) -> list[Any]:
         return [value]
     if value.lower() in ("none", "null"):
         return [None, value]
-    return [value, value.split(",")] if "," in value else [value]
+    return [value, value.split(",")] if "," in value else [value, (value,)]
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return ``" (did you mean 'x'?)"``, or a list of the known words if none is similar."""
+    """Return ``" (did you mean 'x'?)"``, or a list of the known words if none is similar.
+
+    Words are similar if two thirds of their letters agree, in the same order, or if one begins with the other. Of
+    those that are similar by their letters the nearest is returned, of the others up to three.
+    """
     options = list(known)
-    close = difflib.get_close_matches(word, options, n=1, cutoff=0.5)
-    if close:
-        return f" (did you mean {close[0]!r}?)"
+    begun = [each for each in options if len(word) > 2 and (each.startswith(word) or word.startswith(each))]
+    close = difflib.get_close_matches(word, options, n=1, cutoff=0.67) or begun
+    if 0 < len(close) <= 3:
+        return f" (did you mean {' or '.join(map(repr, close))}?)"
     return f" (known: {', '.join(options)})" if options else " (there are none)"
 
 

@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any, get_args
 
 from nrbench.errors import BadInput
-from nrbench.plugins.forms import Better, Column
-from nrbench.plugins.parameters import PRESET, converted, missing, nearest, validated
+from nrbench.imaging.convert import Image
+from nrbench.plugins.forms import Better, Column, Detection
+from nrbench.plugins.parameters import PRESET, converted, missing, nearest, parse_spec, validated
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,25 @@ def build(kind: str, name: str, parameters: Mapping[str, Any] | None = None) -> 
     cls = find(kind, name).cls
     assert cls is not None
     return validated(cls, parameters or {}, f"{FORMS[kind].noun} {name}")
+
+
+@dataclass(frozen=True)
+class NamedDetector:
+    """A registered detector, which is imported when it detects: a method to which a lattice is given does not need it.
+
+    Parameters
+    ----------
+    spec
+        ``name`` or ``name:param=value,...``.
+    """
+
+    spec: str
+
+    def detect(self, image: Image) -> Detection:
+        """Return what the detector finds; see :class:`~nrbench.plugins.forms.Detector`."""
+        name, parameters = parse_spec(self.spec)
+        found: Detection = build("detectors", name, parameters).detect(image)
+        return found
 
 
 def parameters_of(plugin: Any) -> dict[str, Any]:

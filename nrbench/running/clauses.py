@@ -19,6 +19,7 @@ import sys
 import tempfile
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -177,18 +178,18 @@ def _laid(shape: Shape, factors: NDArray[np.float64], rng: np.random.Generator, 
     )
 
 
-def _frozen(array: NDArray[Any], frozen: bool) -> Any:
-    """Return a copy of an array, read-only if ``frozen``."""
+def _copied(array: NDArray[Any], read_only: bool) -> Any:
+    """Return a copy of an array."""
     copy = np.array(array)
-    copy.setflags(write=not frozen)
+    copy.setflags(write=not read_only)
     return copy
 
 
-def _frozen_texture(texture: Texture, frozen: bool) -> Texture:
-    """Return a copy of a texture, all its arrays read-only if ``frozen``."""
+def _copied_texture(texture: Texture, read_only: bool) -> Texture:
+    """Return a copy of a texture and of all its arrays."""
     arrays = {name: getattr(texture, name) for name in ("image", "ideal", "displacement")}
-    copies = {name: _frozen(array, frozen) for name, array in arrays.items() if array is not None}
-    elements = {name: _frozen(array, frozen) for name, array in texture.elements.items()}
+    copies = {name: _copied(array, read_only) for name, array in arrays.items() if array is not None}
+    elements = {name: _copied(array, read_only) for name, array in texture.elements.items()}
     return dataclasses.replace(texture, elements=elements, **copies)
 
 
@@ -220,7 +221,7 @@ def _parts(answer: Any) -> Iterator[bytes]:
 
 
 @dataclass(frozen=True)
-class Subject:
+class Subject(ABC):
     """A plugin that is checked. Subclasses know how a plugin of their kind is called.
 
     Parameters
@@ -247,9 +248,9 @@ class Subject:
         """The class of the plugin."""
         return type(self.plugin)
 
-    def answer(self, seed: int = 0, frozen: bool = False) -> Any:
-        """Return the plugin's answer to an input of its own seed, whose arrays are read-only if ``frozen``."""
-        raise NotImplementedError
+    @abstractmethod
+    def answer(self, seed: int = 0, read_only: bool = False) -> Any:
+        """Return the plugin's answer to an input of its own seed, whose arrays are read-only if ``read_only``."""
 
 
 def _parameters(subject: Subject) -> str:
@@ -365,7 +366,7 @@ def _surroundings(subject: Subject) -> dict[str, Any]:
 
 def _read_only(subject: Subject) -> str:
     try:
-        subject.answer(frozen=True)
+        subject.answer(read_only=True)
     except ValueError as error:
         if "read-only" not in str(error):
             raise
@@ -407,20 +408,20 @@ class Method(Subject):
         """Whether the method uses a lattice."""
         return bool(getattr(self.plugin, "uses_lattice", True))
 
-    def task(self, seed: int = 0, channels: int = 3, frozen: bool = False, **changes: Any) -> Task:
+    def task(self, seed: int = 0, channels: int = 3, read_only: bool = False, **changes: Any) -> Task:
         """Return a task; ``changes`` are fields of :class:`~nrbench.plugins.forms.Task`."""
         sample = changes.pop("sample", None)
         if sample is None:
             sample = draw_texture_of_tiles(SAMPLE, stream("check", seed), channels).image
         fields: dict[str, Any] = {"lattice": LATTICE if self.uses_lattice else None, "shape": OUTPUT, **changes}
         if getattr(self.cls, "reference", False):
-            draws = partial(_draw_again, seed, channels, frozen)
+            draws = partial(_draw_again, seed, channels, read_only)
             fields |= {"again": draws, "recompose": draws}
-        return Task(_frozen(sample, frozen), rng=stream("check", seed, "method"), **fields)
+        return Task(_copied(sample, read_only), rng=stream("check", seed, "method"), **fields)
 
-    def answer(self, seed: int = 0, frozen: bool = False) -> Synthesis:
+    def answer(self, seed: int = 0, read_only: bool = False) -> Synthesis:
         """Return a synthesis of tiles whose lattice is given."""
-        return cast("Synthesis", self.plugin.synthesize(self.task(seed, frozen=frozen)))
+        return cast("Synthesis", self.plugin.synthesize(self.task(seed, read_only=read_only)))
 
     def valid(self, task: Task) -> Synthesis:
         """Return the checked synthesis of a task, its source map unchecked; Refused and errors of the method pass."""
@@ -432,8 +433,8 @@ class Method(Subject):
             raise Violated(str(invalid)) from None
 
 
-def _draw_again(seed: int, channels: int, frozen: bool, shape: Shape, k: int) -> Texture:
-    return _frozen_texture(draw_texture_of_tiles(shape, stream("check", seed, "again", k), channels), frozen)
+def _draw_again(seed: int, channels: int, read_only: bool, shape: Shape, k: int) -> Texture:
+    return _copied_texture(draw_texture_of_tiles(shape, stream("check", seed, "again", k), channels), read_only)
 
 
 def _output(method: Method) -> str:
@@ -541,17 +542,17 @@ class LatticeDetector(Subject):
         """Return tiles."""
         return draw_texture_of_tiles(OUTPUT, stream("check", seed), channels).image
 
-    def answer(self, seed: int = 0, frozen: bool = False) -> Any:
+    def answer(self, seed: int = 0, read_only: bool = False) -> Any:
         """Return the detection in tiles, or the reason why there is none."""
         try:
-            return self.plugin.detect(_frozen(self.image(seed), frozen))
+            return self.plugin.detect(_copied(self.image(seed), read_only))
         except NoLatticeFound as none:
             return none.reason
 
     def valid(self, image: Image) -> Detection | str:
         """Return the checked detection in an image, or the reason why there is none."""
         try:
-            found = self.plugin.detect(_frozen(image, False))
+            found = self.plugin.detect(_copied(image, False))
         except NoLatticeFound as none:
             _demand(isinstance(none.reason, str) and none.reason, "raised NoLatticeFound without a reason")
             return none.reason
@@ -611,15 +612,17 @@ class ScoreFamily(Subject):
 
     kind = "metrics"
 
-    def observation(self, seed: int = 0, channels: int = 3, frozen: bool = False, known: str = "model") -> Observation:
+    def observation(
+        self, seed: int = 0, channels: int = 3, read_only: bool = False, known: str = "model"
+    ) -> Observation:
         """Return a fresh draw as an output. ``known`` is ``"model"``, ``"lattice"`` or ``"nothing"``."""
-        sample = _frozen_texture(draw_texture_of_tiles(SAMPLE, stream("check", seed), channels), frozen)
+        sample = _copied_texture(draw_texture_of_tiles(SAMPLE, stream("check", seed), channels), read_only)
         output = draw_texture_of_tiles(OUTPUT, stream("check", seed, "output"), channels).image
-        again: Again | None = partial(_draw_again, seed, channels, frozen) if known == "model" else None
+        again: Again | None = partial(_draw_again, seed, channels, read_only) if known == "model" else None
         bare = Texture(sample.image, LATTICE, (LATTICE,))
         return Observation(
             sample.image,
-            _frozen(output, frozen),
+            _copied(output, read_only),
             {"model": sample, "lattice": bare}.get(known),
             lattice_given=LATTICE if known != "nothing" else None,
             seconds=0.25 if known != "nothing" else None,
@@ -627,9 +630,9 @@ class ScoreFamily(Subject):
             again=again,
         )
 
-    def answer(self, seed: int = 0, frozen: bool = False) -> Score:
+    def answer(self, seed: int = 0, read_only: bool = False) -> Score:
         """Return the score of a fresh draw."""
-        return score_observation(self.observation(seed, frozen=frozen), self.name, self.parameters)
+        return score_observation(self.observation(seed, read_only=read_only), self.name, self.parameters)
 
     def valid(self, **changes: Any) -> Score:
         """Return the checked score of an observation."""
@@ -686,10 +689,10 @@ class TextureModel(Subject):
         """Return the recipe of a draw."""
         return Recipe(self.name, plugins.parameters_of(self.plugin), seed, "check", 0, shape)
 
-    def answer(self, seed: int = 0, frozen: bool = False) -> Any:
+    def answer(self, seed: int = 0, read_only: bool = False) -> Any:
         """Return a texture, and a fresh draw of it."""
         recipe = self.recipe(seed)
-        texture = _frozen_texture(recipe.render(), frozen)
+        texture = _copied_texture(recipe.render(), read_only)
         recompose = recipe.recompose(texture)
         return texture, recipe.again(texture)(SAMPLE, 0), recompose(SAMPLE, 0) if recompose else None
 
@@ -804,7 +807,7 @@ class RunReport(Subject):
 
     kind = "reports"
 
-    def answer(self, seed: int = 0, frozen: bool = False) -> dict[str, bytes]:
+    def answer(self, seed: int = 0, read_only: bool = False) -> dict[str, bytes]:
         """Return the files of the report by name."""
         return {name: path.read_bytes() for name, path in self.written()}
 
@@ -943,7 +946,7 @@ CLAUSES: Mapping[str, tuple[Clause, ...]] = {
         Clause("shapes", "Strips and odd sizes can be drawn.", _shapes, "texture"),
         Clause("truth", "The truth fits the image: shapes, ranges, and the lattice.", _truth, "texture"),
         Clause("fresh draws", "Fresh draws have the same lattice and origin.", _again, "texture"),
-        Clause("recomposition", "Draws of copied elements have the shape that was asked for.", _recompose, "texture"),
+        Clause("recomposition", "Draws of copied elements have the requested shape.", _recompose, "texture"),
         Clause("time", _TIME, _drawing_time, "texture"),
     ),
     "reports": (

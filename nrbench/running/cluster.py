@@ -30,7 +30,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
 from nrbench.running.supervisor import Closed, Job, own_supervisor, run_job
 from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import read_json, write_aside
+from nrbench.storage import read_json, write_bytes
 from nrbench.suites.cell import RESULTS_VERSION
 
 CONNECT = 10.0
@@ -38,7 +38,7 @@ CONNECT = 10.0
 SILENCE = 30.0
 """Seconds without an answer after which a scheduler counts as lost."""
 NOTICE = 10.0
-"""Seconds without a worker after which the user is told."""
+"""Seconds without a worker after which a message is printed."""
 PROBE = 1.0
 """Seconds between two questions to the scheduler for its workers."""
 TOKEN = ".cluster-"
@@ -395,7 +395,7 @@ def write_files(where: CellFolder, files: Mapping[str, bytes]) -> None:
         path, content = where.path / name, files[name]
         if path.resolve().parent not in (where.path.resolve(), where.extras.resolve(), where.scores.resolve()):
             raise BadInput(f"--scheduler: a worker sent the file {name!r}, which lies outside its cell")
-        write_aside(path, lambda aside, content=content: aside.write_bytes(content))  # type: ignore[misc]
+        write_bytes(path, content)
 
 
 def run_parcel(parcel: Parcel) -> Answer:
@@ -457,7 +457,7 @@ def _load_plugins(path: Path, text: bytes, place: Path) -> None:
         file = path
         if not _holds(path, text):
             file = place / f"plugin-{digest}" / path.name
-            write_aside(file, lambda aside: aside.write_bytes(text))
+            write_bytes(file, text)
         plugins.add_file(file)
         _loaded.add(digest)
 

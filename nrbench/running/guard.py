@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -39,10 +39,13 @@ class Message(Result, total=False):
         The metric.
     held
         Bytes that a fresh interpreter holds (:func:`held_bytes`) when its work begins.
+    finished
+        Sent by a child that runs many requests when one is finished.
     """
 
     scored: str
     held: int
+    finished: bool
 
 
 Receive = Callable[[float], Iterable[Message] | None]
@@ -257,17 +260,24 @@ def adopt_orphans() -> None:
     _prctl(36, 1)
 
 
-def sweep_orphans() -> None:
-    """Kill and reap every child of the calling process: those that a finished job left running, in any session."""
+def sweep_orphans(spared: Collection[int] = ()) -> None:
+    """Kill and reap the children of the calling process: those that a finished job left running, in any session.
+
+    Parameters
+    ----------
+    spared
+        Process ids of children that stay.
+    """
     for _ in range(1000):
-        children = _children()
+        children = [pid for pid in _children() if pid not in spared]
         if not children:
             return
         for pid in children:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.kill(pid, signal.SIGKILL)
-        with contextlib.suppress(ChildProcessError):
-            os.waitpid(-1, 0)
+        for pid in children:
+            with contextlib.suppress(ChildProcessError):
+                os.waitpid(pid, 0)
 
 
 def _children() -> list[int]:
@@ -318,6 +328,21 @@ def die_with_parent() -> None:
 def outlive_parent() -> None:
     """Undo :func:`die_with_parent`."""
     _prctl(1, 0)
+
+
+def collapse_pages() -> None:
+    """Put the memory of the calling process into huge pages (Linux from 6.1): a fork then takes half the time."""
+    if not sys.platform.startswith("linux"):
+        return
+    import ctypes
+
+    madvise, huge = ctypes.CDLL(None).madvise, 1 << 21
+    with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:  # noqa: PTH123
+        ranges = [line.split()[0].split("-") for line in maps.readlines() if line.split()[1:5:3] == ["rw-p", "0"]]
+    for begin, end in ranges:
+        first, last = -(-int(begin, 16) // huge) * huge, int(end, 16) // huge * huge
+        if last > first:
+            madvise(ctypes.c_void_p(first), ctypes.c_size_t(last - first), 25)
 
 
 def _prctl(option: int, value: int) -> None:

@@ -6,24 +6,25 @@ Plugins that are not part of nrbench do it in guarded child processes.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Shape, Texture
 from nrbench.running.guard import Limits
-from nrbench.running.phases import read_texture
-from nrbench.running.supervisor import RequestRunner, Supervisor
-from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder
 from nrbench.storage import temporary_folder, write_json
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import Draw, Plan, make_plan
 from nrbench.suites.suite import Suite
+
+# The processes are imported by the functions that start one: plans of the datasets of nrbench need none.
+if TYPE_CHECKING:
+    from nrbench.running.supervisor import RequestRunner
 
 LIMITS = Limits(120.0, 4096.0)
 """The limits of the drawing of one texture, where no others are given."""
@@ -42,8 +43,17 @@ def plan_run(suite: Suite, textures: Sequence[str] = (), limits: Limits = LIMITS
     limits
         The limits of the drawing of one texture.
     """
-    with Supervisor() as supervisor:
-        return make_plan(suite, textures, guarded_draw(supervisor, limits))
+    with ExitStack() as stack:
+        started: list[Draw] = []
+
+        def draw(recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
+            if not started:
+                from nrbench.running.supervisor import Supervisor
+
+                started.append(guarded_draw(stack.enter_context(Supervisor()), limits))
+            return started[0](recipe, shape)
+
+        return make_plan(suite, textures, draw)
 
 
 def write_guarded(run: Run, name: str, report: Any, folder: str, limits: Limits = LIMITS) -> list[str]:
@@ -65,6 +75,9 @@ def write_guarded(run: Run, name: str, report: Any, folder: str, limits: Limits 
     RuntimeError
         When the plugin fails or kills its process; with the cause.
     """
+    from nrbench.running.supervisor import Supervisor
+    from nrbench.running.worker import Request
+
     parameters = plugins.parameters_of(report)
     wanted = {"run": str(run.root.resolve()), "report": name, "parameters": parameters, "folder": folder}
     with Supervisor() as supervisor, _folder_of(wanted) as where:
@@ -79,6 +92,8 @@ def guarded_draw(runner: RequestRunner, limits: Limits) -> Draw:
 
     The error has the last lines that the dataset printed as a note.
     """
+    from nrbench.running.phases import read_texture
+    from nrbench.running.worker import Request
 
     def draw(recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
         with _folder_of({"recipe": recipe.as_dict(), "shape": list(shape)}) as folder:

@@ -129,7 +129,8 @@ def send_error(error: BaseException, send: Send) -> None:
     traceback.print_exc()
     disk = storage_fault(error)
     if disk is not None:
-        send({"status": "storage", "message": f"{disk.filename or 'disk'}: {disk.strerror}"})
+        where = f"{disk.filename}: " if disk.filename else ""
+        send({"status": "storage", "message": f"{where}{disk.strerror}"})
     else:
         send({"status": "error", "message": describe_error(error)})
 

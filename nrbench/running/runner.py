@@ -25,7 +25,7 @@ from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
 from nrbench.storage import write_json
 from nrbench.suites.cell import Cell
-from nrbench.suites.plan import Plan, Sample
+from nrbench.suites.plan import Plan, PlannedSample
 from nrbench.suites.suite import Suite
 
 T = TypeVar("T")
@@ -136,7 +136,7 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
         RunDirectory(options.reuse).info()
     directory.claim()
     with directory.locked():
-        directory.write_info(plan, options.argv)
+        directory.write_info(plan, options.argv, metrics)
         if options.reuse is not None:
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
         with executor(options.jobs, options.scheduler, root, options.worker_wait, options.tell) as pool:
@@ -154,7 +154,7 @@ class _Runner:
     metrics: list[str]
     pool: Executor
 
-    def with_detected_lattices(self, cells: list[tuple[Cell, Sample]]) -> list[tuple[Cell, Sample]]:
+    def with_detected_lattices(self, cells: list[tuple[Cell, PlannedSample]]) -> list[tuple[Cell, PlannedSample]]:
         """Run each detector of the lattice axis once for each sample; return the cells with the detected lattices."""
         wanted = {_detection_key(cell): (cell, sample) for cell, sample in cells if cell.detector and not cell.fault}
         jobs = ((key, self._detection_job(key, *wanted[key])) for key in wanted)
@@ -164,20 +164,20 @@ class _Runner:
             for cell, sample in cells
         ]
 
-    def _detection_job(self, key: str, cell: Cell, sample: Sample) -> Job | Result:
+    def _detection_job(self, key: str, cell: Cell, sample: PlannedSample) -> Job | Result:
         where = self.directory.lattice(key)
         result = where.result()
         if result is not None and not (self.options.retry_failed and result["status"] in FAILED):
             return result
-        assert cell.detector is not None and sample.texture is not None
+        assert cell.detector is not None
         where.clear()
         where.path.mkdir(parents=True, exist_ok=True)
-        write_image(where.sample, sample.texture.image)
+        write_image(where.sample, sample.image())
         name, version, parameters = cell.detector
         write_json(where.cell_file, {"detector": name, "version": version, "parameters": parameters})
         return self._job("detect", where)
 
-    def run(self, cells: list[tuple[Cell, Sample]], progress: Progress) -> None:
+    def run(self, cells: list[tuple[Cell, PlannedSample]], progress: Progress) -> None:
         """Run every cell; its folder is prepared just before it starts."""
         pace = Pace([cell for cell, _ in cells])
         jobs = ((cell, self._cell_job(cell, sample)) for cell, sample in cells)
@@ -185,7 +185,7 @@ class _Runner:
             result = future.result()
             progress(pace.step(cell, result["status"], result.get("wall"), self.pool.slots))
 
-    def _cell_job(self, cell: Cell, sample: Sample) -> Job | Result:
+    def _cell_job(self, cell: Cell, sample: PlannedSample) -> Job | Result:
         where, retry = self.directory.cell(cell.key), self.options.retry_failed
         result = where.result()
         if result is not None and is_cached(self.directory, cell, self.metrics, retry):
@@ -201,7 +201,7 @@ class _Runner:
             log = sample.log or self.directory.lattice(_detection_key(cell)).log_tail()
             if log:
                 where.log.write_text(log + "\n", "utf-8")
-            phase = "detect" if sample.texture and cell.detector else "render" if not sample.texture else "given"
+            phase = "render" if sample.size is None else "detect" if cell.detector else "given"
             result = {"status": cell.fault_status, "message": cell.fault, "phase": phase}
             return {**where.write_result(result), "wall": 0.0}
         return self._job("cell", where)
@@ -282,12 +282,12 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
     return dataclasses.replace(cell, fault=f"{cell.lattice_source}: no lattice: {why}", fault_status="refused")
 
 
-def _prepare(where: CellFolder, cell: Cell, sample: Sample) -> None:
+def _prepare(where: CellFolder, cell: Cell, sample: PlannedSample) -> None:
     """Write the files that a cell's child processes read. What is there may be damaged."""
     where.path.mkdir(parents=True, exist_ok=True)
-    if sample.texture is not None:
-        write_image(where.sample, sample.texture.image)
-    again = sample.again if cell.reference else None
+    if sample.size is not None:
+        write_image(where.sample, sample.image())
+    again = sample.again() if cell.reference else None
     if again is not None:
         write_image(where.again, again)
     write_json(where.cell_file, cell.as_dict())

@@ -154,7 +154,7 @@ def _run(runner: RequestRunner, request: Request) -> Reply:
     if reply.result["status"] != "storage":
         return reply
     if not _can_write(Path(request.folder)):
-        raise OSError(errno.ENOSPC, reply.result["message"])
+        raise OSError(errno.ENOSPC, reply.result["message"], request.folder)
     return dataclasses.replace(reply, result={**reply.result, "status": "error"})
 
 

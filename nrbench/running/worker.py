@@ -1,22 +1,26 @@
-"""The worker process: it imports every plugin, loads every kernel, and then forks one child for each phase.
+"""The worker process: it imports every plugin, loads every kernel, and then forks the children that run phases.
 
-The worker computes nothing itself and has a single thread, so that forking is safe.
+The worker computes nothing itself and has a single thread, so that forking is safe. Each phase has a child of its own.
+The exception is scoring by the metrics of nrbench: one child, the scorer, scores many cells.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gc
 import importlib
 import json
 import os
 import select
 import shutil
 import signal
+import socket
 import sys
 import tempfile
 import threading
 import uuid
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,15 +30,31 @@ from nrbench import plugins
 from nrbench.jit import load_kernels
 from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
-from nrbench.runs.store import Result
+from nrbench.runs.store import CellFolder, Result
+from nrbench.storage import leave_user_folder, read_json
 
 LONGEST = 70
 """Bytes of the path of a folder of temporary files; Python's ``multiprocessing`` adds up to 35 for its sockets."""
+SCORER_ROOM = 256.0
+"""MiB that the scorer may hold between two cells, beyond what the worker holds. Above it, a new one takes its place."""
 DEFERRED = (
     *("scipy.cluster.vq", "scipy.fft", "scipy.interpolate", "scipy.linalg", "scipy.ndimage", "scipy.optimize"),
     *("scipy.signal", "scipy.sparse", "scipy.spatial.distance", "scipy.special", "scipy.stats", "skimage.color"),
+    *("PIL.BmpImagePlugin", "PIL.GifImagePlugin", "PIL.JpegImagePlugin", "PIL.PpmImagePlugin"),
+    *("encodings.ascii", "pydantic.type_adapter"),
 )
-"""Modules that scipy and scikit-image import on first use. A worker imports them before it forks."""
+"""Modules that libraries import on first use. A worker imports them before it forks, not each of its children."""
+
+
+def _working_folder() -> str:
+    try:
+        return str(Path.cwd())
+    except FileNotFoundError:  # somebody has removed it
+        return tempfile.gettempdir()
+
+
+def _new_temporary_path() -> str:
+    return str(Path(tempfile.gettempdir(), f"nrbench-{uuid.uuid4().hex[:12]}"))
 
 
 @dataclass(frozen=True)
@@ -51,8 +71,10 @@ class Request:
         Limits, see :class:`~nrbench.running.guard.Limits`.
     metrics
         The metrics of the phase ``score``.
-    name
-        The name of the folder of temporary files where the cell's folder has a long path.
+    user_folder
+        The folder in which the user started nrbench: relative paths in parameters start from there.
+    elsewhere
+        The folder of temporary files where the cell's folder has a long path.
     """
 
     phase: Literal["render", "detect", "synthesize", "score", "report", "check"]
@@ -60,7 +82,8 @@ class Request:
     seconds: float
     mib: float
     metrics: tuple[str, ...] = ()
-    name: str = dataclasses.field(default_factory=lambda: f"nrbench-{uuid.uuid4().hex[:12]}")
+    user_folder: str = dataclasses.field(default_factory=_working_folder)
+    elsewhere: str = dataclasses.field(default_factory=_new_temporary_path)
 
     @property
     def log(self) -> Path:
@@ -74,7 +97,13 @@ class Request:
         It lies in the cell's folder, unless that has a long path: the path of a socket has 107 bytes at most.
         """
         near = Path(self.folder) / "tmp"
-        return near if len(os.fsencode(near)) <= LONGEST else Path(tempfile.gettempdir(), self.name)
+        return near if len(os.fsencode(near)) <= LONGEST else Path(self.elsewhere)
+
+    def settle(self) -> None:
+        """Give the calling process the temporary files and the working directory of the phase."""
+        self.temporary.mkdir(mode=0o700, exist_ok=True)
+        os.environ["TMPDIR"] = tempfile.tempdir = str(self.temporary)
+        leave_user_folder(Path(self.user_folder), self.temporary / "work")
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""
@@ -165,6 +194,9 @@ def warm(compiling: Callable[[], None]) -> None:
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
         plugins.inventory(kind)
     load_kernels(compiling)
+    gc.collect()
+    gc.freeze()  # a collection in a child would write into all objects of the worker, and so copy their memory
+    guard.collapse_pages()
 
 
 def _die_with_parent(out: int) -> None:
@@ -194,73 +226,157 @@ def may_fork() -> bool:
 
 def serve(requests: Iterable[str], reply: Callable[[str], None]) -> None:
     """Read one request from each line, run it in a forked child, and reply, until the input ends."""
+    server = ForkServer()
     for line in requests:
-        reply(fork_and_watch(Request.from_json(line)).to_json())
+        reply(server.run(Request.from_json(line)).to_json())
 
 
-def fork_and_watch(request: Request) -> Reply:
-    """Run one phase in a forked child under its limits."""
-    readable, writable = os.pipe()
-    base, limits = guard.held_bytes(os.getpid()), guard.Limits(request.seconds, request.mib, request.metrics)
+@dataclass(frozen=True)
+class Child:
+    """A forked child.
+
+    Parameters
+    ----------
+    pid
+        Its process id.
+    channel
+        This process's end of the connection: the child's messages arrive here, and further requests go there.
+    """
+
+    pid: int
+    channel: socket.socket
+
+    def has_ended(self) -> bool:
+        """Return whether the process has ended."""
+        return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
+
+    def end(self, kill: bool) -> int:
+        """Wait for the end of the process, killed or not; return its exit code (negative: minus the signal)."""
+        guard.sweep(self.pid) if kill else None
+        code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        guard.sweep(self.pid)
+        self.channel.close()
+        return code
+
+
+class ForkServer:
+    """Runs requests in forked children, one at a time, under their limits.
+
+    A child that runs code of others, or whose costs are measured, ends with its request. The metrics of nrbench keep
+    no state and start nothing, so one child, the scorer, scores many cells: a fork takes longer than many a score. It
+    is replaced when it breaks a limit, dies, or has come to hold more than :data:`SCORER_ROOM`.
+    """
+
+    def __init__(self) -> None:
+        self._scorer: Child | None = None
+
+    def run(self, request: Request) -> Reply:
+        """Run one request; return how it ended."""
+        reply = self._score(request) if _is_own(request) else self._run_alone(request)
+        guard.sweep_orphans({self._scorer.pid} if self._scorer else set())
+        shutil.rmtree(request.temporary, ignore_errors=True)
+        return reply
+
+    def _run_alone(self, request: Request) -> Reply:
+        child, base = _fork(lambda channel: _run_request(request, channel)), guard.held_bytes(os.getpid())
+        watch = _watch(child, request, _receiver(child.channel), child.has_ended, base)
+        broken = watch.watch()
+        return Reply.of(watch.ending(broken, child.end(kill=broken is not None)))
+
+    def _score(self, request: Request) -> Reply:
+        child = self._scorer
+        if child is None or child.has_ended():
+            self._end_scorer()
+            child = self._scorer = _fork(_run_requests)
+        finished, receive = False, _receiver(child.channel)
+
+        def receive_until_finished(seconds: float) -> Iterable[Message] | None:
+            nonlocal finished
+            messages = [] if finished else receive(seconds)
+            finished = finished or any("finished" in message for message in messages or ())
+            return messages and [message for message in messages if "finished" not in message]
+
+        base = guard.held_bytes(child.pid)
+        with contextlib.suppress(OSError):  # it has just died
+            child.channel.sendall(f"{request.to_json()}\n".encode())
+        watch = _watch(child, request, receive_until_finished, lambda: finished or child.has_ended(), base)
+        broken = watch.watch()
+        if finished and not broken:
+            if guard.held_bytes(child.pid) > guard.held_bytes(os.getpid()) + SCORER_ROOM * guard.MIB:
+                self._end_scorer()
+            return Reply.of(watch.ending(None, 0))
+        self._scorer = None
+        return Reply.of(watch.ending(broken, child.end(kill=broken is not None)))
+
+    def _end_scorer(self) -> None:
+        child, self._scorer = self._scorer, None
+        if child is not None:
+            child.end(kill=True)
+
+
+def _is_own(request: Request) -> bool:
+    """Return whether a request runs no code but that of nrbench, and its costs are not measured: only a score is so.
+
+    Scoring a model's texture draws it again, by its dataset. What a plugin has made of the file of the cell is not
+    trusted.
+    """
+    if request.phase != "score" or not all(plugins.find("metrics", name).own for name in request.metrics):
+        return False
+    try:
+        recipe: Any = (read_json(CellFolder(Path(request.folder)).cell_file) or {}).get("recipe")
+    except OSError:  # it is a folder, or cannot be read
+        return False
+    name = recipe.get("dataset") if isinstance(recipe, dict) else None
+    return name in [plugin.name for plugin in plugins.inventory("datasets") if plugin.own and plugin.cls is not None]
+
+
+def _watch(child: Child, request: Request, receive: guard.Receive, ended: Callable[[], bool], base: int) -> guard.Watch:
+    limits, parent = guard.Limits(request.seconds, request.mib, request.metrics), os.getppid()
+    return guard.Watch(child.pid, receive, ended, limits, base, log=request.log, wanted=lambda: os.getppid() == parent)
+
+
+def _fork(run: Callable[[int], None]) -> Child:
+    """Fork a child that calls a function with its end of the connection, the file descriptor 3, and leaves."""
+    ours, theirs = socket.socketpair()
     pid = os.fork()
     if pid == 0:
-        os.close(readable)
-        _child(request, writable, limits)
-    os.close(writable)
-    parent = os.getppid()
-    watch = guard.Watch(
-        pid,
-        _pipe_receiver(readable),
-        lambda: _has_ended(pid),
-        limits,
-        base,
-        log=request.log,
-        wanted=lambda: os.getppid() == parent,
-    )
-    broken = watch.watch()
-    guard.sweep(pid) if broken else None
-    code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    guard.sweep(pid)
-    guard.sweep_orphans()
-    os.close(readable)
-    shutil.rmtree(request.temporary, ignore_errors=True)
-    return Reply.of(watch.ending(broken, code))
-
-
-def _has_ended(pid: int) -> bool:
-    return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
-
-
-def _child(request: Request, writable: int, limits: guard.Limits) -> None:
-    """Run the phase in the forked child, and leave without returning."""
-    code = 70
-    try:
-        os.setsid()
-        guard.die_with_parent()
-        _redirect(request.log)
-        os.dup2(writable, 3)
-        os.closerange(4, 1 << 16)
-        writable = 3
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-        guard.confine(limits)
-        _use_temporary(request.temporary)
-        perform(request, lambda message: _send(writable, message))
-        code = 0
-    except BaseException as error:
-        with contextlib.suppress(OSError):
-            phases.send_error(error, lambda message: _send(writable, message))
+        code = 70
+        try:
+            os.setsid()
+            guard.die_with_parent()
+            os.dup2(theirs.fileno(), 3)
+            os.closerange(4, 1 << 16)
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+            run(3)
             code = 0
+        finally:
+            os._exit(code)
+    theirs.close()
+    return Child(pid, ours)
+
+
+def _run_requests(channel: int) -> None:
+    """Run the requests that arrive, one a line, in the calling process; say when each one is finished."""
+    with os.fdopen(os.dup(channel), encoding="utf-8") as lines:
+        for line in lines:
+            with warnings.catch_warnings():  # so that a warning is in the log of each cell that it is about
+                _run_request(Request.from_json(line), channel)
+            _send(channel, {"finished": True})
+
+
+def _run_request(request: Request, channel: int) -> None:
+    """Run one request in the calling process, which is a child; raise nothing that could be sent as a message."""
+    try:
+        _redirect(request.log)
+        guard.confine(guard.Limits(request.seconds, request.mib))
+        request.settle()
+        perform(request, lambda message: _send(channel, message))
+    except BaseException as error:
+        phases.send_error(error, lambda message: _send(channel, message))
     finally:
         with contextlib.suppress(Exception):
             sys.stdout.flush()
             sys.stderr.flush()
-        os._exit(code)
-
-
-def _use_temporary(folder: Path) -> None:
-    """Make a folder, and let this process and what it starts put temporary files there."""
-    folder.mkdir(mode=0o700, exist_ok=True)
-    os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
 
 
 def _redirect(log: Path) -> None:
@@ -268,6 +384,8 @@ def _redirect(log: Path) -> None:
     nothing = os.open(os.devnull, os.O_RDONLY)
     for target, origin in ((0, nothing), (1, handle), (2, handle)):
         os.dup2(origin, target)
+    os.close(handle)
+    os.close(nothing)
 
 
 def _send(writable: int, message: Message) -> None:
@@ -276,15 +394,18 @@ def _send(writable: int, message: Message) -> None:
         data = data[os.write(writable, data) :]
 
 
-def _pipe_receiver(readable: int) -> guard.Receive:
-    """Return a receiver of messages from a pipe, one a line."""
+def _receiver(channel: socket.socket) -> guard.Receive:
+    """Return a receiver of a child's messages, one a line."""
     pending = b""
 
     def receive(seconds: float) -> list[Message] | None:
         nonlocal pending
-        if not select.select([readable], [], [], seconds)[0]:
+        if not select.select([channel], [], [], seconds)[0]:
             return []
-        data = os.read(readable, 1 << 16)
+        try:
+            data = channel.recv(1 << 16)
+        except OSError:  # the child died before it had read all
+            data = b""
         if not data:
             return None
         *lines, pending = (pending + data).split(b"\n")
@@ -312,7 +433,7 @@ def main() -> None:
     if "--once" in arguments:
         request = Request.from_json(sys.stdin.readline())
         try:
-            _use_temporary(request.temporary)
+            request.settle()
             guard.confine(guard.Limits(request.seconds, request.mib))
             write(json.dumps({"held": guard.held_bytes(os.getpid())}))
             perform(request, lambda message: write(json.dumps(message)))

@@ -15,7 +15,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column, Value
 from nrbench.runs.store import RUN_FILE, CellFolder, Result, RunDirectory
-from nrbench.storage import read_json, write_aside
+from nrbench.storage import read_json, write_bytes
 from nrbench.suites.cell import Cell
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ class Plot:
         if kind not in ("svg", "pdf", "png"):
             raise BadInput(f"{path}: end the name in .svg, .pdf or .png")
         content = self._render(kind)
-        write_aside(target, lambda aside: aside.write_bytes(content))
+        write_bytes(target, content)
         return target
 
     def _render(self, kind: str) -> bytes:
@@ -243,6 +243,16 @@ class Run:
         directory = RunDirectory(self.root)
         metrics = [plugin.name for plugin in self._metrics]
         return [_record(directory.cell(entry["key"]), entry, metrics) for entry in self.info["cells"]]
+
+    def ends(self) -> list[CellRecord]:
+        """Return every cell with how it ended, but without its scores. No metric is imported.
+
+        The ``reasons`` hold only why metrics failed, by their names.
+        """
+        directory, keys = RunDirectory(self.root), self.info.get("metrics")
+        if not isinstance(keys, dict) or any(Path(str(key)).name != key for key in keys.values()):
+            return self.cells  # an earlier nrbench wrote the run, or the file is damaged
+        return [_end(directory.cell(entry["key"]), entry, keys) for entry in self.info["cells"]]
 
     def shared(self, make: Callable[..., T], *arguments: Hashable) -> T:
         """Return ``make(self, *arguments)``, computed at the first call and kept for all reports of this run.
@@ -329,6 +339,13 @@ def _record(where: CellFolder, entry: Mapping[str, Any], metrics: list[str]) -> 
         },
         {metric: score.get("records", {}) for metric, score in scores.items()},
     )
+
+
+def _end(where: CellFolder, entry: Mapping[str, Any], keys: Mapping[str, str]) -> CellRecord:
+    result = where.result() or Result()
+    failed = {metric: where.failure(key) for metric, key in keys.items()} if result.get("status") == "ok" else {}
+    reasons = {metric: why for metric, why in failed.items() if why}
+    return CellRecord(_read_cell(where, entry), where.path, result, reasons=reasons)
 
 
 def _row(record: CellRecord, columns: Mapping[str, Column]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import distributions
 from pathlib import Path
-from typing import Any, TypedDict, cast
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import psutil
 
@@ -26,7 +26,9 @@ from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.forms import Value
 from nrbench.storage import read_json, write_json
 from nrbench.suites.cell import RESULTS_VERSION
-from nrbench.suites.plan import Plan
+
+if TYPE_CHECKING:
+    from nrbench.suites.plan import Plan
 
 RUN_FILE = "run.json"
 TAIL = 1 << 16
@@ -186,6 +188,18 @@ class CellFolder:
         content = read_json(self.score_file(metric)) or {}
         return cast("ScoreContent", content) if _is_score(content, metric) else {}
 
+    def failure(self, key: str) -> str:
+        """Return why a metric failed on this cell, by the key of its scores; empty if it did not, or has no score yet.
+
+        The metric is not imported, and a score that did not fail is not parsed.
+        """
+        file = self.scores / f"{key}.json"
+        if b'"failed:' not in (file.read_bytes() if file.is_file() else b""):
+            return ""
+        reasons = (read_json(file) or {}).get("reasons")
+        texts = list(map(str, reasons.values())) if isinstance(reasons, dict) else []
+        return next((why for why in texts if why.startswith("failed:")), "")
+
     def missing_scores(self, metrics: Iterable[str]) -> list[str]:
         """Return the metrics that have not scored this cell yet, or whose score is damaged."""
         return [metric for metric in metrics if not self.score(metric)]
@@ -305,8 +319,8 @@ class RunDirectory:
             raise BadInput(f"{self.root / RUN_FILE}: has a cell with the key {odd!r}, which is no hash; run it again")
         return content
 
-    def write_info(self, plan: Plan, argv: Sequence[str]) -> None:
-        """Write ``run.json``: the suite, the versions, and the cells. An equal file is left unchanged."""
+    def write_info(self, plan: Plan, argv: Sequence[str], metrics: Iterable[str]) -> None:
+        """Write ``run.json``: the suite, the versions, the metrics, and the cells. An equal file is left unchanged."""
         suite = plan.suite
         shown = {"name": suite.name, "version": suite.version, "hash": suite.hash, "description": suite.description}
         known = read_json(self.root / RUN_FILE) or {}
@@ -315,6 +329,7 @@ class RunDirectory:
             "suite": {**shown, "seed": suite.seed, "content": suite.model_dump(mode="json")},
             **_provenance(argv),
             "plugin_files": plugins.files(),
+            "metrics": {metric: metric_key(metric) for metric in metrics},
             "cells": [cell.as_dict() for cell, _ in plan.cells],
         }
         if known != json.loads(json.dumps(content)):

@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from nrbench import plugins
@@ -41,7 +42,8 @@ class Recipe:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the recipe as a mapping that can be written as JSON."""
-        return {**dataclasses.asdict(self), "shape": list(self.shape)}
+        known = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        return {**known, "parameters": dict(self.parameters), "shape": list(self.shape)}
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Recipe:
@@ -159,7 +161,7 @@ class Cell:
     fault: str = ""
     fault_status: str = "refused"
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Hexadecimal hash of all that determines the result: the name of the cell's folder."""
         decides: dict[str, Any] = {

@@ -5,16 +5,17 @@ from __future__ import annotations
 import dataclasses
 import fnmatch
 import re
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, get_args
 
 import numpy as np
 
 from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
-from nrbench.imaging.convert import Image, as_image, quantize
+from nrbench.imaging.convert import Image, as_image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape, Texture
 from nrbench.plugins.parameters import label, parse_spec
@@ -215,15 +216,82 @@ class Sample:
         """Hash of the sample's pixels; empty if drawing failed."""
         return pixels_hash(self.texture.image) if self.texture else ""
 
-    @property
-    def again(self) -> Image | None:
-        """The region of :attr:`again_hash`.
 
-        It is cut at each access, so that a plan does not hold all regions, except those of plugins of others.
+@dataclass(frozen=True, eq=False)
+class PlannedSample:
+    """The sample of cells of a plan. It holds no arrays, so that a plan of many textures needs little memory.
+
+    Parameters
+    ----------
+    recipe
+        The recipe of the texture.
+    shape
+        Shape (height, width) of the outputs.
+    size
+        Shape (height, width) of the sample; None if drawing failed.
+    again_hash, log
+        As in :class:`Sample`.
+    kept
+        The pixels of the sample and of the region that does not touch it, compressed, where drawing again might give
+        others: of pictures, and of plugins of others.
+    """
+
+    recipe: Recipe
+    shape: Shape
+    size: Shape | None
+    again_hash: str
+    log: str
+    kept: tuple[_Pixels | None, _Pixels | None]
+
+    @classmethod
+    def of(cls, sample: Sample) -> PlannedSample:
+        """Return a sample without its arrays."""
+        image = sample.texture.image if sample.texture else None
+        redrawn = sample.recipe.procedural and plugins.find("datasets", sample.recipe.dataset).own
+        kept = (None, None) if redrawn else (_Pixels.of(image), _Pixels.of(sample.region))
+        size = image.shape[:2] if image is not None else None
+        return cls(sample.recipe, sample.shape, size, sample.again_hash, sample.log, kept)
+
+    def image(self) -> Image:
+        """Return the pixels of the sample. Those of the last sample are kept; the others are drawn again."""
+        return _drawn_again(self)
+
+    def again(self) -> Image | None:
+        """Return the region whose hash is :attr:`again_hash`.
+
+        Raises
+        ------
+        BadInput
+            When the picture has changed since the cells were planned.
         """
-        if self.region is not None:
-            return self.region
-        return _fresh_region(self.recipe, self.texture, self.shape) if self.again_hash and self.texture else None
+        if not self.again_hash:
+            return None
+        region = self.kept[1].image() if self.kept[1] else draw_texture(self.recipe, self.shape)[1]
+        if region is None or pixels_hash(region) != self.again_hash:
+            raise BadInput(f"texture {self.recipe.texture!r}: its picture has changed during the run; run again")
+        return region
+
+
+@lru_cache(maxsize=1)  # the cells of a sample follow each other
+def _drawn_again(sample: PlannedSample) -> Image:
+    kept = sample.kept[0]
+    return kept.image() if kept else draw_texture(sample.recipe, sample.shape)[0].image
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """Pixels of 8 bits, compressed."""
+
+    shape: tuple[int, ...]
+    content: bytes
+
+    @classmethod
+    def of(cls, image: Image | None) -> _Pixels | None:
+        return cls(image.shape, zlib.compress(to_bytes(image).tobytes(), 1)) if image is not None else None
+
+    def image(self) -> Image:
+        pixels = np.frombuffer(zlib.decompress(self.content), np.uint8).reshape(self.shape)
+        return as_image(pixels, "sample", smallest=1)
 
 
 @dataclass(frozen=True)
@@ -234,15 +302,12 @@ class Plan:
     ----------
     suite
         The suite, with the options of the command line.
-    samples
-        One for each texture and replicate.
     cells
         All cells, each with its sample.
     """
 
     suite: Suite
-    samples: list[Sample]
-    cells: list[tuple[Cell, Sample]]
+    cells: list[tuple[Cell, PlannedSample]]
 
 
 def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = None) -> Plan:
@@ -269,15 +334,15 @@ def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = No
         raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
     if not sources and any(method.uses_lattice for method in methods.values()):
         raise BadInput(f'suite {suite.name}: names no lattice source; add lattice = ["own"] or pass --lattice own')
-    samples = draw_samples(suite, textures, draw)
     cells = [
-        (_make_cell(suite, sample, method, source), sample)
-        for sample in samples
+        (_make_cell(suite, sample, method, source), planned)
+        for sample in _draw_each(suite, textures, draw)
+        for planned in [PlannedSample.of(sample)]
         for spec, method in methods.items()
         if suite.runs(spec, sample.row.name)
         for source in (sources if method.uses_lattice else [Source("none")])
     ]
-    return Plan(suite, samples, cells)
+    return Plan(suite, cells)
 
 
 def _check_labels(methods: Iterable[Method]) -> None:
@@ -296,11 +361,15 @@ def draw_samples(suite: Suite, textures: Sequence[str] = (), draw: Draw | None =
 
     The parameters are those of :func:`make_plan`.
     """
+    return list(_draw_each(suite, textures, draw))
+
+
+def _draw_each(suite: Suite, textures: Sequence[str], draw: Draw | None) -> Iterator[Sample]:
     rows = [row for row in suite.texture if not textures or any(fnmatch.fnmatch(row.name, each) for each in textures)]
     if not rows:
         names = ", ".join(row.name for row in suite.texture[:12])
         raise BadInput(f"-t {' '.join(textures)}: matches no texture of suite {suite.name} ({names}, ...)")
-    return [sample for row in rows for sample in _draw_row(suite, row, draw)]
+    return (sample for row in rows for sample in _draw_row(suite, row, draw))
 
 
 def _draw_row(suite: Suite, row: TextureRow, draw: Draw | None) -> Iterator[Sample]:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
 from nrbench.labelling.questions import Question
 from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 
+from ..plots.marks import DEFECTS
 from ..statistics.comparison import COSTS, Comparison, Method, TextureRow, headline_columns, sort_headlines_first
 from ..statistics.format import describe_column, format_number
 from ..statistics.verdicts import MARKS, QUALITY, SCORE, explain_valid_baseline, explain_verdict, verdict
@@ -21,8 +24,8 @@ SAME_LATTICE = 0.05
 SOURCE_MAP = "source map"
 """Name of the layer that shows where in the sample each pixel comes from."""
 _MAX_LOST_SHADE = 3
-_DEFECTS = {"regularity": "regularity.defects", "integrity": "integrity.broken"}
-"""The picture of the defects that a metric finds."""
+_WEAKEST = 4
+"""Number of weak outputs that are shown of a method."""
 _FULL = 0.995
 """From this quality on, which is printed as 1.00, no peril limits an output."""
 
@@ -54,6 +57,35 @@ class ScoreLine:
     text: str
     meaning: str
     reason: str
+
+
+@dataclass(frozen=True)
+class _ScoreTexts:
+    """The scores of a run as text; what does not depend on the cell is computed once."""
+
+    columns: Mapping[str, Column]
+    meanings: Mapping[str, str]
+    headline: Sequence[str]
+    every: Sequence[str]
+
+    @classmethod
+    def of(cls, run: Run) -> _ScoreTexts:
+        headline = [name for name in headline_columns(run) if name != SCORE]
+        described = {name: describe_column(column) for name, column in {**run.columns, **COSTS}.items()}
+        return cls(run.columns, described, headline, sort_headlines_first(run.columns))
+
+    def select(self, record: CellRecord, names: Iterable[str]) -> list[ScoreLine]:
+        """Return those of the scores that the cell has, and its seconds if they are among ``names``."""
+        lines = []
+        for name in names:
+            if name == "seconds" and record.seconds is not None:
+                lines.append(ScoreLine("time", f"{format_number(record.seconds)} s", self.meanings[name], ""))
+            elif name in record.values:
+                value = record.values[name]
+                unit = f" {self.columns[name].unit}" if self.columns[name].unit and value is not None else ""
+                reason = record.reasons.get(name, "")
+                lines.append(ScoreLine(name, format_number(value) + unit, self.meanings[name], reason))
+        return lines
 
 
 @dataclass(frozen=True)
@@ -173,6 +205,58 @@ class TextureSection:
     draws: Sequence[TextureDraw]
 
 
+@dataclass(frozen=True)
+class WeakOutput:
+    """An output among the weakest of a method.
+
+    Parameters
+    ----------
+    texture
+        Name of its texture.
+    record
+        Its cell.
+    verdict, mark
+        As in the comparison.
+    quality
+        Its quality.
+    limit
+        The peril that limits the quality.
+    crop
+        Its worst place.
+    """
+
+    texture: str
+    record: CellRecord
+    verdict: str
+    mark: str
+    quality: float
+    limit: str
+    crop: PagePicture | None
+
+
+@dataclass(frozen=True)
+class MethodFailings:
+    """Where a method fails.
+
+    Parameters
+    ----------
+    method
+        The method.
+    textures
+        Number of textures on which it ran.
+    lost, unfinished
+        The cells of textures on which it lost the lattice, and on which it gave no output: the first of each texture.
+    weakest
+        Its weakest outputs, from the weakest; one for a texture.
+    """
+
+    method: Method
+    textures: int
+    lost: Sequence[CellRecord]
+    unfinished: Sequence[CellRecord]
+    weakest: Sequence[WeakOutput]
+
+
 def score_shade(score: float | None) -> int | None:
     """Return the shade of a score, from 0 (worst) to 10."""
     return None if score is None else round(10 * min(1.0, max(0.0, score)))
@@ -190,15 +274,53 @@ def build_gallery(run: Run, comparison: Comparison, pictures: PictureStore) -> l
     titles = [*sort_headlines_first(names), SOURCE_MAP]
     with ThreadPoolExecutor(2) as pool:  # images are decoded and encoded outside of Python's lock
         list(pool.map(lambda record: _lay_over(record, titles, pictures), run.cells))
-    sections = []
+    lines, sections = _ScoreTexts.of(run), []
     for row in comparison.rows:
         replicates: dict[int, list[CellRecord]] = {}
         for entry in row.entries:
             for record in entry.records if entry else ():
                 replicates.setdefault(record.replicate, []).append(record)
-        draws = [_texture_draw(run, comparison.score, titles, pictures, replicates[n]) for n in sorted(replicates)]
+        draws = [_texture_draw(lines, comparison.score, titles, pictures, replicates[n]) for n in sorted(replicates)]
         sections.append(TextureSection(row, draws))
     return sections
+
+
+def list_failings(comparison: Comparison, pictures: PictureStore) -> list[MethodFailings]:
+    """Return where each ranked method fails, in the order of the ranking: references fail by their nature."""
+    found = []
+    for place, method in enumerate(comparison.methods):
+        if not method.reference and comparison.summaries[place].rank:
+            cells = [entry.records for row in comparison.rows if (entry := row.entries[place])]
+            found.append(_failings(method, cells, pictures))
+    return found
+
+
+def _failings(method: Method, cells: Sequence[Sequence[CellRecord]], pictures: PictureStore) -> MethodFailings:
+    """Return where a method fails, of its cells on each texture."""
+
+    def first(wanted: Callable[[CellRecord], bool]) -> list[CellRecord]:
+        return [next(filter(wanted, records)) for records in cells if any(map(wanted, records))]
+
+    rated = [
+        min(known, key=lambda pair: pair[0])
+        for records in cells
+        if (known := [(float(value), one) for one in records if (value := one.values.get(QUALITY)) is not None])
+    ]
+    weak = sorted((pair for pair in rated if pair[0] < _FULL), key=lambda pair: pair[0])[:_WEAKEST]
+    return MethodFailings(
+        method,
+        len(cells),
+        lost=first(lambda one: verdict(one) == "lost"),
+        unfinished=first(lambda one: one.status not in ("ok", "missing")),
+        weakest=[_weak_output(record, quality, pictures) for quality, record in weak],
+    )
+
+
+def _weak_output(record: CellRecord, quality: float, pictures: PictureStore) -> WeakOutput:
+    word = verdict(record)
+    layers = [record.pictures[name] for name in DEFECTS if name in record.pictures]
+    crop = pictures.worst_crop(record.folder / "output.png", layers)
+    return WeakOutput(record.texture, record, word, MARKS[word], quality, _limiting_peril(record), crop)
 
 
 def build_disagreement(run: Run, record: CellRecord, question: Question, pictures: PictureStore) -> DisagreementFigure:
@@ -209,18 +331,25 @@ def build_disagreement(run: Run, record: CellRecord, question: Question, picture
         method=_method_of(record),
         sample=pictures.load(record.folder / "sample.png"),
         output=output,
-        layer=pictures.load(record.pictures.get(_DEFECTS.get(question.metric, ""))) if output else None,
+        layer=pictures.load(_defects_of(record, question.metric)) if output else None,
         scale=output.scale if output else 1.0,
         explanation=explain_verdict(record, question.column),
-        scores=_score_lines(run, record, names),
+        scores=_ScoreTexts.of(run).select(record, names),
+    )
+
+
+def _defects_of(record: CellRecord, metric: str) -> Path | None:
+    """Return the picture of the defects that a metric found; None if it has none."""
+    return next(
+        (record.pictures[name] for name in DEFECTS if name.startswith(f"{metric}.") and name in record.pictures), None
     )
 
 
 def _texture_draw(
-    run: Run, score: str, titles: Sequence[str], pictures: PictureStore, records: Sequence[CellRecord]
+    lines: _ScoreTexts, score: str, titles: Sequence[str], pictures: PictureStore, records: Sequence[CellRecord]
 ) -> TextureDraw:
     sample = next(filter(None, (pictures.load(record.folder / "sample.png") for record in records)), None)
-    figures = [_output_figure(run, record, score, titles, pictures) for record in records]
+    figures = [_output_figure(lines, record, score, titles, pictures) for record in records]
     outputs = [one.output for one in figures if one.output]
     known = next((record.lattice_truth for record in records if record.lattice_truth), None)
     truth = Lattice.from_dict(known).reduced() if known else None
@@ -241,7 +370,7 @@ def _texture_draw(
 
 
 def _output_figure(
-    run: Run, record: CellRecord, score: str, titles: Sequence[str], pictures: PictureStore
+    lines: _ScoreTexts, record: CellRecord, score: str, titles: Sequence[str], pictures: PictureStore
 ) -> OutputFigure:
     known, word = record.values.get(score), verdict(record)
     value = None if known is None else float(known)
@@ -263,8 +392,8 @@ def _output_figure(
         layers=layers,
         insets=insets,
         lattice=_output_lattice(record, (output.height, output.width)) if output else None,
-        headline=_score_lines(run, record, [name for name in headline_columns(run) if name != SCORE]),
-        scores=_score_lines(run, record, sort_headlines_first(run.columns)),
+        headline=lines.select(record, lines.headline),
+        scores=lines.select(record, lines.every),
         valid_baseline=explain_valid_baseline(record),
     )
 
@@ -280,7 +409,7 @@ def _lay_over(
     for index, title in enumerate(titles, 1):
         path = record.pictures.get(title)
         if title == SOURCE_MAP:
-            laid = pictures.source_map(record.folder / "source.npz")
+            laid = pictures.source_map(record.folder / "output.png", record.folder / "source.npz")
         else:
             laid = pictures.overlay(record.folder / "output.png", path)
         if laid:
@@ -306,20 +435,6 @@ def _limiting_peril(record: CellRecord) -> str:
     """Return the peril with the smallest score; empty without a quality, and for a quality of 1."""
     quality = record.values.get(QUALITY)
     return "" if quality is None or quality >= _FULL else str(record.records.get("quality", {}).get("worst", ""))
-
-
-def _score_lines(run: Run, record: CellRecord, names: Iterable[str]) -> list[ScoreLine]:
-    """Return those of the scores that the cell has, and its seconds if they are among ``names``."""
-    lines = []
-    for name in names:
-        if name == "seconds" and record.seconds is not None:
-            lines.append(ScoreLine("time", f"{format_number(record.seconds)} s", describe_column(COSTS[name]), ""))
-        elif name in record.values:
-            column, value = run.columns[name], record.values[name]
-            unit = f" {column.unit}" if column.unit and value is not None else ""
-            reason = record.reasons.get(name, "")
-            lines.append(ScoreLine(name, format_number(value) + unit, describe_column(column), reason))
-    return lines
 
 
 def _method_of(record: CellRecord) -> Method:

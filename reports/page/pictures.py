@@ -7,7 +7,9 @@ import hashlib
 import io
 import os
 import shutil
-from collections.abc import Callable
+import zipfile
+import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
@@ -16,24 +18,29 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from nrbench.storage import write_aside
+from nrbench.storage import write_aside, write_bytes
 
-from ..plots.marks import find_marks
+from ..plots.marks import find_marks, worst_place
 
 SMALLEST, LARGEST = 192, 384
 """Widths on the page, px: smaller pictures are magnified, larger ones are reduced."""
+CROP = 96
+"""Side of the magnified part of a weak output, px."""
 FOLDER = "pictures"
 """The folder beside the page with the small copies and the files for zooming."""
 EMBEDDED = 7_000_000
 """Most bytes of small copies that a page embeds; a page with more of them loads all from :data:`FOLDER`."""
-_RECIPE = "2"
+_RECIPE = "3"
 """Part of every name in the folder; raise it when the same file would give another picture."""
 _QUALITY, _LAYER_QUALITY, _MAP_QUALITY = 68, 50, 30
 _SHADE = 190
 """Opacity of the marks of an overlay, of 255."""
 _CORNERS = np.array([[[0, 114, 178], [0, 158, 115]], [[213, 94, 0], [240, 228, 66]]], np.float64)
 """Colors of the corners of the sample in a source map, from the palette of Okabe and Ito."""
-_UNREADABLE = (OSError, SyntaxError, ValueError, EOFError, KeyError, PIL.Image.DecompressionBombError)
+_UNREADABLE = (
+    *(OSError, SyntaxError, ValueError, EOFError, KeyError, PIL.Image.DecompressionBombError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 
 Pixels = NDArray[np.uint8]
 
@@ -85,6 +92,7 @@ class PictureStore:
     _used: set[str] = field(default_factory=set)
     _shown: dict[Path, PagePicture | None] = field(default_factory=dict)
     _laid: dict[tuple[Path, Path | None], PagePicture | None] = field(default_factory=dict)
+    _known: dict[Path, tuple[str, tuple[int, int]]] = field(default_factory=dict)
 
     def load(self, path: Path | None) -> PagePicture | None:
         """Return the picture in a PNG file; None if there is no readable picture."""
@@ -98,14 +106,19 @@ class PictureStore:
         return self._shown[path]
 
     def _load(self, path: Path) -> PagePicture:
-        content = path.read_bytes()
-        with PIL.Image.open(io.BytesIO(content)) as image:
-            width, height = image.size
-            kind = "lossless" if self.single_file or width <= 64 else "small"
-            name = _name(kind, content)
-            small = self._kept(f"{name}.webp", lambda: _shrink(_decode(content), kind == "lossless"))
-        full = "" if kind == "lossless" else f"{FOLDER}/{self._link(path, _name('full', content))}"
+        digest, (width, height) = self._identify(path)
+        kind = "lossless" if self.single_file or width <= 64 else "small"
+        small = self._kept(f"{_name(kind, digest)}.webp", lambda: _shrink(_decode(path, digest), kind == "lossless"))
+        full = "" if kind == "lossless" else f"{FOLDER}/{self._link(path, _name('full', digest))}"
         return PagePicture(small, width, height, full)
+
+    def _identify(self, path: Path) -> tuple[str, tuple[int, int]]:
+        """Return the hash of a picture's file and its size (width, height); a picture is read once for all layers."""
+        if path not in self._known:
+            content = path.read_bytes()
+            with PIL.Image.open(io.BytesIO(content)) as image:
+                self._known[path] = _digest(content), image.size
+        return self._known[path]
 
     def overlay(self, output: Path, layer: Path | None) -> PagePicture | None:
         """Return the marks of a metric's picture over an output, transparent elsewhere.
@@ -124,31 +137,46 @@ class PictureStore:
         try:
             if layer is None:
                 return None
-            content, below = layer.read_bytes(), output.read_bytes()
-            with PIL.Image.open(io.BytesIO(content)) as image, PIL.Image.open(io.BytesIO(below)) as base:
-                if image.size != base.size:
-                    return None
-                name = f"{_name('overlay', content, below)}.webp"
-                kept = self._kept(name, lambda: _encode(_marks(_pixels(image), _decode(below)), _LAYER_QUALITY))
-                return PagePicture(kept, *image.size)
+            (digest, size), (below, base) = self._identify(layer), self._identify(output)
+            if size != base:
+                return None
+            name = f"{_name('overlay', digest, below)}.webp"
+            kept = self._kept(name, lambda: _encode(_marks(_pixels(layer), _decode(output, below)), _LAYER_QUALITY))
+            return PagePicture(kept, *size)
         except _UNREADABLE:
             return None
 
-    def source_map(self, path: Path) -> PagePicture | None:
+    def source_map(self, output: Path, source: Path) -> PagePicture | None:
         """Return the map of the sample's places that the pixels of an output come from, by color; None without one."""
-        key = (path, None)
+        key = (output, source)
         if key not in self._laid:
-            self._laid[key] = self._source_map(path)
+            self._laid[key] = self._source_map(output, source)
         return self._laid[key]
 
-    def _source_map(self, path: Path) -> PagePicture | None:
+    def _source_map(self, output: Path, source: Path) -> PagePicture | None:
         try:
-            content = path.read_bytes()
-            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-                places = np.asarray(arrays["source"][..., :2], np.float64)
-            name = f"{_name('source', content)}.webp"
-            kept = self._kept(name, lambda: _encode(_place_colors(places), _MAP_QUALITY))
-            return PagePicture(kept, places.shape[1], places.shape[0])
+            content = source.read_bytes()
+            name = f"{_name('source', _digest(content))}.webp"
+            kept = self._kept(name, lambda: _encode(_place_colors(_places(content)), _MAP_QUALITY))
+            return PagePicture(kept, *self._identify(output)[1])  # a source map has the size of its output
+        except _UNREADABLE:
+            return None
+
+    def worst_crop(self, output: Path, layers: Sequence[Path]) -> PagePicture | None:
+        """Return the square of an output with the most marks of defects, its middle without marks; None if unreadable.
+
+        Parameters
+        ----------
+        output
+            The output.
+        layers
+            Pictures of defects over the output; the first with any marks decides.
+        """
+        try:
+            digest, size = self._identify(output)
+            side = min(CROP, *size)
+            name = f"{_name('crop', digest, *(self._identify(layer)[0] for layer in layers))}.webp"
+            return PagePicture(self._kept(name, lambda: _crop(_decode(output, digest), layers, side)), side, side)
         except _UNREADABLE:
             return None
 
@@ -177,7 +205,7 @@ class PictureStore:
         if not file.exists():
             content = make()
             file.parent.mkdir(parents=True, exist_ok=True)
-            write_aside(file, lambda aside: aside.write_bytes(content))
+            write_bytes(file, content)
         self._used.add(name)
         return name
 
@@ -195,22 +223,34 @@ class PictureStore:
         return name
 
 
-def _name(kind: str, *contents: bytes) -> str:
-    digest = hashlib.blake2s(f"{_RECIPE} {kind}".encode(), digest_size=12)
-    for content in contents:
-        digest.update(content)
-    return digest.hexdigest()
+def _digest(content: bytes) -> str:
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
+
+
+def _name(kind: str, *digests: str) -> str:
+    return hashlib.blake2s(" ".join([_RECIPE, kind, *digests]).encode(), digest_size=12).hexdigest()
 
 
 @lru_cache(maxsize=4)
-def _decode(content: bytes) -> Pixels:
+def _decode(path: Path, digest: str) -> Pixels:
     """Return the pixels of an output; its thumbnail and its layers need them one after another."""
-    with PIL.Image.open(io.BytesIO(content)) as image:
-        return _pixels(image)
+    return _pixels(path)
 
 
-def _pixels(image: PIL.Image.Image) -> Pixels:
-    return np.asarray(image.convert("RGB"))
+def _pixels(path: Path) -> Pixels:
+    with PIL.Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def _crop(output: Pixels, layers: Sequence[Path], side: int) -> bytes:
+    height, width = output.shape[:2]
+    x, y = worst_place(output, [_pixels(layer) for layer in layers], side) or (
+        (width - side) // 2,
+        (height - side) // 2,
+    )
+    file = io.BytesIO()
+    PIL.Image.fromarray(output[y : y + side, x : x + side]).save(file, "WEBP", quality=_QUALITY, method=2)
+    return file.getvalue()
 
 
 def _shrink(pixels: Pixels, lossless: bool) -> bytes:
@@ -240,15 +280,22 @@ def _marks(layer: Pixels, output: Pixels) -> Pixels:
     return shown
 
 
-def _place_colors(places: NDArray[np.float64]) -> Pixels:
+def _places(content: bytes) -> NDArray[np.float32]:
+    """Return the places (x, y) of a source map, ``(H, W, 2)``."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        return np.asarray(arrays["source"][..., :2], np.float32)
+
+
+def _place_colors(places: NDArray[np.float32]) -> Pixels:
     """Return colors of places (x, y) in the sample, blended between the colors of the corners of the used region."""
     x, y = (np.rint(255 * _relative(places[..., axis])).astype(np.uint8) for axis in (0, 1))
     return _color_table()[y, x]
 
 
-def _relative(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    low, high = values.min(), values.max()
-    return np.asarray((values - low) / max(float(high - low), 1e-9))
+def _relative(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    known = np.isfinite(values)  # a method may leave the place of a pixel open
+    low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
+    return np.where(known, (values - low) / max(high - low, 1e-9), 0.0)
 
 
 @cache

@@ -13,20 +13,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from nrbench.runs.records import CellRecord
 
 from ..statistics.comparison import Comparison, Method, TextureRow
 from ..statistics.verdicts import MARKS, verdict
 from .figure_file import GRAY, INK, make_figure, render_figure
-from .marks import find_marks
+from .marks import DEFECTS, worst_place
 
 _INSET = 0.4
 """Side of an inset, as a share of the output's."""
 _MAGNIFY = 2.5
 _FRAME = "#D55E00"
-_DEFECTS = ("regularity.defects", "integrity.broken")
 
 Pixels = NDArray[np.uint8]
 
@@ -142,7 +140,7 @@ def _draw(axes: Axes, picture: Pixels | None) -> None:
 def _draw_inset(axes: Axes, picture: Pixels, record: CellRecord) -> None:
     """Draw the worst place of an output, magnified, in the corner that lies farthest from it."""
     side = round(min(picture.shape[:2]) * _INSET / _MAGNIFY)
-    found = worst_place(picture, [_read(path) for name in _DEFECTS if (path := record.pictures.get(name))], side)
+    found = worst_place(picture, [_read(path) for name in DEFECTS if (path := record.pictures.get(name))], side)
     if found is None:
         return
     x, y = found
@@ -153,32 +151,3 @@ def _draw_inset(axes: Axes, picture: Pixels, record: CellRecord) -> None:
     inset.set(xticks=[], yticks=[])
     for spine in inset.spines.values():
         spine.set(color=_FRAME, lw=1.2)
-
-
-def worst_place(output: Pixels, layers: Sequence[Pixels | None], side: int) -> tuple[int, int] | None:
-    """Return the corner (x, y) of the square of an output that has the most marks of defects.
-
-    Parameters
-    ----------
-    output
-        The output.
-    layers
-        Pictures of defects over the output; the first with any marks decides.
-    side
-        Side of the square, px.
-
-    Returns
-    -------
-    tuple of int or None
-        None without marks, and if more than half of the output is marked: then no place is the worst.
-    """
-    for layer in layers:
-        if layer is None or layer.shape != output.shape or side < 2:
-            continue
-        marked = find_marks(layer, output)
-        if 0 < marked.mean() <= 0.5:
-            density = uniform_filter(marked.astype(np.float64), side, mode="constant")
-            y, x = np.unravel_index(int(density.argmax()), density.shape)
-            height, width = marked.shape
-            return int(np.clip(x - side // 2, 0, width - side)), int(np.clip(y - side // 2, 0, height - side))
-    return None

@@ -31,6 +31,7 @@ from .format import (
     format_percent,
     format_successes,
     pluralize,
+    round_small,
 )
 from .significance import (
     ALPHA,
@@ -245,12 +246,18 @@ class SummaryRow:
     def values(self) -> list[str]:
         """The values as text; a dash if there is none."""
         text = format_percent if self.rate else format_number
-        return [text(estimate.value) if estimate else "–" for estimate in self.estimates]
+        return [text(estimate.value) if estimate else "–" for estimate in self.shown]
 
     @property
     def intervals(self) -> list[str]:
         """The intervals as text; empty if there is none."""
-        return [format_interval(estimate, self.rate) if estimate else "" for estimate in self.estimates]
+        return [format_interval(estimate, self.rate) if estimate else "" for estimate in self.shown]
+
+    @property
+    def shown(self) -> list[Estimate | None]:
+        """The estimates as tables show them."""
+        share = self.column.range == (0.0, 1.0)
+        return [round_small(one) if one and share else one for one in self.estimates]
 
     @property
     def counts(self) -> list[str]:
@@ -814,7 +821,8 @@ def headline_columns(run: Run) -> dict[str, Column]:
     """
     columns = describe_scores(run)
     names = HEADLINES if RANKING in columns else HEADLINES_WITHOUT_QUALITY
-    added = [name for name in columns if _is_added(name.partition(".")[0])]
+    added_metrics = {metric for metric in {name.partition(".")[0] for name in columns} if _is_added(metric)}
+    added = [name for name in columns if name.partition(".")[0] in added_metrics]
     return {name: columns[name] for name in (*names, "seconds", *added) if name in columns}
 
 

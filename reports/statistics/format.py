@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 from nrbench.plugins.forms import Column
@@ -43,6 +44,15 @@ def format_interval(estimate: Estimate, as_percent: bool = False) -> str:
     if as_percent:
         return f"[{100 * estimate.low:.0f}, {100 * estimate.high:.0f}]"
     return f"[{format_number(estimate.low)}, {format_number(estimate.high)}]"
+
+
+def round_small(estimate: Estimate) -> Estimate:
+    """Return an estimate in which numbers below 0.001 are 0, for scores up to 1: ``1.2e-04`` only widens a table."""
+    low, value, high = (
+        0.0 if number is not None and number < 0.001 else number
+        for number in (estimate.low, estimate.value, estimate.high)
+    )
+    return replace(estimate, value=value, low=low, high=high)
 
 
 def format_count(estimate: Estimate) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 
 import nrbench
 from nrbench.api import run
+from nrbench.cli.main import main
 from nrbench.imaging.files import write_image
 from nrbench.running.runner import Options
 from nrbench.running.worker import DEFERRED
@@ -18,6 +20,7 @@ from nrbench.running.worker import DEFERRED
 ROOT = Path(__file__).parents[2]
 HEAVY = (
     "matplotlib",
+    "nrbench.metrics.cost",
     "numba",
     "pandas",
     "pydantic",
@@ -56,7 +59,7 @@ def imported(command: str, folder: Path) -> set[str]:
         ("show core", "pydantic"),
         ("status missing", "pydantic"),
         ("run missing.toml", "pydantic"),
-        ("plan core -t brick-mild -m rsgf", "pydantic scipy.ndimage"),
+        ("plan core -t brick-mild -m rsgf", "pydantic"),
         ("synth missing.png -m rsgf --size 64x64 -o out.png", ""),
         ("lattice missing.png", ""),
         ("score missing.png missing.png", ""),
@@ -76,9 +79,34 @@ def test_synth_imports_no_tables_and_no_statistics(tmp_path: Path) -> None:
 
 
 def test_status_of_a_run_imports_no_tables_and_no_statistics(tmp_path: Path) -> None:
-    """To read the scores of a run, its metrics are imported without the libraries that only scoring needs."""
+    """To count how cells ended, and to read why metrics failed, no metric and no suite is imported."""
     run("core", methods=["scatter"], textures="brick-mild", out=tmp_path / "R", options=Options(jobs=0), size="128x128")
-    assert imported("status R", tmp_path) <= {"pydantic", "scipy.ndimage"}
+    assert imported("status R", tmp_path) == set()
+
+
+def test_the_process_of_a_command_does_not_run_the_modules_that_it_postpones() -> None:
+    """The modules of scipy see numpy's interface to Fortran, but its parts are not imported before it is used."""
+    script = (
+        "import sys\n"
+        "from nrbench.cli.main import start_quickly\n"
+        "start_quickly()\n"
+        "import scipy.ndimage\n"
+        "print('numpy.f2py' in sys.modules, 'numpy.f2py.crackfortran' in sys.modules)\n"
+        "import numpy.f2py\n"
+        "numpy.f2py.get_include()\n"
+        "print('numpy.f2py.crackfortran' in sys.modules)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == ["True", "False", "True"]
+
+
+def test_a_program_that_imports_nrbench_keeps_its_interpreter() -> None:
+    """Only the process of a command collects garbage less often: a caller of ``main`` with arguments does not."""
+    before, finders = gc.get_threshold(), list(sys.meta_path)
+    with pytest.raises(SystemExit):
+        main(["list", "reports"])
+    assert gc.get_threshold() == before
+    assert sys.meta_path == finders
 
 
 def test_a_worker_imports_all_that_is_imported_on_first_use() -> None:

@@ -37,6 +37,7 @@ def test_a_message_that_raises_is_no_trouble() -> None:
     """An error whose message cannot be made is named; without a plugin there is no line."""
     assert describe_error(caught(Mute())) == "Mute: its message raised RuntimeError"
     assert describe_error(caught(KeyError("nope"))) == "KeyError: 'nope'"
+    assert describe_error(caught(KeyError())) == "KeyError"
 
 
 def test_a_full_disk_is_found_behind_other_errors() -> None:

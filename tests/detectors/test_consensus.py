@@ -15,6 +15,7 @@ from nrbench.detectors.agreement.likeness import compute_likeness, views
 from nrbench.detectors.agreement.search import propose_lattices
 from nrbench.detectors.agreement.short_list import Rival, Traits, classify, reclassify, share_certainty
 from nrbench.detectors.consensus import Consensus
+from nrbench.detectors.frdft import Frdft
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize, shrink
 from nrbench.lattice.comparison import lattice_error, relate
@@ -383,6 +384,25 @@ def test_random_colors_have_no_roles(model: str) -> None:
     assert found.role == "" and not any(other.role for other in found.alternatives)
 
 
+@pytest.mark.parametrize(("seed", "color"), [(1, 0.4), (3, 0.2), (3, 0.6), (7, 0.4)])
+def test_few_long_threads_have_no_roles(seed: int, color: float) -> None:
+    """Nine threads whose random colors alternate by chance are not taken for two colors."""
+    found = Consensus().detect(quantize(texture("weave", (128, 128), seed, color=color, noise=color / 4).image))
+    assert found.role == "" and not any(other.role for other in found.alternatives)
+
+
+def test_waves_and_views_are_analyzed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shrunk copies reuse the waves of a small image, and the views of a large one."""
+    sides: list[int] = []
+    monkeypatch.setattr(Frdft, "propose", lambda self, image: sides.append(len(image)) or [])
+    detector = Consensus()
+    grain = np.random.default_rng(0).random((700, 700, 1), np.float32)
+    assert len(list(detector.list_rivals(grain[:128, :128]))) <= 3 and sides == [128]
+    sides.clear()
+    detector.list_rivals(grain)
+    assert sides == [256, 256, 175]  # the middle of the image, of its half, and all of its quarter
+
+
 def test_proposals_of_other_detectors_are_rated(monkeypatch: pytest.MonkeyPatch) -> None:
     """A lattice that only another detector proposes is found."""
     drawn = texture("brick", (128, 128), 1, color=0.2)
@@ -409,7 +429,7 @@ def test_certainty_is_shared() -> None:
 
 def test_probabilities_follow_the_traits() -> None:
     """A strong lattice that three detectors propose is exact; one whose supercells correlate better is a subcell."""
-    strong = Traits(4.0, 4.6, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
+    strong = Traits(4.0, 4.6, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -4.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
     assert classify(strong).exact > 0.9
     alone = strong._replace(gncc=0.0, frdft=0.0, dominance=0.0, coarser=3.0)
     alone = alone._replace(structure_split=1.0, split_2=1.0, alternation=3.0)

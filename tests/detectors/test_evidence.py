@@ -14,7 +14,7 @@ from nrbench.detectors.agreement.evidence_kernels import between, reduce_all
 from nrbench.detectors.agreement.search import finer_bases, highest_added, ridge_height
 from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
 from nrbench.imaging.correlation import half_autocorrelation
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, hermite_matrices
 
 
 def waves(shape: tuple[int, int], basis: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -75,10 +75,40 @@ def test_agreement_leaves_out_a_coarser_lattice(evidence: Evidence) -> None:
     assert rest.mean == pytest.approx(whole.mean, abs=0.02)
 
 
+def test_a_split_is_the_agreement_of_both_parts(evidence: Evidence) -> None:
+    """Splits by supercells equal the agreement at the supercell's multiples, and at all others."""
+    changes = np.concatenate([hermite_matrices(index) for index in (2, 3, 4)])
+    for change, (own, others) in zip(changes, evidence.split(BASIS, changes), strict=True):
+        expected = evidence.agreement(change @ BASIS), evidence.agreement(BASIS, change @ BASIS)
+        assert (own.lags, others.lags) == (expected[0].lags, expected[1].lags)
+        np.testing.assert_allclose([own[:2], others[:2]], [part[:2] for part in expected], atol=1e-9)
+
+
+def test_a_sample_of_many_lags_has_their_mean(evidence: Evidence) -> None:
+    """A sample of a tenth of the lags has nearly their mean, wherever the lags of the coarser lattice lie."""
+    small, cells = BASIS / 4, np.linalg.inv(BASIS)
+    for finer in np.concatenate([small[np.newaxis], finer_bases(small, (2, 3))]):
+        whole, part = (between(evidence._spline, finer, cells, evidence._end, PAD, most) for most in (0, 200))
+        assert 120 < part[2] < 300 < 1000 < whole[2]
+        assert part[0] == pytest.approx(whole[0], abs=4 * np.sqrt(whole[1] / part[2]))
+        assert part[1] == pytest.approx(whole[1], rel=0.3)
+
+
+def test_few_of_many_multiples_fit_a_basis(monkeypatch: pytest.MonkeyPatch, evidence: Evidence) -> None:
+    """The fit to a sample of the multiples ends within 0.01 px of the fit to all."""
+    start, expected = BASIS + np.array([[0.6, -0.4], [0.3, 0.5]]), evidence.fit(BASIS)
+    monkeypatch.setattr("nrbench.detectors.agreement.evidence.MOST_FITTED", 20)
+    monkeypatch.setattr("nrbench.detectors.agreement.evidence.NEAREST", 2)
+    np.testing.assert_allclose(evidence.fit(start), expected, atol=0.01)
+    assert not np.array_equal(evidence.fit(start), expected)
+
+
 def test_no_multiples() -> None:
     """Where a lattice has no multiple within reach, the mean is -1 and the count 0."""
     spline = np.zeros((15, 8 + PAD))
-    np.testing.assert_array_equal(between(spline, 90 * np.eye(2), np.zeros((2, 2)), np.full(2, 5.0), PAD), [-1, 0, 0])
+    np.testing.assert_array_equal(
+        between(spline, 90 * np.eye(2), np.zeros((2, 2)), np.full(2, 5.0), PAD, 0), [-1, 0, 0]
+    )
 
 
 @settings(max_examples=40, deadline=None)

@@ -37,6 +37,20 @@ class Fine:
         return Synthesis(task.sample[rows][:, columns])
 
 
+@dataclass(frozen=True)
+class Reader:
+    """The sample, brightened by the number in a file, if the number is also in a file of the working directory."""
+
+    file: Path = Path("number.txt")
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Write a relative path, and read it and the file."""
+        Path("copy.txt").write_text(self.file.read_text())
+        brighter = np.maximum(task.sample, float(Path("copy.txt").read_text()))
+        return Synthesis(brighter[: task.shape[0], : task.shape[1]])
+
+
 def misbehave(how: str) -> None:
     """Do to the process what ``how`` says, after a line in its log; "fine" and what leaves no trace return."""
     print(f"planted {how}", flush=True)

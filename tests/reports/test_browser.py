@@ -124,6 +124,31 @@ def test_replicates_switch(visit: Open) -> None:
     assert article.locator(".draw:visible").get_attribute("data-replicate") == "0"
 
 
+def test_outputs_are_filtered_by_method(visit: Open) -> None:
+    """Words leave the outputs of the methods whose names have them; a link to a hidden output shows it again."""
+    page = visit()
+    page.fill("#output-filter", "middle")
+    shown = page.locator("#gallery figure.output:visible").evaluate_all("all => all.map((one) => one.dataset.method)")
+    assert shown and set(shown) == {"middle (own)"}
+    link = page.locator("#failings .failing", has_text="bad <b>name</b>").locator(".weakest a").first
+    link.click()
+    page.wait_for_timeout(100)
+    target = page.locator(f"[id='{link.get_attribute('href').removeprefix('#')}']")
+    assert target.is_visible() and target.get_attribute("data-method") == "bad <b>name</b> (own)"
+
+
+def test_no_column_is_cut_on_a_desktop(visit: Open) -> None:
+    """At 1425 px, which a scroll bar leaves of 1440, no table of methods scrolls; on a phone each method is a card."""
+    page = visit(1425)
+    for name in ("#summary", "#comparison"):
+        box = page.locator(f"{name} .scroll").first
+        assert box.evaluate("one => one.scrollWidth <= one.clientWidth")
+    phone = visit(390)
+    inside = "one => one.getBoundingClientRect().right <= innerWidth"
+    cells = phone.locator("#methods tbody td:visible")
+    assert cells.count() >= 20 and all(cells.nth(i).evaluate(inside) for i in range(cells.count()))
+
+
 def test_layers_toggle(visit: Open) -> None:
     """Each layer is hidden until its box is checked, and layers can be shown together."""
     page = visit()

@@ -12,15 +12,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
+from nrbench.imaging.files import write_image
 from nrbench.reports.figure import PictureGrid
 from nrbench.reports.page.inline_svg import inline_svg
 from nrbench.reports.page.pictures import PictureStore
-from nrbench.reports.plots.captions import count_crossings, lay_out_leaders, spread
+from nrbench.reports.plots.captions import (
+    MOST_NAMES,
+    choose_named,
+    count_crossings,
+    describe_unnamed,
+    lay_out_leaders,
+    spread,
+)
 from nrbench.reports.plots.cost_plane import has_cost, plot_cost
 from nrbench.reports.plots.critical_difference import plot_ranks
 from nrbench.reports.plots.heat_map import plot_heat_map
-from nrbench.reports.plots.marks import find_marks
-from nrbench.reports.plots.picture_grid import worst_place
+from nrbench.reports.plots.marks import find_marks, worst_place
 from nrbench.reports.statistics.comparison import compare_methods
 from nrbench.runs.records import Run
 
@@ -97,11 +104,12 @@ def test_source_maps_are_colored_by_place(tmp_path: Path) -> None:
     places[:, 16:] = (20, 20)
     np.savez(tmp_path / "source.npz", source=places)
     (tmp_path / "bad.npz").write_bytes(b"no archive")
+    output = write_image(tmp_path / "output.png", np.zeros((32, 32, 3), np.float32))
     store = PictureStore(tmp_path / "report")
-    picture = store.source_map(tmp_path / "source.npz")
+    picture = store.source_map(output, tmp_path / "source.npz")
     assert picture is not None and (picture.width, picture.height) == (32, 32)
-    assert store.source_map(tmp_path / "bad.npz") is None
-    assert store.source_map(tmp_path / "absent.npz") is None
+    assert store.source_map(output, tmp_path / "bad.npz") is None
+    assert store.source_map(output, tmp_path / "absent.npz") is None
 
 
 def test_the_worst_place_has_the_marks() -> None:
@@ -169,3 +177,14 @@ def test_inline_plots_have_no_style_and_ids_of_their_own(long_run: Run) -> None:
     assert " style=" not in svg and "<style" not in svg and "http" not in svg
     assert all(name.startswith("x-") for name in re.findall(r' id="([^"]*)"', svg))
     assert 'class="stroke-ink"' in svg
+
+
+@given(st.lists(st.booleans(), max_size=60))
+def test_the_best_methods_and_all_references_have_names(references: list[bool]) -> None:
+    """Every reference has a name, and as many of the first methods as there is space for; the rest are counted."""
+    named = choose_named(references)
+    assert all(has for has, reference in zip(named, references, strict=True) if reference)
+    methods = [has for has, reference in zip(named, references, strict=True) if not reference]
+    assert methods == sorted(methods, reverse=True)
+    assert sum(methods) == min(len(methods), max(0, MOST_NAMES - sum(references)))
+    assert (f" {named.count(False)} further" in describe_unnamed(named)) == (False in named)

@@ -22,12 +22,14 @@ MakeExecutor = Callable[..., AbstractContextManager[Executor]]
 
 @pytest.fixture(scope="session")
 def supervisors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Supervisor]]:
-    """Start two workers, which know the plugins that misbehave, in a folder for what these leave there."""
-    with ExitStack() as stack, contextlib.chdir(tmp_path_factory.mktemp("workers")):
+    """Start two workers, which know the plugins that misbehave, in a folder where these must leave nothing."""
+    folder = tmp_path_factory.mktemp("workers")
+    with ExitStack() as stack, contextlib.chdir(folder):
         started = [stack.enter_context(Supervisor()) for _ in range(2)]
         with registered_faults(), ThreadPoolExecutor(2) as threads:
             assert all(threads.map(Supervisor._start, started))
         yield started
+    assert not list(folder.iterdir())
 
 
 @pytest.fixture(scope="session")

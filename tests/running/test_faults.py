@@ -18,7 +18,7 @@ from machines import machines
 from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
-from nrbench.running import guard, guarded, runner
+from nrbench.running import guard, runner
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
 from nrbench.running.worker import Request
@@ -82,6 +82,12 @@ def no_orphans(found: Run) -> bool:
     return bool(pids) and not psutil.wait_procs(processes, timeout=5)[1]
 
 
+def no_litter(found: Run) -> bool:
+    """Return whether the file that a plugin writes to a relative path is neither in the user's folder nor the run."""
+    name = "left by a plugin.txt"
+    return not Path(name).exists() and not list(found.root.rglob(name)) and not list(found.root.rglob("tmp"))
+
+
 def is_logged(record: CellRecord, how: str) -> bool:
     """Return whether a cell's row shows the line that its plugin printed, or the end of the traceback after it."""
     return any(
@@ -109,6 +115,7 @@ def test_methods(way: Any, tmp_path: Path) -> None:
         assert cells[how].values["cost.seconds"] is not None
     assert cells["integers"].status == "invalid"
     assert no_orphans(found)
+    assert no_litter(found)
 
 
 def test_detectors(way: Any, tmp_path: Path) -> None:
@@ -128,6 +135,7 @@ def test_detectors(way: Any, tmp_path: Path) -> None:
             assert DETECTORS[how][1] in record.message, (how, record.message)
             assert is_logged(record, how), how
     assert no_orphans(found)
+    assert no_litter(found)
 
 
 def test_metrics(way: Any, tmp_path: Path) -> None:
@@ -146,17 +154,19 @@ def test_metrics(way: Any, tmp_path: Path) -> None:
     for how in fine:
         assert record.values[f"judge-{how}.value"] == 1.0, (how, record.reasons.get(f"judge-{how}.value"))
     assert record.values["cost.seconds"] is not None
+    assert found.ends()[0].reasons == {f"judge-{how}": record.reasons[f"judge-{how}.value"] for how in failing}
     log = (record.folder / "log.txt").read_text()
     flooded = [*failing, *fine].index("flood") if "flood" in fine else -1
     assert all(f"planted {how}" in log for how in [*failing, *fine][flooded + 1 :])
     assert len(log) < 2 * guard.SHORT_LOG
     assert no_orphans(found)
+    assert no_litter(found)
 
 
 @pytest.mark.usefixtures("faulty")
 def test_datasets(supervisors: list[Supervisor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A texture whose dataset fails is a failed cell with its cause and log; one whose dataset litters is drawn."""
-    monkeypatch.setattr(guarded, "Supervisor", lambda: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
     failing, fine = ("raise", "stubborn", "hog"), (*HARMLESS, "fine")
     rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*failing, *fine)]
     options = Options(jobs=0, timeout=3, memory=300)
@@ -169,6 +179,7 @@ def test_datasets(supervisors: list[Supervisor], tmp_path: Path, monkeypatch: py
             assert (record.status, record.phase) == ("error", "render")
             assert causes[record.texture] in record.message, record.message
             assert is_logged(record, record.texture)
+    assert no_litter(found)
 
 
 @pytest.mark.usefixtures("faulty")

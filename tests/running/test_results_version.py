@@ -101,9 +101,8 @@ def default_methods(folder: Path) -> list[str]:
     folder.mkdir()
     (folder / "tool.py").write_text(TOOL)
     ((_, sample),) = make_plan(suite_of(["oracle"], "weave")).cells
-    assert sample.texture is not None
-    write_image(folder / "sample.png", sample.texture.image)
-    write_image(folder / "output.png", sample.texture.image[::-1].repeat(2, axis=0).repeat(2, axis=1)[:136, :144])
+    write_image(folder / "sample.png", sample.image())
+    write_image(folder / "output.png", sample.image()[::-1].repeat(2, axis=0).repeat(2, axis=1)[:136, :144])
     (folder / "index.csv").write_text("sample,output\nsample.png,output.png\n")
     words = f"{sys.executable} {folder / 'tool.py'} {{sample}} {{output}} {{width}} {{height}} {{seed}}"
     required = {"command": f"command:run={words}", "precomputed": f"precomputed:directory={folder}"}

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
 from faults import registered_faults
@@ -23,12 +24,12 @@ from nrbench import plugins
 from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.imaging.files import read_image, write_image
-from nrbench.running import guard, guarded, runner
+from nrbench.running import guard, runner
 from nrbench.running.guarded import write_guarded
 from nrbench.running.progress import Step
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
-from nrbench.running.worker import Request
+from nrbench.running.worker import Request, _is_own
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.suite import Suite, validated_suite
 
@@ -91,7 +92,7 @@ def test_every_fault_of_a_dataset_is_a_row(
     supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A texture whose dataset fails in any way is a failed cell with its cause; the other textures are drawn."""
-    monkeypatch.setattr(guarded, "Supervisor", lambda: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
     rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*DRAWING_HOWS, "fine")]
     content = {"name": "drawn", "sample": "64x64", "size": "64x64", "methods": ["fine"], "metrics": ["cost"]}
     suite = validated_suite({**content, "texture": rows}, "test")
@@ -107,7 +108,7 @@ def test_a_report_that_dies_takes_nothing_with_it(
     supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A report of others is written in a process of its own: how it fails is an error with its cause."""
-    monkeypatch.setattr(guarded, "Supervisor", lambda: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
     done = faulty_run(small_suite(["fine"]), Options(jobs=0))
     causes = {
         "exit": "ended without an answer",
@@ -140,7 +141,7 @@ def test_a_metric_alters_nothing_for_the_next_one(faulty_run: FaultyRun) -> None
 
 
 def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
-    """A result or score that is empty, cut, garbled, too deep, of another shape or a folder is computed again."""
+    """A result or score that is empty, cut, garbled, too deep or of another shape is computed again."""
     suite, options = small_suite(["fine"]), Options(jobs=0)
     done = faulty_run(suite, options)
     (record,) = done.cells
@@ -154,6 +155,9 @@ def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
                 (again,) = run(suite, out=done.root, options=options).cells
                 assert again.status == "ok", (file.name, damage[:20])
                 assert again.values["cost.seconds"] is not None
+        result.unlink()
+        result.mkdir()
+        assert [cell.status for cell in run(suite, out=done.root, options=options).cells] == ["ok"]
         (record.folder / "cell.json").write_bytes(b"\xff")
         assert [cell.status for cell in Run(done.root).cells] == ["ok"]
 
@@ -400,6 +404,80 @@ def test_a_worker_that_starts_ends_with_its_run(tmp_path: Path) -> None:
     running.wait()
     assert children
     assert not psutil.wait_procs(children, timeout=5)[1]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_relative_paths_of_users_and_of_plugins(
+    way: str, faulty: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, warm_executor: Any
+) -> None:
+    """A relative path in a parameter starts from the user's folder; one that a plugin writes to is not in it."""
+    choose_way(way, monkeypatch, warm_executor)
+    Path("number.txt").write_text("0.5")
+    Path("tool.py").write_text(
+        "import shutil, sys\nopen('copy.txt', 'w').close()\nshutil.copy(sys.argv[1], sys.argv[2])\n"
+    )
+    made = run(small_suite(["fine"]), out=tmp_path / "made", options=Options(jobs=0)).cells[0]
+    table = "sample,output\nsample.png,output.png\n"
+    (made.folder / "index.csv").write_text(table)
+    tool = f"command:run={sys.executable} tool.py {{sample}} {{output}}"
+    others = [tool, f"precomputed:directory={made.folder.relative_to(tmp_path)}"]
+    methods = ["reader:file=number.txt", *(others if way == "fork" else [])]
+    before = set(tmp_path.iterdir())
+    brighter, *copies = run(small_suite(methods), out=tmp_path / "run", options=Options(timeout=20)).cells
+    for record in (brighter, *copies):
+        assert record.status == "ok", record.message
+    sample = read_image(made.folder / "sample.png")
+    assert (read_image(brighter.folder / "output.png") == np.maximum(sample, np.float32(128 / 255))).all()
+    assert all((read_image(record.folder / "output.png") == sample).all() for record in copies)
+    assert brighter.parameters["file"] == "number.txt"  # the key of a cell does not depend on the place of its folder
+    assert set(tmp_path.iterdir()) == {*before, tmp_path / "run"}
+
+
+@pytest.mark.usefixtures("faulty")
+def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: Path) -> None:
+    """Metrics of nrbench score cell after cell in one process; it is replaced when it dies or breaks a limit."""
+    supervisor, *_ = supervisors
+    cells = run(small_suite(["oracle", "fine"]), out=tmp_path / "run", options=Options(jobs=0)).cells
+
+    def scorers(metric: str, seconds: float = 20.0) -> tuple[set[int], str]:
+        for record in cells:
+            shutil.rmtree(record.folder / "scores", ignore_errors=True)
+            reply = supervisor.run(Request("score", str(record.folder), seconds, 500, (metric,)))
+        assert supervisor._worker is not None
+        return {child.pid for child in psutil.Process(supervisor._worker.pid).children()}, reply.result["status"]
+
+    (first, ended), whole = scorers("cost"), [record.values["cost.peak_mib"] for record in cells]
+    assert ended == "ok"
+    assert len(first) == 1
+    assert scorers("deadly") == (first, "ok")  # in processes of their own, which have ended
+    assert scorers("cost") == (first, "ok")
+    psutil.Process(*first).kill()
+    second, ended = scorers("cost")
+    assert ended == "ok"
+    assert len(second - first) == 1
+    assert scorers("cost", -1.0) == (set(), "timeout")
+    assert scorers("cost")[1] == "ok"
+    assert [record.values["cost.peak_mib"] for record in Run(tmp_path / "run").cells] == whole
+
+
+def test_only_the_own_code_of_nrbench_shares_a_process(faulty: Path, tmp_path: Path) -> None:
+    """A score is made in the shared process if metrics and dataset are nrbench's, and the cell's file says so."""
+    file = tmp_path / "cell.json"
+
+    def is_shared(dataset: Any, *metrics: str) -> bool:
+        file.write_text(json.dumps({"recipe": {"dataset": dataset}}))
+        return _is_own(Request("score", str(tmp_path), 1, 1, metrics))
+
+    assert is_shared("brick", "cost", "source")
+    assert not is_shared("brick", "cost", "wordy")
+    assert not any(is_shared(name, "cost") for name in ("picture", "none such", None, ["brick"], {}))
+    for damage in ("", "[]", '{"recipe": 3}', "{}"):
+        file.write_text(damage)
+        assert not _is_own(Request("score", str(tmp_path), 1, 1, ("cost",)))
+    file.unlink()
+    file.mkdir()
+    assert not _is_own(Request("score", str(tmp_path), 1, 1, ("cost",)))
+    assert not _is_own(Request("synthesize", str(tmp_path), 1, 1))
 
 
 @pytest.mark.usefixtures("faulty")

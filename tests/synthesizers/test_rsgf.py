@@ -5,7 +5,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from synthesis_cases import FRACTIONAL, noise, places, synthesize
 
@@ -69,6 +69,7 @@ def test_every_seam_continues_exactly(seam: Any, subpixel: bool, deform: float) 
     st.sampled_from([0.0, 1.5]),
     st.integers(0, 99),
 )
+@example((23, 23), 11, 1, 3, "dynamic", False, 1.5, 16)
 def test_what_the_source_map_calls_a_copy_is_one(
     shape: tuple[int, int],
     block: int,
@@ -145,11 +146,10 @@ def test_progress_rises_to_one() -> None:
 def test_without_any_lattice_it_uses_the_stochastic_mode(monkeypatch: pytest.MonkeyPatch) -> None:
     """If no lattice is found, every position is a candidate, no lattice is used, and the note says why."""
 
-    class FindsNone:
-        def detect(self, image: Image) -> Detection:
-            raise NoLatticeFound("nothing repeats")
+    def find_none(self: object, image: Image) -> Detection:
+        raise NoLatticeFound("nothing repeats")
 
-    monkeypatch.setattr("nrbench.synthesizers.rsgf.Consensus", FindsNone)
+    monkeypatch.setattr("nrbench.detectors.consensus.Consensus.detect", find_none)
     sample = noise(60, 60, 1)
     made = synthesize(SMALL, sample, (160, 160), None)
     assert made.lattice is None
@@ -162,11 +162,10 @@ def test_without_any_lattice_it_uses_the_stochastic_mode(monkeypatch: pytest.Mon
 def test_without_a_lattice_given_it_finds_one(finder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The lattice of the chosen detector is used and reported, with the time that detection took."""
 
-    class Finds:
-        def detect(self, image: Image) -> Detection:
-            return Detection(FRACTIONAL, 1.0)
+    def find(self: object, image: Image) -> Detection:
+        return Detection(FRACTIONAL, 1.0)
 
-    monkeypatch.setattr(f"nrbench.synthesizers.rsgf.{finder.capitalize()}", Finds)
+    monkeypatch.setattr(f"nrbench.detectors.{finder}.{finder.capitalize()}.detect", find)
     made = synthesize(replace(SMALL, finder=finder), noise(60, 60), (50, 50), None)
     assert made.lattice == FRACTIONAL
     assert made.detection_seconds > 0

@@ -88,7 +88,7 @@ def test_no_lattice_no_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     def none(self: object, image: Image) -> None:
         raise NoLatticeFound("nothing repeats")
 
-    monkeypatch.setattr("nrbench.synthesizers.tile_set.Consensus.detect", none)
+    monkeypatch.setattr("nrbench.detectors.consensus.Consensus.detect", none)
     with pytest.raises(Refused, match="nothing repeats"):
         synthesize(TileSet(), noise(60, 60), (64, 64), None)
 

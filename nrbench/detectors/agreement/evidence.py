@@ -10,9 +10,17 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.agreement.evidence_kernels import between, between_many, jets, newton_sums, reduce_all
+from nrbench.detectors.agreement.evidence_kernels import (
+    between,
+    between_many,
+    climb_multiples,
+    jets,
+    list_multiples,
+    reduce_all,
+    split_by_coarser,
+)
 from nrbench.imaging.correlation import Correlation
-from nrbench.lattice.geometry import Points, integers_within
+from nrbench.lattice.geometry import Points
 
 REACH = 0.75
 """Lags up to this share of the image's sides are compared. At larger lags the overlap is too small."""
@@ -20,12 +28,21 @@ PAD = 4
 """Columns mirrored to the left of lag 0, for the spline."""
 NEARBY = 0.25
 """The grain of a texture is computed from lags up to this share of the image's sides."""
+MOST_LAGS = 2048
+"""Number of lags that are read for each of many finer lattices: the mean of so many differs from that of all by 0.005
+at most, and the cells of fine grain have a hundred times as many."""
+MOST_FITTED = 2048
+"""A basis is fitted to about this number of multiples if it has more than twice as many, and to ..."""
+NEAREST = 8
+"""... all that are sums of up to this number of each vector, from which the fit starts."""
+MARGIN = 0.02
+"""Multiples within reach may move by this share of the image's sides while a basis is fitted."""
+LINES = np.array([(1, 0, 1, 1), (0, 1, 1, -1)])
+"""Columns: sums of the multiples (a, b) that are the same along lines of lags in four directions."""
 GROWTH = 1.7
 """Factor by which the radius of a fit grows at each step."""
 STEPS = 14
 """Steps of a fit: enough to cross a hundred cells and to converge."""
-_HESSIAN = np.array([(0, 1, 3, 4), (1, 2, 4, 5), (3, 4, 6, 7), (4, 5, 7, 8)])
-"""Where the second derivatives by x1, x2, y1, y2 lie in the sums of the compiled loop."""
 MAX_SHIFT = 0.2
 """A fit that moves a vector by more than this share of the shorter vector is rejected: it has followed other peaks."""
 
@@ -78,16 +95,12 @@ class Evidence:
         surface[:, 1:3] *= np.where(lags[:, :1] < 0, -1, 1)
         return surface
 
-    def multiples(self, basis: Points, reach: float = REACH) -> NDArray[np.int64]:
+    def multiples(self, basis: Points) -> NDArray[np.int64]:
         """Return the integers (a, b), ``(n, 2)``, of all lattice points a t1 + b t2 within reach.
 
         Lag 0 is left out; of each pair of opposite points one is returned.
         """
-        height, width = self.shape
-        end = np.array([reach * (width - 1), reach * (height - 1)])
-        numbers = integers_within(basis, -end, end)
-        half = (numbers[:, 1] > 0) | ((numbers[:, 1] == 0) & (numbers[:, 0] > 0))
-        return np.asarray(numbers[half])
+        return list_multiples(np.ascontiguousarray(basis), self._end)
 
     def spans_plane(self, basis: Points) -> bool:
         """Return whether the multiples of a basis within reach lie on more than one line through lag 0."""
@@ -110,14 +123,64 @@ class Evidence:
             The basis of a coarser lattice, whose points are left out.
         """
         cells = np.zeros((2, 2)) if coarser is None else np.asarray(np.linalg.inv(coarser), np.float64)
-        mean, variance, count = between(self._spline, np.ascontiguousarray(basis), cells, self._end, PAD)
+        mean, variance, count = between(self._spline, np.ascontiguousarray(basis), cells, self._end, PAD, 0)
         return Agreement(mean, variance, int(count))
 
     def agreements(self, bases: Points, coarser: Points) -> list[Agreement]:
-        """Return :meth:`agreement` for many lattices ``(n, 2, 2)``, each without the points of the coarser one."""
+        """Return :meth:`agreement` for many lattices ``(n, 2, 2)``, each without the points of the coarser one.
+
+        Of more than about :data:`MOST_LAGS` lags a random sample is read, the same in each call.
+        """
         cells = np.asarray(np.linalg.inv(coarser), np.float64)
-        rows = between_many(self._spline, np.ascontiguousarray(bases), cells, self._end, PAD)
+        rows = between_many(self._spline, np.ascontiguousarray(bases), cells, self._end, PAD, MOST_LAGS)
         return [Agreement(mean, variance, int(count)) for mean, variance, count in rows.tolist()]
+
+    def split(self, basis: Points, changes: NDArray[np.int64]) -> list[tuple[Agreement, Agreement]]:
+        """Return the agreement at the multiples of each coarser lattice, and at all other multiples of a basis.
+
+        Parameters
+        ----------
+        basis
+            Rows (x, y) px.
+        changes
+            ``(n, 2, 2)``: integer matrices H; the basis of a coarser lattice is H times ``basis``.
+        """
+        rows = split_by_coarser(self._spline, np.ascontiguousarray(basis), changes, self._end, PAD)
+        return [
+            (Agreement(mean, variance, int(lags)), Agreement(other_mean, other_variance, int(other_lags)))
+            for mean, variance, lags, other_mean, other_variance, other_lags in rows.tolist()
+        ]
+
+    def split_error(self, basis: Points, change: NDArray[np.int64]) -> float:
+        """Return the standard error of the difference of the two means of :meth:`split`, for threads of any length.
+
+        Threads or rows of one color reach through many tiles, so the correlations at the lags of one line, and at those
+        of the opposite line, agree. The error is that of lines instead of lags, in the two directions where they
+        scatter most.
+
+        Parameters
+        ----------
+        basis
+            Rows (x, y) px.
+        change
+            ``(2, 2)``: an integer matrix H; the basis of the coarser lattice is H times ``basis``.
+        """
+        numbers = self.multiples(basis)
+        lags = numbers @ basis
+        values, weights = self.jets(lags)[:, 0], self.overlaps(lags)
+        cells = numbers @ np.linalg.inv(change)
+        inside = (np.abs(cells - np.rint(cells)) < 1e-6).all(1)
+        parts = np.zeros(len(numbers))
+        for chosen, sign in ((inside, 1), (~inside, -1)):
+            shares = weights[chosen] / weights[chosen].sum()
+            parts[chosen] = sign * shares * (values[chosen] - shares @ values[chosen])
+        single = float((parts**2).sum())
+        by_line = []
+        for line in np.abs(numbers @ LINES).T:
+            sums = np.bincount(line, parts)
+            count = len(np.unique(line))
+            by_line.append(float((sums**2).sum()) * count / max(count - 1, 1))
+        return float(np.sqrt(max(sum(sorted(by_line)[-2:]) - single, single)))
 
     def repeated(self, basis: Points) -> float:
         """Return the mean correlation at all multiples of a basis: the share of the variance that repeats."""
@@ -164,29 +227,14 @@ class Evidence:
         precisely, but can be identified only if the basis is already precise. If a vector moves too far
         (:data:`MAX_SHIFT`), the given basis is returned, reduced.
         """
-        numbers, fitted = self.multiples(basis), basis
         far = REACH * float(np.hypot(*self.shape))
-        radius = float(np.hypot(*basis.T).max())
-        for _ in range(STEPS):
-            radius = min(radius * GROWTH, far)
-            step = self._newton_step(numbers, fitted, radius)
-            fitted = fitted + step
-            if radius >= far and np.abs(step).max() * len(numbers) ** 0.5 < 1e-3:
-                break
+        end = self._end * (1 + MARGIN / REACH)
+        start = np.ascontiguousarray(basis)
+        numbers = self.multiples(start)
+        if len(numbers) > 2 * MOST_FITTED:
+            chosen = np.asarray((np.abs(numbers) <= NEAREST).all(1))
+            chosen[:: len(numbers) // MOST_FITTED] = True
+            numbers = numbers[chosen]
+        fitted = climb_multiples(self._spline, numbers, start, end, far, PAD, GROWTH, STEPS)
         too_far = np.hypot(*(fitted - basis).T).max() > MAX_SHIFT * np.hypot(*basis.T).min()
         return reduced_basis(basis if too_far else fitted)
-
-    def _newton_step(self, numbers: NDArray[np.int64], basis: Points, radius: float) -> Points:
-        """Return Newton's step for the basis, ``(2, 2)``; no multiple moves by more than a pixel along x or y."""
-        height, width = self.shape
-        end = (REACH + 0.02) * np.array([width - 1.0, height - 1.0])
-        sums = newton_sums(self._spline, numbers, basis, radius, end, PAD)
-        if sums[0] < 2:
-            return np.zeros((2, 2))
-        slope, hessian = sums[3:7], sums[7:][_HESSIAN]
-        bends, axes = np.linalg.eigh(-hessian)
-        if bends[-1] <= 0:
-            return np.zeros((2, 2))
-        move = axes @ ((axes.T @ slope) / np.maximum(bends, 1e-3 * bends[-1]))
-        step = move.reshape(2, 2).T
-        return np.asarray(step / max(1.0, float(np.abs(sums[1:3] @ np.abs(step)).max())))

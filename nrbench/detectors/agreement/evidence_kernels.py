@@ -58,13 +58,39 @@ def jets(spline: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.flo
     return out
 
 
-@kernel("float64[::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], int64)")
+@kernel("float64(float64[:, ::1], float64, float64)")
+def height_at(spline: NDArray[np.float64], across: float, down: float) -> float:
+    """Return the value of a cubic spline surface at a position as for :func:`jets`."""
+    column, row = int(np.floor(across)), int(np.floor(down))
+    t, r = across - column, down - row
+    value = 0.0
+    for j in range(4):
+        if j == 0:
+            weight = (1 - r) ** 3 / 6
+        elif j == 1:
+            weight = 2 / 3 - r * r * (2 - r) / 2
+        elif j == 2:
+            weight = 2 / 3 - (1 - r) ** 2 * (1 + r) / 2
+        else:
+            weight = r * r * r / 6
+        line = row + j - 1
+        value += weight * (
+            spline[line, column - 1] * (1 - t) ** 3 / 6
+            + spline[line, column] * (2 / 3 - t * t * (2 - t) / 2)
+            + spline[line, column + 1] * (2 / 3 - (1 - t) ** 2 * (1 + t) / 2)
+            + spline[line, column + 2] * t * t * t / 6
+        )
+    return value
+
+
+@kernel("float64[::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], int64, int64)")
 def between(
     spline: NDArray[np.float64],
     finer: NDArray[np.float64],
     coarser: NDArray[np.float64],
     end: NDArray[np.float64],
     pad: int,
+    most: int,
 ) -> NDArray[np.float64]:
     """Return mean and variance of an autocorrelation at those points of a lattice that a coarser lattice lacks.
 
@@ -80,11 +106,18 @@ def between(
         Largest lag (x, y), px. Each lag is weighted by the area in which the image overlaps its shifted copy.
     pad
         Number of mirrored columns.
+    most
+        About the largest number of lags that are read: of more lags, a random sample. 0: all are read.
 
     Returns
     -------
     NDArray
-        ``(3,)``: mean, variance and number of lags; -1, 0, 0 if there is no lag.
+        ``(3,)``: mean, variance and number of the lags that were read; -1, 0, 0 if there is no lag.
+
+    Notes
+    -----
+    The sample is the same in each call. The steps from lag to lag are random, because equal steps would visit some
+    cosets of the coarser lattice more often than others.
     """
     height, width = (spline.shape[0] + 1) // 2, spline.shape[1] - pad
     skips = np.abs(coarser).max() > 0
@@ -92,9 +125,21 @@ def between(
     area = abs(x1 * y2 - x2 * y1)
     rows = int((end[1] * abs(x1) + end[0] * abs(y1)) / area)
     total, squares, weights, count = 0.0, 0.0, 0.0, 0
+    every = 1 if most == 0 else max(1, int(np.rint(2 * end[0] * end[1] / area / most)))
+    state, skipped = 1, 0
     for b in range(rows + 1):
         first, last = row_ends(x1, y1, x2, y2, b, end[0], end[1])
-        for a in range(first, last + 1):
+        if last < first:
+            continue
+        following = first + skipped
+        while following <= last:
+            a = following
+            if every == 1:
+                following += 1
+            else:
+                # Lehmer's generator. The mean of the steps is `every`.
+                state = state * 48271 % 2147483647
+                following += 1 + state % (2 * every - 1)
             x, y = a * x1 + b * x2, a * y1 + b * y2
             if (b == 0 and a <= 0) or abs(x) > end[0] or abs(y) > end[1]:
                 continue
@@ -104,49 +149,115 @@ def between(
                     continue
             if x < 0:
                 x, y = -x, -y
-            across, down = x + pad, y + height - 1
-            column, row = int(np.floor(across)), int(np.floor(down))
-            t, r = across - column, down - row
-            value = 0.0
-            for j in range(4):
-                if j == 0:
-                    weight = (1 - r) ** 3 / 6
-                elif j == 1:
-                    weight = 2 / 3 - r * r * (2 - r) / 2
-                elif j == 2:
-                    weight = 2 / 3 - (1 - r) ** 2 * (1 + r) / 2
-                else:
-                    weight = r * r * r / 6
-                line = row + j - 1
-                value += weight * (
-                    spline[line, column - 1] * (1 - t) ** 3 / 6
-                    + spline[line, column] * (2 / 3 - t * t * (2 - t) / 2)
-                    + spline[line, column + 1] * (2 / 3 - (1 - t) ** 2 * (1 + t) / 2)
-                    + spline[line, column + 2] * t * t * t / 6
-                )
+            value = height_at(spline, x + pad, y + height - 1)
             overlap = (height - abs(y)) * (width - x)
             total += overlap * value
             squares += overlap * value * value
             weights += overlap
             count += 1
+        skipped = following - last - 1
     if count == 0:
         return np.array((-1.0, 0.0, 0.0))
     mean = total / weights
     return np.array((mean, max(squares / weights - mean * mean, 0.0), float(count)))
 
 
-@kernel("float64[:, ::1](float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[::1], int64)")
+@kernel("float64[:, ::1](float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[::1], int64, int64)")
 def between_many(
     spline: NDArray[np.float64],
     finer: NDArray[np.float64],
     coarser: NDArray[np.float64],
     end: NDArray[np.float64],
     pad: int,
+    most: int,
 ) -> NDArray[np.float64]:
     """Return :func:`between` for many lattices ``(n, 2, 2)``, as ``(n, 3)``."""
     out = np.zeros((finer.shape[0], 3))
     for i in range(finer.shape[0]):
-        out[i] = between(spline, finer[i], coarser, end, pad)
+        out[i] = between(spline, finer[i], coarser, end, pad, most)
+    return out
+
+
+@kernel("int64[:, ::1](float64[:, ::1], float64[::1])")
+def list_multiples(basis: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the integers (a, b), ``(n, 2)``, of a lattice's points within a box of half sides ``end``, px.
+
+    Lag 0 is left out; of each pair of opposite points one is returned.
+    """
+    x1, y1, x2, y2 = basis[0, 0], basis[0, 1], basis[1, 0], basis[1, 1]
+    rows = int((end[1] * abs(x1) + end[0] * abs(y1)) / abs(x1 * y2 - x2 * y1))
+    count = 0
+    for b in range(rows + 1):
+        first, last = row_ends(x1, y1, x2, y2, b, end[0], end[1])
+        count += max(last - (max(first, 1) if b == 0 else first) + 1, 0)
+    out = np.empty((count, 2), np.int64)
+    count = 0
+    for b in range(rows + 1):
+        first, last = row_ends(x1, y1, x2, y2, b, end[0], end[1])
+        for a in range(max(first, 1) if b == 0 else first, last + 1):
+            out[count, 0], out[count, 1] = a, b
+            count += 1
+    return out
+
+
+@kernel("float64[:, ::1](float64[:, ::1], float64[:, ::1], int64[:, :, ::1], float64[::1], int64)")
+def split_by_coarser(
+    spline: NDArray[np.float64],
+    basis: NDArray[np.float64],
+    changes: NDArray[np.int64],
+    end: NDArray[np.float64],
+    pad: int,
+) -> NDArray[np.float64]:
+    """Return the correlations at the multiples of coarser lattices, and at the other multiples of a lattice.
+
+    Each lag is read once for all coarser lattices.
+
+    Parameters
+    ----------
+    spline, end, pad
+        As for :func:`between`.
+    basis
+        ``(2, 2)``, rows (x, y) px: the basis of the lattice.
+    changes
+        ``(n, 2, 2)``: integer matrices H; the basis of a coarser lattice is H times ``basis``.
+
+    Returns
+    -------
+    NDArray
+        ``(n, 6)``: as for :func:`between`, first of the coarser lattice, then of all other lags.
+    """
+    height, width = (spline.shape[0] + 1) // 2, spline.shape[1] - pad
+    numbers = list_multiples(basis, end)
+    sums = np.zeros((changes.shape[0], 2, 4))
+    for k in range(numbers.shape[0]):
+        a, b = numbers[k, 0], numbers[k, 1]
+        x, y = a * basis[0, 0] + b * basis[1, 0], a * basis[0, 1] + b * basis[1, 1]
+        if abs(x) > end[0] or abs(y) > end[1]:
+            continue
+        if x < 0:
+            x, y = -x, -y
+        value = height_at(spline, x + pad, y + height - 1)
+        overlap = (height - abs(y)) * (width - x)
+        for i in range(changes.shape[0]):
+            h = changes[i]
+            index = abs(h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0])
+            inside = (a * h[1, 1] - b * h[1, 0]) % index == 0 and (b * h[0, 0] - a * h[0, 1]) % index == 0
+            part = sums[i, 0 if inside else 1]
+            part[0] += overlap * value
+            part[1] += overlap * value * value
+            part[2] += overlap
+            part[3] += 1
+    out = np.zeros((changes.shape[0], 6))
+    for i in range(changes.shape[0]):
+        for j in range(2):
+            part = sums[i, j]
+            if part[3] == 0:
+                out[i, 3 * j] = -1.0
+            else:
+                mean = part[0] / part[2]
+                out[i, 3 * j] = mean
+                out[i, 3 * j + 1] = max(part[1] / part[2] - mean * mean, 0.0)
+                out[i, 3 * j + 2] = part[3]
     return out
 
 
@@ -209,6 +320,72 @@ def newton_sums(
             out[9 + 3 * kind] += b * b * bend
     out[0] = count
     return out
+
+
+@kernel(
+    "float64[:, ::1](float64[:, ::1], int64[:, ::1], float64[:, ::1], float64[::1], float64, int64, float64, int64)"
+)
+def climb_multiples(
+    spline: NDArray[np.float64],
+    numbers: NDArray[np.int64],
+    basis: NDArray[np.float64],
+    end: NDArray[np.float64],
+    far: float,
+    pad: int,
+    growth: float,
+    steps: int,
+) -> NDArray[np.float64]:
+    """Return the basis near a given one at whose multiples the mean correlation is highest, ``(2, 2)``.
+
+    Newton's method on all multiples at once, from the nearest outward. No step moves a multiple by more than a pixel
+    along x or y.
+
+    Parameters
+    ----------
+    spline, numbers, basis, end, pad
+        As for :func:`newton_sums`.
+    far
+        px; the largest radius.
+    growth
+        Factor by which the radius grows at each step.
+    steps
+        Largest number of steps.
+    """
+    radius = max(np.hypot(basis[0, 0], basis[0, 1]), np.hypot(basis[1, 0], basis[1, 1]))
+    fitted = basis.copy()
+    hessian, slopes, turned = np.zeros((4, 4)), np.zeros(4), np.zeros(4)
+    for _ in range(steps):
+        radius = min(radius * growth, far)
+        sums = newton_sums(spline, numbers, fitted, radius, end, pad)
+        largest = 0.0
+        if sums[0] >= 2:
+            slopes[:] = sums[3:7]
+            # Second derivatives by x1, x2, y1, y2, with the sign of a maximum turned.
+            for i in range(4):
+                for j in range(4):
+                    hessian[i, j] = -sums[7 + 3 * (i // 2 + j // 2) + i % 2 + j % 2]
+            bends, axes = np.linalg.eigh(hessian)
+            if bends[3] > 0:
+                for i in range(4):
+                    turned[i] = 0.0
+                    for j in range(4):
+                        turned[i] += axes[j, i] * slopes[j]
+                    turned[i] /= max(bends[i], 1e-3 * bends[3])
+                for i in range(4):
+                    slopes[i] = 0.0
+                    for j in range(4):
+                        slopes[i] += axes[i, j] * turned[j]
+                # Now x1, x2, y1, y2 of the step. The farthest multiple moves by these sums along x and y.
+                along = sums[1] * abs(slopes[0]) + sums[2] * abs(slopes[1])
+                down = sums[1] * abs(slopes[2]) + sums[2] * abs(slopes[3])
+                limit = max(1.0, along, down)
+                for i in range(4):
+                    step = slopes[i] / limit
+                    fitted[i % 2, i // 2] += step
+                    largest = max(largest, abs(step))
+        if radius >= far and largest * np.sqrt(numbers.shape[0]) < 1e-3:
+            break
+    return fitted
 
 
 @kernel("float64[:, :, ::1](float64[:, :, ::1])")

@@ -115,18 +115,22 @@ class View(NamedTuple):
     factor: int
 
 
+def view_factors(shape: tuple[int, int]) -> list[int]:
+    """Return the factors by which the views of an image of ``shape`` (height, width) are shrunk, see :func:`views`."""
+    factors = [1]
+    while max(shape) > factors[-1] * SIDE and min(shape) >= 2 * factors[-1] * MIN_SIDE:
+        factors.append(2 * factors[-1])
+    return factors
+
+
 def views(image: Image) -> Iterator[View]:
     """Yield views of at most :data:`SIDE` px a side, from the middle at full detail to the whole image.
 
     Each view covers twice the side of the one before at half its detail. Whatever the period, one of the views shows
     many periods and resolves them well.
     """
-    factor = 1
-    while True:
+    for factor in view_factors(image.shape[:2]):
         yield make_view(image, factor, SIDE)
-        if max(image.shape[:2]) <= factor * SIDE or min(image.shape[:2]) < 2 * factor * MIN_SIDE:
-            return
-        factor *= 2
 
 
 def make_view(image: Image, factor: int, side: int) -> View:

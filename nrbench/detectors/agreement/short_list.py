@@ -29,6 +29,8 @@ MAX_SIGMAS = 60.0
 """Standard deviations above which the probability does not rise: few lattices of the fit had more."""
 FEWEST_LAGS = 3
 """Least number of vectors whose scatter tells a standard error."""
+LEAST_ERROR = 1e-3
+"""Standard errors below this share of the correlation do not matter."""
 MAX_ERRORS = 30.0
 """Standard errors above which an excess is certain."""
 TOLERANCE = 1.0
@@ -60,6 +62,9 @@ class Traits(NamedTuple):
     alternation
         Logarithm of the largest excess of a supercell of index 2 or 3, in standard errors of the mean. It is large if
         two elements that differ little alternate: the excess is small then, but the same at all vectors.
+    split_error
+        Logarithm of the standard error of the excess of supercells of index 2, as a share of its correlation. It is
+        large if noise hides such an alternation.
     merit
         Its merit over that of the best stable lattice.
     best
@@ -78,6 +83,7 @@ class Traits(NamedTuple):
     split_3: float
     structure_split: float
     alternation: float
+    split_error: float
     merit: float
     best: float
     gncc: float
@@ -85,6 +91,24 @@ class Traits(NamedTuple):
     dominance: float
     finer: float
     coarser: float
+
+
+class Splits(NamedTuple):
+    """How lattices coarser than a given one, of one index, split its multiples.
+
+    Parameters
+    ----------
+    excesses
+        By how much the mean correlation at each exceeds that at all other vectors; -1 where there are none.
+    errors
+        The standard errors of the excesses; infinite if they are not known.
+    bases
+        The coarser lattices, ``(n, 2, 2)``.
+    """
+
+    excesses: list[float]
+    errors: list[float]
+    bases: Points
 
 
 class Rival(NamedTuple):
@@ -164,35 +188,32 @@ class ShortList:
     def _neighbors(self, basis: Points) -> Iterator[Points]:
         """Yield the coarser lattice of each index that splits the given one most, and the best finer one, fitted."""
         for index in NEIGHBORS:
-            splits, _, bases = self._split(self.pooled, basis, index)
-            yield bases[int(np.argmax(splits))]
+            splits = self._split(self.pooled, basis, index)
+            yield splits.bases[int(np.argmax(splits.excesses))]
         for index in NEIGHBORS:
             bases = finer_bases(basis, (index,))
             added = self.pooled.agreements(bases, basis)
             yield self.pooled.fit(bases[int(np.argmax([one.mean for one in added]))])
 
-    def _split(self, evidence: Evidence, basis: Points, index: int) -> tuple[list[float], list[float], Points]:
-        """Return by how much the correlation at each supercell of an index exceeds that at all other vectors.
-
-        Also return that excess in standard errors of the mean over the vectors, and the supercells.
-        """
-        bases = reduce_all(hermite_matrices(index) @ basis)
-        splits, certain = [], []
-        for coarser in bases:
-            own, others = evidence.agreement(coarser), evidence.agreement(basis, coarser)
-            known = min(own.lags, others.lags) > 0
-            splits.append(own.mean - others.mean if known else -1.0)
+    def _split(self, evidence: Evidence, basis: Points, index: int) -> Splits:
+        """Return by how much the correlation at each supercell of an index exceeds that at all other vectors."""
+        changes = hermite_matrices(index)
+        excesses, errors = [], []
+        for own, others in evidence.split(basis, changes):
+            known = min(own.lags, others.lags)
+            excesses.append(own.mean - others.mean if known > 0 else -1.0)
             error = math.sqrt(own.variance / max(own.lags, 1) + others.variance / max(others.lags, 1))
-            certain.append(splits[-1] / max(error, 1e-6) if min(own.lags, others.lags) >= FEWEST_LAGS else 0.0)
-        return splits, certain, bases
+            errors.append(max(error, 1e-6) if known >= FEWEST_LAGS else math.inf)
+        return Splits(excesses, errors, reduce_all(changes @ basis))
 
     def _measure(self, basis: Points, best: float, first: bool, proposals: Mapping[str, Sequence[Points]]) -> Traits:
         pooled, structure = (max(one.repeated(basis), 1e-3) for one in (self.pooled, self.structure))
         finer = highest_added(self.pooled, basis, RELIEFS)
-        splits = [self._split(self.pooled, basis, index)[:2] for index in SPLITS]
-        split_2, split_3 = (max(excess) / pooled for excess, _ in splits)
-        alternation = max(max(certain) for _, certain in splits)
-        structure_split = max(max(self._split(self.structure, basis, index)[0]) for index in SPLITS) / structure
+        splits = [self._split(self.pooled, basis, index) for index in SPLITS]
+        split_2, split_3 = (max(part.excesses) / pooled for part in splits)
+        alternation = max(x / error for part in splits for x, error in zip(part.excesses, part.errors, strict=True))
+        split_error = max(splits[0].errors) / pooled
+        structure_split = max(max(self._split(self.structure, basis, index).excesses) for index in SPLITS) / structure
         cells = {name: [relate_bases(other, basis) for other in part] for name, part in proposals.items()}
         votes = [cells.get(name, []) for name in DETECTORS]
         return Traits(
@@ -204,6 +225,7 @@ class ShortList:
             min(max(split_3, -0.5), 1.5),
             min(max(structure_split, -0.5), 1.5),
             math.log(min(max(alternation, 1.0), MAX_ERRORS)),
+            math.log(min(max(split_error, LEAST_ERROR), 1.0)),
             min(max(self.merit(basis) / best, -1.0), 1.2),
             float(first),
             float(1 in votes[0]),

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.peak_kernels import follow_multiples, prominences
+from nrbench.detectors.autocorrelation.peak_kernels import find_basins, follow_multiples, prominences
 from nrbench.imaging.correlation import Correlation
 from nrbench.imaging.parabola import find_vertex
 from nrbench.lattice.geometry import Points
@@ -55,10 +55,8 @@ def find_peaks(gamma: Correlation, reach: tuple[int, int]) -> Peaks:
     """
     middle, (x_end, y_end) = gamma.shape[0] // 2, reach
     surface = quantize_correlation(gamma[middle - y_end - 1 : middle + y_end + 2, : x_end + 2])
-    # Height and index make one number, because numpy sorts numbers faster than it sorts indices by height.
-    indices = np.arange(surface.size, dtype=np.int64)
-    order = np.sort((-surface.ravel().astype(np.int64) << 32) | indices) & 0xFFFFFFFF
-    heights = prominences(surface, order)
+    summits, saddles = find_basins(surface)
+    heights = prominences(surface, summits, np.sort(saddles))
     y, x = np.nonzero((heights > 0) & (surface > 0))
     lags = np.stack([x, y - y_end - 1], 1)
     inside = ((x > 0) | (lags[:, 1] > 0)) & (x <= x_end) & (np.abs(lags[:, 1]) <= y_end)

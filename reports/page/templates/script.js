@@ -1,37 +1,24 @@
 "use strict";
 const all = (selector, root = document) => [...root.querySelectorAll(selector)];
 
-// Filter textures by words.
-const filter = document.getElementById("filter");
-if (filter) {
-  const named = all("[data-find]");
-  const narrow = () => {
-    const words = filter.value.toLowerCase().split(/\s+/).filter(Boolean);
-    for (const item of named) {
-      const text = item.dataset.find.toLowerCase();
+// Show only what has all the words that are typed.
+const narrow = (name, items, textOf) => {
+  const input = document.getElementById(name);
+  if (!input) return;
+  const apply = () => {
+    const words = input.value.toLowerCase().split(/\s+/).filter(Boolean);
+    for (const item of items) {
+      const text = textOf(item).toLowerCase();
       item.hidden = !words.every((word) => text.includes(word));
     }
   };
-  filter.addEventListener("input", narrow);
-  filter.closest(".filter").hidden = false;
-  narrow();
-}
-
-// Filter the methods of the table of methods.
-const methodFilter = document.getElementById("method-filter");
-if (methodFilter) {
-  const rows = all("#methods tbody tr");
-  const narrow = () => {
-    const words = methodFilter.value.toLowerCase().split(/\s+/).filter(Boolean);
-    for (const row of rows) {
-      const text = row.querySelector("th").textContent.toLowerCase();
-      row.hidden = !words.every((word) => text.includes(word));
-    }
-  };
-  methodFilter.addEventListener("input", narrow);
-  methodFilter.closest(".filter").hidden = false;
-  narrow();
-}
+  input.addEventListener("input", apply);
+  input.closest(".filter").hidden = false;
+  apply();
+};
+narrow("filter", all("[data-find]"), (item) => item.dataset.find);
+narrow("method-filter", all("#methods tbody tr"), (row) => row.querySelector("th").textContent);
+narrow("output-filter", all("#gallery figure.output"), (one) => one.dataset.method);
 
 // Sort tables by a column; reference rows are a body of their own and stay below.
 for (const table of all("table.sortable")) {
@@ -87,6 +74,12 @@ for (const article of all("#gallery article")) {
 }
 const reveal = () => {
   const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  if (target?.hidden) {
+    const input = document.getElementById("output-filter");
+    input.value = "";
+    input.dispatchEvent(new Event("input"));
+    target.scrollIntoView();
+  }
   const draw = target && target.closest(".draw");
   if (!draw || !draw.hidden) return;
   const index = all(".draw", draw.parentElement).indexOf(draw);
@@ -214,3 +207,8 @@ for (const button of all("button[data-copy]")) {
     status.textContent = `${button.textContent}: done`;
   });
 }
+
+// Paper shows all pictures, also those that were never scrolled to.
+addEventListener("beforeprint", () => {
+  for (const image of all("img[loading=lazy]")) image.loading = "eager";
+});

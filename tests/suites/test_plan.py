@@ -1,0 +1,72 @@
+"""A plan holds its cells, and what is needed to draw their samples again."""
+
+from __future__ import annotations
+
+import types
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nrbench
+from nrbench.errors import BadInput
+from nrbench.imaging.files import write_image
+from nrbench.streams import pixels_hash
+from nrbench.suites.plan import make_plan
+from nrbench.suites.suite import Suite, validated_suite
+
+
+def suite_of(*textures: dict[str, Any], **more: Any) -> Suite:
+    """Return a suite of some textures."""
+    content = {"name": "planned", "sample": "48x40", "size": "56x52", "methods": ["oracle", "tiling"]}
+    return validated_suite({**content, "metrics": ["cost"], "texture": list(textures), **more}, "test")
+
+
+def held_arrays(held: Any) -> list[np.ndarray[Any, Any]]:
+    """Return the arrays that an object holds in its attributes, and in those of what it holds."""
+    found, waiting, known = [], [held], set()
+    while waiting:
+        one = waiting.pop()
+        if id(one) in known or isinstance(one, type | types.ModuleType | types.FunctionType):
+            continue
+        known.add(id(one))
+        if isinstance(one, np.ndarray):
+            found.append(one)
+        elif isinstance(one, dict):
+            waiting += one.values()
+        elif isinstance(one, list | tuple | set | frozenset):
+            waiting += one
+        else:
+            waiting += vars(one).values() if hasattr(one, "__dict__") else []
+    return found
+
+
+@pytest.mark.usefixtures("faulty")
+def test_a_plan_holds_no_pictures(tmp_path: Path) -> None:
+    """The pixels of a sample are drawn again, those of a picture or of a dataset of others unpacked; all are equal."""
+    write_image(tmp_path / "wall.png", nrbench.texture("brick", shape=(200, 220)).image)
+    picture = {"name": "picture", "dataset": "images", "parameters": {"path": str(tmp_path / "wall.png")}}
+    model = {"name": "model", "dataset": "weave", "parameters": {"noise": 0.1}}
+    foreign = {"name": "foreign", "dataset": "picture", "parameters": {"how": "fine"}}
+    plan = make_plan(suite_of(model, picture, foreign, replicates=2))
+    assert len(plan.cells) == 12
+    assert sum(array.nbytes for array in held_arrays(plan)) < 12 * 256  # the vectors of lattices
+    for cell, sample in plan.cells:
+        assert sample.size == sample.image().shape[:2] == (40, 48)
+        assert pixels_hash(sample.image()) == cell.sample_hash
+    regions = [(cell.texture, sample.again()) for cell, sample in plan.cells if cell.again_hash]
+    assert {name for name, _ in regions} == {"picture"}
+    assert all(region is not None and region.shape == (52, 56, 3) for _, region in regions)
+
+
+def test_a_picture_that_changes_during_a_run(tmp_path: Path) -> None:
+    """A region that is cut from a picture must have the pixels that the plan has counted on."""
+    image = nrbench.texture("brick", shape=(200, 220)).image
+    write_image(tmp_path / "wall.png", image)
+    row = {"name": "wall", "dataset": "images", "parameters": {"path": str(tmp_path / "wall.png")}}
+    cell, sample = make_plan(suite_of(row)).cells[0]
+    write_image(tmp_path / "wall.png", 1 - image)
+    assert pixels_hash(sample.image()) == cell.sample_hash
+    with pytest.raises(BadInput, match="'wall': its picture has changed during the run"):
+        sample.again()
