@@ -272,14 +272,14 @@ def soaking(jobs: int, replicates: int) -> Iterator[Soak]:
 def main() -> int:
     """Run the parts that the arguments name, or all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], default=list(PARTS))
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[])
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--cells", type=int, default=20_000)
     parser.add_argument("--replicates", type=int, default=6, help="draws of each texture; 8 cells each")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
     with soaking(options.jobs, options.replicates) as soak:
-        for name in options.parts:
+        for name in options.parts or PARTS:
             PARTS[name](soak, options.kills, options.cells)
             sys.stdout.flush()
     for line in soak.wrong:

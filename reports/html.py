@@ -50,6 +50,8 @@ from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MARKS, MEANINGS
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"
 _KEY_VERSIONS = ("nrbench", "python", "numpy", "scipy", "scikit-image", "numba", "pandas", "pillow")
+_MOST_DIFFERENCES = 1000
+"""More paired differences than this are in the CSV tables only: their number grows with the square of the methods."""
 _LEVELS_WIDTH = 8.7
 """Width of the plot of levels, inches: three columns."""
 _FILTERS = (
@@ -139,6 +141,7 @@ class HtmlReport:
             "layers": list_layers(sections),
             "failings": failings,
             "crop": CROP,
+            "most_differences": _MOST_DIFFERENCES,
             "source_map": SOURCE_MAP,
             "address": cache(lambda picture: pictures.address(picture, embed)),
             "embedded": embed,

@@ -221,7 +221,7 @@ def _column_title(line: SummaryRow) -> str:
 
 def _value(line: SummaryRow, index: int, method: MethodSummary) -> str:
     """Return one number of a method above its interval; its quality is marked if it is in the leading group."""
-    one = line.estimates[index]
+    one = line.shown[index]
     if one is None or one.value is None:
         return "--"
     value = f"{100 * one.value:.0f}" if line.rate else _mathematical(format_number(one.value))

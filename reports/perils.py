@@ -43,9 +43,12 @@ class PerilsPlane:
     ----------
     width
         Width in inches, from 3 to 12; the text keeps its size.
+    tests
+        Whether to test which methods differ. Without tests there are no ``ranks.*``.
     """
 
     width: float = 5.5
+    tests: bool = True
 
     version: ClassVar[str] = "2"
     folder: ClassVar[str] = "report"
@@ -56,7 +59,7 @@ class PerilsPlane:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; none if no method has a quality."""
-        comparison = compare_methods(run)
+        comparison = compare_methods(run, self.tests)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         paths = []
         for kind in ("svg", "pdf"):

@@ -28,7 +28,8 @@ _PATH = click.Path(path_type=Path)
 @click.option(
     "--fail-on-worse",
     is_flag=True,
-    help="Exit with 1 if any score of a method is worse by more than noise, or if more of its cells fail.",
+    help="Exit with 1 if any score of a method is worse by more than noise, or if more of its cells fail, and with 2 "
+    "if the runs cannot be compared.",
 )
 def compare_command(
     first: Path,
@@ -58,6 +59,8 @@ def compare_command(
     chosen = [*names, *(name for name, _ in wanted if names and name not in names)]
     report = plugins.build("reports", "changes", {"baseline": first, "columns": tuple(chosen)})
     changes = report.compare(runs[1])
+    if fail_on_worse and changes.obstacles:
+        raise BadInput(f"--fail-on-worse: {changes.obstacles[0]}")
     reasons = [
         f"{method}: {name} has the mean {value:.3g}, which is not at least {limit:g}"
         for name, limit in wanted

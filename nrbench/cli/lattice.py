@@ -160,7 +160,7 @@ def _survey(folder: Path, detector: str, output: Path | None, least: float | Non
 
 def _use_given(image: Image, numbers: str | None, output: Path | None, as_json: bool) -> None:
     """Print and draw the user's lattice, given as numbers or picked in a window."""
-    from nrbench.imaging.drawing import draw_lattice
+    from nrbench.imaging.drawing import draw_overlay
     from nrbench.imaging.files import write_image
     from nrbench.lattice.geometry import Lattice
 
@@ -172,7 +172,7 @@ def _use_given(image: Image, numbers: str | None, output: Path | None, as_json: 
     else:
         lattice, has_origin = Lattice.parse(numbers), numbers.count(",") == 5
     if output is not None:
-        write_image(output, draw_lattice(image, lattice))
+        write_image(output, draw_overlay(image, lattice))
     Result("picked" if numbers is None else "given", lattice, has_origin=has_origin).print(as_json)
 
 
@@ -231,13 +231,13 @@ def _detect(image: Image, chosen: str | None, output: Path | None, diagnostics: 
 def _draw_overlay(image: Image, candidates: Sequence[Alternative], output: Path) -> None:
     """Write the image with the chosen lattice; below it, if there are alternatives, the middle with each candidate.
 
-    The image stays in the upper left corner, so pixels have the same coordinates.
+    The image stays in the upper left corner, enlarged by a whole factor if it or its cells are small.
     """
-    from nrbench.imaging.drawing import contact_sheet, draw_lattice, stack
+    from nrbench.imaging.drawing import contact_sheet, draw_overlay, stack
     from nrbench.imaging.files import write_image
     from nrbench.suites.surveying import draw_candidates
 
-    drawn = draw_lattice(image, candidates[0].lattice)
+    drawn = draw_overlay(image, candidates[0].lattice)
     if len(candidates) > 1:
         drawn = stack(drawn, contact_sheet(*draw_candidates(image, candidates)))
     write_image(output, drawn)

@@ -129,8 +129,8 @@ def run_command(**arguments: Any) -> int:
     failed = print_summary(run, written, arguments["as_json"], columns)
     if lacking:
         tell(
-            f"{root} holds {lacking} more cells of an earlier command, which the tables leave out; run that command "
-            "again to see them, or use another --out for this one"
+            f"{root} holds {lacking} more {'cell' if lacking == 1 else 'cells'} of an earlier command, which the "
+            "tables leave out; run that command again to see them, or use another --out for this one"
         )
     if stale:
         tell(f"{stale} was of an earlier command and is removed; `nrbench report {root}` writes it again")
@@ -195,12 +195,16 @@ def plan_command(**arguments: Any) -> None:
     metavar="FILE...",
     help="Files with people's answers, one for each person. The reports then compare the verdicts with them.",
 )
+@click.option("--single-file", is_flag=True, help="Embed all pixels of all pictures in the HTML page.")
+@click.option("--no-tests", is_flag=True, help="Make no statistical tests: no leading group, no average ranks.")
 @limit_options("synthesis, metric or report")
 def report_command(
     run: Path,
     more: tuple[Path, ...],
     formats: tuple[str, ...],
     labels: tuple[Path, ...],
+    single_file: bool,
+    no_tests: bool,
     timeout: float,
     memory: float,
 ) -> int:
@@ -221,9 +225,11 @@ def report_command(
     record, files = Run(run), (*labels, *more)
     read_people(record, files)
     wanted = parse_formats(formats) if formats else None
+    chosen = {"labels": files, "single_file": single_file, "tests": not no_tests}
+    shared = {name: value for name, value in chosen.items() if value != (name == "tests")}
     limits = Limits(timeout, memory)
     with live_progress(patience=True) as progress:
-        written, broken = write_reports(record, wanted, labels=files, limits=limits, progress=progress)
+        written, broken = write_reports(record, wanted, shared=shared, limits=limits, progress=progress)
     for path in written:
         print(path)
     return int(broken)

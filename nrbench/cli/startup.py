@@ -10,7 +10,7 @@ from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import LazyLoader
 from types import ModuleType
 
-POSTPONED = frozenset({"numpy.f2py", "numpy.testing", "yaml"})
+POSTPONED = frozenset({"numpy.f2py", "numpy.testing", "scipy.spatial.transform", "yaml"})
 """Modules that scipy and numba import, and of which commands use nothing."""
 COLLECT_AFTER = 500_000
 """New objects after which garbage is collected. Imports alone make about 300 000, and none of them is garbage."""

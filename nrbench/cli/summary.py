@@ -80,7 +80,7 @@ def write_reports(
     run: Run,
     formats: Mapping[str, Mapping[str, Any]] | None = None,
     tables_only: bool = False,
-    labels: tuple[Path, ...] = (),
+    shared: Mapping[str, Any] | None = None,
     limits: Limits | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> tuple[list[Path], bool]:
@@ -94,8 +94,8 @@ def write_reports(
         The parameters of each report, by its name; None for all reports.
     tables_only
         Whether reports other than tables are left out.
-    labels
-        Files with people's answers.
+    shared
+        Parameters of all reports that have them, such as the files of people's answers, ``labels``.
     limits
         Limits of each report of another package; None for the default ones.
     progress
@@ -119,7 +119,7 @@ def write_reports(
         )
     if formats is None:
         formats = {plugin.name: {} for plugin in plugins.inventory("reports") if plugin.cls is not None}
-    reports = {name: _build_report(name, labels, given) for name, given in formats.items()}
+    reports = {name: _build_report(name, shared or {}, given) for name, given in formats.items()}
     wanted = {name: one for name, one in reports.items() if not tables_only or _folder(one) == "tables"}
     written: list[Path] = []
     broken, allowed = False, limits or LIMITS
@@ -141,11 +141,11 @@ def _folder(report: Any) -> str:
     return str(getattr(report, "folder", "report"))
 
 
-def _build_report(name: str, labels: tuple[Path, ...], given: Mapping[str, Any]) -> Any:
-    """Return a report with its parameters, and with people's answers if it has a parameter ``labels``."""
+def _build_report(name: str, shared: Mapping[str, Any], given: Mapping[str, Any]) -> Any:
+    """Return a report with its own parameters, and those shared ones that it has."""
     cls: Any = plugins.find("reports", name).cls
-    takes_labels = "labels" in {field.name for field in fields(cls)}
-    return plugins.build("reports", name, {"labels": labels, **given} if labels and takes_labels else given)
+    known = {field.name for field in fields(cls)}
+    return plugins.build("reports", name, {**{key: shared[key] for key in shared if key in known}, **given})
 
 
 def check_columns(names: Sequence[str]) -> None:

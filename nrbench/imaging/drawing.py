@@ -24,6 +24,10 @@ _LEAST = 24.0
 """px; least side of the part of the image that a panel shows."""
 _VISIBLE = 6.0
 """px; cells of a smaller side are not drawn over a whole image: the lines would hide it."""
+_CLEAR = 24.0
+"""px; side of a cell that is clear to see among the lines."""
+_LARGEST = 2048
+"""px; no overlay is enlarged beyond it."""
 _ROWS = 256
 """Number of rows that are drawn at a time: arrays of the whole image would need much memory."""
 _LINE = 13
@@ -69,6 +73,25 @@ def draw_lattice(image: Image, lattice: Lattice, color: tuple[float, float, floa
         weight = (1 - near[lines]).astype(np.float32)[:, np.newaxis]
         rows[lines] += weight * (np.array(color, np.float32) - rows[lines])
     return canvas
+
+
+def draw_overlay(image: Image, lattice: Lattice) -> Image:
+    """Return the image with a lattice drawn over it, enlarged by a whole factor if the picture or the cells are small.
+
+    The factor makes the shortest side of a cell at least 24 px and the longer side of the picture at least 248 px,
+    as far as the picture stays under 2048 px.
+
+    Parameters
+    ----------
+    image
+        Any :data:`~nrbench.imaging.convert.Image`.
+    lattice
+        In the image's coordinates.
+    """
+    longer = max(image.shape[:2])
+    wanted = max(ceil(_CLEAR / lattice.s), ceil(PANEL / longer))
+    panel, factor = _scale(image, longer * max(1, min(wanted, _LARGEST // longer)))
+    return draw_lattice(panel, _place(lattice, (0, 0), factor))
 
 
 def draw_segments(image: Image, starts: Points, ends: Points) -> Image:

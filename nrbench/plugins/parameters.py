@@ -174,7 +174,8 @@ def _convert(cls: type[Any], key: str, value: Any, where: str) -> Any:
         try:
             return _located(_adapter(cls, key).validate_python(attempt))  # type: ignore[arg-type]
         except ValidationError as error:
-            why = error.errors()[0]["msg"]
+            if attempt != (value,):  # that text is no list of one item says nothing about a number
+                why = error.errors()[0]["msg"]
     raise BadInput(f"{where}: {key}={value!r}: {why[:1].lower()}{why[1:]}")
 
 
@@ -191,15 +192,20 @@ def _readings(value: Any) -> list[Any]:
         return [value]
     if value.lower() in ("none", "null"):
         return [None, value]
-    return [value, value.split(",")] if "," in value else [value]
+    return [value, value.split(",")] if "," in value else [value, (value,)]
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return ``" (did you mean 'x'?)"``, or a list of the known words if none is similar."""
+    """Return ``" (did you mean 'x'?)"``, or a list of the known words if none is similar.
+
+    Words are similar if two thirds of their letters agree, in the same order, or if one begins with the other. Of
+    those that are similar by their letters the nearest is returned, of the others up to three.
+    """
     options = list(known)
-    close = difflib.get_close_matches(word, options, n=1, cutoff=0.5)
-    if close:
-        return f" (did you mean {close[0]!r}?)"
+    begun = [each for each in options if len(word) > 2 and (each.startswith(word) or word.startswith(each))]
+    close = difflib.get_close_matches(word, options, n=1, cutoff=0.67) or begun
+    if 0 < len(close) <= 3:
+        return f" (did you mean {' or '.join(map(repr, close))}?)"
     return f" (known: {', '.join(options)})" if options else " (there are none)"
 
 

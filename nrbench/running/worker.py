@@ -290,7 +290,7 @@ class ForkServer:
             child = self._scorer = _fork(_run_requests)
         finished, receive = False, _receiver(child.channel)
 
-        def receive_until_finished(seconds: float) -> list[Message] | None:
+        def receive_until_finished(seconds: float) -> Iterable[Message] | None:
             nonlocal finished
             messages = [] if finished else receive(seconds)
             finished = finished or any("finished" in message for message in messages or ())

@@ -14,8 +14,24 @@ from .figure_file import GRAY, INK
 Floats = NDArray[np.float64]
 LINE = 8.6
 """Height of a line of a caption, pt."""
+MOST_NAMES = 20
+"""Most points of a plot that have names; names of more would be too small to read."""
 _GUTTER = 20.0
 _PORTS = (2.6, 1.3, 0.6, 0.0)
+
+
+def choose_named(references: Sequence[bool]) -> list[bool]:
+    """Return which points of a plot have names: the references and the first others, :data:`MOST_NAMES` in total."""
+    left = MOST_NAMES - sum(references)
+    return [reference or sum(not one for one in references[:i]) < left for i, reference in enumerate(references)]
+
+
+def describe_unnamed(named: Sequence[bool]) -> str:
+    """Return the sentence that explains points without names; empty if all points have one."""
+    rest = len(named) - sum(named)
+    if not rest:
+        return ""
+    return f"The best methods and the references have names and intervals; {rest} further methods have neither."
 
 
 def draw_captions(axes: Axes, anchors: Floats, texts: Sequence[str], slanted: Sequence[bool]) -> None:

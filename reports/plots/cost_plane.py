@@ -10,8 +10,8 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from ..statistics.comparison import Comparison, MethodSummary
 from ..statistics.verdicts import RANKING
-from .captions import draw_captions
-from .figure_file import FAINT, GRAY, INK, make_figure, render_figure
+from .captions import choose_named, describe_unnamed, draw_captions
+from .figure_file import FAINT, GRAY, INK, SMALL, make_figure, render_figure
 
 
 def has_cost(comparison: Comparison) -> bool:
@@ -46,19 +46,24 @@ def _figure(comparison: Comparison, width: float) -> Figure:
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.grid(True, color=FAINT, lw=0.5)
     axes.set_axisbelow(True)
-    for one, across, up in zip(methods, x, y, strict=True):
+    named = choose_named([one.method.reference for one in methods])
+    for one, across, up, chosen in zip(methods, x, y, named, strict=True):
         reference, ends = one.method.reference, one.means[RANKING].ends
-        if ends is not None:
+        if ends is not None and chosen:
             axes.plot((across, across), ends, color=GRAY if reference else INK, lw=0.9, zorder=2)
         axes.plot(
             *(across, up),
             marker="D" if reference else "o",
-            ms=5 if reference else 6.4,
+            ms=5 if reference else 6.4 if chosen else 3,
             mfc=FAINT if reference else INK,
             mec=INK,
             mew=0.8,
             zorder=3,
         )
-    points = axes.transData.transform(np.stack([x, y], 1))
-    draw_captions(axes, points, [one.method.label for one in methods], [one.method.reference for one in methods])
+    places = np.flatnonzero(named)
+    points = axes.transData.transform(np.stack([x, y], 1))[places]
+    shown = [methods[i].method for i in places]
+    draw_captions(axes, points, [method.label for method in shown], [method.reference for method in shown])
+    if note := describe_unnamed(named):
+        figure.text(0.02, 3 / height, note, **SMALL)
     return figure

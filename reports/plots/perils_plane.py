@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..statistics.comparison import PerilsPoint
 from ..statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, SHARES_LEGEND, method_label
-from .captions import draw_captions
+from .captions import choose_named, describe_unnamed, draw_captions
 from .figure_file import FAINT, GRAY, INK, SMALL, make_figure, render_figure
 
 _RADIUS = 3.2
@@ -56,8 +56,9 @@ def wrap_caption(text: str, most: int = 24) -> str:
 
 def _perils_figure(points: Sequence[PerilsPoint], width: float) -> Figure:
     """Return the plane, and below it a row for each method whose randomness is not scored on any texture."""
-    above = [point for point in points if point.has_height]
-    below = [point for point in points if not point.has_height]
+    named = _named(points)
+    above = [point for point in named if point.has_height]
+    below = [point for point in named if not point.has_height]
     heights = {
         "plane": 72 * width * 0.66,
         "strip": _ROW * sum(_strip_caption(point).count("\n") + 1 for point in below) + 4 if below else 0.0,
@@ -66,7 +67,7 @@ def _perils_figure(points: Sequence[PerilsPoint], width: float) -> Figure:
         "list": _LIST_ROW * len(above) + 6.0 if width < _NARROW else 0.0,
     }
     notes = len(_footnotes(points))
-    heights["key"] += (26.0 + 9.0 * notes) * (width < _NARROW) - 8.0 * (not notes) + 9.0 * (notes > 1)
+    heights["key"] += (26.0 + 9.0 * notes) * (width < _NARROW) - 8.0 * (not notes) + 9.0 * max(0, notes - 1)
     total = sum(heights.values())
     figure = make_figure(width, total)
     beside = 12 if width < _NARROW else 182 if above else 58
@@ -74,6 +75,8 @@ def _perils_figure(points: Sequence[PerilsPoint], width: float) -> Figure:
     bottom = (heights["key"] + heights["strip"] + heights["list"]) / total
     plane = figure.add_axes((left, bottom, across, heights["plane"] / total))
     _draw_plane(plane, above, width < _NARROW)
+    others = [_position(point) for point in points if point.has_height and point not in named]
+    plane.plot(*np.reshape(others, (-1, 2)).T, ls="none", marker="o", ms=3, mfc=INK, mec="none", zorder=3)
     if below:
         strip = figure.add_axes((left, (heights["key"] + heights["list"]) / total, across, heights["strip"] / total))
         _draw_strip(strip, below)
@@ -82,6 +85,15 @@ def _perils_figure(points: Sequence[PerilsPoint], width: float) -> Figure:
         _list_names(figure, above, heights["list"], total)
     _draw_key(figure, points, heights["key"], heights["list"], total)
     return figure
+
+
+def _named(points: Sequence[PerilsPoint]) -> list[PerilsPoint]:
+    """Return the points that have names and intervals: names of more would be too small to read."""
+    return [point for point, named in zip(points, choose_named(_references(points)), strict=True) if named]
+
+
+def _references(points: Sequence[PerilsPoint]) -> list[bool]:
+    return [point.method.reference for point in points]
 
 
 def _draw_plane(axes: Axes, above: Sequence[PerilsPoint], narrow: bool) -> None:
@@ -267,7 +279,12 @@ def _footnotes(points: Sequence[PerilsPoint]) -> list[str]:
     """Return the explanation of the brackets and signs that occur in the captions."""
     brackets = ["[k of n]: the height rests on the k textures on which randomness is scored"]
     valid = [f"{BASELINE_SIGN} {BASELINE_LEGEND} ({SHARES_LEGEND})"]
-    return brackets * any(point.rests_on for point in points) + valid * any(point.validity.n for point in points)
+    unnamed = describe_unnamed(choose_named(_references(points)))
+    return [
+        *brackets * any(point.rests_on for point in points),
+        *valid * any(point.validity.n for point in points),
+        *([unnamed] if unnamed else []),
+    ]
 
 
 def place_captions(anchors: NDArray[np.float64], sizes: NDArray[np.float64], obstacles: Boxes, frame: Boxes) -> Boxes:

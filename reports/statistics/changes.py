@@ -175,11 +175,18 @@ class RunChanges:
         if self.equal_samples < self.pairs:
             other = self.pairs - self.equal_samples
             lines.append(f"{pluralize(other, 'cell')} of {self.pairs} have another sample, so their pairs scatter more")
+        return [*lines, *self.obstacles]
+
+    @property
+    def obstacles(self) -> list[str]:
+        """Why the runs cannot be compared: they share no cell, or their scores mean different things."""
+        lines = []
         if not self.pairs:
             lines.append("the runs have no method on the same texture and draw in common: there is nothing to compare")
         versions = [run.info.get("results_version") for run in (self.first, self.second)]
         if versions[0] != versions[1]:
-            lines.append(f"the runs were made by results versions {versions[0]} and {versions[1]}")
+            known = f"{versions[0]} and {versions[1]}"
+            lines.append(f"the runs were made by results versions {known}, whose scores are not comparable")
         return lines
 
     def as_dict(self) -> dict[str, Any]:
@@ -193,6 +200,7 @@ class RunChanges:
             "cells": {method: {"first": a, "second": b} for method, (a, b) in self.counts.items()},
             "pairs": self.pairs,
             "equal_samples": self.equal_samples,
+            "obstacles": self.obstacles,
         }
 
 

@@ -76,6 +76,23 @@ def test_synth_keeps_its_input(brick: Lattice, capsys: pytest.CaptureFixture[str
     assert "is the picture itself" in capsys.readouterr().err and Path("brick.png").read_bytes() == before
 
 
+def test_synth_refuses_a_place_that_takes_no_file_before_it_starts(
+    brick: Lattice, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A path that cannot be written is refused before the synthesis; nothing is left beside it."""
+    monkeypatch.setattr("nrbench.synthesizers.quilting.Quilting.synthesize", lambda *_: pytest.fail("was called"))
+    Path("folder.png").mkdir()
+    before = sorted(Path().iterdir())
+    for place, why in (
+        *([("/proc/x.png", "cannot be written")] if Path("/proc").is_dir() else []),
+        ("folder.png", "is a directory"),
+        ("no/x.png", "exist"),
+    ):
+        assert call(f"synth brick.png -m quilting --size 64x64 -o {place}") == 2
+        assert why in capsys.readouterr().err
+    assert sorted(Path().iterdir()) == before
+
+
 def test_synth_takes_a_detector(
     brick: Lattice, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

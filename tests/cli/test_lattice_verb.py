@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import skimage.io
 from candidates import OTHERS, Ranked
+from numpy.typing import NDArray
 
 from nrbench import plugins
 from nrbench.api import synthesize, texture
@@ -60,6 +61,11 @@ def test_misuse(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> 
     assert message in shown.err and not shown.out and len(shown.err.splitlines()) == 1
 
 
+def enlarged(name: str, times: int) -> NDArray[np.float32]:
+    """Return a picture with each pixel repeated along both axes."""
+    return np.repeat(np.repeat(read_image(Path(name)), times, axis=0), times, axis=1)
+
+
 def test_the_clicked_anchor_is_carried_through(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -75,8 +81,8 @@ def test_the_clicked_anchor_is_carried_through(
     assert call("lattice wall.png --pick -o over.png --json") == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["origin"] == list(clicked.origin)
-    drawn = (read_image("over.png") != read_image("wall.png")).any(-1)
-    assert drawn[round(y), round(x)]
+    drawn = (read_image("over.png") != enlarged("wall.png", 2)).any(-1)
+    assert drawn[round(2 * y + 0.5), round(2 * x + 0.5)]
     numbers = said.err.strip().rpartition(" ")[2]
     assert numbers.count(",") == 5
     broken = {}
@@ -97,8 +103,8 @@ def test_a_manual_lattice_is_drawn(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("lattice brick.png --lattice 20,0,0,30 -o over.png --json") == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer == {"t1": [20, 0], "t2": [0, 30], "detector": "given", "confidence": None}
-    changed = (read_image("over.png") != read_image("brick.png")).any(-1)
-    assert changed[:, ::20].all() and changed[::30].all() and not changed[5:25, 5:15].any()
+    changed = (read_image("over.png") != enlarged("brick.png", 3)).any(-1)
+    assert changed[:, 1::60].all() and changed[1::90].all() and not changed[5:85, 5:55].any()
 
 
 def test_all_detectors_as_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -189,13 +195,13 @@ def test_candidates_as_text(ranked: None, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_candidates_are_drawn_below_the_overlay(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
-    """The overlay keeps the pixels' coordinates, and the candidates are drawn below; the six numbers are printed."""
+    """A picture of 80 px is enlarged four times, with the candidates drawn below; the six numbers are printed."""
     assert call("lattice bright.png -o over.png") == 0
     over = read_image("over.png")
-    top = over[:60, :80]
-    assert (top[:, ::16] == top[0, 0]).all() and (top[::12] == top[0, 0]).all()
-    np.testing.assert_allclose(top[3:9, 4:12], 0.8, atol=1e-6)
-    assert over.shape[0] > 150 and (over[:60, 80:] == 1).all() and over[60:].min() < 0.2
+    top = over[:240, :320]
+    is_line = np.abs(top - 0.8).max(-1) > 0.05
+    assert is_line[:, 1::64].all() and is_line[1::48].all() and not is_line[4:48, 4:64].any()
+    assert over.shape[0] > 330 and (over[:240, 320:] == 1).all() and over[240:].min() < 0.2
     assert capsys.readouterr().err.strip() == "for other verbs: --lattice 16.0,0.0,0.0,12.0,0.0,0.0"
 
 
@@ -227,8 +233,8 @@ def test_an_origin_at_zero_is_known(capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(capsys.readouterr().out)["origin"] == [0, 0]
     assert call("lattice brick.png --lattice 20,0,0,30,3,4 -o over.png") == 0
     assert "origin = (3.000, 4.000) px" in capsys.readouterr().out
-    changed = (read_image("over.png") != read_image("brick.png")).any(-1)
-    assert changed[:, 3::20].all() and changed[4::30].all() and not changed[6:30, 5:20].any()
+    changed = (read_image("over.png") != enlarged("brick.png", 3)).any(-1)
+    assert changed[:, 10::60].all() and changed[13::90].all() and not changed[16:100, 13:68].any()
 
 
 def test_a_folder(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:

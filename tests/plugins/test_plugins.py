@@ -15,7 +15,7 @@ import pytest
 import nrbench
 from nrbench import api, plugins
 from nrbench.errors import BadInput
-from nrbench.plugins.parameters import parse_spec, validated
+from nrbench.plugins.parameters import nearest, parse_spec, validated
 
 
 @pytest.mark.parametrize("kind", plugins.FORMS)
@@ -48,6 +48,21 @@ def test_a_named_detector_is_imported_when_it_detects() -> None:
     assert found.lattice == nrbench.detect_lattice(image, "gncc", preset="paper").lattice
     with pytest.raises(BadInput, match="detector 'gnc' is not known"):
         plugins.NamedDetector("gnc").detect(image)
+
+
+@pytest.mark.parametrize(
+    ("word", "hint"),
+    [
+        ("gnc", "did you mean 'gncc'?"),
+        ("fftm", "did you mean 'fftm-patch' or 'fftm-pixel'?"),
+        ("quilt", "did you mean 'quilting'?"),
+        ("mean", "known: gncc, fftm-patch, fftm-pixel, quilting"),
+        ("q", "known: gncc, fftm-patch, fftm-pixel, quilting"),
+    ],
+)
+def test_only_a_near_word_is_proposed(word: str, hint: str) -> None:
+    """A word of other letters brings the list of the known ones, not the least distant of them."""
+    assert nearest(word, ["gncc", "fftm-patch", "fftm-pixel", "quilting"]) == f" ({hint})"
 
 
 def test_an_unknown_parameter_names_the_nearest() -> None:
@@ -156,3 +171,11 @@ def test_a_file_that_holds_no_plugin_says_what_is_missing(text: str, tmp_path: P
     with pytest.raises(BadInput, match=re.escape(FILES[text])):
         plugins.add_file(file)
     assert str(file) not in plugins.files()
+
+
+def test_one_item_is_a_list_of_one() -> None:
+    """A parameter that is a list takes one item without a comma; a wrong number keeps its own message."""
+    grid = plugins.build("reports", "figure", {"methods": "rsgf", "textures": "a,b"})
+    assert (grid.methods, grid.textures) == (("rsgf",), ("a", "b"))
+    with pytest.raises(BadInput, match="valid number"):
+        plugins.build("reports", "figure", {"width": "wide"})

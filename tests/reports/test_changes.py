@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -174,6 +175,12 @@ def test_the_command_decides_by_its_exit_code(tiny_runs: tuple[Path, Path], caps
     assert call("compare", before, after, "--fail-under", "x") == 2
     assert call("compare", before, after, "--columns", "quality.scor") == 2
     assert call("compare", before, "missing") == 2
+    older = Path(before).with_name("older")
+    shutil.copytree(before, older)
+    info = json.loads((older / "run.json").read_text("utf-8"))
+    (older / "run.json").write_text(json.dumps({**info, "results_version": 1}), "utf-8")
+    assert call("compare", str(older), before) == 0
+    assert call("compare", str(older), before, "--fail-on-worse") == 2
     assert call("compare", before, after, "--json", "--markdown") == 2
     capsys.readouterr()
     assert call("compare", before, after, "--json", "--fail-under", "2", "--fail-under", "preserved=0") == 1

@@ -16,7 +16,14 @@ from nrbench.imaging.files import write_image
 from nrbench.reports.figure import PictureGrid
 from nrbench.reports.page.inline_svg import inline_svg
 from nrbench.reports.page.pictures import PictureStore
-from nrbench.reports.plots.captions import count_crossings, lay_out_leaders, spread
+from nrbench.reports.plots.captions import (
+    MOST_NAMES,
+    choose_named,
+    count_crossings,
+    describe_unnamed,
+    lay_out_leaders,
+    spread,
+)
 from nrbench.reports.plots.cost_plane import has_cost, plot_cost
 from nrbench.reports.plots.critical_difference import plot_ranks
 from nrbench.reports.plots.heat_map import plot_heat_map
@@ -170,3 +177,14 @@ def test_inline_plots_have_no_style_and_ids_of_their_own(long_run: Run) -> None:
     assert " style=" not in svg and "<style" not in svg and "http" not in svg
     assert all(name.startswith("x-") for name in re.findall(r' id="([^"]*)"', svg))
     assert 'class="stroke-ink"' in svg
+
+
+@given(st.lists(st.booleans(), max_size=60))
+def test_the_best_methods_and_all_references_have_names(references: list[bool]) -> None:
+    """Every reference has a name, and as many of the first methods as there is space for; the rest are counted."""
+    named = choose_named(references)
+    assert all(has for has, reference in zip(named, references, strict=True) if reference)
+    methods = [has for has, reference in zip(named, references, strict=True) if not reference]
+    assert methods == sorted(methods, reverse=True)
+    assert sum(methods) == min(len(methods), max(0, MOST_NAMES - sum(references)))
+    assert (f" {named.count(False)} further" in describe_unnamed(named)) == (False in named)

@@ -13,6 +13,9 @@ import PIL.Image
 import pytest
 
 from nrbench.reports.html import HtmlReport
+from nrbench.reports.page.gallery import list_failings
+from nrbench.reports.page.pictures import PictureStore
+from nrbench.reports.statistics.comparison import compare_methods
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
@@ -306,3 +309,24 @@ def test_replicates_have_their_own_pictures(make_cell: Make, make_run: Make, tmp
 def test_the_page_is_the_same_again(every_ending: Run, text: str) -> None:
     """Rendering twice gives the same page."""
     assert HtmlReport().render(every_ending, every_ending.root / "report") == text
+
+
+def test_the_weakest_outputs_of_each_method_are_shown(ranked: Run, ranked_page: Page) -> None:
+    """Each ranked method has the textures on which it failed, and links to its weakest outputs; no reference."""
+    found = {
+        one.method.name: one for one in list_failings(compare_methods(ranked), PictureStore(ranked.root / "report"))
+    }
+    assert set(found) == {"good", "close", "shaky", "refuser", "drifter"}
+    assert [one.texture for one in found["drifter"].lost] == ["a", "b", "c"]
+    assert [one.texture for one in found["shaky"].lost] == ["a"]
+    assert [one.texture for one in found["refuser"].unfinished] == ["a"]
+    for one in found.values():
+        qualities = [weak.quality for weak in one.weakest]
+        assert qualities == sorted(qualities) and all(weak.crop for weak in one.weakest)
+    assert "Lattice lost on 3 of 3 textures: a" in " ".join(ranked_page.text.split())
+
+
+def test_without_tests_nothing_is_called_tied(ranked: Run, tmp_path: Path) -> None:
+    """A page without tests names the highest quality, no leading group, and says that ties are not known."""
+    page = Page(HtmlReport(tests=False).render(ranked, tmp_path)).text
+    assert "No tests were made" in page and "★" not in page and "leading group" not in page

@@ -207,3 +207,8 @@ for (const button of all("button[data-copy]")) {
     status.textContent = `${button.textContent}: done`;
   });
 }
+
+// Paper shows all pictures, also those that were never scrolled to.
+addEventListener("beforeprint", () => {
+  for (const image of all("img[loading=lazy]")) image.loading = "eager";
+});
