@@ -7,6 +7,7 @@ import re
 import shlex
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -82,7 +83,7 @@ def test_the_paper_table_passes_methods_on_whole(tmp_path: Path) -> None:
     script = [str(DOCS / "paper_table.sh"), str(tmp_path / "run"), "mine.py", "mine", str(suite)]
     subprocess.run(["sh", *script], check=True, env={**os.environ, "NRBENCH": str(fake)}, capture_output=True)
     given = log.read_text().splitlines()
-    methods = [value for flag, value in zip(given, given[1:], strict=False) if flag == "-m"]
+    methods = [value for flag, value in pairwise(given) if flag == "-m"]
     assert methods == ["rsgf", "command:run=tool {sample} {output},label=my tool", "mine"]
     assert sorted(path.name for path in (tmp_path / "run" / "paper").iterdir()) == ["methods.bib", "summary.tex"]
 
