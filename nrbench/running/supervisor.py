@@ -26,7 +26,7 @@ from nrbench import plugins
 from nrbench.errors import describe_error, storage_fault
 from nrbench.running import guard
 from nrbench.running.guard import Message
-from nrbench.running.worker import Reply, Request, perform
+from nrbench.running.worker import Reply, Request, perform, working_folder
 from nrbench.runs.store import CellFolder, Result
 
 THREAD_VARIABLES = (
@@ -73,6 +73,8 @@ class Job:
         Files of plugins that the worker loads.
     side_by_side
         1 if other jobs run at the same time, else 0; it is recorded beside the costs.
+    user_folder
+        The folder in which the user started nrbench, which a worker of a cluster does not know.
     """
 
     kind: Literal["cell", "detect"]
@@ -82,10 +84,11 @@ class Job:
     metrics: tuple[str, ...] = ()
     plugins: tuple[str, ...] = ()
     side_by_side: float = 0.0
+    user_folder: str = dataclasses.field(default_factory=working_folder)
 
     def request(self, phase: Literal["detect", "synthesize", "score"], metrics: tuple[str, ...] = ()) -> Request:
         """Return the request of one phase of this job."""
-        return Request(phase, self.folder, self.seconds, self.mib, metrics)
+        return Request(phase, self.folder, self.seconds, self.mib, metrics, self.user_folder)
 
 
 class RequestRunner(Protocol):

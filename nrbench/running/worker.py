@@ -15,7 +15,6 @@ import os
 import select
 import shutil
 import signal
-import socket
 import sys
 import tempfile
 import threading
@@ -37,6 +36,8 @@ LONGEST = 70
 """Bytes of the path of a folder of temporary files; Python's ``multiprocessing`` adds up to 35 for its sockets."""
 SCORER_ROOM = 256.0
 """MiB that the scorer may hold between two cells, beyond what the worker holds. Above it, a new one takes its place."""
+MESSAGES = 3
+"""The file descriptor to which a child writes its messages."""
 DEFERRED = (
     *("scipy.cluster.vq", "scipy.fft", "scipy.interpolate", "scipy.linalg", "scipy.ndimage", "scipy.optimize"),
     *("scipy.signal", "scipy.sparse", "scipy.spatial.distance", "scipy.special", "scipy.stats", "skimage.color"),
@@ -46,7 +47,8 @@ DEFERRED = (
 """Modules that libraries import on first use. A worker imports them before it forks, not each of its children."""
 
 
-def _working_folder() -> str:
+def working_folder() -> str:
+    """Return the working directory of this process; that of temporary files if it does not exist any more."""
     try:
         return str(Path.cwd())
     except FileNotFoundError:  # somebody has removed it
@@ -82,7 +84,7 @@ class Request:
     seconds: float
     mib: float
     metrics: tuple[str, ...] = ()
-    user_folder: str = dataclasses.field(default_factory=_working_folder)
+    user_folder: str = dataclasses.field(default_factory=working_folder)
     elsewhere: str = dataclasses.field(default_factory=_new_temporary_path)
 
     @property
@@ -239,12 +241,15 @@ class Child:
     ----------
     pid
         Its process id.
-    channel
-        This process's end of the connection: the child's messages arrive here, and further requests go there.
+    messages
+        The end of a pipe at which the child's messages arrive, a file descriptor.
+    requests
+        The end of a pipe to which further requests are written, a file descriptor.
     """
 
     pid: int
-    channel: socket.socket
+    messages: int
+    requests: int
 
     def has_ended(self) -> bool:
         """Return whether the process has ended."""
@@ -255,7 +260,8 @@ class Child:
         guard.sweep(self.pid) if kill else None
         code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
         guard.sweep(self.pid)
-        self.channel.close()
+        os.close(self.messages)
+        os.close(self.requests)
         return code
 
 
@@ -278,8 +284,8 @@ class ForkServer:
         return reply
 
     def _run_alone(self, request: Request) -> Reply:
-        child, base = _fork(lambda channel: _run_request(request, channel)), guard.held_bytes(os.getpid())
-        watch = _watch(child, request, _receiver(child.channel), child.has_ended, base)
+        child, base = _fork(lambda: _run_request(request)), guard.held_bytes(os.getpid())
+        watch = _watch(child, request, _receiver(child.messages), child.has_ended, base)
         broken = watch.watch()
         return Reply.of(watch.ending(broken, child.end(kill=broken is not None)))
 
@@ -288,7 +294,7 @@ class ForkServer:
         if child is None or child.has_ended():
             self._end_scorer()
             child = self._scorer = _fork(_run_requests)
-        finished, receive = False, _receiver(child.channel)
+        finished, receive = False, _receiver(child.messages)
 
         def receive_until_finished(seconds: float) -> Iterable[Message] | None:
             nonlocal finished
@@ -298,7 +304,7 @@ class ForkServer:
 
         base = guard.held_bytes(child.pid)
         with contextlib.suppress(OSError):  # it has just died
-            child.channel.sendall(f"{request.to_json()}\n".encode())
+            _write_line(child.requests, request.to_json())
         watch = _watch(child, request, receive_until_finished, lambda: finished or child.has_ended(), base)
         broken = watch.watch()
         if finished and not broken:
@@ -320,14 +326,18 @@ def _is_own(request: Request) -> bool:
     Scoring a model's texture draws it again, by its dataset. What a plugin has made of the file of the cell is not
     trusted.
     """
-    if request.phase != "score" or not all(plugins.find("metrics", name).own for name in request.metrics):
+    if request.phase != "score" or not set(request.metrics) <= _own_names("metrics"):
         return False
     try:
         recipe: Any = (read_json(CellFolder(Path(request.folder)).cell_file) or {}).get("recipe")
     except OSError:  # it is a folder, or cannot be read
         return False
     name = recipe.get("dataset") if isinstance(recipe, dict) else None
-    return name in [plugin.name for plugin in plugins.inventory("datasets") if plugin.own and plugin.cls is not None]
+    return isinstance(name, str) and name in _own_names("datasets")
+
+
+def _own_names(kind: str) -> set[str]:
+    return {plugin.name for plugin in plugins.inventory(kind) if plugin.own and plugin.cls is not None}
 
 
 def _watch(child: Child, request: Request, receive: guard.Receive, ended: Callable[[], bool], base: int) -> guard.Watch:
@@ -335,44 +345,48 @@ def _watch(child: Child, request: Request, receive: guard.Receive, ended: Callab
     return guard.Watch(child.pid, receive, ended, limits, base, log=request.log, wanted=lambda: os.getppid() == parent)
 
 
-def _fork(run: Callable[[int], None]) -> Child:
-    """Fork a child that calls a function with its end of the connection, the file descriptor 3, and leaves."""
-    ours, theirs = socket.socketpair()
+def _fork(run: Callable[[], None]) -> Child:
+    """Fork a child that calls a function and leaves. Its standard input is the pipe of requests."""
+    (messages, theirs), (requests_end, requests) = os.pipe(), os.pipe()
     pid = os.fork()
     if pid == 0:
         code = 70
         try:
             os.setsid()
             guard.die_with_parent()
-            os.dup2(theirs.fileno(), 3)
-            os.closerange(4, 1 << 16)
+            os.dup2(requests_end, 0)  # first, because its number may be that of the messages
+            os.dup2(theirs, MESSAGES)
+            os.closerange(MESSAGES + 1, 1 << 16)
             signal.signal(signal.SIGINT, signal.SIG_DFL)
-            run(3)
+            run()
             code = 0
         finally:
             os._exit(code)
-    theirs.close()
-    return Child(pid, ours)
+    os.close(theirs)
+    os.close(requests_end)
+    return Child(pid, messages, requests)
 
 
-def _run_requests(channel: int) -> None:
+def _run_requests() -> None:
     """Run the requests that arrive, one a line, in the calling process; say when each one is finished."""
-    with os.fdopen(os.dup(channel), encoding="utf-8") as lines:
+    with os.fdopen(os.dup(0), encoding="utf-8") as lines:
         for line in lines:
             with warnings.catch_warnings():  # so that a warning is in the log of each cell that it is about
-                _run_request(Request.from_json(line), channel)
-            _send(channel, {"finished": True})
+                _run_request(Request.from_json(line))
+            os.chdir("/")  # the folder is removed when the request has ended; on a network disk nobody may be in it
+            _redirect(Path(os.devnull))
+            _send({"finished": True})
 
 
-def _run_request(request: Request, channel: int) -> None:
+def _run_request(request: Request) -> None:
     """Run one request in the calling process, which is a child; raise nothing that could be sent as a message."""
     try:
         _redirect(request.log)
         guard.confine(guard.Limits(request.seconds, request.mib))
         request.settle()
-        perform(request, lambda message: _send(channel, message))
+        perform(request, _send)
     except BaseException as error:
-        phases.send_error(error, lambda message: _send(channel, message))
+        phases.send_error(error, _send)
     finally:
         with contextlib.suppress(Exception):
             sys.stdout.flush()
@@ -388,24 +402,25 @@ def _redirect(log: Path) -> None:
     os.close(nothing)
 
 
-def _send(writable: int, message: Message) -> None:
-    data = (json.dumps(message, allow_nan=False) + "\n").encode()
+def _send(message: Message) -> None:
+    _write_line(MESSAGES, json.dumps(message, allow_nan=False))
+
+
+def _write_line(writable: int, line: str) -> None:
+    data = f"{line}\n".encode()
     while data:
         data = data[os.write(writable, data) :]
 
 
-def _receiver(channel: socket.socket) -> guard.Receive:
+def _receiver(readable: int) -> guard.Receive:
     """Return a receiver of a child's messages, one a line."""
     pending = b""
 
     def receive(seconds: float) -> list[Message] | None:
         nonlocal pending
-        if not select.select([channel], [], [], seconds)[0]:
+        if not select.select([readable], [], [], seconds)[0]:
             return []
-        try:
-            data = channel.recv(1 << 16)
-        except OSError:  # the child died before it had read all
-            data = b""
+        data = os.read(readable, 1 << 16)
         if not data:
             return None
         *lines, pending = (pending + data).split(b"\n")

@@ -199,7 +199,7 @@ class Sample:
     fault, log
         Why drawing failed, and what the dataset printed then; empty if it did not fail.
     region
-        The region of ``again_hash`` if a plugin of others cut it.
+        The region of ``again_hash``.
     """
 
     row: TextureRow
@@ -229,8 +229,8 @@ class PlannedSample:
         Shape (height, width) of the outputs.
     size
         Shape (height, width) of the sample; None if drawing failed.
-    again_hash, log
-        As in :class:`Sample`.
+    log
+        What the dataset printed if drawing failed, else empty.
     kept
         The pixels of the sample and of the region that does not touch it, compressed, where drawing again might give
         others: of pictures, and of plugins of others.
@@ -239,7 +239,6 @@ class PlannedSample:
     recipe: Recipe
     shape: Shape
     size: Shape | None
-    again_hash: str
     log: str
     kept: tuple[_Pixels | None, _Pixels | None]
 
@@ -250,26 +249,15 @@ class PlannedSample:
         redrawn = sample.recipe.procedural and plugins.find("datasets", sample.recipe.dataset).own
         kept = (None, None) if redrawn else (_Pixels.of(image), _Pixels.of(sample.region))
         size = image.shape[:2] if image is not None else None
-        return cls(sample.recipe, sample.shape, size, sample.again_hash, sample.log, kept)
+        return cls(sample.recipe, sample.shape, size, sample.log, kept)
 
     def image(self) -> Image:
         """Return the pixels of the sample. Those of the last sample are kept; the others are drawn again."""
         return _drawn_again(self)
 
     def again(self) -> Image | None:
-        """Return the region whose hash is :attr:`again_hash`.
-
-        Raises
-        ------
-        BadInput
-            When the picture has changed since the cells were planned.
-        """
-        if not self.again_hash:
-            return None
-        region = self.kept[1].image() if self.kept[1] else draw_texture(self.recipe, self.shape)[1]
-        if region is None or pixels_hash(region) != self.again_hash:
-            raise BadInput(f"texture {self.recipe.texture!r}: its picture has changed during the run; run again")
-        return region
+        """Return the region of a photograph that does not touch the sample; None if there is none."""
+        return self.kept[1].image() if self.kept[1] else None
 
 
 @lru_cache(maxsize=1)  # the cells of a sample follow each other
@@ -395,7 +383,7 @@ def _draw(suite: Suite, row: TextureRow, origin: Origin, replicate: int, draw: D
         return Sample(row, recipe, None, shape, fault=describe_error(error))
     texture = dataclasses.replace(texture, name=row.name)
     again_hash = pixels_hash(again) if again is not None else ""
-    return Sample(row, recipe, texture, shape, again_hash, region=None if chosen is draw_texture else again)
+    return Sample(row, recipe, texture, shape, again_hash, region=again)
 
 
 def _chosen(draw: Draw | None, recipe: Recipe) -> Draw:

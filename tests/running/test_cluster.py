@@ -56,12 +56,16 @@ def place_of(record: Any) -> str:
     return str(record.result["note"])
 
 
-def test_a_run_survives_its_workers(tmp_path: Path) -> None:
+def test_a_run_survives_its_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A worker that joins late is used, one that is killed loses nothing, and the results are those of a local run.
 
-    The first worker sees the run directory; afterwards no worker knows it, so that files come back as bytes.
+    The first worker sees the run directory; afterwards no worker knows it, so that files come back as bytes. The
+    relative path of a parameter starts from the folder of the user, which is not that of the workers.
     """
-    suite = suite_of(["tiling", "scatter", "place"], replicates=4)
+    (tmp_path / "user").mkdir()
+    monkeypatch.chdir(tmp_path / "user")
+    Path("number.txt").write_text("0.5")
+    suite = suite_of(["tiling", "scatter", "place", "reader:file=number.txt"], replicates=4)
     with registered_faults(), machines(tmp_path, "first") as made:
         local = run(suite, out=tmp_path / "local", options=Options(jobs=0))
         steps: list[Step] = []
@@ -88,6 +92,7 @@ def test_a_run_survives_its_workers(tmp_path: Path) -> None:
             pack = Cluster._pack
             patch.setattr(Cluster, "_pack", lambda self, job: {**pack(self, job), "secret": "of another machine"})
             away = run(suite, out=tmp_path / "away", options=options)
+        assert {record.status for record in away.cells} == {"ok"}
         assert told(away) == told(local)
         assert outputs(away) == outputs(local)
         again = [record for record in away.cells if record.method == "place"]

@@ -451,6 +451,9 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
     assert len(first) == 1
     assert scorers("deadly") == (first, "ok")  # in processes of their own, which have ended
     assert scorers("cost") == (first, "ok")
+    idle = psutil.Process(*first)
+    assert idle.cwd() == "/"  # so that the folder of no cell is in use, and no log is open
+    assert not [file.path for file in idle.open_files() if file.path.startswith(str(tmp_path))]
     psutil.Process(*first).kill()
     second, ended = scorers("cost")
     assert ended == "ok"
@@ -478,6 +481,9 @@ def test_only_the_own_code_of_nrbench_shares_a_process(faulty: Path, tmp_path: P
     file.mkdir()
     assert not _is_own(Request("score", str(tmp_path), 1, 1, ("cost",)))
     assert not _is_own(Request("synthesize", str(tmp_path), 1, 1))
+    file.rmdir()
+    assert is_shared("brick", "cost")
+    assert not is_shared("brick", "cost", "none such")
 
 
 @pytest.mark.usefixtures("faulty")
