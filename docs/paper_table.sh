@@ -12,17 +12,20 @@ nrbench=${NRBENCH:-nrbench}
 
 if [ -n "$file" ]; then
   if [ -f "$suite" ]; then cat "$suite"; else "$nrbench" show "$suite" --toml; fi > "${TMPDIR:-/tmp}/suite-$$.toml"
+  # Each method is quoted, because the command of another program holds spaces.
   methods=$(python3 -c '
-import sys, tomllib
-print(*(f"-m {name}" for name in tomllib.load(open(sys.argv[1], "rb")).get("methods", [])))' "${TMPDIR:-/tmp}/suite-$$.toml")
+import shlex, sys, tomllib
+print(*("-m " + shlex.quote(name) for name in tomllib.load(open(sys.argv[1], "rb")).get("methods", [])))' "${TMPDIR:-/tmp}/suite-$$.toml")
   rm "${TMPDIR:-/tmp}/suite-$$.toml"
-  # shellcheck disable=SC2086
-  "$nrbench" --plugin "$file" run "$suite" $methods -m "$method" --out "$run"
+  eval "set -- $methods"
+  "$nrbench" --plugin "$file" run "$suite" "$@" -m "$method" --out "$run"
 else
   "$nrbench" run "$suite" --out "$run"
 fi
 "$nrbench" ${file:+--plugin "$file"} report "$run" --format latex,perils:width=3.4,csv
 
 mkdir -p "$run/paper"
-cp "$run"/tables/*.tex "$run"/tables/*.bib "$run/report/perils.pdf" "$run/paper/"
+cp "$run"/tables/*.tex "$run"/tables/*.bib "$run/paper/"
+# There is no plane if no output has a quality.
+if [ -f "$run/report/perils.pdf" ]; then cp "$run/report/perils.pdf" "$run/paper/"; fi
 echo "the files of the paper: $run/paper"

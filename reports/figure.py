@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -26,7 +27,8 @@ class PictureGrid:
     Parameters
     ----------
     textures
-        Names of textures, or patterns such as ``brick-*``; by default the four that separate the methods most.
+        Names of textures, or patterns such as ``brick-*``; by default the four on which the shown methods differ
+        most.
     methods
         Names of methods, or names with the source of the lattice in parentheses; by default the five best ranked ones.
     replicate
@@ -56,7 +58,8 @@ class PictureGrid:
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; none if the run has no cells."""
         comparison = compare_methods(run)
-        rows, methods = _choose_textures(comparison, self.textures), _choose_methods(comparison, self.methods)
+        methods = choose_methods(comparison, self.methods)
+        rows = choose_textures(comparison, self.textures, methods)
         if not rows or not methods:
             return []
         paths = []
@@ -68,13 +71,13 @@ class PictureGrid:
         return paths
 
 
-def _choose_textures(comparison: Comparison, patterns: tuple[str, ...]) -> list[TextureRow]:
-    """Return the rows that a pattern names, or the four on which the scores of ranked methods differ most."""
+def choose_textures(comparison: Comparison, patterns: tuple[str, ...], methods: Sequence[Method]) -> list[TextureRow]:
+    """Return the rows that a pattern names, or the four on which the scores of the methods differ most."""
     if not patterns:
-        ranked = [i for i, one in enumerate(comparison.summaries) if not one.method.reference]
+        shown = [i for i, method in enumerate(comparison.methods) if method in methods]
 
         def spread(row: TextureRow) -> float:
-            scores = [entry.score for i in ranked if (entry := row.entries[i]) and entry.score is not None]
+            scores = [entry.score for i in shown if (entry := row.entries[i]) and entry.score is not None]
             return max(scores) - min(scores) if scores else -1.0
 
         best = sorted(comparison.rows, key=spread, reverse=True)[:4]
@@ -86,7 +89,7 @@ def _choose_textures(comparison: Comparison, patterns: tuple[str, ...]) -> list[
     return [row for pattern in patterns for row in comparison.rows if fnmatchcase(row.texture, pattern)]
 
 
-def _choose_methods(comparison: Comparison, names: tuple[str, ...]) -> list[Method]:
+def choose_methods(comparison: Comparison, names: tuple[str, ...]) -> list[Method]:
     """Return the named methods, or the five best that are no references."""
     if not names:
         return [method for method in comparison.methods if not method.reference][:5]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -146,6 +147,7 @@ class HtmlReport:
             "address": cache(lambda picture: pictures.address(picture, embed)),
             "embedded": embed,
             "unfinished": _unfinished_cells(run.cells),
+            "missing": _missing_cells(run.cells),
             "failed_scores": _failed_scores(run.cells),
             "columns": describe_scores(run),
             "meanings": MEANINGS,
@@ -215,10 +217,14 @@ def _split_versions(versions: Mapping[str, str]) -> tuple[dict[str, str], dict[s
 
 
 def _unfinished_cells(cells: Sequence[CellRecord]) -> list[CellRecord]:
-    """Return the cells without an output: failures first, then refusals, then cells that have not run."""
-    last = ("refused", "missing")
-    rest = [record for record in cells if record.status != "ok"]
-    return sorted(rest, key=lambda record: last.index(record.status) + 1 if record.status in last else 0)
+    """Return the cells that ended without an output: failures first, then refusals."""
+    rest = [record for record in cells if record.status not in ("ok", "missing")]
+    return sorted(rest, key=lambda record: record.status == "refused")
+
+
+def _missing_cells(cells: Sequence[CellRecord]) -> dict[str, int]:
+    """Return how many cells of each texture have not run: most of a run can be missing while it goes on."""
+    return dict(Counter(record.texture for record in cells if record.status == "missing"))
 
 
 def _failed_scores(cells: Sequence[CellRecord]) -> list[tuple[CellRecord, str, str]]:

@@ -296,8 +296,8 @@ def _published(run: Run, published: PublishedComparison) -> Iterator[str]:
     caption = (
         f"{_suite(run)}: success rates in percent as published and as measured. The last three columns rest on the "
         "same n figures, those with a measured verdict; the difference is a share from $-1$ to 1. "
-        "95\\,\\% intervals over figures: Wilson's for rates, a "
-        f"bootstrap for the difference. {SENTENCE}"
+        "95\\,\\% bootstrap intervals over figures, Wilson's for rates if all figures agree. "
+        f"{SENTENCE}"
     )
     yield from _float("published-rates", caption, "llrrrr", lines)
 

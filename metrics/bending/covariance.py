@@ -28,6 +28,8 @@ _LEAST_NOISE = 0.02
 """Standard deviation, in s, of the part of the error that does not depend on the correlation."""
 _MOST_POWER = 3.0
 """Ratio of a periodogram to its expectation above which the excess is ignored."""
+_USUAL_RANGE = 4.0
+"""Ratio of the variances of two fields of a texture, up to which they count as equal."""
 _LEAST_NODES = 12
 """Least number of reliable nodes of a field that counts."""
 _LEAST_VARIANCE = 1e-12
@@ -124,14 +126,16 @@ class Covariance:
         return cls(weights[:-1], float(weights[-1]))
 
     def extended_to(self, field: SampledField) -> Covariance:
-        """Return the covariance of a field that may be rougher or larger than the fields that this one was fitted to.
+        """Return the covariance of a field that may be rougher, larger or much smaller than those that were fitted.
 
         Waves of each length have the variance of those fields, or that of the field itself where it is larger. A step
         along a line stays a surprise: its power lies on a line of the periodogram, and powers far above the expectation
-        are ignored.
+        are ignored. If the field as a whole varies much less, the variances of those fields are lowered: large waves
+        that cancel one another next to a step are no explanation for a field without any.
         """
         own = Covariance.fit([field])
-        return Covariance(np.maximum(self.weights, own.weights), max(self.noise, own.noise))
+        lowered = min(1.0, _USUAL_RANGE * own.variance / max(self.variance, _LEAST_VARIANCE))
+        return Covariance(np.maximum(lowered * self.weights, own.weights), max(self.noise, own.noise))
 
     @property
     def variance(self) -> float:

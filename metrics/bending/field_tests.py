@@ -32,11 +32,11 @@ _PATCHES = (2, 3)
 _OUTLYING, _TIMES_MEDIAN, _MOST_OUTLIERS = 8.0, 6.0, 0.1
 """A node is an outlier if its log-likelihood ratio exceeds both the first number and the second one times the median.
 At most the third share of the nodes is dropped: the tracker locks onto wrong places at a few nodes."""
-_RAMP = 0.25
+_RAMP = 0.3
 """Standard deviation, in s, of the Gaussian that smooths a step: the window of a node shows both sides of the line."""
 _FREE = 10.0
 """Standard deviation, in s, of the phase of the field. It is free, so any large number serves."""
-_SLOPE = 0.006
+_SLOPE = 0.03
 """Standard deviation of the slopes of an affine part of the field. An output that continues a bent sample has the mean
 lattice of the sample, which departs by some percent from that of the texture; this is no step. A larger deviation costs
 power: a step across an image looks like a slope."""

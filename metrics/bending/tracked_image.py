@@ -32,6 +32,8 @@ _LEAST_CORRELATION = 0.05
 """Correlation to which smaller ones are raised where errors are computed from them."""
 _AT_BORDER = 6.0
 """Variance of the error of a node at the border, whose window is cut, over that of another one."""
+_ROUNDS = 3
+"""Largest number of times that outlying nodes are dropped."""
 _SPACING = 0.25
 """Distance, in s, of the places at which the displacements are inverted."""
 _MOST_STEPS, _LONGEST, _EXACT = 15, 0.25, 0.02
@@ -109,9 +111,16 @@ def track_references(images: Sequence[Image], tile: MeanTile) -> tuple[tuple[Tra
 
 
 def _drop(tracked: TrackedImage) -> TrackedImage:
-    """Drop the outlying nodes of an image."""
-    kept = drop_outliers(tracked.field, tracked.covariance).reliable
-    return replace(tracked, dropped=tracked.field.reliable & ~kept)
+    """Drop the outlying nodes of an image. Those that support one another show after others have been dropped."""
+    dropped = np.zeros_like(tracked.field.reliable)
+    for _ in range(_ROUNDS):
+        kept = drop_outliers(tracked.field, tracked.covariance).reliable
+        outlying = tracked.field.reliable & ~kept
+        if not outlying.any():
+            break
+        dropped = dropped | outlying
+        tracked = replace(tracked, dropped=dropped)
+    return tracked
 
 
 def track_image(image: Image, tile: MeanTile, level: float, covariance: Covariance) -> TrackedImage:
@@ -155,9 +164,10 @@ def straighten(tracked: TrackedImage) -> StraightenedImage:
     sources = _invert(tracked)
     inside = np.asarray(((sources >= 0) & (sources <= (width - 1, height - 1))).all(-1))
     y0, y1, x0, x1 = largest_box(inside)
-    sources = np.ascontiguousarray(sources[y0:y1, x0:x1])
+    # The box may hold places whose content lies beyond the image: holes in the middle are not seen.
+    sources = np.ascontiguousarray(np.clip(sources[y0:y1, x0:x1], 0, (width - 1, height - 1)))
     coefficients = spline_coefficients(np.array(image, np.float32, order="C"))
-    values = spline_windows(coefficients, np.clip(sources, 0, (width - 1, height - 1)).reshape(-1, 2), np.zeros((1, 2)))
+    values = spline_windows(coefficients, sources.reshape(-1, 2), np.zeros((1, 2)))
     values = np.clip(values.reshape(y1 - y0, x1 - x0, image.shape[2]), 0, 1)
     return StraightenedImage(values, (x0, y0), sources, tracked)
 

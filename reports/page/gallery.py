@@ -309,7 +309,7 @@ def _failings(method: Method, cells: Sequence[Sequence[CellRecord]], pictures: P
     weak = sorted((pair for pair in rated if pair[0] < _FULL), key=lambda pair: pair[0])[:_WEAKEST]
     return MethodFailings(
         method,
-        len(cells),
+        sum(any(one.status != "missing" for one in records) for records in cells),
         lost=first(lambda one: verdict(one) == "lost"),
         unfinished=first(lambda one: one.status not in ("ok", "missing")),
         weakest=[_weak_output(record, quality, pictures) for quality, record in weak],

@@ -92,5 +92,6 @@ def _draw_marks(axes: Axes, mark: str, ink: str, places: NDArray[np.float64]) ->
 
 
 def _mean(scores: list[float | None]) -> float:
+    """Return the mean of the known scores; infinity without any, so that such textures come last."""
     known = [score for score in scores if score is not None]
-    return sum(known) / len(known) if known else -1.0
+    return sum(known) / len(known) if known else np.inf

@@ -110,9 +110,10 @@ class RateRow:
     method
         The method as measured.
     published
-        The published rate over all figures of the group, with Wilson's interval.
+        The published rate over all figures of the group, with its interval: a bootstrap over figures, or Wilson's
+        interval if all figures agree.
     same, measured
-        The published and the measured rate over the figures with a measured verdict, with Wilson's intervals.
+        The published and the measured rate over the figures with a measured verdict, with such intervals.
     difference
         Measured minus published over these figures, with a bootstrap interval over figures.
     """

@@ -214,14 +214,12 @@ def test_the_same_image_has_the_same_lattice() -> None:
 
 
 def test_confidence_separates_right_from_wrong() -> None:
-    """The confidence of a regular wall is high, that of a lattice in noise is low."""
+    """The confidence of a regular wall is high, that of lattices in noise is low."""
     wall = quantize(texture("brick", (128, 128), 1, color=0.2).image)
-    noise = quantize(texture("noise", (128, 128), 1, spectrum="grass").image)
     assert Consensus().detect(wall).confidence > 0.9
-    try:
-        assert Consensus(reject="none").detect(noise).confidence < 0.2
-    except NoLatticeFound:
-        pytest.fail("grass noise proposes a lattice where none is rejected")
+    noise = [quantize(texture("noise", (128, 128), seed, spectrum="grass").image) for seed in range(4)]
+    found = [Consensus(reject="none").detect(image).confidence for image in noise]
+    assert np.mean(found) < 0.2 and max(found) < 0.3
 
 
 @pytest.mark.parametrize(

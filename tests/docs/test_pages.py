@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -67,6 +69,23 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_scripts_are_valid() -> None:
     """The script that leads to a paper's table can be read by a shell."""
     subprocess.run(["sh", "-n", str(DOCS / "paper_table.sh")], check=True)
+
+
+def test_the_paper_table_passes_methods_on_whole(tmp_path: Path) -> None:
+    """The script runs the methods of a suite beside one's own, also a program whose command holds spaces."""
+    suite, log, fake = tmp_path / "suite.toml", tmp_path / "log", tmp_path / "nrbench"
+    suite.write_text('methods = ["rsgf", "command:run=tool {sample} {output},label=my tool"]\n')
+    (tmp_path / "run" / "tables").mkdir(parents=True)
+    for name in ("summary.tex", "methods.bib"):
+        (tmp_path / "run" / "tables" / name).touch()
+    fake.write_text(f'#!/bin/sh\nfor one in "$@"; do echo "$one" >> "{log}"; done\n')
+    fake.chmod(0o755)
+    script = [str(DOCS / "paper_table.sh"), str(tmp_path / "run"), "mine.py", "mine", str(suite)]
+    subprocess.run(["sh", *script], check=True, env={**os.environ, "NRBENCH": str(fake)}, capture_output=True)
+    given = log.read_text().splitlines()
+    methods = [value for flag, value in pairwise(given) if flag == "-m"]
+    assert methods == ["rsgf", "command:run=tool {sample} {output},label=my tool", "mine"]
+    assert sorted(path.name for path in (tmp_path / "run" / "paper").iterdir()) == ["methods.bib", "summary.tex"]
 
 
 def test_the_site_builds(tmp_path: Path) -> None:

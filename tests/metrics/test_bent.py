@@ -15,8 +15,10 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.overlap import Overlap
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
-from nrbench.metrics.bending.covariance import Correlogram, Covariance, SampledField, Variogram
+from nrbench.metrics.bending import tracked_image
+from nrbench.metrics.bending.covariance import Covariance, SampledField, Variogram
 from nrbench.metrics.bending.field_tests import drop_outliers, measure_faults, smooth_field
+from nrbench.metrics.bending.tracked_image import TrackedImage, straighten
 from nrbench.metrics.quality import Quality
 from nrbench.metrics.randomness import Randomness
 from nrbench.metrics.regularity import Regularity
@@ -24,6 +26,7 @@ from nrbench.metrics.verdict.bent import BentReference, compute_bent_verdict
 from nrbench.metrics.verdict.examination import examine
 from nrbench.plugins.forms import Observation, Shape, Task, Texture
 from nrbench.synthesizers.planted import Planted
+from nrbench.tracking.known_texture import FollowedImage
 
 BENT = Weave(bend=0.5, color=0.2)
 SIDE = 192
@@ -87,13 +90,18 @@ def sine_waves(rng: np.random.Generator, count: int = 16, spread: float = 0.12) 
     along = x[..., np.newaxis, np.newaxis] * np.cos(angles) + y[..., np.newaxis, np.newaxis] * np.sin(angles)
     waves = np.cos(2 * np.pi * along / 5 + phases).sum(-2) * spread * np.sqrt(2 / 12)
     noisy = waves + rng.normal(0, 0.02, waves.shape)
-    return SampledField(np.stack([x, y], -1), noisy, np.ones((count, count), np.bool_))
+    return SampledField(np.stack([x, y], -1), noisy, np.ones((count, count), np.bool_), np.ones((count, count)))
+
+
+def crop(field: SampledField, box: tuple[slice, slice]) -> SampledField:
+    """Return some rows and columns of a field."""
+    return SampledField(field.places[box], field.displacement[box], field.reliable[box], field.error[box])
 
 
 def test_the_covariance_of_known_waves() -> None:
     """The fitted covariance has the variance of the waves, and changes its sign at about half of their length."""
     rng = np.random.default_rng(0)
-    covariance = Covariance.fit(Correlogram.of([sine_waves(rng) for _ in range(6)]))
+    covariance = Covariance.fit([sine_waves(rng) for _ in range(6)])
     at = covariance.between(np.zeros((1, 2)), np.array([[0.0, 0.0], [2.0, 0.0]]))[0]
     assert np.sqrt(at[0]) == pytest.approx(0.12, rel=0.2)
     assert at[1] < 0
@@ -103,7 +111,7 @@ def test_the_covariance_of_known_waves() -> None:
 def test_a_step_in_a_field_is_found_and_measured() -> None:
     """A step of 0.25 s along a line has a statistic far above those of fields without a step, and its length."""
     rng = np.random.default_rng(1)
-    covariance = Covariance.fit(Correlogram.of([sine_waves(rng) for _ in range(6)]))
+    covariance = Covariance.fit([sine_waves(rng) for _ in range(6)])
     field = sine_waves(rng)
     usual = measure_faults(field, covariance).lines
     beyond = (field.places @ (0.8, 0.6) > 8)[..., np.newaxis]
@@ -112,28 +120,76 @@ def test_a_step_in_a_field_is_found_and_measured() -> None:
     assert lines.distance[lines.statistic.argmax()] == pytest.approx(0.25, abs=0.08)
 
 
+def test_a_covariance_shows_short_waves_beside_strong_ones_and_missing_nodes() -> None:
+    """Errors of 0.02 s are measured beside waves of 0.25 s, with a tenth of the nodes missing; none are invented."""
+    rng = np.random.default_rng(4)
+    fields = [sine_waves(rng, 18, 0.25) for _ in range(3)]
+    fields = [replace(one, reliable=rng.random(one.reliable.shape) > 0.1) for one in fields]
+    found = Covariance.fit(fields)
+    short = np.geomspace(24, 1, len(found.weights)) < 2.5
+    assert np.sqrt(found.variance) == pytest.approx(0.25, rel=0.25)
+    assert 0.012 < np.sqrt(found.noise + found.weights[short].sum()) < 0.03
+
+
+def test_nodes_of_larger_error_count_less() -> None:
+    """Where the right half of a field has errors of 0.1 s, and says so, no step is found in it."""
+    rng = np.random.default_rng(5)
+    covariance = Covariance.fit([sine_waves(rng) for _ in range(6)])
+    field = sine_waves(rng)
+    errors = np.where(field.places[..., 0] > 7, 0.1, 0.0)
+    worse = replace(field, displacement=field.displacement + rng.normal(0, 1, (*errors.shape, 2)) * errors[..., None])
+    known = replace(worse, error=1 + errors**2 / covariance.noise)
+    assert measure_faults(worse, covariance).lines.statistic.max() > 10
+    assert measure_faults(known, covariance).lines.statistic.max() < 6
+
+
+def test_a_rough_field_has_no_step_but_one_with_a_step_has() -> None:
+    """Waves half as long and twice as high as in the references are no step if they count; a step still is one."""
+    rng = np.random.default_rng(6)
+    covariance = Covariance.fit([sine_waves(rng, spread=0.06) for _ in range(6)])
+    field = sine_waves(rng, spread=0.06)
+    rough = sine_waves(rng, 36, 0.12)
+    rough = crop(replace(rough, places=rough.places / 2), np.s_[::2, ::2])
+    assert measure_faults(rough, covariance).lines.statistic.max() > 20
+    assert measure_faults(rough, covariance.extended_to(rough)).lines.statistic.max() < 8
+    beyond = (field.places @ (0.0, 1.0) > 7)[..., np.newaxis]
+    step = replace(field, displacement=field.displacement + beyond * (0.25, 0.0))
+    lines = measure_faults(step, covariance.extended_to(step)).lines
+    assert lines.statistic.max() > 20
+    assert lines.distance[lines.statistic.argmax()] == pytest.approx(0.25, abs=0.06)
+
+
+def test_waves_that_a_field_does_not_have_explain_no_step() -> None:
+    """In a field of errors alone no step is made up of waves of 0.25 s that cancel one another."""
+    rng = np.random.default_rng(7)
+    covariance = Covariance.fit([sine_waves(rng, spread=0.25) for _ in range(6)])
+    field = sine_waves(rng, spread=0.0)
+    own = covariance.extended_to(field)
+    assert own.variance < 0.1 * covariance.variance
+    assert measure_faults(field, covariance).lines.distance.max() > 0.03
+    assert measure_faults(field, own).lines.distance.max() < 0.02
+
+
 def test_an_affine_part_of_a_field_is_no_fault() -> None:
     """Slopes of 4 % hardly change the statistics of lines and patches, and kriging continues them."""
     rng = np.random.default_rng(3)
-    covariance = Covariance.fit(Correlogram.of([sine_waves(rng) for _ in range(6)]))
+    covariance = Covariance.fit([sine_waves(rng) for _ in range(6)])
     field = sine_waves(rng)
     slopes = np.array([[0.04, 0.01], [-0.02, -0.04]])
     steep = replace(field, displacement=field.displacement + field.places @ slopes)
-    for usual, found in zip(
-        (measure_faults(field, covariance).lines, measure_faults(field, covariance).patches),
-        (measure_faults(steep, covariance).lines, measure_faults(steep, covariance).patches),
-        strict=True,
-    ):
-        assert found.statistic.max() < 1.3 * usual.statistic.max() + 1
+    usual = measure_faults(field, covariance.extended_to(field))
+    found = measure_faults(steep, covariance.extended_to(steep))
+    assert found.lines.statistic.max() < 1.3 * usual.lines.statistic.max() + 1
+    assert found.patches.statistic.max() < 1.3 * usual.patches.statistic.max() + 1
     beyond = field.places[-1, -1][np.newaxis] + 2
-    change = smooth_field(steep, covariance, beyond) - smooth_field(field, covariance, beyond)
+    change = smooth_field(steep, covariance.extended_to(steep), beyond) - smooth_field(field, covariance, beyond)
     assert change[0] == pytest.approx((beyond @ slopes)[0], abs=0.05)
 
 
 def test_outliers_are_dropped_and_predicted() -> None:
     """Nodes on wrong places are dropped, and kriging predicts their displacements from the others."""
     rng = np.random.default_rng(2)
-    covariance = Covariance.fit(Correlogram.of([sine_waves(rng) for _ in range(6)]))
+    covariance = Covariance.fit([sine_waves(rng) for _ in range(6)])
     field = sine_waves(rng)
     wrong = field.displacement.copy()
     wrong[5, 7] += 0.6
@@ -148,11 +204,7 @@ def test_outliers_are_dropped_and_predicted() -> None:
 def test_the_amplitude_does_not_depend_on_the_size_of_the_field() -> None:
     """The variogram of a large field and of its parts give nearly the same amplitude."""
     field = sine_waves(np.random.default_rng(3), 40)
-    parts = [
-        SampledField(*(one[y : y + 13, x : x + 13] for one in (field.places, field.displacement, field.reliable)))
-        for y in (0, 13, 26)
-        for x in (0, 13, 26)
-    ]
+    parts = [crop(field, np.s_[y : y + 13, x : x + 13]) for y in (0, 13, 26) for x in (0, 13, 26)]
     assert Variogram.of(parts).amplitude == pytest.approx(Variogram.of([field]).amplitude, rel=0.1)
 
 
@@ -190,6 +242,19 @@ def test_an_output_on_a_slightly_larger_lattice_has_no_phase_step() -> None:
     zoomed = np.clip(ndimage.zoom(large, (1.04, 1.04, 1), order=3)[:SIDE, :SIDE], 0, 1).astype(np.float32)
     score = Regularity().score(observe(zoomed))
     assert score.values["preserved"] is True and score.records["excess"]["phase step"] < 1
+
+
+def test_places_of_a_straightened_image_lie_in_the_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the content of a place in the middle lies beyond the image, its place is at the border."""
+    x, y = np.meshgrid(np.arange(0, 97, 8.0), np.arange(0, 97, 8.0))
+    nodes = np.stack([x, y], -1)
+    followed = FollowedImage(np.zeros((97, 97, 1), np.float32), nodes, np.zeros_like(nodes), np.ones(x.shape))
+    places = np.stack(np.meshgrid(np.arange(97.0), np.arange(97.0)), -1)
+    places[40:44, 40:44] = (-3, 99)
+    monkeypatch.setattr(tracked_image, "_invert", lambda tracked: places)
+    sources = straighten(TrackedImage(followed, 12.0, 0.5)).sources
+    assert sources.shape == (97, 97, 2)
+    assert sources.min() >= 0 and sources.max() <= 96
 
 
 def test_places_are_mapped_to_the_output() -> None:

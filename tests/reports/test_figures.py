@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -13,9 +14,10 @@ from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
 from nrbench.imaging.files import write_image
-from nrbench.reports.figure import PictureGrid
+from nrbench.reports.figure import PictureGrid, choose_methods, choose_textures
 from nrbench.reports.page.inline_svg import inline_svg
 from nrbench.reports.page.pictures import PictureStore
+from nrbench.reports.plots import critical_difference, heat_map
 from nrbench.reports.plots.captions import (
     MOST_NAMES,
     choose_named,
@@ -188,3 +190,44 @@ def test_the_best_methods_and_all_references_have_names(references: list[bool]) 
     assert methods == sorted(methods, reverse=True)
     assert sum(methods) == min(len(methods), max(0, MOST_NAMES - sum(references)))
     assert (f" {named.count(False)} further" in describe_unnamed(named)) == (False in named)
+
+
+def test_names_of_the_rank_diagram_lie_in_it(make_cell: Make, make_run: Make) -> None:
+    """No name leaves the diagram, however long, in a page and in a column; the axis counts in steps of one size."""
+    names = ["regularized-patch with a long label", "representative-tile of another one", *"abcdefghi"]
+    cells = [
+        make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, 0.9 - 0.05 * j))
+        for i in range(12)
+        for j, name in enumerate(names)
+    ]
+    comparison = compare_methods(make_run(cells))
+    for width in (3.4, 5.5):
+        with PIL.Image.open(io.BytesIO(plot_ranks(comparison, "png", width))) as image:
+            pixels = np.asarray(image.convert("L"))
+        assert pixels[:, :2].min() == 255 and pixels[:, -2:].min() == 255
+        texts = critical_difference._figure(comparison, width).axes[0].texts
+        ticks = [float(text.get_text()) for text in texts if text.get_text().isdigit()]
+        assert ticks == [float(k) for k in range(1, len(names) + 1)]
+
+
+def test_textures_without_a_score_are_not_the_hardest(make_cell: Make, make_run: Make) -> None:
+    """The heat map lists the hardest textures first, and last those that were not run."""
+    cells = [make_cell("absent", "a", status="missing"), make_cell("absent", "b", status="missing")]
+    cells += [make_cell("easy", name, perils=dict.fromkeys(PERILS, 0.9)) for name in "ab"]
+    cells += [make_cell("hard", name, perils=dict.fromkeys(PERILS, 0.1)) for name in "ab"]
+    figure = heat_map._figure(compare_methods(make_run(cells)))
+    shown = [text.get_text() for text in figure.axes[0].texts]
+    assert [name for name in shown if name in ("absent", "easy", "hard")] == ["hard", "easy", "absent"]
+
+
+def test_the_grid_chooses_textures_by_the_methods_that_it_shows(make_cell: Make, make_run: Make) -> None:
+    """A sixth method, which the grid does not show, does not choose its textures."""
+    cells = []
+    for i in range(6):
+        shown = {name: 0.9 - (0.05 * j if i > 1 else 0.0) for j, name in enumerate("abcde")}
+        for name, quality in {**shown, "f": 0.0 if i < 2 else 0.5}.items():
+            cells.append(make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, quality)))
+    comparison = compare_methods(make_run(cells))
+    methods = choose_methods(comparison, ())
+    assert [one.name for one in methods] == list("abcde")
+    assert [row.texture for row in choose_textures(comparison, (), methods)] == ["t2", "t3", "t4", "t5"]

@@ -18,6 +18,8 @@ from nrbench.reports.page.pictures import PictureStore
 from nrbench.reports.statistics.comparison import compare_methods
 from nrbench.runs.records import Run
 
+from .conftest import PERILS
+
 Make = Callable[..., Any]
 VOID = {"meta", "img", "input", "br", "path"}
 
@@ -330,3 +332,22 @@ def test_without_tests_nothing_is_called_tied(ranked: Run, tmp_path: Path) -> No
     """A page without tests names the highest quality, no leading group, and says that ties are not known."""
     page = Page(HtmlReport(tests=False).render(ranked, tmp_path)).text
     assert "No tests were made" in page and "★" not in page and "leading group" not in page
+
+
+def test_equal_best_methods_are_tied(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Two methods of exactly the same quality are named as tied."""
+    cells = [make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, 0.9)) for i in range(3) for name in ("one", "two")]
+    page = " ".join(Page(HtmlReport().render(make_run(cells), tmp_path)).text.split())
+    assert "one (own) has the highest quality" in page
+    assert "Tied with it, because the difference is not significant: two (own)" in page
+
+
+def test_a_run_that_is_not_complete_counts_what_was_run(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Textures that were not run are not counted where methods fail; their cells are one row for each texture."""
+    cells = [make_cell("run", name, preserved=False, perils=dict.fromkeys(PERILS, 0.1)) for name in ("one", "two")]
+    cells += [make_cell("absent", name, status="missing", replicate=i) for name in ("one", "two") for i in range(3)]
+    page = Page(HtmlReport().render(make_run(cells), tmp_path))
+    words = " ".join(page.text.split())
+    assert "Lattice lost on 1 of 1 texture: run" in words and "6 cells not run yet" in words
+    listed = [attributes["data-status"] for tag, attributes in page.elements if "data-status" in attributes]
+    assert listed == ["missing"]

@@ -20,7 +20,7 @@ from nrbench.suites.cell import RESULTS_VERSION
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import Suite, validated_suite
 
-PINNED_VERSION = 8
+PINNED_VERSION = 9
 Pins = dict[str, tuple[str, float | None, float | None]]
 PINNED: Pins = {
     "brick/oracle": ("640969693d75", 1.0, 0.865),

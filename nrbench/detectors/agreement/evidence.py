@@ -232,9 +232,8 @@ class Evidence:
         start = np.ascontiguousarray(basis)
         numbers = self.multiples(start)
         if len(numbers) > 2 * MOST_FITTED:
-            chosen = np.asarray((np.abs(numbers) <= NEAREST).all(1))
-            chosen[:: len(numbers) // MOST_FITTED] = True
-            numbers = numbers[chosen]
+            spread = np.arange(len(numbers)) % (len(numbers) // MOST_FITTED) == 0
+            numbers = numbers[spread | (np.abs(numbers) <= NEAREST).all(1)]
         fitted = climb_multiples(self._spline, numbers, start, end, far, PAD, GROWTH, STEPS)
         too_far = np.hypot(*(fitted - basis).T).max() > MAX_SHIFT * np.hypot(*basis.T).min()
         return reduced_basis(basis if too_far else fitted)
