@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import inspect
+import itertools
 import re
 from collections.abc import Collection, Iterable, Mapping
 from functools import cache
@@ -198,15 +199,21 @@ def _readings(value: Any) -> list[Any]:
 def nearest(word: str, known: Iterable[str]) -> str:
     """Return ``" (did you mean 'x'?)"``, or a list of the known words if none is similar.
 
-    Words are similar if two thirds of their letters agree, in the same order, or if one begins with the other. Of
-    those that are similar by their letters the nearest is returned, of the others up to three.
+    Words are similar if two thirds of their letters agree, in the same order, or if they begin with the same four
+    letters; three suffice where one word is so short. Of those that are similar by their letters the nearest is
+    returned, of the others up to three.
     """
     options = list(known)
-    begun = [each for each in options if len(word) > 2 and (each.startswith(word) or word.startswith(each))]
-    close = difflib.get_close_matches(word, options, n=1, cutoff=0.67) or begun
+    begun = [each for each in options if _shared_start(word, each) >= max(3, min(4, len(word), len(each)))]
+    close = difflib.get_close_matches(word, options, n=1, cutoff=0.66) or begun
     if 0 < len(close) <= 3:
         return f" (did you mean {' or '.join(map(repr, close))}?)"
     return f" (known: {', '.join(options)})" if options else " (there are none)"
+
+
+def _shared_start(first: str, second: str) -> int:
+    """Return the number of letters at the beginning that two words have in common."""
+    return sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], zip(first, second, strict=False)))
 
 
 def fields_by_call(cls: type[Any]) -> list[dataclasses.Field[Any]]:

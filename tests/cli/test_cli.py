@@ -143,7 +143,9 @@ def test_lattice_prints_what_the_contract_says(capsys: pytest.CaptureFixture[str
     ranking = {"probabilities", "role", "alternatives"}
     assert set(json.loads(capsys.readouterr().out)) == {"t1", "t2", "detector", "confidence"} | ranking
     overlay, picture = skimage.io.imread("overlay.png"), skimage.io.imread("out/hexagon.png")
-    between_lines = (overlay[:128, :128] == picture).all(-1)
+    factor = 2  # a small picture is enlarged by a whole factor
+    enlarged = picture.repeat(factor, 0).repeat(factor, 1)
+    between_lines = (overlay[: 128 * factor, : 128 * factor] == enlarged).all(-1)
     assert 0.6 < between_lines.mean() < 0.99
 
 
