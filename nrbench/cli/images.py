@@ -19,10 +19,10 @@ _PATH = click.Path(path_type=Path)
 def check_output(path: Path) -> None:
     """Raise :class:`~nrbench.errors.BadInput` unless a picture can be written to ``path``.
 
-    An empty file is made beside it and removed, because the rights of a directory do not tell whether its file system
-    takes files.
+    A temporary file is made beside it, because the rights of a directory do not tell whether its file system takes
+    files.
     """
-    import os
+    import tempfile
 
     from nrbench.errors import BadInput
 
@@ -32,10 +32,9 @@ def check_output(path: Path) -> None:
         raise BadInput(f"{path}: its directory does not exist; make it first")
     if path.is_dir():
         raise BadInput(f"{path}: is a directory; give the name of a file")
-    probe = path.absolute().with_name(f".nrbench-{os.getpid()}")
     try:
-        os.close(os.open(probe, os.O_CREAT | os.O_WRONLY))
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=path.absolute().parent):
+            pass
     except OSError as error:
         raise BadInput(f"{path}: cannot be written: {error.strerror or error}; choose another directory") from None
 

@@ -225,8 +225,11 @@ def report_command(
     record, files = Run(run), (*labels, *more)
     read_people(record, files)
     wanted = parse_formats(formats) if formats else None
-    chosen = {"labels": files, "single_file": single_file, "tests": not no_tests}
-    shared = {name: value for name, value in chosen.items() if value != (name == "tests")}
+    shared: dict[str, Any] = {"labels": files}
+    if single_file:
+        shared["single_file"] = True
+    if no_tests:
+        shared["tests"] = False
     limits = Limits(timeout, memory)
     with live_progress(patience=True) as progress:
         written, broken = write_reports(record, wanted, shared=shared, limits=limits, progress=progress)

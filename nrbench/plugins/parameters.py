@@ -188,7 +188,7 @@ def _located(value: Any) -> Any:
 
 
 def _readings(value: Any) -> list[Any]:
-    """Return the possible meanings of a value: the value itself; for text also None or a comma-separated list."""
+    """Return the possible meanings of a value: itself; for text also None, or a list of its comma-separated items."""
     if not isinstance(value, str):
         return [value]
     if value.lower() in ("none", "null"):

@@ -273,7 +273,8 @@ class Child:
 
     def end(self, kill: bool) -> int:
         """Wait for the end of the process, killed or not; return its exit code (negative: minus the signal)."""
-        guard.sweep(self.pid) if kill else None
+        if kill:
+            guard.sweep(self.pid)
         code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
         guard.sweep(self.pid)
         os.close(self.messages)
@@ -337,16 +338,16 @@ class ForkServer:
 
 
 def _is_own(request: Request) -> bool:
-    """Return whether a request runs no code but that of nrbench, and its costs are not measured: only a score is so.
+    """Return whether a request scores a cell, and all metrics as well as the dataset of its texture belong to nrbench.
 
-    Scoring a model's texture draws it again, by its dataset. What a plugin has made of the file of the cell is not
-    trusted.
+    Such a request runs no code of others, and its costs are not measured. The dataset counts because scoring draws the
+    texture again. A plugin may have changed the file of the cell, so its content is checked.
     """
     if request.phase != "score" or not set(request.metrics) <= _own_names("metrics"):
         return False
     try:
         recipe: Any = (read_json(CellFolder(Path(request.folder)).cell_file) or {}).get("recipe")
-    except OSError:  # it is a folder, or cannot be read
+    except OSError:  # it cannot be read
         return False
     name = recipe.get("dataset") if isinstance(recipe, dict) else None
     return isinstance(name, str) and name in _own_names("datasets")
