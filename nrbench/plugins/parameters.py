@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import inspect
@@ -158,11 +159,26 @@ def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
         raise BadInput(f"{where}: {error}") from error
 
 
+def prepare_conversion(cls: type[Any]) -> None:
+    """Build the converters of all parameters of a plugin, so that no child of this process has to.
+
+    A converter that cannot be built is left out. The conversion of that parameter raises the error.
+    """
+    for field in dataclasses.fields(cls):
+        with contextlib.suppress(Exception):  # the annotations of plugins of others may be wrong in any way
+            _adapter(cls, field.name)  # type: ignore[arg-type]
+
+
 @cache
 def _adapter(cls: type[Any], name: str) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
 
-    return TypeAdapter(get_type_hints(cls)[name])
+    return TypeAdapter(_types(cls)[name])  # type: ignore[arg-type]
+
+
+@cache
+def _types(cls: type[Any]) -> dict[str, Any]:
+    return get_type_hints(cls)
 
 
 def _convert(cls: type[Any], key: str, value: Any, where: str) -> Any:

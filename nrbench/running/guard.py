@@ -40,7 +40,7 @@ class Message(Result, total=False):
     held
         Bytes that a fresh interpreter holds (:func:`held_bytes`) when its work begins.
     finished
-        Sent by a child that runs many requests when one is finished.
+        Sent by a forked child when a request is finished. The end of its process then tells nothing more.
     """
 
     scored: str
@@ -118,6 +118,13 @@ class Watch:
         The file that the child writes its messages to; it is kept short.
     wanted
         Returns whether the result is still wanted: false once the run has ended.
+
+    Attributes
+    ----------
+    messages
+        The messages that have arrived.
+    finished
+        Whether the child has said that its request is finished. It may still be running.
     """
 
     def __init__(
@@ -133,19 +140,21 @@ class Watch:
         self.pid, self.receive, self.ended, self.log = pid, receive, ended, log
         self.limits, self.base, self.wanted = limits, base, wanted
         self.messages: list[Message] = []
+        self.finished = False
         self.started = 0
         self._open = True
 
     def watch(self) -> tuple[str, str] | None:
-        """Wait until the child ends (None) or breaks a limit (status and message)."""
+        """Wait until the child has finished its request or ends (None), or breaks a limit (status and message)."""
         limits, left, most = self.limits, set(self.limits.parts), self.limits.mib + self.limits.start_mib
         deadline = time.monotonic() + limits.start_seconds + limits.seconds
         starting = limits.start_seconds > 0
         memory_check = time.monotonic() + MEMORY_TICK
         while True:
             messages = self._receive()
-            self.messages += messages
-            if not messages and self.ended():
+            self.messages += [message for message in messages if "finished" not in message]
+            self.finished = any("finished" in message for message in messages)
+            if self.finished or (not messages and self.ended()):
                 return None
             now = time.monotonic()
             done = left & {message.get("scored", "") for message in messages}

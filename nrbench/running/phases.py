@@ -7,9 +7,11 @@ A phase runs in a child process of its own and reports by messages. ``nrbench.sc
 from __future__ import annotations
 
 import dataclasses
+import json
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -248,8 +250,11 @@ def score(folder: Path, metrics: Iterable[str], send: Send) -> None:
 
     The score of a metric that raises is None in every column, with the error as the reason.
     """
-    where = CellFolder(folder)
-    observation = observe(where, _read_cell(where))
+    where, metrics = CellFolder(folder), list(metrics)
+    cell = _read_cell(where)
+    own = [plugins.find("metrics", metric).own for metric in metrics]
+    own += [plugins.find("datasets", cell.recipe.dataset).own] if cell.procedural else []
+    observation = observe(where, cell, keep=all(own))
     for metric in metrics:
         try:
             write_score(where, metric, score_observation(observation, metric))
@@ -314,16 +319,24 @@ def _checked_values(score: Score, columns: Mapping[str, Column]) -> dict[str, Va
     return values
 
 
-def observe(where: CellFolder, cell: Cell) -> Observation:
+def observe(where: CellFolder, cell: Cell, keep: bool = False) -> Observation:
     """Return the observation that metrics score, read from the cell's folder alone.
 
     All its arrays are read-only, so that no metric can change them for the next one.
+
+    Parameters
+    ----------
+    where, cell
+        The cell.
+    keep
+        Whether the truth is kept for the next cell of the same sample, where a model draws it. Code of others, which
+        might change it, may then neither draw nor score it.
     """
     sample, result = _frozen(read_image(where.sample)), where.result() or Result()
     cut = where.cut_files(result)
     if cut and cut != [where.output.name]:  # the output is compared by its pixels
         raise InvalidOutput(f"{cut[0]} has changed since the method returned it; --retry-failed runs the cell again")
-    truth, again = _truth(cell, sample)
+    truth, again = _truth(cell, sample, keep)
     measured: Mapping[str, Any] = result
     names = ("cpu_seconds", "detection_seconds", "peak_mib")
     cost = {name: measured[name] for name in names if measured.get(name) is not None}
@@ -361,13 +374,22 @@ def read_output(where: CellFolder, result: Result) -> Image:
     return output
 
 
-def _truth(cell: Cell, sample: Image) -> tuple[Texture, Again | None]:
+def _truth(cell: Cell, sample: Image, keep: bool) -> tuple[Texture, Again | None]:
     """Return what is known of the sample's texture, and its fresh draws where a model drew it."""
     if not cell.procedural:
         known = (cell.lattice_truth,) if cell.lattice_truth else ()
         return Texture(sample, cell.lattice_truth, known, cell.texture, cell.family, region=cell.region), None
-    texture = _frozen_texture(cell.recipe.render())
-    return dataclasses.replace(texture, image=sample), _frozen_draws(cell.recipe.again(texture))
+    recipe = json.dumps(cell.recipe.as_dict(), sort_keys=True)
+    texture, again = _drawn_truth(recipe) if keep else _drawn_truth.__wrapped__(recipe)
+    return dataclasses.replace(texture, image=sample), again
+
+
+@lru_cache(maxsize=1)  # the cells of a sample follow each other
+def _drawn_truth(recipe: str) -> tuple[Texture, Again]:
+    """Return the texture of a recipe in JSON, and its fresh draws."""
+    drawn = Recipe.from_dict(json.loads(recipe))
+    texture = _frozen_texture(drawn.render())
+    return texture, _frozen_draws(drawn.again(texture))
 
 
 def _read_cell(where: CellFolder) -> Cell:

@@ -28,6 +28,7 @@ from nrbench.running import guard
 from nrbench.running.guard import Message
 from nrbench.running.worker import Reply, Request, perform, working_folder
 from nrbench.runs.store import CellFolder, Result
+from nrbench.storage import temporary_folder
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -218,7 +219,7 @@ class Supervisor:
         self._mark = uuid.uuid4().hex
         self._forks = forks
         self._ended = False
-        self._temporary: Path | None = None
+        self._place, self._temporary = contextlib.ExitStack(), ""
 
     def run(self, request: Request) -> Reply:
         """Run one request under its limits.
@@ -230,13 +231,15 @@ class Supervisor:
             self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
         if self._forks and self._worker is None:
             self._forks = self._start()
+        if not self._temporary:
+            self._temporary = str(self._place.enter_context(temporary_folder()) / "tmp")
+        request = dataclasses.replace(request, temporary=self._temporary)
         self._check_open()
         if not self._forks:
             reply = _run_in_fresh_interpreter(request, lambda: not self._ended)
             self._check_open()
             return reply
         assert self._worker is not None and self._worker.stdin is not None
-        self._temporary = request.temporary
         try:
             self._worker.stdin.write(request.to_json() + "\n")
             self._worker.stdin.flush()
@@ -282,11 +285,11 @@ class Supervisor:
             guard.sweep(worker.pid)
             worker.wait()
             guard.sweep_marked(self._mark)
-            if self._temporary is not None:
-                shutil.rmtree(self._temporary, ignore_errors=True)
             for pipe in (worker.stdin, worker.stdout if self._drained() else None):
                 with contextlib.suppress(OSError):
                     pipe.close() if pipe else None
+        place, self._place, self._temporary = self._place, contextlib.ExitStack(), ""
+        place.close()
 
     @property
     def ended(self) -> bool:
@@ -381,7 +384,7 @@ def _run_in_fresh_interpreter(request: Request, wanted: Callable[[], bool]) -> R
         guard.sweep(child.pid)
         code = child.wait()
         guard.sweep_marked(mark)
-        shutil.rmtree(request.temporary, ignore_errors=True)
+        request.tidy()
     return Reply.of(watch.ending(broken, code))
 
 

@@ -1,7 +1,8 @@
 """The worker process: it imports every plugin, loads every kernel, and then forks the children that run phases.
 
 The worker computes nothing itself and has a single thread, so that forking is safe. Each phase has a child of its own.
-The exception is scoring by the metrics of nrbench: one child, the scorer, scores many cells.
+The exception is scoring by the metrics of nrbench: one child, the scorer, scores many cells. While it scores, the
+worker forks the child of the next phase, the spare, which waits for its request.
 """
 
 from __future__ import annotations
@@ -15,26 +16,29 @@ import os
 import select
 import shutil
 import signal
+import stat
 import sys
 import tempfile
 import threading
 import uuid
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import IO, Any, Literal, cast
 
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.jit import load_kernels
+from nrbench.plugins.parameters import prepare_conversion
 from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import leave_user_folder, read_json
 
-LONGEST = 70
-"""Bytes of the path of a folder of temporary files; Python's ``multiprocessing`` adds up to 35 for its sockets."""
+PATIENCE = 0.02
+"""Seconds that a worker waits for the next request before it tidies up after the last one."""
 SCORER_ROOM = 256.0
 """MiB that the scorer may hold between two cells, beyond what the worker holds. Above it, a new one takes its place."""
 MESSAGES = 3
@@ -56,10 +60,6 @@ def working_folder() -> str:
         return tempfile.gettempdir()
 
 
-def _new_temporary_path() -> str:
-    return str(Path(tempfile.gettempdir(), f"nrbench-{uuid.uuid4().hex[:12]}"))
-
-
 @dataclass(frozen=True)
 class Request:
     """One phase of one cell, to be run under limits.
@@ -76,8 +76,9 @@ class Request:
         The metrics of the phase ``score``.
     user_folder
         The folder in which the user started nrbench: relative paths in parameters start from there.
-    elsewhere
-        The folder of temporary files where the cell's folder has a long path.
+    temporary
+        The folder of the phase's temporary files; the supervisor that runs the request fills it in. It does not lie in
+        the cell's folder: the path of a socket has 107 bytes at most, and that of a run may be longer.
     """
 
     phase: Literal["render", "detect", "synthesize", "score", "report", "check"]
@@ -86,27 +87,32 @@ class Request:
     mib: float
     metrics: tuple[str, ...] = ()
     user_folder: str = dataclasses.field(default_factory=working_folder)
-    elsewhere: str = dataclasses.field(default_factory=_new_temporary_path)
+    temporary: str = ""
 
     @property
     def log(self) -> Path:
         """The file of what the phase prints."""
         return Path(self.folder) / "log.txt"
 
-    @property
-    def temporary(self) -> Path:
-        """The folder of the phase's temporary files, which is removed when the phase has ended.
-
-        It lies in the cell's folder, unless that has a long path: the path of a socket has 107 bytes at most.
-        """
-        near = Path(self.folder) / "tmp"
-        return near if len(os.fsencode(near)) <= LONGEST else Path(self.elsewhere)
-
     def settle(self) -> None:
         """Give the calling process the temporary files and the working directory of the phase."""
-        self.temporary.mkdir(mode=0o700, exist_ok=True)
-        os.environ["TMPDIR"] = tempfile.tempdir = str(self.temporary)
-        leave_user_folder(Path(self.user_folder), self.temporary / "work")
+        temporary = Path(self.temporary)
+        temporary.mkdir(mode=0o700, exist_ok=True)
+        os.environ["TMPDIR"] = tempfile.tempdir = self.temporary
+        leave_user_folder(Path(self.user_folder), temporary / "work")
+
+    def tidy(self) -> None:
+        """Remove what the phase left among its temporary files.
+
+        Folders in which it left nothing are kept for the next phase, because some disks take milliseconds to remove
+        one. All others get another name first, so that the next phase finds nothing of what cannot be removed.
+        """
+        temporary = Path(self.temporary)
+        if not _is_untouched(temporary):
+            aside = temporary.with_name(uuid.uuid4().hex)
+            with contextlib.suppress(OSError):
+                temporary.rename(aside)
+            shutil.rmtree(aside, ignore_errors=True)
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""
@@ -117,6 +123,16 @@ class Request:
         """Read a request from :meth:`to_json`."""
         content = json.loads(line)
         return cls(**{**content, "metrics": tuple(content["metrics"])})
+
+
+def _is_untouched(temporary: Path) -> bool:
+    """Return whether a folder of temporary files is as :meth:`Request.settle` made it."""
+    work = temporary / "work"
+    try:
+        folders = all(path.lstat().st_mode == stat.S_IFDIR | 0o700 for path in (temporary, work))
+        return folders and os.listdir(temporary) == [work.name] and not os.listdir(work)  # noqa: PTH208
+    except OSError:
+        return False
 
 
 @dataclass(frozen=True)
@@ -195,7 +211,9 @@ def warm(compiling: Callable[[], None]) -> None:
     for name in DEFERRED:
         importlib.import_module(name)
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
-        plugins.inventory(kind)
+        for plugin in plugins.inventory(kind):
+            if plugin.cls is not None:
+                prepare_conversion(plugin.cls)
     load_kernels(compiling)
     gc.collect()
     gc.freeze()  # a collection in a child would write into all objects of the worker, and so copy their memory
@@ -242,11 +260,14 @@ def may_fork() -> bool:
     return threading.active_count() == 1 and len(list(Path("/proc/self/task").iterdir())) == 1
 
 
-def serve(requests: Iterable[str], reply: Callable[[str], None]) -> None:
+def serve(requests: IO[str], reply: Callable[[str], None]) -> None:
     """Read one request from each line, run it in a forked child, and reply, until the input ends."""
     server = ForkServer()
     for line in requests:
         reply(server.run(Request.from_json(line)).to_json())
+        if not select.select([requests], [], [], PATIENCE)[0]:
+            server.tidy()
+    server.tidy()
 
 
 @dataclass(frozen=True)
@@ -260,7 +281,7 @@ class Child:
     messages
         The end of a pipe at which the child's messages arrive, a file descriptor.
     requests
-        The end of a pipe to which further requests are written, a file descriptor.
+        The end of a pipe to which its requests are written, a file descriptor.
     """
 
     pid: int
@@ -272,11 +293,13 @@ class Child:
         return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
 
     def end(self, kill: bool) -> int:
-        """Wait for the end of the process, killed or not; return its exit code (negative: minus the signal)."""
+        """Wait for the end of the process, killed or not; return its exit code (negative: minus the signal).
+
+        What it has started is left to :func:`~nrbench.running.guard.sweep_orphans`.
+        """
         if kill:
-            guard.sweep(self.pid)
+            os.kill(self.pid, signal.SIGKILL)
         code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
-        guard.sweep(self.pid)
         os.close(self.messages)
         os.close(self.requests)
         return code
@@ -288,48 +311,69 @@ class ForkServer:
     A child that runs code of others, or whose costs are measured, ends with its request. The metrics of nrbench keep
     no state and start nothing, so one child, the scorer, scores many cells: a fork takes longer than many a score. It
     is replaced when it breaks a limit, dies, or has come to hold more than :data:`SCORER_ROOM`.
+
+    A fork takes milliseconds, and so does the end of a process. Neither delays a reply: a child says when its request
+    is finished, and while the scorer works, the server waits for the end of the last child and forks the next one. That
+    one, the spare, is like a child that is forked later, because the server does not change.
     """
 
     def __init__(self) -> None:
         self._scorer: Child | None = None
+        self._spare: Child | None = None
+        self._finished: tuple[Child, Request] | None = None
 
     def run(self, request: Request) -> Reply:
         """Run one request; return how it ended."""
-        reply = self._score(request) if _is_own(request) else self._run_alone(request)
-        guard.sweep_orphans({self._scorer.pid} if self._scorer else set())
-        shutil.rmtree(request.temporary, ignore_errors=True)
-        return reply
+        return self._score(request) if _is_own(request) else self._run_alone(request)
+
+    def tidy(self) -> None:
+        """End the child whose request is finished, kill what it left running, and remove its temporary files."""
+        finished, self._finished = self._finished, None
+        if finished is not None:
+            child, request = finished
+            child.end(kill=True)
+            self._remove_rests(request)
+
+    def _remove_rests(self, request: Request) -> None:
+        guard.sweep_orphans({child.pid for child in (self._scorer, self._spare) if child is not None})
+        request.tidy()
 
     def _run_alone(self, request: Request) -> Reply:
-        child, base = _fork(lambda: _run_request(request)), guard.held_bytes(os.getpid())
-        watch = _watch(child, request, _receiver(child.messages), child.has_ended, base)
+        self.tidy()
+        child, self._spare = self._spare, None
+        if child is not None and child.has_ended():
+            child.end(kill=True)
+            child = None
+        child = child or _fork(_run_one)
+        _send_request(child, request)
+        watch = _watch(child, request, guard.held_bytes(os.getpid()))
         broken = watch.watch()
-        return Reply.of(watch.ending(broken, child.end(kill=broken is not None)))
+        if watch.finished:
+            self._finished = child, request
+            return Reply.of(watch.ending(None, 0))
+        reply = Reply.of(watch.ending(broken, child.end(kill=broken is not None)))
+        self._remove_rests(request)
+        return reply
 
     def _score(self, request: Request) -> Reply:
         child = self._scorer
         if child is None or child.has_ended():
             self._end_scorer()
-            child = self._scorer = _fork(_run_requests)
-        finished, receive = False, _receiver(child.messages)
-
-        def receive_until_finished(seconds: float) -> Iterable[Message] | None:
-            nonlocal finished
-            messages = [] if finished else receive(seconds)
-            finished = finished or any("finished" in message for message in messages or ())
-            return messages and [message for message in messages if "finished" not in message]
-
+            child = self._scorer = _fork(_run_many)
         base = guard.held_bytes(child.pid)
-        with contextlib.suppress(OSError):  # it has just died
-            _write_line(child.requests, request.to_json())
-        watch = _watch(child, request, receive_until_finished, lambda: finished or child.has_ended(), base)
+        _send_request(child, request)
+        self.tidy()
+        self._spare = self._spare or _fork(_run_one)
+        watch = _watch(child, request, base)
         broken = watch.watch()
-        if finished and not broken:
+        if watch.finished:
             if guard.held_bytes(child.pid) > guard.held_bytes(os.getpid()) + SCORER_ROOM * guard.MIB:
                 self._end_scorer()
             return Reply.of(watch.ending(None, 0))
         self._scorer = None
-        return Reply.of(watch.ending(broken, child.end(kill=broken is not None)))
+        reply = Reply.of(watch.ending(broken, child.end(kill=broken is not None)))
+        self._remove_rests(request)
+        return reply
 
     def _end_scorer(self) -> None:
         child, self._scorer = self._scorer, None
@@ -353,24 +397,33 @@ def _is_own(request: Request) -> bool:
     return isinstance(name, str) and name in _own_names("datasets")
 
 
+@cache  # a search among all plugins for each request would touch, and so copy, much memory that children share
 def _own_names(kind: str) -> set[str]:
     return {plugin.name for plugin in plugins.inventory(kind) if plugin.own and plugin.cls is not None}
 
 
-def _watch(child: Child, request: Request, receive: guard.Receive, ended: Callable[[], bool], base: int) -> guard.Watch:
+def _watch(child: Child, request: Request, base: int) -> guard.Watch:
     limits, parent = guard.Limits(request.seconds, request.mib, request.metrics), os.getppid()
-    return guard.Watch(child.pid, receive, ended, limits, base, log=request.log, wanted=lambda: os.getppid() == parent)
+    receive, log = _receiver(child.messages), request.log
+    return guard.Watch(child.pid, receive, child.has_ended, limits, base, log, lambda: os.getppid() == parent)
+
+
+def _send_request(child: Child, request: Request) -> None:
+    with contextlib.suppress(OSError):  # it has just died
+        _write_line(child.requests, request.to_json())
 
 
 def _fork(run: Callable[[], None]) -> Child:
     """Fork a child that calls a function and leaves. Its standard input is the pipe of requests."""
     (messages, theirs), (requests_end, requests) = os.pipe(), os.pipe()
-    pid = os.fork()
+    parent, pid = os.getpid(), os.fork()
     if pid == 0:
         code = 70
         try:
             os.setsid()
             guard.die_with_parent()
+            if os.getppid() != parent:  # it has ended already
+                os._exit(code)
             os.dup2(requests_end, 0)  # first, because its number may be that of the messages
             os.dup2(theirs, MESSAGES)
             os.closerange(MESSAGES + 1, 1 << 16)
@@ -384,23 +437,38 @@ def _fork(run: Callable[[], None]) -> Child:
     return Child(pid, messages, requests)
 
 
-def _run_requests() -> None:
-    """Run the requests that arrive, one a line, in the calling process; say when each one is finished."""
+def _run_one() -> None:
+    """Run the request that arrives, a line, in the calling process; say when it is finished."""
+    with os.fdopen(os.dup(0), encoding="utf-8") as lines:
+        line = lines.readline()
+    if line:  # otherwise the worker has ended
+        request = Request.from_json(line)
+        _run_request(request, request.settle)
+        with contextlib.suppress(OSError):  # a plugin may have closed the pipe; the end of the process will do
+            _send({"finished": True})
+
+
+def _run_many() -> None:
+    """Score by the requests that arrive, one a line, in the calling process; say when each one is finished.
+
+    The metrics of nrbench write no files of their own. They work in the root directory, because the folder of a cell on
+    a network disk cannot be removed while somebody is in it.
+    """
     with os.fdopen(os.dup(0), encoding="utf-8") as lines:
         for line in lines:
+            request = Request.from_json(line)
             with warnings.catch_warnings():  # so that a warning is in the log of each cell that it is about
-                _run_request(Request.from_json(line))
-            os.chdir("/")  # the folder is removed when the request has ended; on a network disk nobody may be in it
+                _run_request(request, partial(leave_user_folder, Path(request.user_folder), Path("/")))
             _redirect(Path(os.devnull))
             _send({"finished": True})
 
 
-def _run_request(request: Request) -> None:
+def _run_request(request: Request, settle: Callable[[], None]) -> None:
     """Run one request in the calling process, which is a child; raise nothing that could be sent as a message."""
     try:
         _redirect(request.log)
         guard.confine(guard.Limits(request.seconds, request.mib))
-        request.settle()
+        settle()
         perform(request, _send)
     except BaseException as error:
         phases.send_error(error, _send)

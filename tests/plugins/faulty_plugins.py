@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
+import json
 import mmap
 import os
 import random
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -358,6 +360,50 @@ class Escaper:
             with contextlib.suppress(OSError):
                 os.write(handle, b"[1]\n{\n")
         return Synthesis(np.full((*task.shape, task.sample.shape[2]), 0.25, np.float32))
+
+
+@dataclass(frozen=True)
+class Tenant:
+    """The sample, repeated, with a note on what its process finds; it may leave things behind, as ``leaves`` says."""
+
+    leaves: bool = False
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Look around, leave things, and repeat the sample."""
+        import resource
+
+        place, limit = Path(tempfile.gettempdir()), resource.getrlimit(resource.RLIMIT_DATA)[0]
+        seen = {
+            "pid": os.getpid(),
+            "leads": os.getsid(0) == os.getpgid(0) == os.getpid(),
+            "place": str(place),
+            "folder": str(Path.cwd()),
+            "found": sorted(str(path.relative_to(place)) for path in place.rglob("*")),
+            "open": sorted(str(file.readlink()) for file in Path("/proc/self/fd").iterdir() if file.is_file()),
+            "environment": dict(os.environ),
+            "random": int(np.random.get_state()[1][0]),  # type: ignore[index]  # noqa: NPY002
+            "limited": 0 < limit < 1 << 34,
+        }
+        if self.leaves:
+            for folder in (place, Path.cwd()):
+                (folder / "left").touch()
+            Path.cwd().chmod(0o500)
+        return dataclasses.replace(Fine().synthesize(task), note=json.dumps(seen))
+
+
+@dataclass(frozen=True)
+class Boaster:
+    """Claim that the request is finished, and loop for ever."""
+
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Write its process id, claim and loop."""
+        print(f"child {os.getpid()}", flush=True)
+        os.write(3, b'{"finished": true}\n')
+        while True:
+            time.sleep(0.01)
 
 
 @dataclass(frozen=True)

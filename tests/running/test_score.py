@@ -1,3 +1,7 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -5,7 +9,13 @@ import pytest
 
 import nrbench
 from nrbench import plugins
-from nrbench.plugins.forms import Observation, Score
+from nrbench.api import run
+from nrbench.plugins.forms import Observation, Score, Texture
+from nrbench.running import phases
+from nrbench.running.runner import Options
+from nrbench.runs.store import CellFolder
+from nrbench.suites.cell import Cell, Recipe
+from nrbench.suites.suite import validated_suite
 
 
 class Broken:
@@ -56,3 +66,37 @@ def test_what_is_not_measured_is_not_zero() -> None:
     for name in ("regularity.drift", "regularity.intact", "regularity.lattice_exact"):
         assert sheet.values[name] is None
         assert sheet.reasons[name]
+
+
+def test_the_truth_of_a_sample_is_drawn_once_for_the_metrics_of_nrbench(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cells of one sample share its texture, which is read-only, and score as if each had drawn it."""
+    rows = [{"name": f"wall{k}", "dataset": "brick", "parameters": {"color": k / 10}} for k in range(2)]
+    content = {"name": "two", "sample": "64x64", "size": "64x64", "methods": ["scatter", "tiling"], "metrics": ["cost"]}
+    cells = run(validated_suite({**content, "texture": rows}, "test"), out=tmp_path, options=Options(jobs=0)).cells
+    folders = [CellFolder(record.folder) for record in cells]
+    drawn: list[str] = []
+    render = Recipe.render
+    monkeypatch.setattr(Recipe, "render", lambda recipe: drawn.append(recipe.texture) or render(recipe))
+
+    def truths(keep: bool) -> list[Texture]:
+        drawn.clear()
+        cells = [Cell.from_dict(json.loads(folder.cell_file.read_text())) for folder in folders]
+        observed = [phases.observe(folder, cell, keep) for folder, cell in zip(folders, cells, strict=True)]
+        assert all(one.again is not None for one in observed)
+        return [one.truth for one in observed if one.truth is not None]
+
+    apart, kept = truths(keep=False), truths(keep=True)
+    assert drawn == ["wall0", "wall1"]
+    truths(keep=False)
+    assert len(drawn) == len(apart) == len(kept) == 4
+    for one, other in zip(apart, kept, strict=True):
+        assert one.ideal is not None and other.ideal is not None
+        assert not other.ideal.flags.writeable
+        assert (one.ideal == other.ideal).all() and (one.image == other.image).all()
+    drawn.clear()
+    for record in cells:
+        phases.score(record.folder, ["cost"], lambda message: None)
+    assert drawn == ["wall0", "wall1"]
+    assert phases._drawn_truth.cache_info().maxsize == 1

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -28,7 +31,7 @@ from nrbench.running import guard, runner
 from nrbench.running.guarded import write_guarded
 from nrbench.running.progress import Step
 from nrbench.running.runner import Options
-from nrbench.running.supervisor import Supervisor
+from nrbench.running.supervisor import Job, Supervisor, perform_job
 from nrbench.running.worker import Request, _is_own
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.suite import Suite, validated_suite
@@ -62,6 +65,13 @@ DRAWING_HOWS = {
 }
 
 FaultyRun = Callable[[Suite, Options], Run]
+
+
+def is_scorer(child: psutil.Process) -> bool:
+    """Return whether a child of a worker is its scorer: it works in the root directory, so that it is in no cell's."""
+    with contextlib.suppress(psutil.Error):
+        return child.cwd() == "/"
+    return False
 
 
 def small_suite(methods: list[str], *metrics: str) -> Suite:
@@ -369,12 +379,84 @@ def test_one_interrupt_lets_the_running_cells_end(faulty: Path, tmp_path: Path) 
     assert steps[-1].remaining == 0
 
 
-def test_sockets_of_plugins_have_room_for_their_paths() -> None:
-    """Temporary files of a plugin have a short path even where the run directory has a long one."""
-    short, long = (Request("synthesize", folder, 1, 1) for folder in ("/runs/a", "/runs/" + "a" * 90))
-    assert short.temporary == Path("/runs/a/tmp")
-    assert len(str(long.temporary)) <= 70
-    assert Request.from_json(long.to_json()).temporary == long.temporary
+def prepare(folder: Path, method: str) -> Path:
+    """Make the folder of a cell that has not run; return it."""
+    if not folder.is_dir():
+        (record,) = run(small_suite(["fine"]), out=folder.with_suffix(".run"), options=Options(jobs=0)).cells
+        shutil.copytree(record.folder, folder)
+    cell = json.loads((folder / "cell.json").read_text())
+    (folder / "cell.json").write_text(json.dumps({**cell, "method": method}))
+    for name in ("result.json", "output.png"):
+        (folder / name).unlink(missing_ok=True)
+    return folder
+
+
+def look_around(supervisor: Supervisor, folder: Path, **parameters: Any) -> dict[str, Any]:
+    """Run the method ``tenant`` in a cell's folder; return what its process found."""
+    cell = json.loads((folder / "cell.json").read_text())
+    (folder / "cell.json").write_text(json.dumps({**cell, "parameters": parameters}))
+    reply = supervisor.run(Request("synthesize", str(folder), 20, 500))
+    assert reply.result["status"] == "ok", reply.result
+    found: dict[str, Any] = json.loads(reply.result["note"])
+    return found
+
+
+@pytest.mark.usefixtures("faulty")
+def test_a_phase_finds_nothing_of_the_last_one(supervisors: list[Supervisor], tmp_path: Path) -> None:
+    """Temporary files and working folder of a method are empty and outside the run, and have room for sockets."""
+    folder = prepare(tmp_path / "cell", "tenant")
+    clean, messy, after = (look_around(supervisors[0], folder, leaves=leaves) for leaves in (False, True, False))
+    assert {clean["pid"], messy["pid"], after["pid"]} > {clean["pid"], messy["pid"]}
+    for found in (clean, messy, after):
+        assert found["found"] == ["work"]
+        assert found["folder"] == f"{found['place']}/work"
+        assert not Path(found["place"]).is_relative_to(tmp_path)
+        assert len(found["place"]) <= 70 + len(tempfile.gettempdir())  # a socket's path has room for 107 bytes
+    assert not list(tmp_path.rglob("left"))
+
+
+@pytest.mark.usefixtures("faulty")
+def test_a_child_forked_ahead_is_like_any_other(supervisors: list[Supervisor], tmp_path: Path) -> None:
+    """While a cell is scored, the child of the next one is forked. It finds what a child forked later finds."""
+    supervisor, folder = supervisors[0], prepare(tmp_path / "cell", "tenant")
+    scored = tmp_path / "cell.run" / "cells"
+
+    def score() -> psutil.Process:
+        """Score the cell; return the child that was forked meanwhile."""
+        reply = supervisor.run(Request("score", str(next(scored.iterdir())), 20, 500, ("cost",)))
+        assert reply.scored == ("cost",)
+        assert supervisor._worker is not None
+        (spare,) = (one for one in psutil.Process(supervisor._worker.pid).children() if not is_scorer(one))
+        return spare
+
+    look_around(supervisor, folder)
+    late = look_around(supervisor, folder)  # the second of two in a row is forked when it is wanted
+    spare = score()
+    early = look_around(supervisor, folder)
+    assert early.pop("pid") == spare.pid != late.pop("pid")
+    assert early == late
+    assert early["leads"] and early["limited"]
+    again = score()
+    again.kill()
+    deadline = time.monotonic() + 5
+    while again.status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert look_around(supervisor, folder)["pid"] != again.pid
+    assert score().is_running()
+
+
+@pytest.mark.usefixtures("faulty")
+def test_a_child_that_only_claims_to_have_finished(supervisors: list[Supervisor], tmp_path: Path) -> None:
+    """A method that forges the message of its end has no output, and its process is ended like any other."""
+    folder = prepare(tmp_path / "cell", "boaster")
+    job = Job("cell", str(folder), 20, 500)
+    assert perform_job(job, supervisors[0])["message"] == "ended without an output"
+    (pid,) = re.findall(r"child (\d+)", (folder / "log.txt").read_text())
+    deadline = time.monotonic() + 5
+    while psutil.pid_exists(int(pid)):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def test_the_worker_has_one_thread(supervisors: list[Supervisor]) -> None:
@@ -444,15 +526,15 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
             shutil.rmtree(record.folder / "scores", ignore_errors=True)
             reply = supervisor.run(Request("score", str(record.folder), seconds, 500, (metric,)))
         assert supervisor._worker is not None
-        return {child.pid for child in psutil.Process(supervisor._worker.pid).children()}, reply.result["status"]
+        children = psutil.Process(supervisor._worker.pid).children()
+        return {child.pid for child in children if is_scorer(child)}, reply.result["status"]
 
     (first, ended), whole = scorers("cost"), [record.values["cost.peak_mib"] for record in cells]
     assert ended == "ok"
     assert len(first) == 1
-    assert scorers("deadly") == (first, "ok")  # in processes of their own, which have ended
+    assert scorers("deadly") == (first, "ok")  # in processes of their own
     assert scorers("cost") == (first, "ok")
     idle = psutil.Process(*first)
-    assert idle.cwd() == "/"  # so that the folder of no cell is in use, and no log is open
     assert not [file.path for file in idle.open_files() if file.path.startswith(str(tmp_path))]
     psutil.Process(*first).kill()
     second, ended = scorers("cost")
