@@ -2,9 +2,10 @@
 
 A real run of trivial cells, one at a time: a warm worker forks one child that repeats the pixels of a 64 x 64 sample,
 and another child reads the cell's folder for the `cost` metric. The time that the methods themselves take is
-subtracted. Encoding and decoding of the small pictures, the writing of all files, and the work of the coordinator are
-included. The start of the worker is not. The second line is the processor time of all processes, which depends less on
-what else the machine does. The third one is the memory of the coordinator, which must not grow with the cells.
+subtracted. The start of the worker is not included; the writing of all files and the work of the coordinator are. The
+second line is the processor time of all processes, which depends less on what else the machine does. The third one is
+the part of it that encodes and decodes the small pictures, measured apart, in this process. The last one is the memory
+of the coordinator, which must not grow with the cells.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from unit import cpu_unit, machine_unit
 
 from nrbench import plugins
 from nrbench.api import run
+from nrbench.imaging.files import read_image, write_image
 from nrbench.running.progress import Step
 from nrbench.running.runner import Options
 
@@ -41,6 +43,20 @@ def processor_seconds(process: psutil.Process) -> dict[str, float]:
         with contextlib.suppress(psutil.Error):
             others += sum(child.cpu_times()[:4])
     return {"coordinator": used.user + used.system, "worker and its children": others}
+
+
+def picture_seconds(folder: Path) -> float:
+    """Return the processor seconds of the pictures of one cell: sample and output are written, and read three times."""
+    sample, copy = folder / "sample.png", folder.parent / "copy.png"
+    image = read_image(sample)
+    tasks = (lambda: write_image(copy, image), lambda: read_image(sample))
+    taken = []
+    for task in tasks:
+        start = time.process_time()
+        for _ in range(200):
+            task()
+        taken.append((time.process_time() - start) / 200)
+    return 2 * taken[0] + 3 * taken[1]
 
 
 def main() -> None:
@@ -62,6 +78,7 @@ def main() -> None:
         plugins.add_file(write_plugin(folder))
         done = run(write_suite(folder, count), out=folder / "run", options=Options(jobs=1), progress=follow)
         cells = done.cells
+        pictures = picture_seconds(cells[0].folder)
     if len(cells) != count or any(cell.status != "ok" for cell in cells):
         raise SystemExit("overhead: a trivial cell failed")
     method = statistics.fmean(float(cell.result["seconds"]) for cell in cells)
@@ -76,6 +93,7 @@ def main() -> None:
     parts = ", ".join(f"{name} {1000 * seconds:.1f} ms" for name, seconds in used.items())
     total = sum(used.values()) - method
     print(f"processor time of a cell: {1000 * total:.1f} ms = {total / cpu_unit():.2f} u ({parts})")
+    print(f"of it encoding and decoding of pictures: {1000 * pictures:.1f} ms")
     print(
         f"memory of the coordinator: {marks[0][1]:.0f} MiB after {block} cells, {marks[-1][1]:.0f} MiB after {count} "
         f"({1024 * (marks[-1][1] - marks[0][1]) / (count - block):.2f} KiB a cell)"

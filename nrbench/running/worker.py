@@ -1,7 +1,7 @@
 """The worker process: it imports every plugin, loads every kernel, and then forks the children that run phases.
 
 The worker computes nothing itself and has a single thread, so that forking is safe. Each phase has a child of its own.
-The exception is scoring by the metrics of nrbench: one child, the scorer, scores many cells. While it scores, the
+The exception is scoring by the metrics of nrbench: one child, the scorer, scores many cells. After each reply the
 worker forks the child of the next phase, the spare, which waits for its request.
 """
 
@@ -116,7 +116,7 @@ class Request:
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""
-        return json.dumps(dataclasses.asdict(self))
+        return json.dumps(vars(self))
 
     @classmethod
     def from_json(cls, line: str) -> Request:
@@ -265,6 +265,7 @@ def serve(requests: IO[str], reply: Callable[[str], None]) -> None:
     server = ForkServer()
     for line in requests:
         reply(server.run(Request.from_json(line)).to_json())
+        server.prepare()
         if not select.select([requests], [], [], PATIENCE)[0]:
             server.tidy()
     server.tidy()
@@ -312,9 +313,9 @@ class ForkServer:
     no state and start nothing, so one child, the scorer, scores many cells: a fork takes longer than many a score. It
     is replaced when it breaks a limit, dies, or has come to hold more than :data:`SCORER_ROOM`.
 
-    A fork takes milliseconds, and so does the end of a process. Neither delays a reply: a child says when its request
-    is finished, and while the scorer works, the server waits for the end of the last child and forks the next one. That
-    one, the spare, is like a child that is forked later, because the server does not change.
+    A fork takes milliseconds, and so does the end of a process. Neither delays a reply. The child of the next request,
+    the spare, is forked after a reply. It is like one that is forked later, because the server does not change. A child
+    says when its request is finished, and the server waits for its end while the scorer works, or before the next one.
     """
 
     def __init__(self) -> None:
@@ -325,6 +326,10 @@ class ForkServer:
     def run(self, request: Request) -> Reply:
         """Run one request; return how it ended."""
         return self._score(request) if _is_own(request) else self._run_alone(request)
+
+    def prepare(self) -> None:
+        """Fork the child of the next request, if there is none yet."""
+        self._spare = self._spare or _fork(_run_one)
 
     def tidy(self) -> None:
         """End the child whose request is finished, kill what it left running, and remove its temporary files."""
@@ -340,11 +345,7 @@ class ForkServer:
 
     def _run_alone(self, request: Request) -> Reply:
         self.tidy()
-        child, self._spare = self._spare, None
-        if child is not None and child.has_ended():
-            child.end(kill=True)
-            child = None
-        child = child or _fork(_run_one)
+        child = self._take_spare()
         _send_request(child, request)
         watch = _watch(child, request, guard.held_bytes(os.getpid()))
         broken = watch.watch()
@@ -355,6 +356,14 @@ class ForkServer:
         self._remove_rests(request)
         return reply
 
+    def _take_spare(self) -> Child:
+        """Return the spare, or a new child if there is none or something has killed it."""
+        spare, self._spare = self._spare, None
+        if spare is not None and spare.has_ended():
+            spare.end(kill=False)
+            spare = None
+        return spare or _fork(_run_one)
+
     def _score(self, request: Request) -> Reply:
         child = self._scorer
         if child is None or child.has_ended():
@@ -363,7 +372,6 @@ class ForkServer:
         base = guard.held_bytes(child.pid)
         _send_request(child, request)
         self.tidy()
-        self._spare = self._spare or _fork(_run_one)
         watch = _watch(child, request, base)
         broken = watch.watch()
         if watch.finished:

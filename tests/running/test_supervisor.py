@@ -415,35 +415,39 @@ def test_a_phase_finds_nothing_of_the_last_one(supervisors: list[Supervisor], tm
     assert not list(tmp_path.rglob("left"))
 
 
-@pytest.mark.usefixtures("faulty")
-def test_a_child_forked_ahead_is_like_any_other(supervisors: list[Supervisor], tmp_path: Path) -> None:
-    """While a cell is scored, the child of the next one is forked. It finds what a child forked later finds."""
-    supervisor, folder = supervisors[0], prepare(tmp_path / "cell", "tenant")
-    scored = tmp_path / "cell.run" / "cells"
-
-    def score() -> psutil.Process:
-        """Score the cell; return the child that was forked meanwhile."""
-        reply = supervisor.run(Request("score", str(next(scored.iterdir())), 20, 500, ("cost",)))
-        assert reply.scored == ("cost",)
-        assert supervisor._worker is not None
-        (spare,) = (one for one in psutil.Process(supervisor._worker.pid).children() if not is_scorer(one))
-        return spare
-
-    look_around(supervisor, folder)
-    late = look_around(supervisor, folder)  # the second of two in a row is forked when it is wanted
-    spare = score()
-    early = look_around(supervisor, folder)
-    assert early.pop("pid") == spare.pid != late.pop("pid")
-    assert early == late
-    assert early["leads"] and early["limited"]
-    again = score()
-    again.kill()
+def wait_until(holds: Callable[[], bool]) -> None:
+    """Wait until a condition holds; fail if it does not soon."""
     deadline = time.monotonic() + 5
-    while again.status() != psutil.STATUS_ZOMBIE:
+    while not holds():
         assert time.monotonic() < deadline
         time.sleep(0.01)
-    assert look_around(supervisor, folder)["pid"] != again.pid
-    assert score().is_running()
+
+
+@pytest.mark.usefixtures("faulty")
+def test_a_child_forked_ahead_is_like_any_other(supervisors: list[Supervisor], tmp_path: Path) -> None:
+    """After a reply the child of the next request is forked. It finds what a child finds that is forked later."""
+    supervisor, folder = supervisors[0], prepare(tmp_path / "cell", "tenant")
+
+    def waiting() -> list[psutil.Process]:
+        assert supervisor._worker is not None
+        children = psutil.Process(supervisor._worker.pid).children()
+        return [one for one in children if one.status() == psutil.STATUS_SLEEPING and not is_scorer(one)]
+
+    def spare() -> psutil.Process:
+        wait_until(lambda: len(waiting()) == 1)
+        return waiting()[0]
+
+    look_around(supervisor, folder)
+    ahead = spare()
+    early = look_around(supervisor, folder)
+    killed = spare()
+    killed.kill()
+    wait_until(lambda: killed.status() == psutil.STATUS_ZOMBIE)
+    late = look_around(supervisor, folder)
+    assert early.pop("pid") == ahead.pid
+    assert late.pop("pid") not in (ahead.pid, killed.pid)
+    assert early == late
+    assert early["leads"] and early["limited"]
 
 
 @pytest.mark.usefixtures("faulty")
@@ -453,10 +457,7 @@ def test_a_child_that_only_claims_to_have_finished(supervisors: list[Supervisor]
     job = Job("cell", str(folder), 20, 500)
     assert perform_job(job, supervisors[0])["message"] == "ended without an output"
     (pid,) = re.findall(r"child (\d+)", (folder / "log.txt").read_text())
-    deadline = time.monotonic() + 5
-    while psutil.pid_exists(int(pid)):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_until(lambda: not psutil.pid_exists(int(pid)))
 
 
 def test_the_worker_has_one_thread(supervisors: list[Supervisor]) -> None:
