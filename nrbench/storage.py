@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 import tempfile
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
@@ -41,10 +42,10 @@ _user_folder: Path | None = None
 
 
 def leave_user_folder(user_folder: Path, working: Path) -> None:
-    """Make another folder the working directory of this process, which is about to run a plugin.
+    """Make another folder the working directory of this process, which is about to import or run a plugin.
 
     Files that the plugin writes to relative paths then do not litter the user's folder. :func:`user_path` still starts
-    from there.
+    from there, and so do the relative entries of ``sys.path``, which become absolute.
 
     Parameters
     ----------
@@ -54,9 +55,48 @@ def leave_user_folder(user_folder: Path, working: Path) -> None:
         The new working directory. It is made if it does not exist.
     """
     global _user_folder
+    places = _relative_places(user_folder)
+    sys.path[:] = [places.get(entry, entry) for entry in sys.path]
     working.mkdir(mode=0o700, parents=True, exist_ok=True)
     os.chdir(working)
     _user_folder = user_folder
+
+
+@contextlib.contextmanager
+def outside_user_folder() -> Iterator[None]:
+    """Make a temporary folder the working directory for a while, in which a plugin is imported.
+
+    See :func:`leave_user_folder`. Nothing changes in a process that has left the user's folder already, or that has
+    several threads, because the working directory is the same for all of them.
+    """
+    global _user_folder
+    user_folder = _working_directory()
+    if user_folder is None or _user_folder is not None or threading.active_count() > 1:
+        yield
+        return
+    entries = {place: entry for entry, place in _relative_places(user_folder).items()}
+    with temporary_folder() as folder:
+        leave_user_folder(user_folder, folder / "work")
+        try:
+            yield
+        finally:
+            _user_folder = None
+            os.chdir(user_folder)
+            sys.path[:] = [entries.get(place, place) for place in sys.path]
+
+
+def _relative_places(user_folder: Path) -> dict[str, str]:
+    """Return the places of the relative entries of ``sys.path``; entries that name no place are for import hooks."""
+    entries = [entry for entry in sys.path if not Path(entry).is_absolute() and (user_folder / entry).exists()]
+    return {entry: str(user_folder / entry) for entry in entries}
+
+
+def _working_directory() -> Path | None:
+    """Return the working directory of this process; None if it does not exist any more."""
+    try:
+        return Path.cwd()
+    except FileNotFoundError:
+        return None
 
 
 def user_path(path: str | Path) -> Path:

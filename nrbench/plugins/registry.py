@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import importlib.util
@@ -21,6 +22,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Better, Column, Detection
 from nrbench.plugins.parameters import PRESET, converted, missing, nearest, parse_spec, validated
+from nrbench.storage import outside_user_folder
 
 
 @dataclass(frozen=True)
@@ -247,8 +249,10 @@ def load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
         error = f"duplicate: the name {point.name!r} was registered before; this one ({point.value}) is not used"
         return Plugin(kind, point.name, None, distribution, version, error)
     try:
-        cls = point.load()
-        error = "" if distribution == "nrbench" else fault(kind, cls)
+        own = distribution == "nrbench"
+        with contextlib.nullcontext() if own else outside_user_folder():
+            cls = point.load()
+        error = "" if own else fault(kind, cls)
     except (Exception, SystemExit):
         return Plugin(kind, point.name, None, distribution, version, traceback.format_exc())
     return Plugin(kind, point.name, None if error else cls, distribution, getattr(cls, "version", version), error)
@@ -371,7 +375,8 @@ def _import_file(file: Path) -> Any:
     module = importlib.util.module_from_spec(spec)
     sys.modules[module.__name__] = module
     try:
-        spec.loader.exec_module(module)
+        with outside_user_folder():
+            spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         raise BadInput(f"plugin {file}: does not import: {type(error).__name__}: {error}") from error
     return module

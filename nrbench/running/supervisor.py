@@ -219,7 +219,8 @@ class Supervisor:
         self._mark = uuid.uuid4().hex
         self._forks = forks
         self._ended = False
-        self._place, self._temporary = contextlib.ExitStack(), ""
+        self._stack = contextlib.ExitStack()
+        self._temporary: Path | None = None
 
     def run(self, request: Request) -> Reply:
         """Run one request under its limits.
@@ -231,9 +232,7 @@ class Supervisor:
             self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
         if self._forks and self._worker is None:
             self._forks = self._start()
-        if not self._temporary:
-            self._temporary = str(self._place.enter_context(temporary_folder()) / "tmp")
-        request = dataclasses.replace(request, temporary=self._temporary)
+        request = dataclasses.replace(request, temporary=str(self._folder() / "tmp"))
         self._check_open()
         if not self._forks:
             reply = _run_in_fresh_interpreter(request, lambda: not self._ended)
@@ -262,7 +261,7 @@ class Supervisor:
     def _start(self) -> bool:
         """Start the worker; return whether it can fork."""
         self._plugins = plugins.files()
-        self._worker = _start_process(subprocess.DEVNULL, self._mark)
+        self._worker = _start_process(subprocess.DEVNULL, self._mark, f"--folder={self._folder() / 'imports'}")
         self._lines, self._reader = _read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}
         if first.get("compiling"):
@@ -272,6 +271,12 @@ class Supervisor:
             self.close()
             return False
         return True
+
+    def _folder(self) -> Path:
+        """Return the folder of temporary files, made when needed; :meth:`close` removes it."""
+        if self._temporary is None:
+            self._temporary = self._stack.enter_context(temporary_folder())
+        return self._temporary
 
     def _line(self, seconds: float) -> str | None:
         with contextlib.suppress(queue.Empty):
@@ -288,8 +293,8 @@ class Supervisor:
             for pipe in (worker.stdin, worker.stdout if self._drained() else None):
                 with contextlib.suppress(OSError):
                     pipe.close() if pipe else None
-        place, self._place, self._temporary = self._place, contextlib.ExitStack(), ""
-        place.close()
+        stack, self._stack, self._temporary = self._stack, contextlib.ExitStack(), None
+        stack.close()
 
     @property
     def ended(self) -> bool:

@@ -7,6 +7,7 @@ worker forks the child of the next phase, the spare, which waits for its request
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import dataclasses
 import gc
@@ -22,7 +23,7 @@ import tempfile
 import threading
 import uuid
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -97,7 +98,7 @@ class Request:
     def settle(self) -> None:
         """Give the calling process the temporary files and the working directory of the phase."""
         temporary = Path(self.temporary)
-        temporary.mkdir(mode=0o700, exist_ok=True)
+        temporary.mkdir(mode=0o700, parents=True, exist_ok=True)  # a system may have cleaned its temporary files
         os.environ["TMPDIR"] = tempfile.tempdir = self.temporary
         leave_user_folder(Path(self.user_folder), temporary / "work")
 
@@ -233,6 +234,11 @@ def _import_plugins(request: Request) -> None:
         if isinstance(name, str):
             with contextlib.suppress(BadInput):  # its phase says why it does not load
                 plugins.find(kind, name)
+
+
+def _add_files(files: Iterable[str]) -> None:
+    for file in files:
+        plugins.add_file(file)
 
 
 def _die_with_parent(out: int) -> None:
@@ -525,10 +531,17 @@ def _receiver(readable: int) -> guard.Receive:
 def main() -> None:
     """Serve the requests on standard input; with ``--once``, run a single one in this process, without forking.
 
+    The other arguments are files of plugins. They are imported in the working directory of the request, or in the one
+    that ``--folder`` names.
+
     The first line of output is ``{"fork": bool}``: whether this process can fork safely. Where kernels have to be
     compiled, the line ``{"compiling": true}`` comes before it.
     """
-    arguments = sys.argv[1:]
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--once", action="store_true")
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("files", nargs="*")
+    options = parser.parse_args()
     out = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
 
@@ -536,12 +549,11 @@ def main() -> None:
         out.write(line + "\n")
 
     _die_with_parent(out.fileno())
-    for file in [argument for argument in arguments if not argument.startswith("--")]:
-        plugins.add_file(file)
-    if "--once" in arguments:
+    if options.once:
         request = Request.from_json(sys.stdin.readline())
         try:
             request.settle()
+            _add_files(options.files)
             _import_plugins(request)
             guard.confine(guard.Limits(request.seconds, request.mib))
             write(json.dumps({"held": guard.held_bytes(os.getpid())}))
@@ -550,6 +562,8 @@ def main() -> None:
             phases.send_error(error, lambda message: write(json.dumps(message)))
         sys.stderr.flush()
         os._exit(0)
+    leave_user_folder(Path(working_folder()), options.folder)
+    _add_files(options.files)
     guard.adopt_orphans()
     if may_fork():
         warm(lambda: write(json.dumps({"compiling": True})))

@@ -49,3 +49,52 @@ def test_an_error_names_the_file_that_was_to_be_written(tmp_path: Path) -> None:
         write_aside(tmp_path / "target", lambda aside: aside.write_bytes(b"x"))
     assert caught.value.filename == str(tmp_path / "target")
     assert [one.name for one in tmp_path.iterdir()] == ["target"]
+
+
+PLUGIN = """
+import helper, sys
+from dataclasses import dataclass
+from pathlib import Path
+from nrbench.storage import user_path
+
+Path("litter.txt").touch()
+assert user_path("mine.py").is_file()
+sys.path.append("added")
+
+@dataclass(frozen=True)
+class Mine:
+    "A method."
+    def synthesize(self, task): ...
+"""
+IMPORTING = """
+import os, sys, threading
+from nrbench import plugins
+
+folder = os.getcwd()
+if "thread" in sys.argv:
+    threading.Thread(target=threading.Event().wait, daemon=True).start()
+sys.path[:0] = ["", "lib", "__hook__"]
+before = list(sys.path)
+plugins.add_file("mine.py")
+assert plugins.find("synthesizers", "mine").cls is not None
+assert sys.path == [*before, "added"], sys.path
+assert os.getcwd() == folder
+print(sorted(os.listdir()))
+"""
+
+
+def test_an_import_leaves_nothing_in_the_users_folder(tmp_path: Path) -> None:
+    """A plugin is imported in a temporary folder, with the modules that relative entries of the path lead to.
+
+    With several threads, all of which have one working directory, it is imported there.
+    """
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "helper.py").touch()
+    (tmp_path / "mine.py").write_text(PLUGIN)
+
+    def listed(*words: str) -> str:
+        command = [sys.executable, "-B", "-c", IMPORTING, *words]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.strip()
+
+    assert listed() == "['lib', 'mine.py']"
+    assert listed("thread") == "['lib', 'litter.txt', 'mine.py']"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import time
@@ -252,8 +253,12 @@ def test_a_plugin_that_does_not_load(how: str, tmp_path: Path, capsys: pytest.Ca
 
 
 def test_a_slow_import_takes_no_ones_time(tmp_path: Path) -> None:
-    """A plugin that takes long to import is imported once by each process, and outside of every limit."""
-    text = FAULTS.read_text().replace("from __future__ import annotations", "import time\ntime.sleep(1.5)")
+    """A plugin that takes long to import is imported once by each process, outside of every limit.
+
+    A file that it writes meanwhile is not in the user's folder.
+    """
+    slowly = "import os, time\ntime.sleep(1.5)\nopen(f'imported by {os.getpid()}', 'w').close()\n"
+    text = FAULTS.read_text().replace("from __future__ import annotations", slowly)
     slow = tmp_path / "slow_plugins.py"
     slow.write_text(text)
     from nrbench import plugins
@@ -265,6 +270,9 @@ def test_a_slow_import_takes_no_ones_time(tmp_path: Path) -> None:
     finally:
         plugins.registry._files.pop(slow.resolve())
     assert [record.status for record in found.cells] == ["ok"] * 3
+    # This process may have threads; then it imports in its working directory.
+    assert {path.name for path in Path.cwd().glob("imported by *")} <= {f"imported by {os.getpid()}"}
+    assert not list(found.root.rglob("imported by *"))
 
 
 def test_parameters_that_json_cannot_hold(tmp_path: Path) -> None:

@@ -470,7 +470,8 @@ def test_the_worker_has_one_thread(supervisors: list[Supervisor]) -> None:
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="asks the kernel of Linux")
 def test_a_worker_that_starts_ends_with_its_run(tmp_path: Path) -> None:
     """A worker that is busy in compiled code, where no signal handler runs, ends when its run is killed."""
-    (tmp_path / "slow.py").write_text("from pathlib import Path\nPath('busy').touch()\nsum(range(10**12))\n")
+    busy = tmp_path / "busy"
+    (tmp_path / "slow.py").write_text(f"from pathlib import Path\nPath({str(busy)!r}).touch()\nsum(range(10**12))\n")
     program = (
         "from pathlib import Path\nfrom nrbench.plugins import registry\n"
         "from nrbench.running.supervisor import Supervisor\n"
@@ -479,7 +480,7 @@ def test_a_worker_that_starts_ends_with_its_run(tmp_path: Path) -> None:
     )
     running = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path)
     deadline = time.monotonic() + 60
-    while running.poll() is None and not (tmp_path / "busy").exists():
+    while running.poll() is None and not busy.exists():
         assert time.monotonic() < deadline
         time.sleep(0.02)
     children = psutil.Process(running.pid).children(recursive=True)
