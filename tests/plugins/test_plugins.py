@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import nrbench
 from nrbench import api, plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.parameters import nearest, parse_spec, prepare_conversion, validated
+from nrbench.storage import user_path
 
 
 @pytest.mark.parametrize("kind", plugins.FORMS)
@@ -179,6 +180,30 @@ def test_one_item_is_a_list_of_one() -> None:
     assert (grid.methods, grid.textures) == (("rsgf",), ("a", "b"))
     with pytest.raises(BadInput, match="valid number"):
         plugins.build("reports", "figure", {"width": "wide"})
+
+
+@dataclass(frozen=True)
+class Places:
+    """A plugin whose parameters are paths, as docs/plugins.md lists them, and a text."""
+
+    one: Path = Path()
+    maybe: Path | None = None
+    several: tuple[Path, ...] = ()
+    listed: list[Path] = field(default_factory=list)
+    text: str = ""
+
+
+@pytest.mark.parametrize(("folder", "file"), [(None, Path("a.txt")), (Path("/home/me"), Path("/home/me/a.txt"))])
+def test_paths_start_from_the_folder_of_the_user(
+    folder: Path | None, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once a process has left the user's folder, every parameter that is a path is absolute; texts are unchanged."""
+    monkeypatch.setattr("nrbench.storage._user_folder", folder)
+    given = {"one": "a.txt", "maybe": "a.txt", "several": "a.txt,/b", "listed": ["a.txt"], "text": "a.txt"}
+    found = validated(Places, given, "method places")
+    assert found == Places(file, file, (file, Path("/b")), [file], "a.txt")
+    assert user_path(found.text) == file
+    assert validated(Places, {"maybe": "none"}, "method places").maybe is None
 
 
 @dataclass(frozen=True)
