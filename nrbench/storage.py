@@ -70,10 +70,10 @@ def outside_user_folder() -> Iterator[None]:
     several threads, because the working directory is the same for all of them.
     """
     global _user_folder
-    user_folder = _working_directory()
-    if user_folder is None or _user_folder is not None or threading.active_count() > 1:
+    if _user_folder is not None or threading.active_count() > 1:
         yield
         return
+    user_folder = Path(working_folder())
     entries = {place: entry for entry, place in _relative_places(user_folder).items()}
     with temporary_folder() as folder:
         leave_user_folder(user_folder, folder / "work")
@@ -91,12 +91,12 @@ def _relative_places(user_folder: Path) -> dict[str, str]:
     return {entry: str(user_folder / entry) for entry in entries}
 
 
-def _working_directory() -> Path | None:
-    """Return the working directory of this process; None if it does not exist any more."""
+def working_folder() -> str:
+    """Return the working directory of this process; that of temporary files if it does not exist any more."""
     try:
-        return Path.cwd()
-    except FileNotFoundError:
-        return None
+        return str(Path.cwd())
+    except FileNotFoundError:  # somebody has removed it
+        return tempfile.gettempdir()
 
 
 def user_path(path: str | Path) -> Path:

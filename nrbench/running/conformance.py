@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import tempfile
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, redirect_stderr
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from nrbench.running.runner import Options, execute
 from nrbench.running.supervisor import RequestRunner, Supervisor
 from nrbench.running.worker import Request
 from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import write_json
+from nrbench.storage import temporary_folder, write_json
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import validated_suite
 
@@ -84,7 +83,7 @@ def check_plugin(
     plugins.build(kind, name, parameters or {})
     clauses = _chosen(kind, only)
     with ExitStack() as stack:
-        place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="nrbench-", ignore_cleanup_errors=True)))
+        place = stack.enter_context(temporary_folder())
         run = _make_run(place / "run") if kind == "reports" else ""
         fresh = None if runner else stack.enter_context(Supervisor(forks=False))
         first = runner or stack.enter_context(Supervisor())

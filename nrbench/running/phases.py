@@ -252,9 +252,8 @@ def score(folder: Path, metrics: Iterable[str], send: Send) -> None:
     """
     where, metrics = CellFolder(folder), list(metrics)
     cell = _read_cell(where)
-    own = [plugins.find("metrics", metric).own for metric in metrics]
-    own += [plugins.find("datasets", cell.recipe.dataset).own] if cell.procedural else []
-    observation = observe(where, cell, keep=all(own))
+    named = [("datasets", cell.recipe.dataset), *(("metrics", metric) for metric in metrics)]
+    observation = observe(where, cell, keep=all(_is_own(kind, name) for kind, name in named))
     for metric in metrics:
         try:
             write_score(where, metric, score_observation(observation, metric))
@@ -265,6 +264,13 @@ def score(folder: Path, metrics: Iterable[str], send: Send) -> None:
             traceback.print_exc()
             where.write_failed_score(metric, failure_reason(error))
         send({"scored": metric})
+
+
+def _is_own(kind: str, name: str) -> bool:
+    try:
+        return plugins.find(kind, name).own
+    except BadInput:  # it is unknown or does not load
+        return False
 
 
 def write_score(where: CellFolder, metric: str, score: Score) -> None:
@@ -329,8 +335,8 @@ def observe(where: CellFolder, cell: Cell, keep: bool = False) -> Observation:
     where, cell
         The cell.
     keep
-        Whether the truth is kept for the next cell of the same sample, where a model draws it. Code of others, which
-        might change it, may then neither draw nor score it.
+        Whether a texture that a model draws is kept for the next cell of the same sample. Its dataset and all metrics
+        must then be nrbench's, because others might change it.
     """
     sample, result = _frozen(read_image(where.sample)), where.result() or Result()
     cut = where.cut_files(result)

@@ -26,9 +26,9 @@ from nrbench import plugins
 from nrbench.errors import describe_error, storage_fault
 from nrbench.running import guard
 from nrbench.running.guard import Message
-from nrbench.running.worker import Reply, Request, perform, working_folder
+from nrbench.running.worker import Reply, Request, perform
 from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import temporary_folder
+from nrbench.storage import temporary_folder, working_folder
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",

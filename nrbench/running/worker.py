@@ -36,7 +36,7 @@ from nrbench.plugins.parameters import prepare_conversion
 from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import leave_user_folder, read_json
+from nrbench.storage import leave_user_folder, read_json, working_folder
 
 PATIENCE = 0.02
 """Seconds that a worker waits for the next request before it tidies up after the last one."""
@@ -51,14 +51,6 @@ DEFERRED = (
     *("encodings.ascii", "pydantic.type_adapter"),
 )
 """Modules that libraries import on first use. A worker imports them before it forks, not each of its children."""
-
-
-def working_folder() -> str:
-    """Return the working directory of this process; that of temporary files if it does not exist any more."""
-    try:
-        return str(Path.cwd())
-    except FileNotFoundError:  # somebody has removed it
-        return tempfile.gettempdir()
 
 
 @dataclass(frozen=True)
@@ -335,7 +327,8 @@ class ForkServer:
 
     def prepare(self) -> None:
         """Fork the child of the next request, if there is none yet."""
-        self._spare = self._spare or _fork(_run_one)
+        with contextlib.suppress(OSError):  # what the last request left running may take all that a fork needs
+            self._spare = self._spare or _fork(_run_one)
 
     def tidy(self) -> None:
         """End the child whose request is finished, kill what it left running, and remove its temporary files."""
@@ -430,7 +423,13 @@ def _send_request(child: Child, request: Request) -> None:
 def _fork(run: Callable[[], None]) -> Child:
     """Fork a child that calls a function and leaves. Its standard input is the pipe of requests."""
     (messages, theirs), (requests_end, requests) = os.pipe(), os.pipe()
-    parent, pid = os.getpid(), os.fork()
+    parent = os.getpid()
+    try:
+        pid = os.fork()
+    except OSError:
+        for end in (messages, theirs, requests_end, requests):
+            os.close(end)
+        raise
     if pid == 0:
         code = 70
         try:

@@ -345,17 +345,16 @@ class Odd:
 class Escaper:
     """Leave a process of its own session behind, and a forged message in every open file."""
 
-    mark: str = "mark"
     uses_lattice: ClassVar[bool] = False
 
     def synthesize(self, task: Task) -> Synthesis:
         """Start it, write rubbish, and answer well."""
-        if os.fork() == 0:
+        child = os.fork()
+        if child == 0:
             os.setsid()
-            time.sleep(3)
-            with open(self.mark, "w") as late:  # noqa: PTH123
-                late.write("alive")
+            time.sleep(600)
             os._exit(0)
+        print(f"child {child}", flush=True)
         for handle in range(3, 64):
             with contextlib.suppress(OSError):
                 os.write(handle, b"[1]\n{\n")
@@ -410,16 +409,15 @@ class Boaster:
 class Spawner:
     """Start a process that would outlive the cell, and loop for ever."""
 
-    mark: str = "mark"
     uses_lattice: ClassVar[bool] = False
 
     def synthesize(self, task: Task) -> Synthesis:
-        """Fork a process that writes a file later, and loop."""
-        if os.fork() == 0:
-            time.sleep(4)
-            with open(self.mark, "w") as late:  # noqa: PTH123
-                late.write("alive")
+        """Fork a process that sleeps, and loop."""
+        child = os.fork()
+        if child == 0:
+            time.sleep(600)
             os._exit(0)
+        print(f"child {child}", flush=True)
         while True:
             time.sleep(0.01)
 
