@@ -584,13 +584,20 @@ def test_a_fresh_interpreter_imports_plugins_before_its_limits_hold(tmp_path: Pa
 
 @pytest.mark.usefixtures("faulty")
 def test_a_worker_that_dies_is_replaced(supervisors: list[Supervisor], tmp_path: Path) -> None:
-    """After its worker is killed a supervisor reports one crash, then goes on with a new worker."""
+    """After its worker is killed a supervisor reports one crash, then goes on with a new worker.
+
+    The scorer and the child that waits for the next request end with their worker.
+    """
     supervisor = supervisors[0]
     cell = run(small_suite(["oracle"]), out=tmp_path / "run", options=Options(jobs=0)).cells[0]
     request = Request("score", str(cell.folder), seconds=20, mib=500, metrics=("cost",))
     assert supervisor.run(request).scored == ("cost",)
     assert supervisor._worker is not None
+    worker = psutil.Process(supervisor._worker.pid)
+    wait_until(lambda: len(worker.children()) == 2)
+    children = worker.children()
     supervisor._worker.kill()
     supervisor._worker.wait()
+    assert not psutil.wait_procs(children, timeout=5)[1]
     assert supervisor.run(request).result["status"] == "crash"
     assert supervisor.run(request).scored == ("cost",)
