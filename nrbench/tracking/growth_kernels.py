@@ -204,7 +204,7 @@ def grow_knots(
     farthest: float,
     least_seen: float,
 ) -> None:
-    """Find the places of all knots that are connected with a seed, the most surrounded knot first.
+    """Find the places of all knots that are connected with a seed, or with known ones, the most surrounded knot first.
 
     Each knot is predicted by the places and affine maps of the known knots around it, then registered. It is known if
     it is correlated enough and near the prediction. In each further round every knot is registered again, with all
@@ -224,11 +224,11 @@ def grow_knots(
     points
         ``(rows, columns, 2)``: the knots on the plane of the lattice, (x, y) px.
     states
-        ``(rows, columns, 6)``: the seed's state; filled with those of the others.
+        ``(rows, columns, 6)``: the states of the seed and of known knots; filled with those of the others.
     correlations
-        ``(rows, columns)``: filled with the correlation of each known knot, 0 of the others.
+        ``(rows, columns)``: those of knots that are known already, 0 of the others; filled with those found.
     seed
-        Row and column.
+        Row and column; negative if there are known knots instead.
     prior
         See :func:`register`.
     levels
@@ -244,15 +244,18 @@ def grow_knots(
     tried, listed = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
     state, best, predicted, start = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
     first_y, first_x = seed[0], seed[1]
-    correlations[first_y, first_x] = 1e-3
+    seeded = first_y >= 0
+    if seeded:
+        correlations[first_y, first_x] = 1e-3
     # The front holds a knot again whenever its rank has grown; what is popped later is old.
     front = [(0.0, 0)]
     for sweep in range(len(levels)):
         level = levels[sweep]
-        # The seed in the first round; then all known knots and those around them.
+        # A seed alone in its round; else all known knots and those around them.
         tried[:] = False
         listed[:] = False
-        around = 0 if sweep == 0 else 1
+        first = seeded and sweep == 0
+        around = 0 if first else 1
         for y in range(height):
             for x in range(width):
                 if correlations[y, x] > 0:
@@ -271,7 +274,7 @@ def grow_knots(
             if tried[y, x]:
                 continue
             tried[y, x] = True
-            is_seed = sweep == 0 and y == first_y and x == first_x
+            is_seed = first and y == first_y and x == first_x
             total = 0.0
             predicted[:] = 0
             for b in range(max(y - 2, 0), min(y + 3, height)):
@@ -294,7 +297,7 @@ def grow_knots(
                 continue
             known = correlations[y, x] > 0
             k = phases[y, x]
-            state[:] = states[y, x] if sweep > 0 and known else predicted
+            state[:] = states[y, x] if known and not first else predicted
             value = register(
                 image,
                 templates[k],
