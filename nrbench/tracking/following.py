@@ -33,13 +33,15 @@ _GOOD = 0.6
 """Covered share of the image times mean correlation from which no further start is tried."""
 _FIRST_SHARE = 0.65
 """Correlation, over the median of the first way, from which a knot is known on the second one."""
-_LEVELS = (0.95, 0.85, 0.75, 0.65, 0.5)
+_LEVELS = (0.95, 0.85, 0.75, 0.65)
 """Correlation, over the median of the round before, from which a knot is known, in each round of the growth."""
 _LEAST_KNOTS = 8
 _MOST_ROUNDS = 5
 """Number of times, at most, that all knots are found again with a new mean tile."""
 _MOST_RENUMBERED = 3
 """Number of times, at most, that parts of a followed lattice are numbered again."""
+_KEPT = 0.99
+"""Share of the similarity that they must keep."""
 _SIZE_EXPONENT = 0.06
 """As in the detector ``consensus``."""
 _GAIN = 0.01
@@ -239,16 +241,18 @@ def _renumbered(image: Values, knots: Knots) -> Knots:
     """Return knots without parts that are whole vectors off.
 
     The lattice is followed on from the renumbered parts, with the mean tile of these parts alone. The result counts if
-    it fits the image better: then the fault was none of the image.
+    no part of it is off, or if it fits the image better.
     """
+    parts = renumber(knots)
     for _ in range(_MOST_RENUMBERED):
-        parts = renumber(knots)
         if parts is None:
             break
         tile = _restart(image, parts, parts.mean_lattice()).tile
         median = float(np.median(parts.correlation[parts.known]))
         found = grow_on(image, tile, parts, tuple(one * median for one in _LEVELS))
-        if similarity(found, image.shape[:2]) <= similarity(knots, image.shape[:2]):
+        before, after = (similarity(one, image.shape[:2]) for one in (knots, found))
+        parts = renumber(found)
+        if after <= before * (_KEPT if parts is None else 1):
             break
         knots = found
     return knots

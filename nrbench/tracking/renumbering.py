@@ -9,6 +9,7 @@ mean tile does not fit the image.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import scipy
@@ -19,8 +20,10 @@ from nrbench.tracking.growth import Knots
 
 __all__ = ["renumber", "similarity"]
 
-_FAULTLESS = 0.95
+_FAULTLESS: Final = 0.95
 """Correlation, over the median, of knots that do not lie in a fault."""
+_TORN = 0.12
+"""Distance, in s, between the places of neighbors and those that their slopes predict, above which they do."""
 _LEAST_PART = 5
 """Least number of knots of a part."""
 _NEAR = 2.0
@@ -101,8 +104,23 @@ def similarity(knots: Knots, shape: tuple[int, int]) -> float:
 def _parts(knots: Knots) -> tuple[NDArray[np.int64], int]:
     """Return the part of each knot, from 1 on, 0 if it may lie in a fault, and the number of parts."""
     level = _FAULTLESS * float(np.median(knots.correlation[knots.known]))
-    labels, number = scipy.ndimage.label(knots.correlation >= level, np.ones((3, 3)))
+    labels, number = scipy.ndimage.label((knots.correlation >= level) & ~_torn(knots), np.ones((3, 3)))
     return np.asarray(labels, np.int64), int(number)
+
+
+def _torn(knots: Knots) -> NDArray[np.bool_]:
+    """Return which knots lie elsewhere than their slopes and those of a neighbor on the grid say."""
+    torn = np.zeros(knots.known.shape, np.bool_)
+    lattice = knots.mean_lattice()
+    for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        both = knots.known[one] & knots.known[other]
+        slopes = (knots.slopes[one][both] + knots.slopes[other][both]) / 2
+        apart = (knots.places[other][both] - knots.places[one][both])[..., np.newaxis]
+        off = np.linalg.solve(slopes, apart)[..., 0] - (knots.cells[other][both] - knots.cells[one][both])
+        far = np.hypot(*(off @ lattice.matrix).T) > _TORN * lattice.s
+        torn[one][both] |= far
+        torn[other][both] |= far
+    return torn
 
 
 def _most_voted(votes: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[np.int64]:
