@@ -313,8 +313,8 @@ def grow_knots(
                 least_seen,
                 8,
             )
-            if -1 < value < level + 0.1:
-                # The registration may have stopped beside its maximum: it starts from other places nearby.
+            if -1 < value < level:
+                # The registration may have stopped beside its maximum. It starts from other places nearby.
                 best[:] = state
                 highest = value
                 for corner in range(4):
