@@ -245,8 +245,7 @@ def grow_knots(
     state, best, predicted, start = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
     first_y, first_x = seed[0], seed[1]
     seeded = first_y >= 0
-    if seeded:
-        correlations[first_y, first_x] = 1e-3
+    origin = states[max(first_y, 0), max(first_x, 0)].copy()
     # The front holds a knot again whenever its rank has grown; what is popped later is old.
     front = [(0.0, 0)]
     for sweep in range(len(levels)):
@@ -254,7 +253,11 @@ def grow_knots(
         # A seed alone in its round; else all known knots and those around them.
         tried[:] = False
         listed[:] = False
-        first = seeded and sweep == 0
+        # A seed that is not correlated enough for a level is tried again at the next one.
+        first = seeded and not (correlations > 0).any()
+        if first:
+            correlations[first_y, first_x] = 1e-3
+            states[first_y, first_x] = origin
         around = 0 if first else 1
         for y in range(height):
             for x in range(width):
