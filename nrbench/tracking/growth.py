@@ -26,6 +26,8 @@ _WIDTH, _TRUNCATED = 1.2, 1.9
 """Width in tiles of the window of a knot, and its radius in standard deviations."""
 _MOST_SAMPLES = 450
 """Most points of a window that are read."""
+_MARGIN = 0.0
+"""Correlation above the level below which a knot is searched for in other places nearby."""
 _ROOM = 2.2
 """Diameter of the plane that knots may cover, over the image's diagonal."""
 _FARTHEST = 0.3
@@ -259,6 +261,7 @@ class Window:
         correlation: NDArray[np.float64],
         seed: NDArray[np.int64],
         levels: tuple[float, ...],
+        margin: float,
     ) -> None:
         """Find the places of knots, see :func:`~.growth_kernels.grow_knots`."""
         grow_knots(
@@ -277,6 +280,7 @@ class Window:
             self._prior,
             np.array(levels, np.float64),
             _FARTHEST * self.s,
+            margin,
             _LEAST_SEEN,
         )
 
@@ -370,7 +374,22 @@ def _grow(
     # Only differences of the points count. Small ones are exact.
     middle = np.array([columns // 2, rows // 2])
     numbers = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1) - middle
-    window.grow(image, b[:, np.newaxis] * periods[0] + a, (numbers / parts) @ matrix, states, correlation, seed, levels)
+    origins, known = states.copy(), correlation.copy()
+    # Where the seed is not correlated enough for the first level, it is tried at the next one.
+    for number in range(len(levels)):
+        states[:], correlation[:] = origins, known
+        window.grow(
+            image,
+            b[:, np.newaxis] * periods[0] + a,
+            (numbers / parts) @ matrix,
+            states,
+            correlation,
+            seed,
+            levels[number:],
+            _MARGIN,
+        )
+        if correlation.any():
+            break
     found = np.argwhere(correlation > 0)
     (top, left), (bottom, right) = (found.min(0), found.max(0) + 1) if len(found) else (middle[::-1], middle[::-1] + 1)
     box = np.s_[top:bottom, left:right]

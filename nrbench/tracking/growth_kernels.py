@@ -184,7 +184,7 @@ def register(
 @kernel(
     "void(float32[:, :, ::1], float32[:, :, ::1], float32[:, :, :, ::1], float64[:, :, ::1], float64[:, :, ::1],"
     " int64[:, ::1], float64[:, ::1], float64[::1], float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1],"
-    " int64[::1], float64[::1], float64[::1], float64, float64)"
+    " int64[::1], float64[::1], float64[::1], float64, float64, float64)"
 )
 def grow_knots(
     image: NDArray[np.float32],
@@ -202,6 +202,7 @@ def grow_knots(
     prior: NDArray[np.float64],
     levels: NDArray[np.float64],
     farthest: float,
+    margin: float,
     least_seen: float,
 ) -> None:
     """Find the places of all knots that are connected with a seed, or with known ones, the most surrounded knot first.
@@ -235,6 +236,8 @@ def grow_knots(
         ``(r,)``: correlation from which a knot is known, in each round.
     farthest
         Largest distance, px on the plane, of a known knot from its prediction.
+    margin
+        Correlation above the level below which a knot is searched for in other places nearby.
     least_seen
         See :func:`register`.
     """
@@ -245,7 +248,8 @@ def grow_knots(
     state, best, predicted, start = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
     first_y, first_x = seed[0], seed[1]
     seeded = first_y >= 0
-    origin = states[max(first_y, 0), max(first_x, 0)].copy()
+    if seeded:
+        correlations[first_y, first_x] = 1e-3
     # The front holds a knot again whenever its rank has grown; what is popped later is old.
     front = [(0.0, 0)]
     for sweep in range(len(levels)):
@@ -253,11 +257,7 @@ def grow_knots(
         # A seed alone in its round; else all known knots and those around them.
         tried[:] = False
         listed[:] = False
-        # A seed that is not correlated enough for a level is tried again at the next one.
-        first = seeded and not (correlations > 0).any()
-        if first:
-            correlations[first_y, first_x] = 1e-3
-            states[first_y, first_x] = origin
+        first = seeded and sweep == 0
         around = 0 if first else 1
         for y in range(height):
             for x in range(width):
@@ -316,7 +316,7 @@ def grow_knots(
                 least_seen,
                 8,
             )
-            if -1 < value < level:
+            if -1 < value < level + margin:
                 # The registration may have stopped beside its maximum. It starts from other places nearby.
                 best[:] = state
                 highest = value
