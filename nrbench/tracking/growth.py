@@ -406,7 +406,7 @@ def _half_size(lattice: Lattice, parts: NDArray[np.float64], shape: tuple[int, i
     """Return the largest numbers, counted from the middle, of knots that an image may need along each vector."""
     reach = _ROOM / 2 * math.hypot(*shape)
     heights = lattice.area / np.hypot(*lattice.matrix.T)[::-1]
-    return np.ceil(reach * parts / heights).astype(np.int64)
+    return np.asarray(np.ceil(reach * parts / heights), np.int64)
 
 
 def _parts(lattice: Lattice, shape: tuple[int, int], fine: bool) -> NDArray[np.float64]:
