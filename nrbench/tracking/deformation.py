@@ -29,6 +29,8 @@ HOMOGRAPHY_REST: Final = 0.35
 homography."""
 _AFFINE = 3
 """Parameters of an affine map for each axis."""
+_STEPS = (1, 2, 4, 8, 16, 32)
+"""Distances between knots, in quarters of a vector."""
 _LEAST_NEIGHBORS = 12
 """Least number of pairs of neighbors along each vector."""
 
@@ -92,29 +94,30 @@ class Deformation:
 
     @cached_property
     def smoothness(self) -> float:
-        """Correlation of the displacements of knots about s apart, along the vector along which they correlate least.
+        """Correlation of the displacements of knots s apart, along the vector along which they correlate least.
 
         That of smooth deformations is high along all vectors. Elements that move on their own have neighbors that move
-        otherwise along at least one vector.
+        otherwise along at least one vector. It is interpolated between the nearest distances of knots.
         """
         index = {tuple(cell): n for n, cell in enumerate(np.round(4 * self.cells).astype(int).tolist())}
         power = float((self.field**2).sum(1).mean())
         if power == 0:
             return 0.0
         found = []
-        lengths = np.hypot(*self.lattice.matrix.T)
-        for axis in (0, 1):
-            for step in _steps_near(float(self.lattice.s / lengths[axis])):
+        for axis, length in enumerate(np.hypot(*self.lattice.matrix.T)):
+            lags, correlations = [], []
+            for step in _STEPS:
                 lag = np.zeros(2, int)
                 lag[axis] = step
                 pairs = [(n, index.get((u + lag[0], v + lag[1]))) for (u, v), n in index.items()]
                 ends = np.array([pair for pair in pairs if pair[1] is not None], int).reshape(-1, 2)
                 if len(ends) >= _LEAST_NEIGHBORS:
                     products = (self.field[ends[:, 0]] * self.field[ends[:, 1]]).sum(1).mean()
-                    found.append(float(products) / power)
-                    break
-            else:
+                    lags.append(math.log(step / 4 * length / self.lattice.s))
+                    correlations.append(float(products) / power)
+            if not lags:
                 return 0.0
+            found.append(float(np.interp(0.0, lags, correlations)))
         return min(found)
 
     @property
@@ -195,8 +198,3 @@ class Deformation:
             "covered": self.covered,
             "homography": None if self.homography is None else self.homography.tolist(),
         }
-
-
-def _steps_near(step: float) -> list[int]:
-    """Return the steps between knots, in quarters of a vector, that are nearest to ``step`` vectors, nearest first."""
-    return sorted((1, 2, 4, 8, 16, 32), key=lambda quarters: abs(math.log(quarters / (4 * step))))

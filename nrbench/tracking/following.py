@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image, shrink
 from nrbench.imaging.fold import Values, fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.growth import Knots, Start, grow_from
+from nrbench.tracking.growth import Knots, Start, grow_from, grow_on
+from nrbench.tracking.renumbering import renumber, similarity
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
 __all__ = ["follow_lattice", "follow_on", "merit", "probe", "score", "straighten_pixels"]
@@ -30,11 +31,17 @@ _FIRST_LEVEL = 0.55
 """Correlation from which a knot is known, while the tile is that of a few cells."""
 _GOOD = 0.6
 """Covered share of the image times mean correlation from which no further start is tried."""
-_LEVELS = (0.75, 0.65, 0.5)
+_FIRST_SHARE = 0.65
+"""Correlation, over the median of the first way, from which a knot is known on the second one."""
+_LEVELS = (0.95, 0.85, 0.75, 0.65)
 """Correlation, over the median of the round before, from which a knot is known, in each round of the growth."""
 _LEAST_KNOTS = 8
 _MOST_ROUNDS = 5
 """Number of times, at most, that all knots are found again with a new mean tile."""
+_MOST_RENUMBERED = 3
+"""Number of times, at most, that parts of a followed lattice are numbered again."""
+_KEPT = 0.99
+"""Share of the similarity that they must keep."""
 _SIZE_EXPONENT = 0.06
 """As in the detector ``consensus``."""
 _GAIN = 0.01
@@ -77,13 +84,14 @@ def follow_lattice(image: Image, lattice: Lattice, near: Points | None = None) -
             return None
         start = _restart(small, best, best.mean_lattice())
         median = float(np.median(best.correlation[best.known]))
-        levels = _LEVELS if number else _LEVELS[1:2]
+        levels = _LEVELS if number else (_FIRST_SHARE,)
         found = grow_from(small, start, tuple(one * median for one in levels), fine=number > 0)
         worth = score(found, small)
         if number > 1 and worth < highest + _GAIN:
             best = found if worth > highest else best
             break
         best, highest = found, worth
+    best = _renumbered(small, best)
     return best.resized(factor) if best.known.sum() >= _LEAST_KNOTS else None
 
 
@@ -123,7 +131,7 @@ def follow_on(image: Image, knots: Knots, basis: Points) -> Knots | None:
     change = lattice.matrix @ np.linalg.inv(mean.matrix)
     start = _restart(small, first, first.mean_lattice(), change)
     median = float(np.median(knots.correlation[knots.known]))
-    found = grow_from(small, start, tuple(one * median for one in _LEVELS))
+    found = _renumbered(small, grow_from(small, start, tuple(one * median for one in _LEVELS)))
     return found.resized(factor) if found.known.sum() >= _LEAST_KNOTS else None
 
 
@@ -227,6 +235,27 @@ def _restart(image: Values, knots: Knots, lattice: Lattice, change: Points | Non
     at = np.unravel_index(np.argmax(np.where(knots.known, surroundings, -1)), knots.known.shape)
     cell = knots.cells[at] @ np.linalg.inv(change)
     return Start(tile, cell, knots.places[at], knots.slopes[at] @ change.T)
+
+
+def _renumbered(image: Values, knots: Knots) -> Knots:
+    """Return knots without parts that are whole vectors off.
+
+    The lattice is followed on from the renumbered parts, with the mean tile of these parts alone. The result counts if
+    no part of it is off, or if it fits the image better.
+    """
+    parts = renumber(knots)
+    for _ in range(_MOST_RENUMBERED):
+        if parts is None:
+            break
+        tile = _restart(image, parts, parts.mean_lattice()).tile
+        median = float(np.median(parts.correlation[parts.known]))
+        found = grow_on(image, tile, parts, tuple(one * median for one in _LEVELS))
+        before, after = (similarity(one, image.shape[:2]) for one in (knots, found))
+        parts = renumber(found)
+        if after <= before * (_KEPT if parts is None else 1):
+            break
+        knots = found
+    return knots
 
 
 def straighten_pixels(image: Values, knots: Knots, lattice: Lattice) -> tuple[Values, Points, NDArray[np.bool_]]:

@@ -16,7 +16,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.growth_kernels import grow_knots, register
 from nrbench.tracking.tracker import cell_covariance
 
-__all__ = ["Knots", "Start", "grow_from"]
+__all__ = ["Knots", "Start", "grow_from", "grow_on"]
 
 PARTS: Final = 2
 """Parts into which each step of about s is divided by knots, if they are fine."""
@@ -26,6 +26,8 @@ _WIDTH, _TRUNCATED = 1.2, 1.9
 """Width in tiles of the window of a knot, and its radius in standard deviations."""
 _MOST_SAMPLES = 450
 """Most points of a window that are read."""
+_MARGIN = 0.0
+"""Correlation above the level below which a knot is searched for in other places nearby."""
 _ROOM = 2.2
 """Diameter of the plane that knots may cover, over the image's diagonal."""
 _FARTHEST = 0.3
@@ -259,6 +261,7 @@ class Window:
         correlation: NDArray[np.float64],
         seed: NDArray[np.int64],
         levels: tuple[float, ...],
+        margin: float,
     ) -> None:
         """Find the places of knots, see :func:`~.growth_kernels.grow_knots`."""
         grow_knots(
@@ -277,6 +280,7 @@ class Window:
             self._prior,
             np.array(levels, np.float64),
             _FARTHEST * self.s,
+            margin,
             _LEAST_SEEN,
         )
 
@@ -302,14 +306,58 @@ def grow_from(image: Values, start: Start, levels: tuple[float, ...], fine: bool
     fine
         Whether knots lie about s / 2 apart, else s.
     """
-    tile, s = start.tile, start.tile.lattice.s
-    matrix = tile.lattice.matrix
-    parts = _parts(tile.lattice, image.shape[:2], fine)
-    reach = _ROOM / 2 * math.hypot(*image.shape[:2])
-    heights = tile.lattice.area / np.hypot(*matrix.T)[::-1]
-    half = np.ceil(reach * parts / heights).astype(np.int64)
+    matrix = start.tile.lattice.matrix
+    parts = _parts(start.tile.lattice, image.shape[:2], fine)
+    half = _half_size(start.tile.lattice, parts, image.shape[:2])
     seed = np.rint(start.cell * parts).astype(np.int64)
     columns, rows = 2 * half + 1
+    states, correlation = np.zeros((rows, columns, 6)), np.zeros((rows, columns))
+    distortion = np.linalg.solve(matrix, start.slopes.T).T
+    # The seed is a knot near the start.
+    place = start.place + start.slopes @ (seed / parts - start.cell)
+    states[half[1], half[0]] = *place, *distortion.ravel()
+    return _grow(image, start.tile, parts, seed - half, states, correlation, half[::-1], levels)
+
+
+def grow_on(image: Values, tile: Tile, knots: Knots, levels: tuple[float, ...]) -> Knots:
+    """Follow a lattice outward from known knots, and into the gaps between them, and return the knots that were found.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    tile
+        The mean tile; the origin of its lattice does not matter.
+    knots
+        The known knots. They are registered again in each round.
+    levels
+        As for :func:`grow_from`.
+    """
+    parts = np.array(knots.parts)
+    margin = _half_size(tile.lattice, parts, image.shape[:2]) // 2
+    frame = ((margin[1], margin[1]), (margin[0], margin[0]))
+    distortion = knots.slopes @ np.linalg.inv(tile.lattice.matrix.T)
+    states = np.concatenate([knots.places, distortion.reshape(*knots.known.shape, 4)], -1)
+    states = np.pad(np.where(knots.known[..., np.newaxis], states, 0.0), (*frame, (0, 0)))
+    nowhere = np.array([-1, -1])
+    return _grow(
+        image, tile, parts, np.array(knots.first) - margin, states, np.pad(knots.correlation, frame), nowhere, levels
+    )
+
+
+def _grow(
+    image: Values,
+    tile: Tile,
+    parts: NDArray[np.float64],
+    first: NDArray[np.int64],
+    states: Points,
+    correlation: NDArray[np.float64],
+    seed: NDArray[np.int64],
+    levels: tuple[float, ...],
+) -> Knots:
+    """Find the places of knots on a grid whose first one has the numbers ``first``, see :meth:`Window.grow`."""
+    matrix = tile.lattice.matrix
+    rows, columns = correlation.shape
     offsets, weights = _window(tile.lattice)
     periods = np.maximum(parts, 1).astype(np.int64)
     u, v = np.meshgrid(*(np.arange(n) / n for n in periods))
@@ -321,27 +369,44 @@ def grow_from(image: Values, start: Start, levels: tuple[float, ...], fine: bool
 
     half_pixel = np.float32(0.5)
     slopes = half_pixel * (read(1, 0) - read(-1, 0)), half_pixel * (read(0, 1) - read(0, -1))
-    window = Window.of(offsets, weights, (read(0, 0), *slopes), s)
-    a, b = ((np.arange(n) + one) % period for n, one, period in zip((columns, rows), seed - half, periods, strict=True))
-    numbers = np.stack(np.meshgrid(np.arange(columns) - half[0], np.arange(rows) - half[1]), -1)
-    states, correlation = np.zeros((rows, columns, 6)), np.zeros((rows, columns))
-    distortion = np.linalg.solve(matrix, start.slopes.T).T
-    # The seed is a knot near the start.
-    place = start.place + start.slopes @ (seed / parts - start.cell)
-    states[half[1], half[0]] = *place, *distortion.ravel()
-    window.grow(
-        image, b[:, np.newaxis] * periods[0] + a, (numbers / parts) @ matrix, states, correlation, half[::-1], levels
-    )
+    window = Window.of(offsets, weights, (read(0, 0), *slopes), tile.lattice.s)
+    a, b = ((np.arange(n) + one) % period for n, one, period in zip((columns, rows), first, periods, strict=True))
+    # Only differences of the points count. Small ones are exact.
+    middle = np.array([columns // 2, rows // 2])
+    numbers = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1) - middle
+    origins, known = states.copy(), correlation.copy()
+    # Where the seed is not correlated enough for the first level, it is tried at the next one.
+    for number in range(len(levels)):
+        states[:], correlation[:] = origins, known
+        window.grow(
+            image,
+            b[:, np.newaxis] * periods[0] + a,
+            (numbers / parts) @ matrix,
+            states,
+            correlation,
+            seed,
+            levels[number:],
+            _MARGIN,
+        )
+        if correlation.any():
+            break
     found = np.argwhere(correlation > 0)
-    (top, left), (bottom, right) = (found.min(0), found.max(0) + 1) if len(found) else (half[::-1], half[::-1] + 1)
+    (top, left), (bottom, right) = (found.min(0), found.max(0) + 1) if len(found) else (middle[::-1], middle[::-1] + 1)
     box = np.s_[top:bottom, left:right]
     return Knots(
         (float(parts[0]), float(parts[1])),
-        (int(seed[0] - half[0] + left), int(seed[1] - half[1] + top)),
+        (int(first[0] + left), int(first[1] + top)),
         states[..., :2][box],
         states[..., 2:].reshape(rows, columns, 2, 2)[box] @ matrix.T,
         correlation[box],
     )
+
+
+def _half_size(lattice: Lattice, parts: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.int64]:
+    """Return the largest numbers, counted from the middle, of knots that an image may need along each vector."""
+    reach = _ROOM / 2 * math.hypot(*shape)
+    heights = lattice.area / np.hypot(*lattice.matrix.T)[::-1]
+    return np.asarray(np.ceil(reach * parts / heights), np.int64)
 
 
 def _parts(lattice: Lattice, shape: tuple[int, int], fine: bool) -> NDArray[np.float64]:

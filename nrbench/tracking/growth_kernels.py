@@ -184,7 +184,7 @@ def register(
 @kernel(
     "void(float32[:, :, ::1], float32[:, :, ::1], float32[:, :, :, ::1], float64[:, :, ::1], float64[:, :, ::1],"
     " int64[:, ::1], float64[:, ::1], float64[::1], float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1],"
-    " int64[::1], float64[::1], float64[::1], float64, float64)"
+    " int64[::1], float64[::1], float64[::1], float64, float64, float64)"
 )
 def grow_knots(
     image: NDArray[np.float32],
@@ -202,9 +202,10 @@ def grow_knots(
     prior: NDArray[np.float64],
     levels: NDArray[np.float64],
     farthest: float,
+    margin: float,
     least_seen: float,
 ) -> None:
-    """Find the places of all knots that are connected with a seed, the most surrounded knot first.
+    """Find the places of all knots that are connected with a seed, or with known ones, the most surrounded knot first.
 
     Each knot is predicted by the places and affine maps of the known knots around it, then registered. It is known if
     it is correlated enough and near the prediction. In each further round every knot is registered again, with all
@@ -224,17 +225,19 @@ def grow_knots(
     points
         ``(rows, columns, 2)``: the knots on the plane of the lattice, (x, y) px.
     states
-        ``(rows, columns, 6)``: the seed's state; filled with those of the others.
+        ``(rows, columns, 6)``: the states of the seed and of known knots; filled with those of the others.
     correlations
-        ``(rows, columns)``: filled with the correlation of each known knot, 0 of the others.
+        ``(rows, columns)``: those of knots that are known already, 0 of the others; filled with those found.
     seed
-        Row and column.
+        Row and column; negative if there are known knots instead.
     prior
         See :func:`register`.
     levels
         ``(r,)``: correlation from which a knot is known, in each round.
     farthest
         Largest distance, px on the plane, of a known knot from its prediction.
+    margin
+        Correlation above the level below which a knot is searched for in other places nearby.
     least_seen
         See :func:`register`.
     """
@@ -244,15 +247,18 @@ def grow_knots(
     tried, listed = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
     state, best, predicted, start = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
     first_y, first_x = seed[0], seed[1]
-    correlations[first_y, first_x] = 1e-3
+    seeded = first_y >= 0
+    if seeded:
+        correlations[first_y, first_x] = 1e-3
     # The front holds a knot again whenever its rank has grown; what is popped later is old.
     front = [(0.0, 0)]
     for sweep in range(len(levels)):
         level = levels[sweep]
-        # The seed in the first round; then all known knots and those around them.
+        # A seed alone in its round; else all known knots and those around them.
         tried[:] = False
         listed[:] = False
-        around = 0 if sweep == 0 else 1
+        first = seeded and sweep == 0
+        around = 0 if first else 1
         for y in range(height):
             for x in range(width):
                 if correlations[y, x] > 0:
@@ -271,7 +277,7 @@ def grow_knots(
             if tried[y, x]:
                 continue
             tried[y, x] = True
-            is_seed = sweep == 0 and y == first_y and x == first_x
+            is_seed = first and y == first_y and x == first_x
             total = 0.0
             predicted[:] = 0
             for b in range(max(y - 2, 0), min(y + 3, height)):
@@ -294,7 +300,7 @@ def grow_knots(
                 continue
             known = correlations[y, x] > 0
             k = phases[y, x]
-            state[:] = states[y, x] if sweep > 0 and known else predicted
+            state[:] = states[y, x] if known and not first else predicted
             value = register(
                 image,
                 templates[k],
@@ -310,8 +316,8 @@ def grow_knots(
                 least_seen,
                 8,
             )
-            if -1 < value < level + 0.1:
-                # The registration may have stopped beside its maximum: it starts from other places nearby.
+            if -1 < value < level + margin:
+                # The registration may have stopped beside its maximum. It starts from other places nearby.
                 best[:] = state
                 highest = value
                 for corner in range(4):

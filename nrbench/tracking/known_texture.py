@@ -44,6 +44,8 @@ _NEIGHBORS = 4
 """Number of knots from which the displacement of a node is interpolated."""
 _BESIDE = 1.2
 """Distance of a node from the nearest knot, over half of the diagonal between nodes, up to which it counts as found."""
+_MARGIN = 0.1
+"""Correlation above the level below which a knot is searched for in other places nearby."""
 _LEVELS = (0.85, 0.7, 0.55)
 """Correlation from which a knot is known, over that of the start, in each round of the growth."""
 
@@ -178,7 +180,7 @@ class _Following:
         states, correlation = np.zeros((*self.phases.shape, 6)), np.zeros(self.phases.shape)
         states[seed] = state[:6]
         levels = tuple(one * max(float(state[6]), _LEAST_LEVEL) for one in _LEVELS)
-        self.window.grow(self.planes, self.phases, self.points, states, correlation, np.array(seed), levels)
+        self.window.grow(self.planes, self.phases, self.points, states, correlation, np.array(seed), levels, _MARGIN)
         return np.concatenate([states, correlation[..., np.newaxis]], -1)
 
     def _starts(self) -> list[tuple[tuple[int, int], Points]]:

@@ -43,8 +43,8 @@ _COMPLETE = 0.7
 """Score of the knots of a lattice that agrees with another one, from which no third one is tried."""
 _MOST_CONFIRMED = 2
 """Number of the best followed lattices for which the detector is run again, on the straightened image."""
-_ENOUGH = 0.6
-"""Confidence times score of an answer from which no further view is used."""
+_ENOUGH, _CONFIDENT = 0.6, 0.9
+"""Confidence times score of an answer, and confidence, from which no further view is used."""
 _LEAST = 0.25
 """The same, below which the answer is not used."""
 _STILL = 0.1
@@ -120,7 +120,7 @@ def find_deformation(
             answer = _answer(image, detector, knots)
             if answer is not None and (best is None or answer.worth > best.worth):
                 best = answer
-            if best is not None and best.worth >= _ENOUGH:
+            if best is not None and best.worth >= _ENOUGH and best.detection.confidence >= _CONFIDENT:
                 return best.followed(image)
     if best is not None and best.worth >= _LEAST:
         return best.followed(image)

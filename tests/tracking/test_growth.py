@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from nrbench.datasets_procedural.hexagon import Hexagon
+from nrbench.datasets_procedural.knit import Knit
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
@@ -18,7 +19,7 @@ from nrbench.imaging.fold import fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.deformation import Deformation
 from nrbench.tracking.following import follow_lattice, follow_on, merit, probe
-from nrbench.tracking.growth import Knots, Start, grow_from
+from nrbench.tracking.growth import Knots, Start, grow_from, grow_on
 from nrbench.tracking.homography import fit_homography, map_points
 
 MODELS: dict[str, Model] = {"weave": Weave(noise=0.03), "hexagon": Hexagon(color=0.3, noise=0.03, period=21.3)}
@@ -175,6 +176,42 @@ def test_growth_needs_a_start_that_fits() -> None:
     good = grow_from(image, Start(tile, cell, middle, reduced.matrix.T), (0.6,))
     off = grow_from(image, Start(tile, cell, middle + reduced.matrix.sum(0) / 2, reduced.matrix.T), (0.95,))
     assert good.area > 0.8 * SIDE**2 and off.known.sum() < good.known.sum() / 10
+
+
+def test_a_start_that_fits_too_little_for_one_level_is_tried_at_the_next() -> None:
+    """A first level that no place reaches changes nothing."""
+    image, lattice, _ = warped(MODELS["weave"], 0.25, 9)
+    reduced = lattice.reduced()
+    middle = reduced.from_cell(np.rint(reduced.to_cell((SIDE / 2, SIDE / 2))))
+    start = Start(fold(image, reduced), reduced.to_cell(middle), middle, reduced.matrix.T)
+    one, other = (grow_from(image, start, levels, fine=False) for levels in ((0.5,), (0.9999, 0.5)))
+    assert one.known.sum() > 40 and (one.correlation == other.correlation).all()
+
+
+def test_the_lattice_is_followed_on_into_a_gap() -> None:
+    """Knots that were taken away, of any part of the image, are found again where they were."""
+    image, lattice, _ = warped(MODELS["hexagon"], 0.5, 10)
+    knots = follow_lattice(image, lattice)
+    assert knots is not None
+    rows, columns = knots.known.shape
+    i, j = np.indices((rows, columns))
+    gap = (np.abs(i - rows // 2) < rows // 5) & (np.abs(j - columns // 2) < columns // 5) | (i < 4)
+    mean = knots.mean_lattice()
+    tile = fold(interpolate(image, knots.locate(mean.to_cell(pixels()))), mean)
+    found = grow_on(image, tile, replace(knots, correlation=np.where(gap, 0.0, knots.correlation)), (0.5,))
+    before = dict(zip(map(tuple, knots.cells[knots.known & gap]), knots.places[knots.known & gap], strict=True))
+    after = dict(zip(map(tuple, found.cells[found.known]), found.places[found.known], strict=True))
+    again = [np.hypot(*(after[cell] - place)) / mean.s for cell, place in before.items() if cell in after]
+    assert len(again) > 0.8 * len(before) > 20 and np.median(again) < 0.03
+
+
+def test_a_bent_lattice_with_a_longer_vector_counts_as_bent() -> None:
+    """The vectors of a knit are 1 and 1.3 s long, where displacements of knots one vector apart hardly correlate."""
+    drawn = Knit(bend=0.5).render((224, 224), np.random.default_rng(1000))
+    assert drawn.lattice is not None
+    assert np.hypot(*drawn.lattice.reduced().t2) > 1.25 * drawn.lattice.s
+    found = deformation(quantize(drawn.image), drawn.lattice)
+    assert found.bent and found.smoothness > 0.45
 
 
 @given(st.floats(-1e-3, 1e-3), st.floats(-1e-3, 1e-3), st.floats(0.5, 2.0), st.floats(-30, 30))

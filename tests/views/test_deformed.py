@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from functools import cache
+
 import numpy as np
 import pytest
 
 import nrbench
-from nrbench.imaging.convert import quantize
+from nrbench import plugins
+from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import interpolate
+from nrbench.plugins.forms import Detection
+from nrbench.tracking.deformation import Deformation
 from nrbench.tracking.homography import map_points
+from nrbench.views.deformed import find_deformation
 
 TILT = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.2e-3, 6e-4, 1.0]])
 SIDE = 160
@@ -22,9 +29,15 @@ def tilted(seed: int, factor: int = 1) -> np.ndarray:
     return image.repeat(factor, 0).repeat(factor, 1)
 
 
+@cache
+def followed() -> Deformation:
+    """Return the lattice that is found in the first weave in perspective."""
+    return nrbench.track_lattice(tilted(0))
+
+
 def test_a_plane_in_perspective_gets_its_lattice() -> None:
     """It is a homography, and straightened the detector finds the mean lattice with high confidence."""
-    found = nrbench.track_lattice(tilted(0))
+    found = followed()
     assert found.bent and found.homography is not None and found.covered > 0.8
     straight, lattice = found.straighten()
     assert nrbench.detect_lattice(straight).lattice.is_equivalent(lattice, 0.03 * lattice.s)
@@ -32,7 +45,7 @@ def test_a_plane_in_perspective_gets_its_lattice() -> None:
 
 def test_large_elements_are_detected_in_a_smaller_image() -> None:
     """An image that is enlarged three times has a lattice three times as large."""
-    small, large = nrbench.track_lattice(tilted(0)), nrbench.track_lattice(tilted(0, 3))
+    small, large = followed(), nrbench.track_lattice(tilted(0, 3))
     assert np.abs(large.lattice.reduced().area / small.lattice.reduced().area - 9) < 0.3
     assert large.homography is not None
 
@@ -50,6 +63,29 @@ def test_a_lattice_larger_than_the_image_is_refused(lattice: tuple[tuple[float, 
     """The message says that the image is too small for it."""
     with pytest.raises(nrbench.BadInput, match="fewer than two cells"):
         nrbench.track_lattice(np.zeros((64, 64), np.uint8), lattice)
+
+
+@dataclass(frozen=True)
+class Equal:
+    """A detector whose confidence never changes, and which notes the shapes of the images that it sees."""
+
+    confidence: float
+    seen: list[tuple[int, ...]]
+
+    def detect(self, image: Image) -> Detection:
+        """Return what dominance finds."""
+        self.seen.append(image.shape[:2])
+        return replace(plugins.build("detectors", "dominance", {}).detect(image), confidence=self.confidence)
+
+
+def test_a_doubtful_answer_is_compared_with_those_of_further_views() -> None:
+    """The detector then looks at views, too; a confident one looks at the whole image and at the straightened one."""
+    image, quick = tilted(0), plugins.build("detectors", "dominance", {"reject": "none"})
+    sure, unsure = Equal(0.99, []), Equal(0.8, [])
+    confident, doubtful = (find_deformation(image, detector, quick).deformation for detector in (sure, unsure))
+    assert len(sure.seen) == 2 < len(unsure.seen) and (SIDE // 2, SIDE // 2) in unsure.seen
+    assert confident.lattice.is_equivalent(doubtful.lattice, 0.02 * confident.lattice.s)
+    assert doubtful.confidence == 0.8
 
 
 def test_noise_has_no_lattice_that_can_be_followed() -> None:
