@@ -33,6 +33,8 @@ LEAST_ERROR = 1e-3
 """Standard errors below this share of the correlation do not matter."""
 MAX_ERRORS = 30.0
 """Standard errors above which an excess is certain."""
+MAX_STRUCTURE_ERRORS = 100.0
+"""The same for slopes and edges alone, which change less along threads of one color."""
 TOLERANCE = 1.0
 """px; two lattices are the same if their reduced vectors differ by no more than this, or than ..."""
 SHARE = 0.04
@@ -62,6 +64,8 @@ class Traits(NamedTuple):
     alternation
         Logarithm of the largest excess of a supercell of index 2 or 3, in standard errors of the mean. It is large if
         two elements that differ little alternate: the excess is small then, but the same at all vectors.
+    structure_alternation
+        The same for slopes and edges alone: elements of different shape alternate, not of different color.
     split_error
         Logarithm of the standard error of the excess of supercells of index 2, as a share of its correlation. It is
         large if noise hides such an alternation.
@@ -83,6 +87,7 @@ class Traits(NamedTuple):
     split_3: float
     structure_split: float
     alternation: float
+    structure_alternation: float
     split_error: float
     merit: float
     best: float
@@ -211,9 +216,9 @@ class ShortList:
         finer = highest_added(self.pooled, basis, RELIEFS)
         splits = [self._split(self.pooled, basis, index) for index in SPLITS]
         split_2, split_3 = (max(part.excesses) / pooled for part in splits)
-        alternation = max(x / error for part in splits for x, error in zip(part.excesses, part.errors, strict=True))
         split_error = max(splits[0].errors) / pooled
-        structure_split = max(max(self._split(self.structure, basis, index).excesses) for index in SPLITS) / structure
+        structure_splits = [self._split(self.structure, basis, index) for index in SPLITS]
+        structure_split = max(max(part.excesses) for part in structure_splits) / structure
         cells = {name: [relate_bases(other, basis) for other in part] for name, part in proposals.items()}
         votes = [cells.get(name, []) for name in DETECTORS]
         return Traits(
@@ -224,7 +229,8 @@ class ShortList:
             min(max(split_2, -0.5), 1.5),
             min(max(split_3, -0.5), 1.5),
             min(max(structure_split, -0.5), 1.5),
-            math.log(min(max(alternation, 1.0), MAX_ERRORS)),
+            math.log(min(max(_in_errors(splits), 1.0), MAX_ERRORS)),
+            math.log(min(max(_in_errors(structure_splits), 1.0), MAX_STRUCTURE_ERRORS)),
             math.log(min(max(split_error, LEAST_ERROR), 1.0)),
             min(max(self.merit(basis) / best, -1.0), 1.2),
             float(first),
@@ -234,6 +240,11 @@ class ShortList:
             float(sum(any(0 < ratio < 1 for ratio in vote) for vote in votes)),
             float(sum(any(ratio > 1 for ratio in vote) for vote in votes)),
         )
+
+
+def _in_errors(splits: Sequence[Splits]) -> float:
+    """Return the largest excess, in its standard errors."""
+    return max(x / error for part in splits for x, error in zip(part.excesses, part.errors, strict=True))
 
 
 def relate_bases(basis: Points, other: Points) -> float:
