@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nrbench.detectors.agreement.evidence import Evidence
 from nrbench.detectors.agreement.evidence_kernels import reduce_all
@@ -20,7 +21,9 @@ from nrbench.plugins.forms import Probabilities, Role
 NEIGHBORS = (2, 3, 4)
 """Lattices coarser and finer than the best one by these indices are rated."""
 SPLITS = (2, 3)
-"""A lattice is compared with coarser lattices of these indices."""
+"""A lattice is compared with coarser lattices of these indices, ..."""
+SPLIT_CHANGES = np.concatenate([hermite_matrices(index) for index in SPLITS])
+"""... which are these integer matrices times its basis."""
 RELIEFS = (2, 3, 5)
 """A lattice is compared with finer lattices of these indices."""
 FIRST = 5
@@ -35,6 +38,8 @@ MAX_ERRORS = 30.0
 """Standard errors above which an excess is certain."""
 MAX_STRUCTURE_ERRORS = 100.0
 """The same for slopes and edges alone, which change less along threads of one color."""
+BY_LINES = 3.0
+"""Standard errors from which an excess is compared with the scatter of lines, too: it takes longer to compute."""
 TOLERANCE = 1.0
 """px; two lattices are the same if their reduced vectors differ by no more than this, or than ..."""
 SHARE = 0.04
@@ -65,7 +70,12 @@ class Traits(NamedTuple):
         Logarithm of the largest excess of a supercell of index 2 or 3, in standard errors of the mean. It is large if
         two elements that differ little alternate: the excess is small then, but the same at all vectors.
     structure_alternation
-        The same for slopes and edges alone: elements of different shape alternate, not of different color.
+        The same for slopes and edges alone, in errors of lines: elements of different shape alternate, not threads of
+        different color.
+    distinction
+        Logarithm of the least number of standard errors, of lines, by which the correlation of slopes and edges at its
+        multiples exceeds that at the vectors that a finer lattice of index 2 or 3 adds. It is large for a cell with
+        two halves that differ little, and small for a supercell.
     split_error
         Logarithm of the standard error of the excess of supercells of index 2, as a share of its correlation. It is
         large if noise hides such an alternation.
@@ -88,6 +98,7 @@ class Traits(NamedTuple):
     structure_split: float
     alternation: float
     structure_alternation: float
+    distinction: float
     split_error: float
     merit: float
     best: float
@@ -211,26 +222,54 @@ class ShortList:
             errors.append(max(error, 1e-6) if known >= FEWEST_LAGS else math.inf)
         return Splits(excesses, errors, reduce_all(changes @ basis))
 
+    def _count_errors(self, basis: Points, change: NDArray[np.int64]) -> float:
+        """Return by how many standard errors slopes and edges repeat better by a coarser lattice than by other vectors.
+
+        The error of many vectors is that of lines (:meth:`Evidence.split_error`); 0 if there are few.
+
+        Parameters
+        ----------
+        basis
+            Rows (x, y) px.
+        change
+            ``(2, 2)``: an integer matrix H; the basis of the coarser lattice is H times ``basis``.
+        """
+        own, others = self.structure.split(basis, change[np.newaxis])[0]
+        excess = own.mean - others.mean
+        if min(own.lags, others.lags) < FEWEST_LAGS or excess <= 0:
+            return 0.0
+        error = math.sqrt(own.variance / own.lags + others.variance / others.lags)
+        if excess > BY_LINES * error:
+            error = max(error, self.structure.split_error(basis, change))
+        return excess / max(error, 1e-6)
+
     def _measure(self, basis: Points, best: float, first: bool, proposals: Mapping[str, Sequence[Points]]) -> Traits:
         pooled, structure = (max(one.repeated(basis), 1e-3) for one in (self.pooled, self.structure))
         finer = highest_added(self.pooled, basis, RELIEFS)
         splits = [self._split(self.pooled, basis, index) for index in SPLITS]
         split_2, split_3 = (max(part.excesses) / pooled for part in splits)
         split_error = max(splits[0].errors) / pooled
-        structure_splits = [self._split(self.structure, basis, index) for index in SPLITS]
-        structure_split = max(max(part.excesses) for part in structure_splits) / structure
+        coarser = [self._split(self.structure, basis, index) for index in SPLITS]
+        structure_split = max(max(part.excesses) for part in coarser) / structure
+        ratios = np.concatenate([np.divide(part.excesses, part.errors) for part in coarser])
+        alternation = self._count_errors(basis, SPLIT_CHANGES[int(np.argmax(ratios))])
+        bases = finer_bases(basis, SPLITS)
+        added = [one.mean for one in self.structure.agreements(bases, basis)]
+        nearest = bases[int(np.argmax(added))]
+        distinction = self._count_errors(nearest, np.rint(basis @ np.linalg.inv(nearest)).astype(np.int64))
         cells = {name: [relate_bases(other, basis) for other in part] for name, part in proposals.items()}
         votes = [cells.get(name, []) for name in DETECTORS]
         return Traits(
             math.log(min(max(self.pooled.sigmas(basis), 0.1), MAX_SIGMAS)),
             math.log(max(self.pooled.tiles(basis), 1.0)),
             math.log(min(max(1 - finer / pooled, 0.02), 2.0)),
-            min(max(1 - highest_added(self.structure, basis, SPLITS) / structure, 0.0), 2.0),
+            min(max(1 - max(added) / structure, 0.0), 2.0),
             min(max(split_2, -0.5), 1.5),
             min(max(split_3, -0.5), 1.5),
             min(max(structure_split, -0.5), 1.5),
-            math.log(min(max(_in_errors(splits), 1.0), MAX_ERRORS)),
-            math.log(min(max(_in_errors(structure_splits), 1.0), MAX_STRUCTURE_ERRORS)),
+            math.log(min(max(max(np.divide(part.excesses, part.errors).max() for part in splits), 1.0), MAX_ERRORS)),
+            math.log(min(max(alternation, 1.0), MAX_STRUCTURE_ERRORS)),
+            math.log(min(max(distinction, 1.0), MAX_STRUCTURE_ERRORS)),
             math.log(min(max(split_error, LEAST_ERROR), 1.0)),
             min(max(self.merit(basis) / best, -1.0), 1.2),
             float(first),
@@ -240,11 +279,6 @@ class ShortList:
             float(sum(any(0 < ratio < 1 for ratio in vote) for vote in votes)),
             float(sum(any(ratio > 1 for ratio in vote) for vote in votes)),
         )
-
-
-def _in_errors(splits: Sequence[Splits]) -> float:
-    """Return the largest excess, in its standard errors."""
-    return max(x / error for part in splits for x, error in zip(part.excesses, part.errors, strict=True))
 
 
 def relate_bases(basis: Points, other: Points) -> float:
