@@ -127,9 +127,8 @@ def _fit_chosen(rated: Sequence[Rated]) -> Weights:
             if one.case.family in out:
                 order, truths = _choose(one, found)
                 if order:
-                    terms = [1.0, *short_list.compare_logarithms(order[0].probabilities)]
                     names = ["exact"] if order[0].role and _holds_right(order, truths) else [each[0] for each in truths]
-                    rows += [(terms, name, 1 / len(names)) for name in names]
+                    rows += [(short_list.describe_choice(order), name, 1 / len(names)) for name in names]
     return _regress(rows, PENALTY / 10)
 
 

@@ -253,7 +253,7 @@ class Consensus:
         for factor, rivals in details:
             order = self.order(rivals)
             orders.append(order)
-            rating = (order[0].merit >= self.least, reclassify(order[0].probabilities).exact)
+            rating = (order[0].merit >= self.least, reclassify(order).exact)
             is_visible = factor == 1 or np.hypot(*order[0].basis[0]) >= MIN_PERIOD * factor
             if is_visible and rating > highest:
                 best, highest = len(orders) - 1, rating

@@ -12,7 +12,8 @@ WEIGHTS: dict[str, list[float]] = {
 }
 """For any lattice, for each class but ``none``: a constant, then one weight for each trait."""
 CHOSEN: dict[str, list[float]] = {
-    "exact": [0.16, 0.621, 0.399],
-    "sub_or_supercell": [-0.929, 0.083, 0.84],
+    "exact": [0.16, 0.621, 0.399, 0.0],
+    "sub_or_supercell": [-0.929, 0.083, 0.84, 0.0],
 }
-"""For the chosen lattice: a constant, then weights of the logarithms of the first two probabilities over the third."""
+"""For the chosen lattice: a constant, then weights of the logarithms of the first two probabilities over the third, and
+of the probability of the next one."""
