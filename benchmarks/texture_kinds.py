@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import skimage.data
+from bent_lattices import Bent
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
@@ -82,8 +83,8 @@ def draw_models(rng: np.random.Generator, count: int) -> Iterator[Case]:
             yield Case("model", "noise", noise.render((side, side), rng).image, None)
 
 
-def _draw_model(rng: np.random.Generator, model: str, side: int, **fixed: float) -> Case:
-    texture = plugins.build("datasets", model, {**draw_departures(rng), **fixed}).render((side, side), rng)
+def _draw_model(rng: np.random.Generator, model: str, side: int) -> Case:
+    texture = plugins.build("datasets", model, draw_departures(rng)).render((side, side), rng)
     return Case("model", model, texture.image, texture.lattice)
 
 
@@ -93,7 +94,7 @@ def draw_kinds(rng: np.random.Generator, count: int) -> Iterator[Case]:
         for model in MODELS:
             side = int(rng.choice(SIDES[2:]))
             bend = float(rng.choice([0.25, 0.5, 0.75]))
-            yield _draw_model(rng, model, side, bend=bend, jitter=0.0)._replace(kind="bent")
+            yield _bend(rng, model, side, bend)
             yield _warp(_draw_model(rng, model, side + 64), rng)
             yield _recolor(_draw_model(rng, model, side), rng)
             yield _enlarge(_draw_model(rng, model, int(rng.choice(SMALL))), rng)
@@ -105,6 +106,15 @@ def draw_kinds(rng: np.random.Generator, count: int) -> Iterator[Case]:
             whole, side = as_image(getattr(skimage.data, name)()), int(rng.choice(SIDES[2:]))
             y, x = (int(rng.integers(0, n - side)) for n in whole.shape[:2])
             yield Case("photograph", name, whole[y : y + side, x : x + side], None)
+
+
+def _bend(rng: np.random.Generator, model: str, side: int, bend: float) -> Case:
+    """Return a model with a smooth warp. Its lattice is the one that fits the displaced places best."""
+    departures = {**draw_departures(rng), "bend": bend, "jitter": 0.0}
+    texture = plugins.build("datasets", model, departures).render((side, side), rng)
+    places = np.stack(np.meshgrid(*2 * [np.arange(side, dtype=float)]), -1)
+    bent = Bent(texture.image, texture.lattice.to_cell(places - texture.displacement))
+    return Case("bent", model, texture.image, bent.lattice)
 
 
 def _sample(image: Image, x: NDArray[np.float64], y: NDArray[np.float64]) -> Image:
