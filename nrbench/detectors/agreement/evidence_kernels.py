@@ -80,9 +80,7 @@ def height_at(spline: NDArray[np.float64], across: float, down: float) -> float:
         else:
             weight = r * r * r / 6
         y = top + np.uint64(j)
-        value += weight * (
-            spline[y, x] * before + spline[y, x1] * here + spline[y, x2] * after + spline[y, x3] * last
-        )
+        value += weight * (spline[y, x] * before + spline[y, x1] * here + spline[y, x2] * after + spline[y, x3] * last)
     return value
 
 
@@ -140,7 +138,7 @@ def between(
             if every == 1:
                 following += 1
             else:
-                # Lehmer's generator modulo 2^31 - 1. The mean of the steps is `every`. No division: it would take longer
+                # Lehmer's generator modulo 2^31 - 1. The mean of the steps is `every`. A division would take longer
                 # than all else here.
                 state *= 48271
                 state = (state & 2147483647) + (state >> 31)

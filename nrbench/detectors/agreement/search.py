@@ -216,7 +216,6 @@ class SublatticeSearch:
         return sorted(replacements, key=lambda finer: -finer[0].mean)
 
 
-
 def _usual_mean(rated: list[Finer]) -> float:
     """Return the median over the indices of the highest mean; along a ridge it is the same for every index."""
     means = [added.mean for added, _ in rated]
