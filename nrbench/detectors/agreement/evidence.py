@@ -231,7 +231,7 @@ class Evidence:
     def tiles(self, basis: Points) -> float:
         """Return the image's area in cells."""
         (ax, ay), (bx, by) = basis.tolist()
-        return self.shape[0] * self.shape[1] / abs(ax * by - ay * bx)
+        return float(self.shape[0] * self.shape[1] / abs(ax * by - ay * bx))
 
     def fit(self, basis: Points) -> Points:
         """Return the reduced basis near the given one at whose multiples the mean correlation is highest.
