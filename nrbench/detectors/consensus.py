@@ -79,10 +79,6 @@ other vectors by this share, and ..."""
 COLOR_ERRORS = 10.0
 """... by this number of standard errors. In models whose elements or threads are colored at random it reaches 9.6, in
 240 draws; it exceeds 12 in nearly all that are dyed by a rule."""
-STRUCTURE_LOSS = 0.75
-"""The lattice is the coarser one, and none of the colors, if the structure loses more than this share of what the
-colors lose at the vectors that the finer one adds. Cloth in two dyes reaches 0.7, cells with two similar halves have at
-least 0.8."""
 COLOR_CELLS = (2, 3, 4, 6, 8)
 """Indices of the coarser lattices that are tried for the colors."""
 FEWEST = 8
@@ -476,11 +472,11 @@ class _Search:
         }
         candidates = [basis for bases in fitted.values() for basis in bases]
         stable = self.detector.find_stable(self.pooled, candidates)
-        short_list = ShortList(self.pooled, self.structure, partial(self.detector.merit, self.pooled))
+        short_list = ShortList(self.pooled, self.colors, self.structure, partial(self.detector.merit, self.pooled))
         stable = [basis for basis in stable if short_list.is_possible(basis)]
         if not stable:
             raise NoLatticeFound("no two peaks of the correlation generate a lattice by which the image repeats")
-        role, partner = self._find_partner(stable[0])
+        role, partner = self._find_partner(stable[0], short_list)
         fitted["consensus"] = [] if partner is None else [partner]
         rivals = short_list.rate(stable, fitted)
         if partner is None or not any(is_same(rival.basis, partner) for rival in rivals[1:]):
@@ -489,7 +485,7 @@ class _Search:
         others = [rival._replace(role=_OTHER[role]) if is_same(rival.basis, partner) else rival for rival in rivals[1:]]
         return [first, *others], candidates
 
-    def _find_partner(self, basis: Points) -> tuple[Role, Points | None]:
+    def _find_partner(self, basis: Points, short_list: ShortList) -> tuple[Role, Points | None]:
         """Return whether a lattice is that of the structure or of the colors, and the other one of the two."""
         finer = self.detector.make_search(self.structure).find_finest(basis)
         if finer is not None and relate_bases(basis, finer) > 1:
@@ -499,17 +495,9 @@ class _Search:
         changes = np.concatenate([hermite_matrices(index) for index in COLOR_CELLS])
         errors = self._color_errors(basis, changes)
         best = int(np.argmax(errors))
-        if errors[best] <= COLOR_ERRORS or self._differs_in_structure(basis, changes[best]):
+        if errors[best] <= COLOR_ERRORS or short_list.differs_in_structure(basis, changes[best]):
             return "", None
         return "structure", reduced_basis(changes[best] @ basis)
-
-    def _differs_in_structure(self, basis: Points, change: NDArray[np.int64]) -> bool:
-        """Return whether slopes and edges repeat by a coarser lattice only, as the colors do."""
-        losses = []
-        for evidence in (self.structure, self.colors):
-            own, others = evidence.split(basis, change[np.newaxis])[0]
-            losses.append(1 - others.mean / max(own.mean, 1e-3))
-        return losses[0] > STRUCTURE_LOSS * losses[1]
 
     def _color_errors(self, basis: Points, changes: NDArray[np.int64]) -> list[float]:
         """Return by how much better the colors repeat by coarser lattices than by the other vectors of a lattice.
