@@ -15,7 +15,7 @@ confidence of wrong answers, and how often the right lattice was among the first
 - weights that are fitted without the family of the texture (leave one family out), and without its kind.
 
 Where the colors repeat by a coarser lattice than the structure, people measure either lattice. Such a texture counts
-half for each of the two.
+half for each of the two; so does an answer with both, one of which is right.
 """
 
 from __future__ import annotations
@@ -108,12 +108,12 @@ def fit(rated: Sequence[Rated]) -> tuple[Weights, Weights]:
 
 
 def _fit_rivals(rated: Sequence[Rated]) -> Weights:
-    rows = [
-        ([1.0, *rival.traits], name, 1 / len(one.truths))
-        for one in rated
-        for truth in one.truths
-        for rival, name in zip(one.rivals, truth, strict=True)
-    ]
+    rows = []
+    for one in rated:
+        for rival, *names in zip(one.rivals, *one.truths, strict=True):
+            if rival.role and "exact" in names:  # its probability is divided afterward
+                names = ["exact"]
+            rows += [([1.0, *rival.traits], name, 1 / len(names)) for name in names]
     return _regress(rows, PENALTY)
 
 
@@ -126,9 +126,9 @@ def _fit_chosen(rated: Sequence[Rated]) -> Weights:
         for one in rated:
             if one.case.family in out:
                 order, truths = _choose(one, found)
-                if order and not order[0].role:
-                    terms = [1.0, *short_list.compare_logarithms(order[0].probabilities)]
-                    rows += [(terms, truth[0], 1 / len(truths)) for truth in truths]
+                if order:
+                    names = ["exact"] if order[0].role and _holds_right(order, truths) else [each[0] for each in truths]
+                    rows += [(short_list.describe_choice(order), name, 1 / len(names)) for name in names]
     return _regress(rows, PENALTY / 10)
 
 
@@ -213,10 +213,24 @@ def judge(rated: Sequence[Rated], used: tuple[Weights, Weights]) -> Iterator[Out
             if not order:
                 continue
             said, certainties = short_list.share_certainty(order)
+        truths = _share_truths(order, truths)
         first = sorted(range(len(certainties)), key=lambda number: -certainties[number])[:2]
         for truth in truths:
             listed = "exact" in [truth[0], *(truth[1 + number] for number in first)]
             yield Outcome(one.case.kind, one.case.family, said, truth[0], listed, 1 / len(truths))
+
+
+def _share_truths(order: Sequence[Rival], truths: list[list[str]]) -> list[list[str]]:
+    """Return the truths; if a pair of lattices holds the right one, each of the pair is exact in one of the truths."""
+    if not _holds_right(order, truths):
+        return truths
+    pair = [number for number, rival in enumerate(order) if rival.role]
+    return [["exact" if n == right else "sub_or_supercell" for n in range(len(order))] for right in pair]
+
+
+def _holds_right(order: Sequence[Rival], truths: list[list[str]]) -> bool:
+    """Return whether one of the two lattices of a pair, of the structure and of the colors, is exact."""
+    return any(name == "exact" for truth in truths for rival, name in zip(order, truth, strict=True) if rival.role)
 
 
 def report(title: str, outcomes: Sequence[Outcome]) -> None:

@@ -22,7 +22,6 @@ from nrbench.detectors.agreement.likeness import (
     view_factors,
 )
 from nrbench.detectors.agreement.search import (
-    StableLattice,
     SublatticeSearch,
     highest_added,
     propose_lattices,
@@ -185,7 +184,7 @@ class Consensus:
     surrogates: int = 12
     false_alarms: float = 0.02
 
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
 
     def __post_init__(self) -> None:
         for name in ("max_loss", "relief", "least"):
@@ -250,7 +249,7 @@ class Consensus:
         for factor, rivals in details:
             order = self.order(rivals)
             orders.append(order)
-            rating = (order[0].merit >= self.least, reclassify(order[0].probabilities).exact)
+            rating = (order[0].merit >= self.least, reclassify(order).exact)
             is_visible = factor == 1 or np.hypot(*order[0].basis[0]) >= MIN_PERIOD * factor
             if is_visible and rating > highest:
                 best, highest = len(orders) - 1, rating
@@ -310,8 +309,8 @@ class Consensus:
         bases = propose_lattices(evidence, self.peaks, self.proposals)
         return sorted(bases, key=lambda basis: -self.merit(evidence, basis))[:STARTS]
 
-    def find_stable(self, evidence: Evidence, bases: list[Points]) -> list[StableLattice]:
-        """Return the stable lattices that are reached from the given ones, by merit.
+    def find_stable(self, evidence: Evidence, bases: list[Points]) -> list[Points]:
+        """Return the bases of the stable lattices that are reached from the given ones, by merit.
 
         A finer lattice explains little more than the one from which it is reached, so lattices that explain less than
         half of the least share (``least``) are left out. If all do, only the best one is used.
@@ -320,7 +319,7 @@ class Consensus:
         ordered = sorted(bases, key=lambda basis: -self.merit(evidence, basis))
         used = [basis for basis in ordered if evidence.explained_variance_loo(basis) >= self.least / 2] or ordered[:1]
         stable = [search.find_finest(basis) for basis in used if self.merit(evidence, basis) > 0]
-        return sorted(filter(None, stable), key=lambda lattice: -self.merit(evidence, lattice.basis))
+        return sorted((one for one in stable if one is not None), key=lambda basis: -self.merit(evidence, basis))
 
     def make_search(self, evidence: Evidence) -> SublatticeSearch:
         """Return the search for finer lattices with the parameters of this detector."""
@@ -414,7 +413,7 @@ class _Proposals:
             likeness = compute_likeness(view)
             evidence = Evidence(likeness.pooled)
             stable = self.detector.find_stable(evidence, self.detector.best_proposals(evidence))[:VOTES]
-            votes = {"consensus": [lattice.basis for lattice in stable]} | self._list_others(view, factor, likeness)
+            votes = {"consensus": stable} | self._list_others(view, factor, likeness)
             self._votes[factor] = {name: [factor * basis for basis in bases] for name, bases in votes.items()}
         return self._votes[factor]
 
@@ -472,12 +471,12 @@ class _Search:
             for name, bases in proposals.items()
         }
         candidates = [basis for bases in fitted.values() for basis in bases]
-        stable = [lattice.basis for lattice in self.detector.find_stable(self.pooled, candidates)]
-        short_list = ShortList(self.pooled, self.structure, partial(self.detector.merit, self.pooled))
+        stable = self.detector.find_stable(self.pooled, candidates)
+        short_list = ShortList(self.pooled, self.colors, self.structure, partial(self.detector.merit, self.pooled))
         stable = [basis for basis in stable if short_list.is_possible(basis)]
         if not stable:
             raise NoLatticeFound("no two peaks of the correlation generate a lattice by which the image repeats")
-        role, partner = self._find_partner(stable[0])
+        role, partner = self._find_partner(stable[0], short_list)
         fitted["consensus"] = [] if partner is None else [partner]
         rivals = short_list.rate(stable, fitted)
         if partner is None or not any(is_same(rival.basis, partner) for rival in rivals[1:]):
@@ -486,17 +485,19 @@ class _Search:
         others = [rival._replace(role=_OTHER[role]) if is_same(rival.basis, partner) else rival for rival in rivals[1:]]
         return [first, *others], candidates
 
-    def _find_partner(self, basis: Points) -> tuple[Role, Points | None]:
+    def _find_partner(self, basis: Points, short_list: ShortList) -> tuple[Role, Points | None]:
         """Return whether a lattice is that of the structure or of the colors, and the other one of the two."""
         finer = self.detector.make_search(self.structure).find_finest(basis)
-        if finer is not None and relate_bases(basis, finer.basis) > 1:
-            change = np.rint(basis @ np.linalg.inv(finer.basis)).astype(np.int64)
-            if self._color_errors(finer.basis, change[np.newaxis])[0] > COLOR_ERRORS:
-                return "color", finer.basis
+        if finer is not None and relate_bases(basis, finer) > 1:
+            change = np.rint(basis @ np.linalg.inv(finer)).astype(np.int64)
+            if self._color_errors(finer, change[np.newaxis])[0] > COLOR_ERRORS:
+                return "color", finer
         changes = np.concatenate([hermite_matrices(index) for index in COLOR_CELLS])
         errors = self._color_errors(basis, changes)
         best = int(np.argmax(errors))
-        return ("structure", reduced_basis(changes[best] @ basis)) if errors[best] > COLOR_ERRORS else ("", None)
+        if errors[best] <= COLOR_ERRORS or short_list.differs_in_structure(basis, changes[best]):
+            return "", None
+        return "structure", reduced_basis(changes[best] @ basis)
 
     def _color_errors(self, basis: Points, changes: NDArray[np.int64]) -> list[float]:
         """Return by how much better the colors repeat by coarser lattices than by the other vectors of a lattice.
@@ -566,12 +567,8 @@ class _Detail:
             "traits": rivals[0].traits,
         }
         probabilities, certainties = share_certainty(rivals)
-        alternatives = [
-            _make_alternative(rival, certainty, lattice)
-            for rival, certainty in zip(rivals[1:], certainties, strict=True)
-        ]
-        alternatives.sort(key=lambda one: -one.confidence)
-        listed = tuple(alternatives[:LISTED])
+        likely = sorted(zip(rivals[1:], certainties, strict=True), key=lambda pair: -pair[1])[:LISTED]
+        listed = tuple(_make_alternative(rival, certainty, lattice) for rival, certainty in likely)
         detection = Detection(lattice, probabilities.exact, diagnostics, listed, probabilities, rivals[0].role)
         if self.search.is_striped(basis):
             raise NoLatticeFound(

@@ -261,13 +261,18 @@ def _propose_pairs(peaks: Peaks) -> Array:
     steps = np.concatenate([leaders, leaders[i] + leaders[j], leaders[i] - leaders[j]])
     steps = np.where((steps[:, :1] < 0) | ((steps[:, :1] == 0) & (steps[:, 1:] < 0)), -steps, steps)
     steps = steps[np.hypot(*steps.T) >= SHORTEST]
-    _, first = np.unique(np.rint(steps * 4), axis=0, return_index=True)
-    steps = steps[np.sort(first)]
+    steps = steps[_first_of_equal(np.rint(steps * 4))]
     i, j = np.triu_indices(len(steps), 1)
     pairs = np.stack(reduce_pairs(steps[i], steps[j]), 1)
     pairs = pairs[_are_usable(pairs)]
-    _, first = np.unique(np.rint(np.abs(pairs.reshape(-1, 4)) * 8), axis=0, return_index=True)
-    return np.asarray(pairs[np.sort(first)])
+    return np.asarray(pairs[_first_of_equal(np.rint(np.abs(pairs.reshape(-1, 4)) * 8))])
+
+
+def _first_of_equal(rows: Array) -> NDArray[np.intp]:
+    """Return the first index of each distinct row, ascending, as :func:`numpy.unique`, which takes longer for rows."""
+    order = np.lexsort(rows.T)
+    ordered = rows[order]
+    return np.sort(order[np.append(True, (ordered[1:] != ordered[:-1]).any(1))[: len(order)]])
 
 
 def _are_usable(pairs: Array) -> NDArray[np.bool_]:
@@ -289,8 +294,16 @@ def _is_usable(basis: Array) -> bool:
 
 
 def _nearest_orders(bases: Array, places: Array) -> tuple[Array, Array]:
-    """Return the nearest orders of each place, ``(m, n, g)``, and the squared distances, bins^2, ``(m, n)``."""
-    orders = np.rint(places @ np.linalg.pinv(bases))
+    """Return the nearest orders of each place, ``(m, n, g)``, and the squared distances, bins^2, ``(m, n)``.
+
+    Two vectors are linearly independent (:func:`_are_usable`).
+    """
+    if bases.shape[1] == 1:
+        inverse = np.linalg.pinv(bases)
+    else:
+        (a, b), (c, d) = np.moveaxis(bases, 0, 2)
+        inverse = np.moveaxis(np.array([(d, -b), (-c, a)]) / (a * d - b * c), 2, 0)
+    orders = np.rint(places @ inverse)
     return orders, ((places - orders @ bases) ** 2).sum(2)
 
 
@@ -311,7 +324,7 @@ def _fit_basis(basis: Array, peaks: Peaks) -> Array:
     for slack in (3.0, 1.5):
         explained = _evidence(basis[np.newaxis], peaks, slack)[0] > 0
         orders = _nearest_orders(basis[np.newaxis], peaks.places)[0][0][explained]
-        if np.linalg.matrix_rank(orders) < len(basis):
+        if not _span(orders):
             break
         weights = 1 / peaks.spreads[explained, np.newaxis]
         fitted = np.linalg.lstsq(orders * weights, peaks.places[explained] * weights, rcond=None)[0]
@@ -319,6 +332,11 @@ def _fit_basis(basis: Array, peaks: Peaks) -> Array:
             break
         basis = fitted
     return basis
+
+
+def _span(orders: Array) -> bool:
+    """Return whether orders ``(n, g)`` have g dimensions: they are integers, and so is the determinant."""
+    return bool(np.linalg.det(orders.T @ orders) > 0.5)
 
 
 def _best_fit(bases: Iterable[Array], peaks: Peaks) -> tuple[float, Array]:
@@ -339,8 +357,14 @@ _CHANGES = [*_INDEX_FORMS, *np.linalg.inv(_INDEX_FORMS)]
 
 
 def _improve_by_index(score: float, basis: Array, peaks: Peaks) -> Array:
-    """Replace a basis by a sublattice or superlattice of small index as long as this increases the evidence."""
+    """Replace a basis by a sublattice or superlattice of small index as long as this increases the evidence.
+
+    Peaks along one line say nothing of the second vector. The longer it is, the higher is the evidence, without end.
+    """
     while True:
+        found = _basis(basis, peaks)
+        if not _span(found.orders[found.explained]):
+            return _reduce(basis)
         relatives = [_fit_basis(_reduce(change @ basis), peaks) for change in _CHANGES]
         relatives = [r for r in relatives if _is_usable(r)]
         scores = [float(_evidence(r[np.newaxis], peaks, 1.0).sum()) for r in relatives]

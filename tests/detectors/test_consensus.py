@@ -418,16 +418,20 @@ def test_certainty_is_shared() -> None:
     sure = Rival(basis, 1.0, traits, Probabilities(0.9, 0.08, 0.02))
     likely = Rival(basis * 2, 0.9, traits, Probabilities(0.6, 0.2, 0.2))
     chosen, (other,) = share_certainty([sure, likely])
-    assert sum(chosen) == pytest.approx(1) and chosen.exact == reclassify(sure.probabilities).exact
+    assert sum(chosen) == pytest.approx(1) and chosen.exact == reclassify([sure, likely]).exact
     assert 0 < other <= 1 - chosen.exact + 1e-12
+    alone, _ = share_certainty([sure])
+    assert alone.exact > chosen.exact  # no other one is nearly as probable
     pair, (partner,) = share_certainty([sure._replace(role="color"), likely._replace(role="structure")])
-    assert sum(pair) == pytest.approx(1) and pair.none == pytest.approx(chosen.none)
-    assert pair.exact == partner == pytest.approx(chosen.exact / 2)
+    assert sum(pair) == pytest.approx(1) and pair.none == pytest.approx(alone.none)
+    assert pair.exact == partner == pytest.approx(alone.exact / 2)
 
 
 def test_probabilities_follow_the_traits() -> None:
     """A strong lattice that three detectors propose is exact; one whose supercells correlate better is a subcell."""
-    strong = Traits(4.0, 4.6, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -4.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
+    nothing = Traits(*np.zeros(len(Traits._fields)))
+    strong = nothing._replace(sigmas=4.0, tiles=4.6, structure_relief=1.0, split_error=-4.0, merit=1.0, best=1.0)
+    strong = strong._replace(gncc=1.0, frdft=1.0, dominance=1.0)
     assert classify(strong).exact > 0.9
     alone = strong._replace(gncc=0.0, frdft=0.0, dominance=0.0, coarser=3.0)
     alone = alone._replace(structure_split=1.0, split_2=1.0, alternation=3.0)

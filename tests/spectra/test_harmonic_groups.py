@@ -59,6 +59,14 @@ def test_stripes_and_one_more_wave_are_no_lattice() -> None:
     assert len(propose_basis(more).vectors) == 2
 
 
+def test_waves_along_one_line_do_not_lengthen_the_other_vector() -> None:
+    """Of waves along one line, the vector beside the line stays as short as the places that were paired."""
+    places = [(10.8, 1.5), (32.4, 4.5), (32.3, 4.4), (32.5, 4.6), (1.0, -26.4)]
+    pair = find_fundamentals(Peaks(np.array(places), np.full(5, 0.05), np.array([1.0, 0.4, 0.4, 0.4, 0.01])))
+    assert pair is not None and np.abs(pair.vectors).max() < 1000
+    assert np.linalg.matrix_rank(pair.orders[pair.explained]) == 1
+
+
 def test_the_first_of_near_places_stays() -> None:
     """Of places that pixels cannot tell apart that of highest priority is kept, across the spectrum's border too."""
     f = np.array([(0.1, 0.2), (0.1, 0.203), (-0.1, -0.2), (0.4995, 0.1), (-0.4995, 0.1), (0.3, 0.3)])

@@ -61,25 +61,26 @@ def jets(spline: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.flo
 @kernel("float64(float64[:, ::1], float64, float64)")
 def height_at(spline: NDArray[np.float64], across: float, down: float) -> float:
     """Return the value of a cubic spline surface at a position as for :func:`jets`."""
-    column, row = int(np.floor(across)), int(np.floor(down))
+    column, row = int(across), int(down)
     t, r = across - column, down - row
+    u, s = 1 - t, 1 - r
+    before, here = u * u * u / 6, 2 / 3 - t * t * (2 - t) / 2
+    after, last = 2 / 3 - u * u * (1 + t) / 2, t * t * t / 6
+    # Unsigned indices spare the test for indices from the end.
+    x, top = np.uint64(column - 1), np.uint64(row - 1)
+    x1, x2, x3 = np.uint64(column), np.uint64(column + 1), np.uint64(column + 2)
     value = 0.0
     for j in range(4):
         if j == 0:
-            weight = (1 - r) ** 3 / 6
+            weight = s * s * s / 6
         elif j == 1:
             weight = 2 / 3 - r * r * (2 - r) / 2
         elif j == 2:
-            weight = 2 / 3 - (1 - r) ** 2 * (1 + r) / 2
+            weight = 2 / 3 - s * s * (1 + r) / 2
         else:
             weight = r * r * r / 6
-        line = row + j - 1
-        value += weight * (
-            spline[line, column - 1] * (1 - t) ** 3 / 6
-            + spline[line, column] * (2 / 3 - t * t * (2 - t) / 2)
-            + spline[line, column + 1] * (2 / 3 - (1 - t) ** 2 * (1 + t) / 2)
-            + spline[line, column + 2] * t * t * t / 6
-        )
+        y = top + np.uint64(j)
+        value += weight * (spline[y, x] * before + spline[y, x1] * here + spline[y, x2] * after + spline[y, x3] * last)
     return value
 
 
@@ -137,9 +138,13 @@ def between(
             if every == 1:
                 following += 1
             else:
-                # Lehmer's generator. The mean of the steps is `every`.
-                state = state * 48271 % 2147483647
-                following += 1 + state % (2 * every - 1)
+                # Lehmer's generator modulo 2^31 - 1. The mean of the steps is `every`. A division would take longer
+                # than all else here.
+                state *= 48271
+                state = (state & 2147483647) + (state >> 31)
+                if state >= 2147483647:
+                    state -= 2147483647
+                following += 1 + ((state * (2 * every - 1)) >> 31)
             x, y = a * x1 + b * x2, a * y1 + b * y2
             if (b == 0 and a <= 0) or abs(x) > end[0] or abs(y) > end[1]:
                 continue

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import statistics
 from dataclasses import dataclass, field
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -124,24 +125,6 @@ def ridge_height(evidence: Evidence, basis: Points) -> float:
     return min(highest_added(evidence, basis, (index,)) for index in INDICES)
 
 
-class StableLattice(NamedTuple):
-    """A lattice that no finer lattice replaces.
-
-    Parameters
-    ----------
-    basis
-        Rows (x, y) px, reduced.
-    repeated
-        The mean correlation at its multiples.
-    between
-        The highest mean correlation at the vectors that a finer lattice would add.
-    """
-
-    basis: Points
-    repeated: float
-    between: float
-
-
 Finer = tuple[Agreement, Points]
 """A finer lattice: the agreement at the vectors that it adds, and its basis."""
 
@@ -176,20 +159,20 @@ class SublatticeSearch:
     tile_allowance: float
     scatter: float
     relief: float
-    _visited: dict[bytes, StableLattice | None] = field(default_factory=dict, init=False)
+    _visited: dict[bytes, Points | None] = field(default_factory=dict, init=False)
 
-    def find_finest(self, basis: Points) -> StableLattice | None:
-        """Return the finest stable lattice reached from this one; None if no lattice is stable."""
+    def find_finest(self, basis: Points) -> Points | None:
+        """Return the fitted basis of the finest stable lattice reached from this one; None if no lattice is stable."""
         return self._visit(basis, 0, len(self._visited) + MOST)
 
-    def _visit(self, basis: Points, depth: int, most: int) -> StableLattice | None:
+    def _visit(self, basis: Points, depth: int, most: int) -> Points | None:
         key = _key(basis, 0.5)
         if key not in self._visited and len(self._visited) < most:
             self._visited[key] = None
             self._visited[key] = self._descend(basis, depth, most)
         return self._visited.get(key)
 
-    def _descend(self, basis: Points, depth: int, most: int) -> StableLattice | None:
+    def _descend(self, basis: Points, depth: int, most: int) -> Points | None:
         own = self.evidence.agreement(basis)
         rated = self._rate_finer(basis, own)
         if depth < DEPTH:
@@ -200,8 +183,7 @@ class SublatticeSearch:
         highest = max(agreement.mean for agreement, _ in rated)
         if own.mean <= 0 or own.mean - highest < self.relief * own.mean:
             return None
-        fitted = self.evidence.fit(basis)
-        return StableLattice(fitted, self.evidence.repeated(fitted), highest_added(self.evidence, fitted))
+        return self.evidence.fit(basis)
 
     def _rate_finer(self, basis: Points, own: Agreement) -> list[Finer]:
         """Return all finer lattices. Those that reach the limit, or miss it by little, are fitted."""
@@ -223,7 +205,7 @@ class SublatticeSearch:
     def _replacements(self, rated: list[Finer], basis: Points, own: Agreement) -> list[Finer]:
         """Return the finer lattices that may replace the coarser one, by descending correlation."""
         limit = self._limit(basis, own)
-        usual = self._usual_mean(rated)
+        usual = _usual_mean(rated)
         replacements = []
         for added, candidate in rated:
             spread = np.sqrt((own.variance + added.variance) / 2)
@@ -233,8 +215,14 @@ class SublatticeSearch:
                 replacements.append((added, candidate))
         return sorted(replacements, key=lambda finer: -finer[0].mean)
 
-    def _usual_mean(self, rated: list[Finer]) -> float:
-        """Return the median over the indices of the highest mean; along a ridge it is the same for every index."""
-        sizes = np.cumsum([len(hermite_matrices(index)) for index in INDICES])[:-1]
-        means = np.array([added.mean for added, _ in rated])
-        return float(np.median([part.max() for part in np.split(means, sizes)]))
+
+def _usual_mean(rated: list[Finer]) -> float:
+    """Return the median over the indices of the highest mean; along a ridge it is the same for every index."""
+    means = [added.mean for added, _ in rated]
+    starts = _first_of_each_index()
+    return statistics.median(max(means[start:end]) for start, end in itertools.pairwise(starts))
+
+
+@cache
+def _first_of_each_index() -> list[int]:
+    return [0, *itertools.accumulate(len(hermite_matrices(index)) for index in INDICES)]

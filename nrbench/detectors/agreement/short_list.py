@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nrbench.detectors.agreement.evidence import Evidence
 from nrbench.detectors.agreement.evidence_kernels import reduce_all
@@ -20,7 +21,9 @@ from nrbench.plugins.forms import Probabilities, Role
 NEIGHBORS = (2, 3, 4)
 """Lattices coarser and finer than the best one by these indices are rated."""
 SPLITS = (2, 3)
-"""A lattice is compared with coarser lattices of these indices."""
+"""A lattice is compared with coarser lattices of these indices, ..."""
+SPLIT_CHANGES = np.concatenate([hermite_matrices(index) for index in SPLITS])
+"""... which are these integer matrices times its basis."""
 RELIEFS = (2, 3, 5)
 """A lattice is compared with finer lattices of these indices."""
 FIRST = 5
@@ -33,6 +36,20 @@ LEAST_ERROR = 1e-3
 """Standard errors below this share of the correlation do not matter."""
 MAX_ERRORS = 30.0
 """Standard errors above which an excess is certain."""
+SURE_ERRORS = 5.0
+"""Standard errors of slopes and edges below which an excess may be chance, and ..."""
+MAX_STRUCTURE_ERRORS = 100.0
+"""... above which it is certain."""
+SMALL_RELIEF = 1 / math.e
+"""A lattice of a larger relief is distinct from finer ones in any case."""
+BY_LINES = 3.0
+"""Standard errors from which an excess is compared with the scatter of lines, too: it takes longer to compute."""
+STRUCTURE_LOSS = 0.75
+"""Elements differ in structure, and not in color alone, if slopes and edges lose more than this share of what the
+colors lose at the vectors that a finer lattice adds. Cloth in two dyes reaches 0.7, cells with two similar halves have
+at least 0.8."""
+LEAST_CORRELATION = 0.01
+"""Losses are shares of a correlation of at least this size."""
 TOLERANCE = 1.0
 """px; two lattices are the same if their reduced vectors differ by no more than this, or than ..."""
 SHARE = 0.04
@@ -62,6 +79,13 @@ class Traits(NamedTuple):
     alternation
         Logarithm of the largest excess of a supercell of index 2 or 3, in standard errors of the mean. It is large if
         two elements that differ little alternate: the excess is small then, but the same at all vectors.
+    structure_alternation
+        The same for slopes and edges alone, in errors of lines over :data:`SURE_ERRORS`: elements of different shape
+        alternate, not threads of different color. 0 if it may be chance.
+    distinction
+        Logarithm of the least excess, in the same units, of slopes and edges at its multiples over those at the vectors
+        that a finer lattice of index 2 or 3 adds, if its relief is small (:data:`SMALL_RELIEF`). It is large for a cell
+        with two halves that differ little, and 0 for a supercell.
     split_error
         Logarithm of the standard error of the excess of supercells of index 2, as a share of its correlation. It is
         large if noise hides such an alternation.
@@ -83,6 +107,8 @@ class Traits(NamedTuple):
     split_3: float
     structure_split: float
     alternation: float
+    structure_alternation: float
+    distinction: float
     split_error: float
     merit: float
     best: float
@@ -143,13 +169,14 @@ class ShortList:
     ----------
     pooled
         The evidence of colors, slopes and edges.
-    structure
-        The evidence of slopes and edges.
+    colors, structure
+        The evidence of the colors alone, and that of slopes and edges.
     merit
         The function that rates a basis.
     """
 
     pooled: Evidence
+    colors: Evidence
     structure: Evidence
     merit: Callable[[Points], float]
 
@@ -206,25 +233,72 @@ class ShortList:
             errors.append(max(error, 1e-6) if known >= FEWEST_LAGS else math.inf)
         return Splits(excesses, errors, reduce_all(changes @ basis))
 
+    def differs_in_structure(self, basis: Points, change: NDArray[np.int64]) -> bool:
+        """Return whether slopes and edges repeat by a coarser lattice only, as the colors do.
+
+        Parameters
+        ----------
+        basis
+            Rows (x, y) px.
+        change
+            ``(2, 2)``: an integer matrix H; the basis of the coarser lattice is H times ``basis``.
+        """
+        losses = []
+        for evidence in (self.structure, self.colors):
+            own, others = evidence.split(basis, change[np.newaxis])[0]
+            losses.append((own.mean - others.mean) / max(own.mean, LEAST_CORRELATION))
+        return losses[0] > STRUCTURE_LOSS * losses[1]
+
+    def _count_errors(self, basis: Points, change: NDArray[np.int64]) -> float:
+        """Return by how many standard errors slopes and edges repeat better by a coarser lattice than by other vectors.
+
+        0 if there are few vectors, or if the elements differ in color alone. The error is that of lines
+        (:meth:`Evidence.split_error`) if it is larger than that of vectors.
+
+        Parameters
+        ----------
+        basis
+            Rows (x, y) px.
+        change
+            ``(2, 2)``: an integer matrix H; the basis of the coarser lattice is H times ``basis``.
+        """
+        own, others = self.structure.split(basis, change[np.newaxis])[0]
+        excess = own.mean - others.mean
+        if min(own.lags, others.lags) < FEWEST_LAGS or excess <= 0 or not self.differs_in_structure(basis, change):
+            return 0.0
+        error = math.sqrt(own.variance / own.lags + others.variance / others.lags)
+        if excess > BY_LINES * error:
+            error = max(error, self.structure.split_error(basis, change))
+        return excess / max(error, 1e-6)
+
     def _measure(self, basis: Points, best: float, first: bool, proposals: Mapping[str, Sequence[Points]]) -> Traits:
         pooled, structure = (max(one.repeated(basis), 1e-3) for one in (self.pooled, self.structure))
-        finer = highest_added(self.pooled, basis, RELIEFS)
+        relief = min(max(1 - highest_added(self.pooled, basis, RELIEFS) / pooled, 0.02), 2.0)
         splits = [self._split(self.pooled, basis, index) for index in SPLITS]
         split_2, split_3 = (max(part.excesses) / pooled for part in splits)
-        alternation = max(x / error for part in splits for x, error in zip(part.excesses, part.errors, strict=True))
         split_error = max(splits[0].errors) / pooled
-        structure_split = max(max(self._split(self.structure, basis, index).excesses) for index in SPLITS) / structure
+        coarser = [self._split(self.structure, basis, index) for index in SPLITS]
+        structure_split = max(max(part.excesses) for part in coarser) / structure
+        ratios = np.concatenate([np.divide(part.excesses, part.errors) for part in coarser])
+        alternation = self._count_errors(basis, SPLIT_CHANGES[int(np.argmax(ratios))])
+        bases = finer_bases(basis, SPLITS)
+        added = [one.mean for one in self.structure.agreements(bases, basis)]
+        nearest = bases[int(np.argmax(added))]
+        change = np.rint(basis @ np.linalg.inv(nearest)).astype(np.int64)
+        distinction = self._count_errors(nearest, change) if relief < SMALL_RELIEF else 0.0
         cells = {name: [relate_bases(other, basis) for other in part] for name, part in proposals.items()}
         votes = [cells.get(name, []) for name in DETECTORS]
         return Traits(
             math.log(min(max(self.pooled.sigmas(basis), 0.1), MAX_SIGMAS)),
             math.log(max(self.pooled.tiles(basis), 1.0)),
-            math.log(min(max(1 - finer / pooled, 0.02), 2.0)),
-            min(max(1 - highest_added(self.structure, basis, SPLITS) / structure, 0.0), 2.0),
+            math.log(relief),
+            min(max(1 - max(added) / structure, 0.0), 2.0),
             min(max(split_2, -0.5), 1.5),
             min(max(split_3, -0.5), 1.5),
             min(max(structure_split, -0.5), 1.5),
-            math.log(min(max(alternation, 1.0), MAX_ERRORS)),
+            math.log(min(max(max(np.divide(part.excesses, part.errors).max() for part in splits), 1.0), MAX_ERRORS)),
+            math.log(min(max(alternation, SURE_ERRORS), MAX_STRUCTURE_ERRORS) / SURE_ERRORS),
+            math.log(min(max(distinction, SURE_ERRORS), MAX_STRUCTURE_ERRORS) / SURE_ERRORS),
             math.log(min(max(split_error, LEAST_ERROR), 1.0)),
             min(max(self.merit(basis) / best, -1.0), 1.2),
             float(first),
@@ -252,19 +326,26 @@ def classify(traits: Traits) -> Probabilities:
     return _apply(WEIGHTS, [1.0, *traits])
 
 
-def reclassify(probabilities: Probabilities) -> Probabilities:
-    """Return the probabilities of the chosen lattice, by :data:`~.weights.CHOSEN`.
+def reclassify(rivals: Sequence[Rival]) -> Probabilities:
+    """Return the probabilities of the chosen lattice, the first one, by :data:`~.weights.CHOSEN`.
 
-    It was chosen because it is the most probable. The best of several estimates is too high on some lists, and too low
-    on others where a single lattice stands out.
+    It was chosen because it is the most probable. The best of several estimates is too high if another one is nearly as
+    probable, and too low if it stands out.
     """
-    return _apply(CHOSEN, [1.0, *compare_logarithms(probabilities)])
+    return _apply(CHOSEN, describe_choice(rivals))
 
 
-def compare_logarithms(probabilities: Probabilities) -> tuple[float, float]:
-    """Return the logarithms of the first two probabilities over the third, within +-8."""
-    exact, nested, none = (math.log(max(share, 1e-6)) for share in probabilities)
-    return min(max(exact - none, -8.0), 8.0), min(max(nested - none, -8.0), 8.0)
+def describe_choice(rivals: Sequence[Rival]) -> list[float]:
+    """Return what :func:`reclassify` reads: 1, and three logarithms.
+
+    They are those of the first two probabilities of the chosen lattice over the third, within +-8, and that of the
+    highest probability of another one to be exact, at least log 0.001. Of a pair, of structure and color, the partner
+    does not count.
+    """
+    exact, nested, none = (math.log(max(share, 1e-6)) for share in rivals[0].probabilities)
+    others = (rival.probabilities.exact for rival in rivals[1:] if not (rivals[0].role and rival.role))
+    second = math.log(max(max(others, default=0.0), 1e-3))
+    return [1.0, min(max(exact - none, -8.0), 8.0), min(max(nested - none, -8.0), 8.0), second]
 
 
 def _apply(weights: Mapping[str, Sequence[float]], terms: Sequence[float]) -> Probabilities:
@@ -285,7 +366,7 @@ def share_certainty(rivals: Sequence[Rival]) -> tuple[Probabilities, list[float]
     rivals
         The chosen lattice, then the others.
     """
-    exact, nested, none = reclassify(rivals[0].probabilities)
+    exact, nested, none = reclassify(rivals)
     partners = [bool(rivals[0].role and rival.role) for rival in rivals[1:]]
     if any(partners):
         exact, nested = exact / 2, nested + exact / 2

@@ -2,17 +2,18 @@
 
 WEIGHTS: dict[str, list[float]] = {
     "exact": [
-        *(-4.898, 1.649, -0.364, 1.805, -0.919, -1.994, -0.597, 1.774),
-        *(-1.107, -0.539, 0.938, 0.298, 0.839, 1.925, 1.117, 1.327, 0.988),
+        *(-4.988, 1.813, -0.475, 1.801, -0.451, -2.564, -0.966, 2.169, -0.989, -0.724),
+        *(0.466, -0.428, 0.999, 0.189, 0.95, 2.238, 1.356, 1.416, 1.018),
     ],
     "sub_or_supercell": [
-        *(-3.483, 1.594, -0.324, 0.296, -0.451, -1.048, -1.002, 1.66),
-        *(0.026, 0.065, 0.158, -0.558, 0.275, 0.694, 0.152, 1.289, 1.156),
+        *(-3.177, 1.523, -0.381, 0.295, -0.431, -1.0, -1.06, 1.71, -0.155, 0.594),
+        *(-0.779, 0.046, 0.216, -0.463, 0.214, 0.879, 0.268, 1.444, 1.295),
     ],
 }
 """For any lattice, for each class but ``none``: a constant, then one weight for each trait."""
 CHOSEN: dict[str, list[float]] = {
-    "exact": [0.16, 0.621, 0.399],
-    "sub_or_supercell": [-0.929, 0.083, 0.84],
+    "exact": [-1.061, 0.639, 0.428, -0.419],
+    "sub_or_supercell": [-0.821, 0.225, 0.626, 0.064],
 }
-"""For the chosen lattice: a constant, then weights of the logarithms of the first two probabilities over the third."""
+"""For the chosen lattice: a constant, then weights of the logarithms of the first two probabilities over the third, and
+of the probability of the next one."""
