@@ -261,7 +261,7 @@ def started(
     suite = small_suite(["escaper", "scatter", "faulty:how=segfault", tool, "faulty:how=loop"])
     with pytest.MonkeyPatch.context() as patch:
         choose_way(request.param, patch, warm_executor)
-        cells = faulty_run(suite, Options(timeout=4)).cells
+        cells = faulty_run(suite, Options(timeout=6)).cells
     names = ("escaper", "scatter", "segfault", "tool", "loop")
     return dict(zip(names, cells, strict=True))
 
