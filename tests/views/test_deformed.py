@@ -88,6 +88,16 @@ def test_a_doubtful_answer_is_compared_with_those_of_further_views() -> None:
     assert doubtful.confidence == 0.8
 
 
+@pytest.mark.parametrize("shape", [(8, 600), (12, 400)])
+def test_a_narrow_strip_has_a_lattice(shape: tuple[int, int]) -> None:
+    """If all knots lie on one line, they tell nothing. The lattice is that of the detector, the deformation unknown."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    joints = (y % 8 < 2) | ((x + y // 8 % 2 * 6) % 12 < 2)
+    wall = np.clip(0.6 - 0.4 * joints + np.random.default_rng(0).normal(0, 0.03, shape), 0, 1)
+    found = nrbench.track_lattice(wall)
+    assert not found.bent and found.covered == 0
+
+
 def test_noise_has_no_lattice_that_can_be_followed() -> None:
     """The reason is that of the detector."""
     noise = np.random.default_rng(3).random((96, 96, 1), np.float32)
