@@ -54,6 +54,8 @@ TOLERANCE = 1.0
 """px; two lattices are the same if their reduced vectors differ by no more than this, or than ..."""
 SHARE = 0.04
 """... this share of s."""
+LEAST_SECOND = 0.02
+"""A second lattice that is less probable does not matter."""
 DETECTORS = ("gncc", "frdft", "dominance")
 """The detectors whose proposals count as votes."""
 
@@ -339,12 +341,12 @@ def describe_choice(rivals: Sequence[Rival]) -> list[float]:
     """Return what :func:`reclassify` reads: 1, and three logarithms.
 
     They are those of the first two probabilities of the chosen lattice over the third, within +-8, and that of the
-    highest probability of another one to be exact, at least log 0.001. Of a pair, of structure and color, the partner
-    does not count.
+    highest probability of another one to be exact, at least that of :data:`LEAST_SECOND`. Of a pair, of structure and
+    color, the partner does not count.
     """
     exact, nested, none = (math.log(max(share, 1e-6)) for share in rivals[0].probabilities)
     others = (rival.probabilities.exact for rival in rivals[1:] if not (rivals[0].role and rival.role))
-    second = math.log(max(max(others, default=0.0), 1e-3))
+    second = math.log(max(max(others, default=0.0), LEAST_SECOND))
     return [1.0, min(max(exact - none, -8.0), 8.0), min(max(nested - none, -8.0), 8.0), second]
 
 
