@@ -274,7 +274,7 @@ def test_a_cell_of_similar_halves_is_among_the_first_three(difference: float, se
 
 
 def test_a_faint_alternation_lowers_the_confidence() -> None:
-    """The more two elements that alternate differ, the less probable is the cell of one, until that of both is found."""
+    """The more two alternating elements differ, the less probable is the cell of one, until that of both is found."""
     one, both = Lattice((15, 0), (0, 19)), Lattice((30, 0), (0, 19))
     found = [Consensus().detect(halves(difference, 0)) for difference in (0.0, 0.2, 0.3, 0.4, 0.6)]
     assert all(detection.lattice.is_equivalent(one, 0.2) for detection in found[:3])
@@ -294,7 +294,7 @@ def test_elements_that_alternate_in_shape_have_no_roles(difference: float, seed:
 
 
 def test_traits_tell_alternating_elements_from_supercells() -> None:
-    """The cell of both is distinct from that of one, whose elements alternate; a supercell of either is not distinct."""
+    """The cell of both is distinct from that of one, whose elements alternate; a supercell of either is not."""
     _, rivals = Consensus().list_rivals(halves(0.3, 0))[0]
     cells = {"one": (15, 19), "both": (30, 19), "four": (60, 19), "rows": (30, 38)}
     traits = {
