@@ -13,7 +13,7 @@ from nrbench import texture
 from nrbench.detectors.agreement.evidence import Evidence
 from nrbench.detectors.agreement.likeness import compute_likeness, views
 from nrbench.detectors.agreement.search import propose_lattices
-from nrbench.detectors.agreement.short_list import Rival, Traits, classify, reclassify, share_certainty
+from nrbench.detectors.agreement.short_list import Rival, Traits, classify, reclassify, relate_bases, share_certainty
 from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.frdft import Frdft
 from nrbench.errors import BadInput
@@ -296,17 +296,10 @@ def test_elements_that_alternate_in_shape_have_no_roles(difference: float, seed:
 def test_traits_tell_alternating_elements_from_supercells() -> None:
     """The cell of both is distinct from that of one, whose elements alternate; a supercell of either is not."""
     _, rivals = Consensus().list_rivals(halves(0.3, 0))[0]
-    cells = {"one": (15, 19), "both": (30, 19), "four": (60, 19), "rows": (30, 38)}
-    traits = {
-        name: rival.traits
-        for name, (width, height) in cells.items()
-        for rival in rivals
-        if Lattice.from_basis(rival.basis).is_equivalent(Lattice((width, 0), (0, height)), 0.5)
-    }
-    assert traits["one"].structure_alternation > 1 and traits["both"].distinction > 1
-    assert traits["both"].structure_alternation == 0
-    others = [part.distinction for name, part in traits.items() if name not in ("one", "both")]
-    assert others and max(others) == 0
+    cells = {relate_bases(rival.basis, np.diag([15.0, 19.0])): rival.traits for rival in rivals}
+    assert cells[1].structure_alternation > 1 and cells[2].structure_alternation == 0 and cells[2].distinction > 1
+    supercells = [traits.distinction for number, traits in cells.items() if number > 2]
+    assert supercells and max(supercells) == 0
 
 
 def test_similar_halves_are_no_stripes() -> None:
