@@ -13,7 +13,15 @@ from nrbench import texture
 from nrbench.detectors.agreement.evidence import Evidence
 from nrbench.detectors.agreement.likeness import compute_likeness, views
 from nrbench.detectors.agreement.search import propose_lattices
-from nrbench.detectors.agreement.short_list import Rival, Traits, classify, is_same, reclassify, share_certainty
+from nrbench.detectors.agreement.short_list import (
+    Rival,
+    Traits,
+    classify,
+    is_same,
+    reclassify,
+    relate_bases,
+    share_certainty,
+)
 from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.frdft import Frdft
 from nrbench.errors import BadInput
@@ -274,12 +282,32 @@ def test_a_cell_of_similar_halves_is_among_the_first_three(difference: float, se
 
 
 def test_a_faint_alternation_lowers_the_confidence() -> None:
-    """If two elements that differ by a fifth alternate, the cell of both is a candidate as probable as that of one."""
-    one, two = Consensus().detect(halves(0.0, 0)), Consensus().detect(halves(0.2, 0))
-    assert one.lattice.is_equivalent(Lattice((15, 0), (0, 19)), 0.2) and one.confidence > 0.9
-    assert two.confidence <= 0.5
-    likely = [two.lattice, *(other.lattice for other in two.alternatives if other.confidence >= two.confidence)]
-    assert any(lattice.is_equivalent(Lattice((30, 0), (0, 19)), 0.2) for lattice in likely)
+    """The more two alternating elements differ, the less probable is the cell of one, until that of both is found."""
+    one, both = Lattice((15, 0), (0, 19)), Lattice((30, 0), (0, 19))
+    found = [Consensus().detect(halves(difference, 0)) for difference in (0.0, 0.2, 0.3, 0.4, 0.6)]
+    assert all(detection.lattice.is_equivalent(one, 0.2) for detection in found[:3])
+    assert all(detection.lattice.is_equivalent(both, 0.2) for detection in found[3:])
+    same, faint, clear, *_ = (detection.confidence for detection in found)
+    assert same > 0.9 and same > faint + 0.1 > clear + 0.2
+    assert found[2].alternatives[0].lattice.is_equivalent(both, 0.2) and found[2].alternatives[0].confidence > 0.3
+    assert found[4].confidence > 0.9
+
+
+@pytest.mark.parametrize("difference", [0.2, 0.4])
+@pytest.mark.parametrize("seed", range(2))
+def test_elements_that_alternate_in_shape_have_no_roles(difference: float, seed: int) -> None:
+    """Their slopes and edges repeat by the cell of both only, as their colors do: it is no lattice of colors."""
+    found = Consensus().detect(halves(difference, seed))
+    assert found.role == "" and all(other.role == "" for other in found.alternatives)
+
+
+def test_traits_tell_alternating_elements_from_supercells() -> None:
+    """The cell of both is distinct from that of one, whose elements alternate; a supercell of either is not."""
+    _, rivals = Consensus().list_rivals(halves(0.3, 0))[0]
+    cells = {relate_bases(rival.basis, np.diag([15.0, 19.0])): rival.traits for rival in rivals}
+    assert cells[1].structure_alternation > 1 and cells[2].structure_alternation == 0 and cells[2].distinction > 1
+    supercells = [traits.distinction for number, traits in cells.items() if number > 2]
+    assert supercells and max(supercells) == 0
 
 
 def test_similar_halves_are_no_stripes() -> None:
@@ -327,7 +355,7 @@ def rival(basis: float, exact: float, merit: float = 0.5) -> Rival:
 def test_the_most_certain_detail_is_chosen() -> None:
     """The lattices of the others are further rivals; periods under 12 px of the shrunk image do not count."""
     detector = Consensus()
-    choice = detector.choose([(1, [rival(40, 0.2)]), (2, [rival(60, 0.5)]), (4, [rival(44, 0.9)])])
+    choice = detector.choose([(1, [rival(40, 0.1)]), (2, [rival(60, 0.3)]), (4, [rival(44, 0.9)])])
     assert choice is not None and choice.detail == 1
     assert [one.basis[0, 0] for one in choice.rivals] == [60, 44, 40]
     assert detector.choose([]) is None and detector.choose([(4, [rival(44, 0.9)])]) is None
@@ -338,7 +366,7 @@ def test_a_certain_lattice_ends_the_search() -> None:
 
     def read() -> Iterator[tuple[int, list[Rival]]]:
         yield 1, [rival(40, 0.99, merit)]
-        yield 2, [rival(60, 0.5)]
+        yield 2, [rival(60, 0.3)]
         raise AssertionError("the third detail was read")
 
     detector = Consensus()
@@ -348,7 +376,7 @@ def test_a_certain_lattice_ends_the_search() -> None:
     merit = 0.01
     with pytest.raises(AssertionError, match="third detail"):
         detector.choose(read())
-    choice = detector.choose([(1, [rival(40, 0.99, 0.01)]), (2, [rival(60, 0.5)])])
+    choice = detector.choose([(1, [rival(40, 0.99, 0.01)]), (2, [rival(60, 0.3)])])
     assert choice is not None and choice.detail == 1
 
 

@@ -54,6 +54,8 @@ TOLERANCE = 1.0
 """px; two lattices are the same if their reduced vectors differ by no more than this, or than ..."""
 SHARE = 0.04
 """... this share of s."""
+LEAST_SECOND = 0.02
+"""A second lattice that is less probable does not matter."""
 DETECTORS = ("gncc", "frdft", "dominance")
 """The detectors whose proposals count as votes."""
 
@@ -342,12 +344,13 @@ def describe_choice(rivals: Sequence[Rival]) -> list[float]:
     """Return what :func:`reclassify` reads: 1, and three logarithms.
 
     The first two are those of the probabilities ``exact`` and ``sub_or_supercell`` of the chosen lattice over ``none``,
-    within +-8. The third is that of the highest probability of another lattice to be exact, at least log 0.001. If the
-    chosen lattice is that of the structure or of the colors, the other one of the two does not count.
+    within +-8. The third is that of the highest probability of another lattice to be exact, at least that of
+    :data:`LEAST_SECOND`. If the chosen lattice is that of the structure or of the colors, the other one of the two does
+    not count.
     """
     exact, nested, none = (math.log(max(share, 1e-6)) for share in rivals[0].probabilities)
     others = (rival.probabilities.exact for rival in rivals[1:] if not (rivals[0].role and rival.role))
-    second = math.log(max(max(others, default=0.0), 1e-3))
+    second = math.log(max(max(others, default=0.0), LEAST_SECOND))
     return [1.0, min(max(exact - none, -8.0), 8.0), min(max(nested - none, -8.0), 8.0), second]
 
 
