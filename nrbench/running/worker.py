@@ -15,7 +15,6 @@ import importlib
 import json
 import os
 import select
-import shutil
 import signal
 import stat
 import sys
@@ -36,7 +35,7 @@ from nrbench.plugins.parameters import prepare_conversion
 from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import leave_user_folder, read_json, working_folder
+from nrbench.storage import leave_user_folder, read_json, remove_folder, working_folder
 
 PATIENCE = 0.02
 """Seconds that a worker waits for the next request before it tidies up after the last one."""
@@ -105,7 +104,7 @@ class Request:
             aside = temporary.with_name(uuid.uuid4().hex)
             with contextlib.suppress(OSError):
                 temporary.rename(aside)
-            shutil.rmtree(aside, ignore_errors=True)
+            remove_folder(aside)
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""

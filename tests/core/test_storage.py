@@ -32,6 +32,47 @@ def test_folders_of_killed_processes_are_removed(tmp_path: Path, monkeypatch: py
             assert {path.name for path in tmp_path.iterdir()} == {"nrbench-mine", living.name, next_one.name}
 
 
+LITTER = """
+import os
+from pathlib import Path
+from nrbench.storage import remove_folder
+
+if hasattr(os, "setuid") and os.getuid() == 0:
+    os.setuid(65534)  # the modes of folders mean nothing to root
+mine, rests = Path("mine"), Path("rests")
+(mine / "folder").mkdir(parents=True)
+(mine / "folder").chmod(0o755)
+(mine / "file").touch()
+locked, closed = rests / "locked", rests / "closed"
+for folder in (locked, closed):
+    folder.mkdir(parents=True)
+    (folder / "file").touch()
+for name in ("file", "folder"):
+    (locked / f"to {name}").symlink_to(Path("../..") / mine / name)
+locked.chmod(0o500)
+closed.chmod(0)
+start = os.open(".", os.O_RDONLY)
+os.chdir(rests)
+for _ in range(1200):  # more than Python's stack and the length of a path hold
+    os.mkdir("deep")
+    os.chdir("deep")
+os.fchdir(start)
+Path("link").symlink_to(mine)
+for name in ("rests", "link", "missing"):
+    remove_folder(Path(name))
+print(sorted(path.name for path in Path().iterdir()), *sorted(path.name for path in mine.iterdir()))
+print(oct((mine / "folder").stat().st_mode))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="has no such modes")
+def test_a_folder_is_removed_whatever_it_holds(tmp_path: Path) -> None:
+    """Folders that are closed or nested deeply are removed, links as such: what they point to does not change."""
+    tmp_path.chmod(0o777)
+    done = subprocess.run([sys.executable, "-c", LITTER], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines() == ["['mine'] file folder", "0o40755"], done.stderr
+
+
 def test_an_error_of_a_disk_names_the_file(tmp_path: Path) -> None:
     """An error that names no file, as that of a full disk, gets the file that was to be written."""
 
