@@ -43,6 +43,7 @@ mine, rests = Path("mine"), Path("rests")
 (mine / "folder").mkdir(parents=True)
 (mine / "folder").chmod(0o755)
 (mine / "file").touch()
+(mine / "file").chmod(0o644)
 locked, closed = rests / "locked", rests / "closed"
 for folder in (locked, closed):
     folder.mkdir(parents=True)
@@ -61,7 +62,7 @@ Path("link").symlink_to(mine)
 for name in ("rests", "link", "missing"):
     remove_folder(Path(name))
 print(sorted(path.name for path in Path().iterdir()), *sorted(path.name for path in mine.iterdir()))
-print(oct((mine / "folder").stat().st_mode))
+print(*(oct((mine / name).stat().st_mode) for name in ("file", "folder")))
 """
 
 
@@ -70,7 +71,7 @@ def test_a_folder_is_removed_whatever_it_holds(tmp_path: Path) -> None:
     """Folders that are closed or nested deeply are removed, links as such: what they point to does not change."""
     tmp_path.chmod(0o777)
     done = subprocess.run([sys.executable, "-c", LITTER], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.stdout.splitlines() == ["['mine'] file folder", "0o40755"], done.stderr
+    assert done.stdout.splitlines() == ["['mine'] file folder", "0o100644 0o40755"], done.stderr
 
 
 def test_an_error_of_a_disk_names_the_file(tmp_path: Path) -> None:
