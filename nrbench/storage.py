@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.errors import BadInput
+
 
 def write_aside(path: Path, write: Callable[[Path], object]) -> None:
     """Call ``write`` with a temporary path beside ``path``, then rename that file: no reader sees a part of it.
@@ -118,9 +120,18 @@ def write_text(path: Path, text: str) -> None:
 
 @contextlib.contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Yield a temporary folder, and remove it, as well as those that processes which were killed left behind."""
-    _remove_stale(Path(tempfile.gettempdir()))
-    folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    """Yield a temporary folder, and remove it, as well as those that processes which were killed left behind.
+
+    Raises
+    ------
+    BadInput
+        When the system has no folder of temporary files that can be written to.
+    """
+    try:
+        _remove_stale(Path(tempfile.gettempdir()))
+        folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    except OSError as error:
+        raise BadInput(f"temporary files: {error}; set TMPDIR to a folder that can be written to") from error
     remove = partial(remove_folder, folder)
     atexit.register(remove)  # a process may end without leaving the context
     try:

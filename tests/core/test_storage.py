@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from nrbench.errors import BadInput
 from nrbench.storage import temporary_folder, write_aside
 
 
@@ -72,6 +73,13 @@ def test_a_folder_is_removed_whatever_it_holds(tmp_path: Path) -> None:
     tmp_path.chmod(0o777)
     done = subprocess.run([sys.executable, "-c", LITTER], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.stdout.splitlines() == ["['mine'] file folder", "0o100644 0o40755"], done.stderr
+
+
+def test_no_place_for_temporary_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no temporary folder can be made, the error says what to set."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with pytest.raises(BadInput, match="missing.*; set TMPDIR to a folder"), temporary_folder():
+        pass
 
 
 def test_an_error_of_a_disk_names_the_file(tmp_path: Path) -> None:
