@@ -23,7 +23,8 @@ LEAST_AMPLITUDE: Final = 0.04
 """Amplitude, in s, below which displacements are taken for errors of the tracker."""
 LEAST_SMOOTHNESS: Final = 0.37
 """Correlation of the displacements of neighbors below which elements move on their own: jitter, not deformation.
-Independent jitter reaches 0.34, because the windows of neighbors overlap; warps with waves 5 s long exceed 0.39."""
+Independent jitter of strength 0.5 reaches 0.34, because the windows of neighbors overlap; warps with waves 5 s long
+exceed 0.39 where many tiles lie in the image. Jitter of strength 1 may exceed both: the tracker loses the elements."""
 HOMOGRAPHY_REST: Final = 0.35
 """Root mean square distance of the places from a homography, over that from an affine map, up to which they are that
 homography."""

@@ -80,7 +80,7 @@ def follow_lattice(image: Image, lattice: Lattice, near: Points | None = None) -
         return None
     highest = 0.0
     for number in range(1 + _MOST_ROUNDS):
-        if best.known.sum() < _LEAST_KNOTS:
+        if not _are_enough(best):
             return None
         start = _restart(small, best, best.mean_lattice())
         median = float(np.median(best.correlation[best.known]))
@@ -91,8 +91,7 @@ def follow_lattice(image: Image, lattice: Lattice, near: Points | None = None) -
             best = found if worth > highest else best
             break
         best, highest = found, worth
-    best = _renumbered(small, best)
-    return best.resized(factor) if best.known.sum() >= _LEAST_KNOTS else None
+    return _renumbered(small, best).resized(factor) if _are_enough(best) else None
 
 
 def probe(image: Image, lattice: Lattice, near: Points) -> float:
@@ -131,8 +130,8 @@ def follow_on(image: Image, knots: Knots, basis: Points) -> Knots | None:
     change = lattice.matrix @ np.linalg.inv(mean.matrix)
     start = _restart(small, first, first.mean_lattice(), change)
     median = float(np.median(knots.correlation[knots.known]))
-    found = _renumbered(small, grow_from(small, start, tuple(one * median for one in _LEVELS)))
-    return found.resized(factor) if found.known.sum() >= _LEAST_KNOTS else None
+    found = grow_from(small, start, tuple(one * median for one in _LEVELS))
+    return _renumbered(small, found).resized(factor) if _are_enough(found) else None
 
 
 def score(knots: Knots, image: Values) -> float:
@@ -161,6 +160,11 @@ def merit(image: Image, knots: Knots) -> float:
     explained = 1 - share * (tiles + 1) / (tiles - 1)
     covered = min(knots.area / (image.shape[0] * image.shape[1]), 1.0)
     return float(explained * covered * tiles**_SIZE_EXPONENT)
+
+
+def _are_enough(knots: Knots) -> bool:
+    """Return whether knots tell how a lattice lies in an image."""
+    return bool(knots.known.sum() >= _LEAST_KNOTS and knots.spans_plane)
 
 
 def _factor(lattice: Lattice) -> int:
@@ -238,14 +242,14 @@ def _restart(image: Values, knots: Knots, lattice: Lattice, change: Points | Non
 
 
 def _renumbered(image: Values, knots: Knots) -> Knots:
-    """Return knots without parts that are whole vectors off.
+    """Return knots of which fewer parts are whole vectors off, or the given ones.
 
-    The lattice is followed on from the renumbered parts, with the mean tile of these parts alone. The result counts if
-    no part of it is off, or if it fits the image better.
+    The lattice is followed on from the renumbered parts, with the mean tile of these parts alone. The result is used if
+    it fits the image better, or about as well and no part of it is off.
     """
     parts = renumber(knots)
     for _ in range(_MOST_RENUMBERED):
-        if parts is None:
+        if parts is None or not _are_enough(parts):
             break
         tile = _restart(image, parts, parts.mean_lattice()).tile
         median = float(np.median(parts.correlation[parts.known]))

@@ -40,6 +40,8 @@ _STEPS = 8
 """Steps of the registration of a start."""
 _LEAST_SEEN = 0.6
 """Share of a window that must lie in the image."""
+_THINNEST = 1e-4
+"""Area of a cell, over the sum of its squared sides, below which knots count as lying on one line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +91,27 @@ class Knots:
         """Area of the image, px^2, that belongs to known knots."""
         return float(np.abs(np.linalg.det(self.slopes[self.known])).sum() / math.prod(self.parts))
 
+    @property
+    def spans_plane(self) -> bool:
+        """Whether the known knots have a mean lattice. They have none if they lie on one line, as in a narrow strip."""
+        cells = self.cells[self.known]
+        if not len(cells) or np.linalg.matrix_rank(cells - cells.mean(0)) < 2:
+            return False
+        basis = self._fit()[:2]
+        return bool(abs(np.linalg.det(basis)) > _THINNEST * np.square(basis).sum())
+
     def mean_lattice(self) -> Lattice:
-        """Return the lattice, origin included, whose points lie nearest to the known places (least squares)."""
-        design = np.column_stack([self.cells[self.known], np.ones(self.known.sum())])
-        fit = np.linalg.lstsq(design, self.places[self.known], rcond=None)[0]
+        """Return the lattice, origin included, whose points lie nearest to the known places (least squares).
+
+        There is one if the known knots span the plane (:attr:`spans_plane`).
+        """
+        fit = self._fit()
         return Lattice.from_basis(fit[:2], fit[2])
+
+    def _fit(self) -> Points:
+        """Return the vectors and the origin of :meth:`mean_lattice`, ``(3, 2)`` px."""
+        design = np.column_stack([self.cells[self.known], np.ones(self.known.sum())])
+        return np.asarray(np.linalg.lstsq(design, self.places[self.known], rcond=None)[0])
 
     def resized(self, factor: int) -> Knots:
         """Return the knots in an image of which each pixel here was the mean of ``factor`` x ``factor`` px."""

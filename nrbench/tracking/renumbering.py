@@ -16,6 +16,7 @@ import scipy
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from nrbench.lattice.geometry import Points
 from nrbench.tracking.growth import Knots
 
 __all__ = ["renumber", "similarity"]
@@ -23,11 +24,14 @@ __all__ = ["renumber", "similarity"]
 _FAULTLESS: Final = 0.95
 """Correlation, over the median, of knots that do not lie in a fault."""
 _TORN = 0.12
-"""Distance, in s, between the places of neighbors and those that their slopes predict, above which they do."""
+"""Distance, in s, between the places of neighbors and those that their slopes predict, above which they lie in one."""
 _LEAST_PART = 5
 """Least number of knots of a part."""
 _NEAR = 2.0
 """Distance, in s, within which the knots of one part tell the numbers of those of another one."""
+_ALIKE = 0.1
+"""Area of the mean of the cells at two knots, over that of the larger cell, below which their slopes differ too much to
+measure a distance: slopes may turn around on the way through an image."""
 _READ_STEP = 0.25
 """Distance, in s, of the points of the image at which the similarity is measured."""
 _BELONGS = 0.75
@@ -46,17 +50,17 @@ def renumber(knots: Knots) -> Knots | None:
     Returns
     -------
     Knots or None
-        Fewer knots than were given: faults, and parts smaller than 5 knots, are left out, since the lattice can be
-        followed into them again. None if there is no part whose numbers are off.
+        Fewer knots than were given: faults, parts smaller than 5 knots, and parts that are far from all others are left
+        out, since the lattice can be followed into them again. None if there is no part whose numbers are off.
     """
-    if not knots.known.any():
+    if not knots.spans_plane:
         return None
     labels, number = _parts(knots)
     sizes = np.bincount(labels[labels > 0], minlength=number + 1)
     waiting = [int(part) for part in np.argsort(-sizes, kind="stable") if sizes[part] >= _LEAST_PART]
     if len(waiting) < 2:
         return None
-    shifts = {waiting.pop(0): np.zeros(2, np.int64)}
+    shifts, are_off = {waiting.pop(0): np.zeros(2, np.int64)}, False
     near = _NEAR * knots.mean_lattice().s
     index = np.argwhere(labels > 0)
     owner = labels[labels > 0]
@@ -73,11 +77,17 @@ def renumber(knots: Knots) -> Knots | None:
             break
         waiting.remove(part)
         one, other = numbered[pairs.row], own[pairs.col]
+        measured, alike = _cells_apart(places[other] - places[one], slopes[one], slopes[other])
+        if not alike.any():
+            continue
         shift = np.array([shifts[int(label)] for label in owner[one]])
-        measured = np.linalg.solve((slopes[one] + slopes[other]) / 2, (places[other] - places[one])[..., np.newaxis])
-        off = np.rint(measured[..., 0] - (cells[other] - cells[one] - shift)).astype(np.int64)
-        shifts[part] = _most_voted(off, 1 / np.maximum(pairs.data, 1e-6) ** 2)
-    if not any(shift.any() for shift in shifts.values()):
+        off = np.rint(measured - (cells[other] - cells[one] - shift)).astype(np.int64)
+        voted = _most_voted(off[alike], 1 / np.maximum(pairs.data[alike], 1e-6) ** 2)
+        # If knots are several vectors apart, those of a part that is one vector off lie between those of the others.
+        if (voted * knots.parts % 1 == 0).all():
+            shifts[part] = voted
+        are_off |= bool(voted.any())
+    if not are_off:
         return None
     kept = np.isin(owner, list(shifts))
     moved = np.array([shifts[int(label)] for label in owner[kept]])
@@ -87,9 +97,9 @@ def renumber(knots: Knots) -> Knots | None:
 def similarity(knots: Knots, shape: tuple[int, int]) -> float:
     """Return the mean over an image of the correlation of the knot to which each point belongs, 0 where there is none.
 
-    Unlike the area of the cells this does not count twice what lies in a fold.
+    Unlike the area of the cells this does not count twice what lies in a fold. 0 if the knots do not span the plane.
     """
-    if not knots.known.any():
+    if not knots.spans_plane:
         return 0.0
     step = max(1, int(_READ_STEP * knots.mean_lattice().s))
     x, y = np.meshgrid(np.arange(step // 2, shape[1], step), np.arange(step // 2, shape[0], step))
@@ -114,13 +124,38 @@ def _torn(knots: Knots) -> NDArray[np.bool_]:
     lattice = knots.mean_lattice()
     for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
         both = knots.known[one] & knots.known[other]
-        slopes = (knots.slopes[one][both] + knots.slopes[other][both]) / 2
-        apart = (knots.places[other][both] - knots.places[one][both])[..., np.newaxis]
-        off = np.linalg.solve(slopes, apart)[..., 0] - (knots.cells[other][both] - knots.cells[one][both])
-        far = np.hypot(*(off @ lattice.matrix).T) > _TORN * lattice.s
+        apart = knots.places[other][both] - knots.places[one][both]
+        measured, alike = _cells_apart(apart, knots.slopes[one][both], knots.slopes[other][both])
+        off = measured - (knots.cells[other][both] - knots.cells[one][both])
+        far = ~alike | (np.hypot(*(off @ lattice.matrix).T) > _TORN * lattice.s)
         torn[one][both] |= far
         torn[other][both] |= far
     return torn
+
+
+def _cells_apart(apart: Points, one: Points, other: Points) -> tuple[Points, NDArray[np.bool_]]:
+    """Return the distances of pairs of knots in cells, measured by the mean slopes of both.
+
+    Parameters
+    ----------
+    apart
+        ``(n, 2)`` px: the distances in the image.
+    one, other
+        ``(n, 2, 2)`` px: the slopes of both knots.
+
+    Returns
+    -------
+    Points
+        ``(n, 2)``; 0 if the slopes differ too much.
+    NDArray[np.bool_]
+        ``(n,)``: whether they do not.
+    """
+    mean = (one + other) / 2
+    area, areas = np.linalg.det(mean), np.linalg.det([one, other])
+    alike = area * np.sign(areas[0]) > _ALIKE * np.abs(areas).max(0)
+    found = np.zeros_like(apart)
+    found[alike] = np.linalg.solve(mean[alike], apart[alike][..., np.newaxis])[..., 0]
+    return found, alike
 
 
 def _most_voted(votes: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, shrink
+from nrbench.imaging.convert import MIN_SIDE, Image, shrink
 from nrbench.lattice.comparison import lattice_error, relate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
@@ -77,11 +77,11 @@ def find_deformation(
     """Return the lattice of an image, and its deformation.
 
     The detector looks at the whole image; fine detail of large elements is left out, because the lattice is measured
-    when it is followed. If the lattice that it finds lies in the image without deformation, this is
-    the answer. Otherwise lattices of the whole image and of overlapping views, from half the image's size down, are
-    followed through the image (:func:`~nrbench.tracking.following.follow_lattice`), and the straightened image is shown
-    to the detector again. The answer is the first one that the detector confirms, or the one of the highest confidence
-    times covered share.
+    when it is followed. If the lattice that it finds lies in the image without deformation, this is the answer.
+    Otherwise lattices of the whole image and of overlapping views, from half the image's size down, are followed
+    through the image (:func:`~nrbench.tracking.following.follow_lattice`), and the straightened image is shown to the
+    detector again. The answer is the first one that the detector confirms with a high confidence and whose knots
+    cover most of the image, else the one of the highest confidence times score.
 
     Parameters
     ----------
@@ -101,7 +101,8 @@ def find_deformation(
     Raises
     ------
     NoLatticeFound
-        If no view has a lattice that can be followed.
+        If no view has a lattice that can be followed, or if the given lattice cannot be followed, or only through an
+        image that is bent too much to be straightened.
     BadInput
         If the image holds fewer than two cells of the given lattice.
     """
@@ -317,7 +318,13 @@ def _follow_given(image: Image, lattice: Lattice) -> Deformation:
     knots = follow_lattice(image, lattice)
     if knots is None:
         raise NoLatticeFound("the given lattice cannot be followed through the image")
-    return Deformation.of(image, knots)
+    deformation = Deformation.of(image, knots)
+    height, width = deformation.straighten()[0].shape[:2]
+    if min(height, width) < MIN_SIDE:
+        raise NoLatticeFound(
+            f"the given lattice is bent so much in the image that only {width}x{height} px of it can be straightened"
+        )
+    return deformation
 
 
 def _still(image: Image, lattice: Lattice, confidence: float | None) -> Deformation | None:

@@ -13,7 +13,15 @@ from nrbench import texture
 from nrbench.detectors.agreement.evidence import Evidence
 from nrbench.detectors.agreement.likeness import compute_likeness, views
 from nrbench.detectors.agreement.search import propose_lattices
-from nrbench.detectors.agreement.short_list import Rival, Traits, classify, reclassify, relate_bases, share_certainty
+from nrbench.detectors.agreement.short_list import (
+    Rival,
+    Traits,
+    classify,
+    is_same,
+    reclassify,
+    relate_bases,
+    share_certainty,
+)
 from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.frdft import Frdft
 from nrbench.errors import BadInput
@@ -429,6 +437,32 @@ def test_proposals_of_other_detectors_are_rated(monkeypatch: pytest.MonkeyPatch)
     own = propose_lattices
     monkeypatch.setattr("nrbench.detectors.consensus.propose_lattices", lambda *given: own(*given)[:0])
     assert is_exact(Consensus().detect(image), drawn.lattice, image)
+
+
+def alternating(color: float, size: float) -> Image:
+    """Return disks, 12 px apart, of which every second column differs in color or in size, ``(168, 168, 1)``."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:168, :168]
+    odd = x // 12 % 2
+    disks = 1 / (1 + np.exp(3 * (np.hypot(x % 12 - 5.5, y % 12 - 5.5) - 3.5 - size * odd)))
+    levels = np.kron(1 + 0.06 * rng.normal(size=(14, 14)), np.ones((12, 12)))
+    values = 0.2 + 0.5 * disks * levels * (1 + color * (odd - 0.5)) + rng.normal(0, 0.02, (168, 168))
+    return np.asarray(np.clip(values, 0, 1)[..., np.newaxis], np.float32)
+
+
+@pytest.mark.parametrize(
+    ("color", "size", "differs"), [(0.0, 0.0, False), (0.1, 0.0, False), (0.3, 0.0, False), (0.0, 0.15, True)]
+)
+def test_traits_tell_shapes_from_colors(color: float, size: float, differs: bool) -> None:
+    """Only where the sizes alternate do slopes and edges speak against the fine lattice and for the coarse one."""
+    (factor, rivals), *_ = Consensus().list_rivals(alternating(color, size))
+    fine, coarse = (
+        next(one.traits for one in rivals if is_same(one.basis, np.array(basis)))
+        for basis in (((12.0, 0.0), (0.0, 12.0)), ((0.0, 12.0), (24.0, 0.0)))
+    )
+    assert factor == 1 and fine.distinction == coarse.structure_alternation == 0
+    assert (fine.structure_alternation > 1, coarse.distinction > 1) == (differs, differs)
+    assert differs or fine.structure_alternation == coarse.distinction == 0
 
 
 def test_certainty_is_shared() -> None:

@@ -81,6 +81,40 @@ def test_parts_far_from_all_others_are_left_out() -> None:
     assert not left & {tuple(place) for place in both.places[apart].tolist()}
 
 
+def test_slopes_that_turn_around_tell_nothing() -> None:
+    """Where the slopes of two parts are opposite, no distance in cells can be measured: no part counts as off."""
+    knots = bent_knots()
+    column = np.arange(COLUMNS)
+    slopes = np.where((column > 14)[:, np.newaxis, np.newaxis], -knots.slopes, knots.slopes)
+    correlation = np.where(column == 14, 0.6, knots.correlation)
+    assert renumber(replace(knots, slopes=slopes, correlation=correlation)) is None
+    assert renumber(replace(knots, slopes=slopes)) is None
+
+
+def test_a_part_between_the_knots_of_the_others_is_left_out() -> None:
+    """With knots two vectors apart, a part that is five vectors off has no numbers. It is left out, not misplaced."""
+    u, v = np.meshgrid(2.0 * np.arange(12), 2.0 * np.arange(10))
+    places = 20 * np.stack([u, v], -1)
+    places[:, 6:] += (-100, 0)  # five vectors: the part lies so near that it is compared
+    slopes = np.tile(20 * np.eye(2), (10, 12, 1, 1))
+    found = renumber(Knots((0.5, 0.5), (0, 0), places, slopes, np.full((10, 12), 0.9)))
+    assert found is not None
+    assert {tuple(place) for place in found.places[found.known].tolist()} <= {
+        tuple(p) for p in places[:, :6].reshape(-1, 2)
+    }
+    assert np.abs(found.places - 20 * found.cells)[found.known].max() < 1e-9
+
+
+def test_knots_on_one_line_are_not_renumbered() -> None:
+    """They have no mean lattice. Neither do no knots at all."""
+    knots = bent_knots()
+    row = np.arange(ROWS)[:, np.newaxis] == 12
+    line = replace(knots, correlation=np.where(row, knots.correlation, 0.0))
+    assert knots.spans_plane and not line.spans_plane
+    assert not replace(knots, correlation=0 * knots.correlation).spans_plane
+    assert renumber(line) is None and similarity(line, (300, 300)) == 0
+
+
 def test_the_similarity_is_a_mean_over_the_image() -> None:
     """Knots over half of the image have half the correlation; twice as many in the same place do not have more."""
     u, v = np.meshgrid(np.arange(20.0), np.arange(10.0))

@@ -12,7 +12,7 @@ import nrbench
 from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.fold import interpolate
-from nrbench.plugins.forms import Detection
+from nrbench.plugins.forms import Detection, NoLatticeFound
 from nrbench.tracking.deformation import Deformation
 from nrbench.tracking.homography import map_points
 from nrbench.views.deformed import find_deformation
@@ -86,6 +86,24 @@ def test_a_doubtful_answer_is_compared_with_those_of_further_views() -> None:
     assert len(sure.seen) == 2 < len(unsure.seen) and (SIDE // 2, SIDE // 2) in unsure.seen
     assert confident.lattice.is_equivalent(doubtful.lattice, 0.02 * confident.lattice.s)
     assert doubtful.confidence == 0.8
+
+
+def test_an_image_that_is_bent_too_much_to_be_straightened_is_refused() -> None:
+    """Cells of rings and spokes turn around once. Their lattice can be followed, but nothing can be straightened."""
+    y, x = np.mgrid[:160, :160] - 79.5
+    rings, spokes = np.cos(2 * np.pi * np.hypot(x, y) / 9), np.cos(16 * np.arctan2(y, x))
+    with pytest.raises(NoLatticeFound, match="bent so much in the image that only"):
+        nrbench.track_lattice(np.clip(0.5 + (rings + spokes) / 4, 0, 1), ((9, 0), (0, 12)))
+
+
+@pytest.mark.parametrize("shape", [(8, 600), (12, 400)])
+def test_a_narrow_strip_has_a_lattice(shape: tuple[int, int]) -> None:
+    """If all knots lie on one line, they tell nothing. The lattice is that of the detector, the deformation unknown."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    joints = (y % 8 < 2) | ((x + y // 8 % 2 * 6) % 12 < 2)
+    wall = np.clip(0.6 - 0.4 * joints + np.random.default_rng(0).normal(0, 0.03, shape), 0, 1)
+    found = nrbench.track_lattice(wall)
+    assert not found.bent and found.covered == 0
 
 
 def test_noise_has_no_lattice_that_can_be_followed() -> None:

@@ -90,7 +90,7 @@ class Evidence:
 
     @cached_property
     def _known(self) -> dict[bytes, Agreement]:
-        """The agreement at the multiples of each basis that was read before: many steps read those of the same ones."""
+        """The agreement at the multiples of each basis that was read. Several steps of a detector need that of one."""
         return {}
 
     def jets(self, lags: Points) -> NDArray[np.float64]:
@@ -134,8 +134,9 @@ class Evidence:
             self._known[key] = self._read(basis, np.zeros((2, 2)))
         return self._known[key]
 
-    def _read(self, basis: Points, coarser: Points) -> Agreement:
-        mean, variance, count = between(self._spline, np.ascontiguousarray(basis), coarser, self._end, PAD, 0)
+    def _read(self, basis: Points, cells: Points) -> Agreement:
+        """Return the agreement; ``cells`` is the inverse of the coarser basis, or zero if there is none."""
+        mean, variance, count = between(self._spline, np.ascontiguousarray(basis), cells, self._end, PAD, 0)
         return Agreement(mean, variance, int(count))
 
     def agreements(self, bases: Points, coarser: Points) -> list[Agreement]:

@@ -82,12 +82,13 @@ class Traits(NamedTuple):
         Logarithm of the largest excess of a supercell of index 2 or 3, in standard errors of the mean. It is large if
         two elements that differ little alternate: the excess is small then, but the same at all vectors.
     structure_alternation
-        The same for slopes and edges alone, in errors of lines over :data:`SURE_ERRORS`: elements of different shape
-        alternate, not threads of different color. 0 if it may be chance.
+        The same for slopes and edges alone, over :data:`SURE_ERRORS`; the errors are those of lines
+        (:meth:`Evidence.split_error`) if these are larger. It is large if elements of different shape alternate. It is
+        0 if they differ in color alone, or by chance.
     distinction
         Logarithm of the least excess, in the same units, of slopes and edges at its multiples over those at the vectors
-        that a finer lattice of index 2 or 3 adds, if its relief is small (:data:`SMALL_RELIEF`). It is large for a cell
-        with two halves that differ little, and 0 for a supercell.
+        that a finer lattice of index 2 or 3 adds. It is large for a cell with two halves that differ little. It is 0
+        for a supercell, and where the relief is not small (:data:`SMALL_RELIEF`).
     split_error
         Logarithm of the standard error of the excess of supercells of index 2, as a share of its correlation. It is
         large if noise hides such an alternation.
@@ -236,7 +237,9 @@ class ShortList:
         return Splits(excesses, errors, reduce_all(changes @ basis))
 
     def differs_in_structure(self, basis: Points, change: NDArray[np.int64]) -> bool:
-        """Return whether slopes and edges repeat by a coarser lattice only, as the colors do.
+        """Return whether slopes and edges, too, repeat better by a coarser lattice; else the colors alone do.
+
+        The share of the correlation that is lost at the other vectors is compared (:data:`STRUCTURE_LOSS`).
 
         Parameters
         ----------
@@ -340,9 +343,10 @@ def reclassify(rivals: Sequence[Rival]) -> Probabilities:
 def describe_choice(rivals: Sequence[Rival]) -> list[float]:
     """Return what :func:`reclassify` reads: 1, and three logarithms.
 
-    They are those of the first two probabilities of the chosen lattice over the third, within +-8, and that of the
-    highest probability of another one to be exact, at least that of :data:`LEAST_SECOND`. Of a pair, of structure and
-    color, the partner does not count.
+    The first two are those of the probabilities ``exact`` and ``sub_or_supercell`` of the chosen lattice over ``none``,
+    within +-8. The third is that of the highest probability of another lattice to be exact, at least that of
+    :data:`LEAST_SECOND`. If the chosen lattice is that of the structure or of the colors, the other one of the two does
+    not count.
     """
     exact, nested, none = (math.log(max(share, 1e-6)) for share in rivals[0].probabilities)
     others = (rival.probabilities.exact for rival in rivals[1:] if not (rivals[0].role and rival.role))
