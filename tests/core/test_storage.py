@@ -78,7 +78,7 @@ def test_a_folder_is_removed_whatever_it_holds(tmp_path: Path) -> None:
 def test_no_place_for_temporary_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no temporary folder can be made, the error says what to set."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
-    with pytest.raises(BadInput, match="missing.*; set TMPDIR to a folder"), temporary_folder():
+    with pytest.raises(BadInput, match=r"missing.*; set TMPDIR to a folder"), temporary_folder():
         pass
 
 
