@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import json
 import os
-import shutil
+import stat
 import sys
 import tempfile
 import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from nrbench.errors import BadInput
 
 
 def write_aside(path: Path, write: Callable[[Path], object]) -> None:
@@ -116,10 +120,68 @@ def write_text(path: Path, text: str) -> None:
 
 @contextlib.contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Yield a temporary folder, and remove it, as well as those that processes which were killed left behind."""
-    _remove_stale(Path(tempfile.gettempdir()))
-    with tempfile.TemporaryDirectory(prefix=_PREFIX, ignore_cleanup_errors=True) as folder, _hold(Path(folder)):
-        yield Path(folder)
+    """Yield a temporary folder, and remove it, as well as those that processes which were killed left behind.
+
+    Raises
+    ------
+    BadInput
+        When the system has no folder of temporary files that can be written to.
+    """
+    try:
+        _remove_stale(Path(tempfile.gettempdir()))
+        folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    except OSError as error:
+        raise BadInput(f"temporary files: {error}; set TMPDIR to a folder that can be written to") from error
+    remove = partial(remove_folder, folder)
+    atexit.register(remove)  # a process may end without leaving the context
+    try:
+        with _hold(folder):
+            yield folder
+    finally:
+        atexit.unregister(remove)
+        remove()
+
+
+def remove_folder(folder: Path) -> None:
+    """Remove a folder and all it holds, whatever a plugin has put there; what cannot be removed stays.
+
+    No link is followed. Folders may be nested to any depth, and their owner need not be allowed to write to them. Both
+    is more than :func:`shutil.rmtree` and :class:`tempfile.TemporaryDirectory` do, of which the latter changes the
+    modes of files that links point to in Python 3.11. Each inner folder is moved to the top, and emptied there.
+    """
+    inner = [folder]
+    while inner:
+        place = inner.pop()
+        with contextlib.suppress(OSError):
+            inner += _empty(place, folder)
+        with contextlib.suppress(OSError):
+            if place != folder:
+                place.rmdir()
+    with contextlib.suppress(OSError):
+        folder.rmdir()
+
+
+def _empty(place: Path, top: Path) -> Iterator[Path]:
+    """Remove the files of a folder, and move its folders to ``top``; yield where they are."""
+    if not stat.S_ISDIR(place.lstat().st_mode):
+        place.unlink()
+        return
+    _open(place)
+    with os.scandir(place) as found:
+        entries = list(found)
+    for entry in entries:
+        with contextlib.suppress(OSError):
+            if entry.is_dir(follow_symlinks=False):
+                _open(Path(entry.path))  # a folder that may not be written to cannot be moved
+                yield Path(entry.path).rename(top / uuid.uuid4().hex)
+            else:
+                os.unlink(entry.path)  # noqa: PTH108
+
+
+def _open(folder: Path) -> None:
+    """Let this user read and change a folder, if it is theirs."""
+    with contextlib.suppress(OSError):
+        folder.chmod(0o700)
 
 
 _PREFIX, _HELD = "nrbench-", ".held"
@@ -150,7 +212,7 @@ def _remove_stale(place: Path) -> None:
             if not folder.is_symlink() and held.st_uid == os.getuid() and time.time() - held.st_mtime > 60:
                 with _hold(folder) as free:
                     if free:
-                        shutil.rmtree(folder, ignore_errors=True)
+                        remove_folder(folder)
 
 
 def write_json(path: Path, content: Mapping[str, Any], durable: bool = False) -> None:

@@ -374,11 +374,11 @@ def _import_file(file: Path) -> Any:
         raise BadInput(f"plugin {file}: is no Python file; its name must end in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[module.__name__] = module
-    try:
-        with outside_user_folder():
+    with outside_user_folder():
+        try:
             spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
-        raise BadInput(f"plugin {file}: does not import: {type(error).__name__}: {error}") from error
+        except (Exception, SystemExit) as error:
+            raise BadInput(f"plugin {file}: does not import: {type(error).__name__}: {error}") from error
     return module
 
 

@@ -8,10 +8,10 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import psutil
 
@@ -24,8 +24,8 @@ MEMORY_TICK = 0.1
 MIB = 1 << 20
 LONG_LOG, SHORT_LOG = 16 << 20, 1 << 20
 """Bytes of a log above which it is cut, and bytes that are kept of it."""
-_TEXTS = ("status", "message", "scored")
-"""Entries of a message that are text if they are there. A child may write anything else."""
+_TYPES: Mapping[str, Any] = {**dict.fromkeys(("status", "message", "scored"), str), "peak_mib": int | float}
+"""Types of some entries of a message, if they are there. A child may write anything else."""
 MARK = "NRBENCH_RUN"
 """Environment variable that holds a mark of the process that started a worker; all that a worker starts inherits it."""
 
@@ -213,7 +213,9 @@ def parse_message(line: str | bytes) -> Message | None:
         message = json.loads(line)
     except ValueError:
         return None
-    if not isinstance(message, dict) or not all(isinstance(message.get(name, ""), str) for name in _TEXTS):
+    if not isinstance(message, dict):
+        return None
+    if not all(isinstance(message[name], kind) for name, kind in _TYPES.items() if name in message):
         return None
     return cast("Message", message)
 

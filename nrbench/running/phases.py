@@ -6,6 +6,7 @@ A phase runs in a child process of its own and reports by messages. ``nrbench.sc
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import time
@@ -128,7 +129,8 @@ def synthesize(folder: Path, send: Send) -> None:
 
 def send_error(error: BaseException, send: Send) -> None:
     """Send the message of an error: status ``storage`` if a disk is full or broken, else ``error``."""
-    traceback.print_exc()
+    with contextlib.suppress(OSError):  # the log may lie on the disk that is full
+        traceback.print_exc()
     disk = storage_fault(error)
     if disk is not None:
         where = f"{disk.filename}: " if disk.filename else ""

@@ -15,7 +15,6 @@ import importlib
 import json
 import os
 import select
-import shutil
 import signal
 import stat
 import sys
@@ -36,7 +35,7 @@ from nrbench.plugins.parameters import prepare_conversion
 from nrbench.running import clauses, guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import leave_user_folder, read_json, working_folder
+from nrbench.storage import leave_user_folder, read_json, remove_folder, working_folder
 
 PATIENCE = 0.02
 """Seconds that a worker waits for the next request before it tidies up after the last one."""
@@ -100,12 +99,21 @@ class Request:
         Folders in which it left nothing are kept for the next phase, because some disks take milliseconds to remove
         one. All others get another name first, so that the next phase finds nothing of what cannot be removed.
         """
-        temporary = Path(self.temporary)
-        if not _is_untouched(temporary):
+        if not self.left_nothing():
+            temporary = Path(self.temporary)
             aside = temporary.with_name(uuid.uuid4().hex)
             with contextlib.suppress(OSError):
                 temporary.rename(aside)
-            shutil.rmtree(aside, ignore_errors=True)
+            remove_folder(aside)
+
+    def left_nothing(self) -> bool:
+        """Return whether the folder of temporary files is as :meth:`settle` made it."""
+        temporary, work = Path(self.temporary), Path(self.temporary, "work")
+        try:
+            folders = all(path.lstat().st_mode == stat.S_IFDIR | 0o700 for path in (temporary, work))
+            return folders and os.listdir(temporary) == [work.name] and not os.listdir(work)  # noqa: PTH208
+        except OSError:
+            return False
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""
@@ -116,16 +124,6 @@ class Request:
         """Read a request from :meth:`to_json`."""
         content = json.loads(line)
         return cls(**{**content, "metrics": tuple(content["metrics"])})
-
-
-def _is_untouched(temporary: Path) -> bool:
-    """Return whether a folder of temporary files is as :meth:`Request.settle` made it."""
-    work = temporary / "work"
-    try:
-        folders = all(path.lstat().st_mode == stat.S_IFDIR | 0o700 for path in (temporary, work))
-        return folders and os.listdir(temporary) == [work.name] and not os.listdir(work)  # noqa: PTH208
-    except OSError:
-        return False
 
 
 @dataclass(frozen=True)
@@ -261,12 +259,14 @@ def may_fork() -> bool:
 def serve(requests: IO[str], reply: Callable[[str], None]) -> None:
     """Read one request from each line, run it in a forked child, and reply, until the input ends."""
     server = ForkServer()
-    for line in requests:
-        reply(server.run(Request.from_json(line)).to_json())
-        server.prepare()
-        if not select.select([requests], [], [], PATIENCE)[0]:
-            server.tidy()
-    server.tidy()
+    try:
+        for line in requests:
+            reply(server.run(Request.from_json(line)).to_json())
+            server.prepare()
+            if not select.select([requests], [], [], PATIENCE)[0]:
+                server.tidy()
+    finally:  # also where nobody reads the reply any more
+        server.tidy()
 
 
 @dataclass(frozen=True)
@@ -314,6 +314,7 @@ class ForkServer:
     A fork takes milliseconds, and so does the end of a process. Neither delays a reply. The child of the next request,
     the spare, is forked after a reply. It is like one that is forked later, because the server does not change. A child
     says when its request is finished, and the server waits for its end while the scorer works, or before the next one.
+    Only temporary files that it left are removed before the reply.
     """
 
     def __init__(self) -> None:
@@ -350,6 +351,8 @@ class ForkServer:
         broken = watch.watch()
         if watch.finished:
             self._finished = child, request
+            if not request.left_nothing():  # the disk of the run may be full of it, and its removal may take long
+                self.tidy()
             return Reply.of(watch.ending(None, 0))
         reply = Reply.of(watch.ending(broken, child.end(kill=broken is not None)))
         self._remove_rests(request)
@@ -367,6 +370,7 @@ class ForkServer:
         child = self._scorer
         if child is None or child.has_ended():
             self._end_scorer()
+            self.tidy()  # what the last request left running may take all that a fork needs
             child = self._scorer = _fork(_run_many)
         base = guard.held_bytes(child.pid)
         _send_request(child, request)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from nrbench.errors import BadInput
 from nrbench.storage import temporary_folder, write_aside
 
 
@@ -30,6 +31,55 @@ def test_folders_of_killed_processes_are_removed(tmp_path: Path, monkeypatch: py
             os.utime(folder / ".held", (0, 0))
         with temporary_folder() as next_one:
             assert {path.name for path in tmp_path.iterdir()} == {"nrbench-mine", living.name, next_one.name}
+
+
+LITTER = """
+import os
+from pathlib import Path
+from nrbench.storage import remove_folder
+
+if hasattr(os, "setuid") and os.getuid() == 0:
+    os.setuid(65534)  # the modes of folders mean nothing to root
+mine, rests = Path("mine"), Path("rests")
+(mine / "folder").mkdir(parents=True)
+(mine / "folder").chmod(0o755)
+(mine / "file").touch()
+(mine / "file").chmod(0o644)
+locked, closed = rests / "locked", rests / "closed"
+for folder in (locked, closed):
+    folder.mkdir(parents=True)
+    (folder / "file").touch()
+for name in ("file", "folder"):
+    (locked / f"to {name}").symlink_to(Path("../..") / mine / name)
+locked.chmod(0o500)
+closed.chmod(0)
+start = os.open(".", os.O_RDONLY)
+os.chdir(rests)
+for _ in range(1200):  # more than Python's stack and the length of a path hold
+    os.mkdir("deep")
+    os.chdir("deep")
+os.fchdir(start)
+Path("link").symlink_to(mine)
+for name in ("rests", "link", "missing"):
+    remove_folder(Path(name))
+print(sorted(path.name for path in Path().iterdir()), *sorted(path.name for path in mine.iterdir()))
+print(*(oct((mine / name).stat().st_mode) for name in ("file", "folder")))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="has no such modes")
+def test_a_folder_is_removed_whatever_it_holds(tmp_path: Path) -> None:
+    """Folders that are closed or nested deeply are removed, links as such: what they point to does not change."""
+    tmp_path.chmod(0o777)
+    done = subprocess.run([sys.executable, "-c", LITTER], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines() == ["['mine'] file folder", "0o100644 0o40755"], done.stderr
+
+
+def test_no_place_for_temporary_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no temporary folder can be made, the error says what to set."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with pytest.raises(BadInput, match=r"missing.*; set TMPDIR to a folder"), temporary_folder():
+        pass
 
 
 def test_an_error_of_a_disk_names_the_file(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import io
 import json
 import os
 import re
@@ -26,12 +28,12 @@ from nrbench import plugins
 from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.imaging.files import read_image, write_image
-from nrbench.running import guard, runner
+from nrbench.running import guard, phases, runner, worker
 from nrbench.running.guarded import write_guarded
 from nrbench.running.progress import Step
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Job, Supervisor, perform_job
-from nrbench.running.worker import Request, _is_own
+from nrbench.running.worker import Reply, Request, _is_own
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.suite import Suite, validated_suite
 
@@ -195,7 +197,10 @@ def test_an_output_that_was_changed_is_not_scored(faulty_run: FaultyRun) -> None
         assert again.values["cost.seconds"] is not None
 
 
-@pytest.mark.parametrize("line", ['{"scored": ["cost"]}', '{"status": 3}', '{"message": null}', "[1]", "\udcff", "x"])
+@pytest.mark.parametrize(
+    "line",
+    ['{"scored": ["cost"]}', '{"status": 3}', '{"message": null}', '{"peak_mib": "1"}', "[1]", "\udcff", "x"],
+)
 def test_what_is_no_message_is_ignored(line: str) -> None:
     """A line that a child writes in place of a message, with entries of other types, counts as no message."""
     assert guard.parse_message(line) is None
@@ -210,6 +215,39 @@ def test_only_a_full_disk_of_the_run_ends_it(faulty_run: FaultyRun, monkeypatch:
     monkeypatch.setattr("nrbench.running.supervisor._can_write", lambda folder: False)
     with pytest.raises(OSError, match="No space left"):
         faulty_run(suite, Options(jobs=0))
+
+
+def test_an_error_is_sent_where_the_log_has_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error of a full disk arrives as such, although its traceback cannot be written."""
+    full, messages = OSError(errno.ENOSPC, "No space left on device"), []
+
+    def fail() -> None:
+        raise full
+
+    monkeypatch.setattr("traceback.print_exc", fail)
+    phases.send_error(full, messages.append)
+    assert messages == [{"status": "storage", "message": "No space left on device"}]
+
+
+def test_a_worker_tidies_up_after_a_reply_that_nobody_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker whose run has been killed kills what the last method left running, although its reply fails."""
+    calls: list[str] = []
+
+    class Server:
+        def run(self, request: Request) -> Reply:
+            calls.append("run")
+            return Reply({"status": "ok", "message": ""})
+
+        def tidy(self) -> None:
+            calls.append("tidy")
+
+    def reply(line: str) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(worker, "ForkServer", Server)
+    with pytest.raises(BrokenPipeError):
+        worker.serve(io.StringIO(Request("synthesize", "cell", 1, 1).to_json()), reply)
+    assert calls == ["run", "tidy"]
 
 
 def test_a_long_log_keeps_its_end(tmp_path: Path) -> None:
@@ -396,7 +434,9 @@ def look_around(supervisor: Supervisor, folder: Path, **parameters: Any) -> dict
 def test_a_phase_finds_nothing_of_the_last_one(supervisors: list[Supervisor], tmp_path: Path) -> None:
     """Temporary files and working folder of a method are empty and outside the run, and have room for sockets."""
     folder = prepare(tmp_path / "cell", "tenant")
-    clean, messy, after = (look_around(supervisors[0], folder, leaves=leaves) for leaves in (False, True, False))
+    clean, messy = (look_around(supervisors[0], folder, leaves=leaves) for leaves in (False, True))
+    assert not list(Path(messy["place"]).parent.rglob("left"))  # the disk may be that of the run, and full
+    after = look_around(supervisors[0], folder)
     assert {clean["pid"], messy["pid"], after["pid"]} > {clean["pid"], messy["pid"]}
     for found in (clean, messy, after):
         assert found["found"] == ["work"]
@@ -593,9 +633,9 @@ def test_a_worker_that_dies_is_replaced(supervisors: list[Supervisor], tmp_path:
     request = Request("score", str(cell.folder), seconds=20, mib=500, metrics=("cost",))
     assert supervisor.run(request).scored == ("cost",)
     assert supervisor._worker is not None
-    worker = psutil.Process(supervisor._worker.pid)
-    wait_until(lambda: len(worker.children()) == 2)
-    children = worker.children()
+    process = psutil.Process(supervisor._worker.pid)
+    wait_until(lambda: len(process.children()) == 2)
+    children = process.children()
     supervisor._worker.kill()
     supervisor._worker.wait()
     assert not psutil.wait_procs(children, timeout=5)[1]
