@@ -70,14 +70,14 @@ def leave_user_folder(user_folder: Path, working: Path) -> None:
 def outside_user_folder() -> Iterator[None]:
     """Make a temporary folder the working directory for a while, in which a plugin is imported.
 
-    See :func:`leave_user_folder`. Nothing changes in a process that has left the user's folder already, or that has
-    several threads, because the working directory is the same for all of them.
+    See :func:`leave_user_folder`. Nothing changes in a process that has left the user's folder already, that could not
+    return to it, or that has several threads, because the working directory is the same for all of them.
     """
     global _user_folder
-    if _user_folder is not None or threading.active_count() > 1:
+    user_folder = _enterable_folder()
+    if _user_folder is not None or user_folder is None or threading.active_count() > 1:
         yield
         return
-    user_folder = Path(working_folder())
     entries = {place: entry for entry, place in _relative_places(user_folder).items()}
     with temporary_folder() as folder:
         leave_user_folder(user_folder, folder / "work")
@@ -85,8 +85,19 @@ def outside_user_folder() -> Iterator[None]:
             yield
         finally:
             _user_folder = None
-            os.chdir(user_folder)
+            with contextlib.suppress(OSError):  # the plugin has removed it
+                os.chdir(user_folder)
             sys.path[:] = [entries.get(place, place) for place in sys.path]
+
+
+def _enterable_folder() -> Path | None:
+    """Return the working directory; None if somebody has removed it, or this user may not enter it, as under sudo."""
+    try:
+        folder = Path.cwd()
+        os.chdir(folder)
+    except OSError:
+        return None
+    return folder
 
 
 def _relative_places(user_folder: Path) -> dict[str, str]:

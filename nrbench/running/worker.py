@@ -110,7 +110,8 @@ class Request:
         """Return whether the folder of temporary files is as :meth:`settle` made it."""
         temporary, work = Path(self.temporary), Path(self.temporary, "work")
         try:
-            folders = all(path.lstat().st_mode == stat.S_IFDIR | 0o700 for path in (temporary, work))
+            modes = [path.lstat().st_mode & ~stat.S_ISGID for path in (temporary, work)]  # that bit is inherited
+            folders = all(mode == stat.S_IFDIR | 0o700 for mode in modes)
             return folders and os.listdir(temporary) == [work.name] and not os.listdir(work)  # noqa: PTH208
         except OSError:
             return False

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from nrbench.errors import BadInput
-from nrbench.storage import temporary_folder, write_aside
+from nrbench.storage import outside_user_folder, temporary_folder, write_aside
 
 
 @pytest.mark.skipif(os.name == "nt", reason="has no such locks")
@@ -73,6 +73,15 @@ def test_a_folder_is_removed_whatever_it_holds(tmp_path: Path) -> None:
     tmp_path.chmod(0o777)
     done = subprocess.run([sys.executable, "-c", LITTER], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.stdout.splitlines() == ["['mine'] file folder", "0o100644 0o40755"], done.stderr
+
+
+def test_a_folder_that_is_gone_is_not_left(tmp_path: Path) -> None:
+    """Where the working directory was removed, a plugin is imported there; later relative paths lead nowhere else."""
+    tmp_path.rmdir()
+    with outside_user_folder():
+        pass
+    with pytest.raises(FileNotFoundError):
+        Path.cwd()
 
 
 def test_no_place_for_temporary_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
