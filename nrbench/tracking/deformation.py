@@ -123,18 +123,27 @@ class Deformation:
 
     @property
     def bent(self) -> bool:
-        """Whether the lattice is deformed: displacements of at least 0.04 s that neighbors share."""
-        return self.knots is not None and self.amplitude >= LEAST_AMPLITUDE and self.smoothness >= LEAST_SMOOTHNESS
+        """Whether the lattice is deformed: displacements of at least 0.04 s that neighbors share.
 
-    @cached_property
+        Those that a homography explains are shared, too: in an image of few elements, displacements that grow toward
+        the corners change much within one s.
+        """
+        if self.knots is None or self.amplitude < LEAST_AMPLITUDE:
+            return False
+        return self.smoothness >= LEAST_SMOOTHNESS or self._plane is not None
+
+    @property
     def homography(self) -> Points | None:
         """The 3 x 3 matrix that maps points (x, y, 1) of the mean lattice's plane to the image, if there is one.
 
         None if the image is not bent, or if no homography explains the displacements: their rest must be at most 0.35
         times as large. A plane in perspective is a homography, a curved surface or a wavy cloth is none.
         """
-        if not self.bent:
-            return None
+        return self._plane if self.bent else None
+
+    @cached_property
+    def _plane(self) -> Points | None:
+        """The homography that explains the displacements, if there is one, whether or not the image is bent."""
         points = self.lattice.from_cell(self.cells)
         matrix = fit_homography(points, self.places)
         if matrix is None:
