@@ -553,27 +553,33 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
     supervisor, *_ = supervisors
     cells = run(small_suite(["oracle", "fine"]), out=tmp_path / "run", options=Options(jobs=0)).cells
 
-    def scorers(metric: str, seconds: float = 20.0) -> tuple[set[int], str]:
+    def scorers(metric: str, seconds: float = 20.0) -> tuple[set[int], list[str]]:
+        endings = []
         for record in cells:
             shutil.rmtree(record.folder / "scores", ignore_errors=True)
             reply = supervisor.run(Request("score", str(record.folder), seconds, 500, (metric,)))
+            endings.append(reply.result["status"])
         assert supervisor._worker is not None
         children = psutil.Process(supervisor._worker.pid).children()
-        return {child.pid for child in children if is_scorer(child)}, reply.result["status"]
+        return {child.pid for child in children if is_scorer(child)}, endings
 
-    (first, ended), whole = scorers("cost"), [record.values["cost.peak_mib"] for record in cells]
-    assert ended == "ok"
+    (first, endings), whole = scorers("cost"), [record.values["cost.peak_mib"] for record in cells]
+    assert endings == ["ok", "ok"]
     assert len(first) == 1
-    assert scorers("deadly") == (first, "ok")  # in processes of their own
-    assert scorers("cost") == (first, "ok")
+    assert scorers("deadly") == (first, ["ok", "ok"])  # in processes of their own
+    assert scorers("cost") == (first, ["ok", "ok"])
     idle = psutil.Process(*first)
     assert not [file.path for file in idle.open_files() if file.path.startswith(str(tmp_path))]
-    psutil.Process(*first).kill()
-    second, ended = scorers("cost")
-    assert ended == "ok"
+    idle.kill()
+    wait_until(lambda: idle.status() == psutil.STATUS_ZOMBIE)
+    second, endings = scorers("cost")
+    assert endings == ["ok", "ok"]
     assert len(second - first) == 1
-    assert scorers("cost", -1.0) == (set(), "timeout")
-    assert scorers("cost")[1] == "ok"
+    psutil.Process(*second).suspend()
+    third, endings = scorers("cost", 2.0)
+    assert endings == ["timeout", "ok"]
+    assert len(third - second) == 1
+    assert scorers("cost") == (third, ["ok", "ok"])
     assert [record.values["cost.peak_mib"] for record in Run(tmp_path / "run").cells] == whole
 
 
