@@ -25,7 +25,9 @@ class Trivial:
         return Synthesis(np.resize(np.roll(task.sample, self.number, axis=1), (*task.shape, task.sample.shape[2])))
 '''
 TEXTURES = 10
-"""Samples of the suite; each one has a tenth of the cells."""
+"""Textures of the suite; each one has a tenth of the cells."""
+MOST_METHODS = 200
+"""Largest number of methods of the suite; more cells are replicates. The tables compare each method with each other."""
 
 
 def write_plugin(folder: Path) -> Path:
@@ -36,10 +38,12 @@ def write_plugin(folder: Path) -> Path:
 
 
 def write_suite(folder: Path, count: int) -> Path:
-    """Write a suite of ``count`` cells of 64 x 64 px, a multiple of :data:`TEXTURES`, scored by their cost alone."""
-    methods = ", ".join(f'"trivial:number={k}"' for k in range(max(1, count // TEXTURES)))
+    """Write a suite of about ``count`` cells of 64 x 64 px, scored by their cost alone."""
+    replicates = max(1, round(count / TEXTURES / MOST_METHODS))
+    methods = ", ".join(f'"trivial:number={k}"' for k in range(max(1, count // TEXTURES // replicates)))
     rows = (f'{{ name = "wall{k}", dataset = "brick", parameters = {{ color = 0.{k} }} }}' for k in range(TEXTURES))
     head = 'name = "many"\nsample = "64x64"\nsize = "64x64"\nmetrics = ["cost"]\n'
+    head += f"replicates = {replicates}\n"
     path = folder / "many.toml"
     path.write_text(f"{head}methods = [{methods}]\ntexture = [{', '.join(rows)}]\n")
     return path
