@@ -45,9 +45,13 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Probabilities
 
 PENALTY = 0.3
+PASSES = 2
+"""Number of fits to the chosen lattices: the detail at which a lattice is chosen depends on its confidence."""
 ENOUGH = 40
 """Least number of textures in a tenth whose reliability is judged."""
-FIT_SEEDS, REPORT_SEED = (11, 12), 13
+FIT_SEEDS, CHOICE_SEEDS, REPORT_SEED = (11, 12), (21, 22, 23, 24, 25, 26), 13
+"""The weights of all lattices are fitted to the draws of the first seeds. Those of the chosen lattice, of which each
+texture has one only, are fitted to the draws of the second seeds, too."""
 FOLDS = 6
 """Parts into which the families are divided to leave one out."""
 CLASSES = Probabilities._fields
@@ -99,12 +103,12 @@ def _class_of(rival: Rival, truth: Lattice | None, shape: tuple[int, int]) -> st
 Weights = dict[str, list[float]]
 
 
-def fit(rated: Sequence[Rated]) -> tuple[Weights, Weights]:
-    """Return the weights for all rivals, and those for the chosen lattice.
+def fit(rated: Sequence[Rated], further: Sequence[Rated]) -> tuple[Weights, Weights]:
+    """Return the weights for all rivals, fitted to ``rated``, and those for the chosen lattice, fitted to all textures.
 
     The latter are fitted to what the former say of families that they were not fitted to.
     """
-    return _fit_rivals(rated), _fit_chosen(rated)
+    return _fit_rivals(rated), _fit_chosen(rated, further)
 
 
 def _fit_rivals(rated: Sequence[Rated]) -> Weights:
@@ -117,19 +121,29 @@ def _fit_rivals(rated: Sequence[Rated]) -> Weights:
     return _regress(rows, PENALTY)
 
 
-def _fit_chosen(rated: Sequence[Rated]) -> Weights:
-    rows = []
-    families = sorted({one.case.family for one in rated})
-    for start in range(FOLDS):
-        out = families[start::FOLDS]
-        found = _fit_rivals([one for one in rated if one.case.family not in out])
-        for one in rated:
-            if one.case.family in out:
-                order, truths = _choose(one, found)
-                if order:
-                    names = ["exact"] if order[0].role and _holds_right(order, truths) else [each[0] for each in truths]
-                    rows += [(short_list.describe_choice(order), name, 1 / len(names)) for name in names]
-    return _regress(rows, PENALTY / 10)
+def _fit_chosen(rated: Sequence[Rated], further: Sequence[Rated]) -> Weights:
+    families = sorted({one.case.family for one in (*rated, *further)})
+    parts = [families[start::FOLDS] for start in range(FOLDS)]
+    fitted = [_fit_rivals([one for one in rated if one.case.family not in out]) for out in parts]
+    chosen = weights.CHOSEN
+    for _ in range(PASSES):
+        rows = []
+        with _replaced(weights.CHOSEN, chosen):
+            for out, found in zip(parts, fitted, strict=True):
+                for one in (*rated, *further):
+                    if one.case.family in out:
+                        rows += _choice_rows(one, found)
+        chosen = _regress(rows, PENALTY / 10)
+    return chosen
+
+
+def _choice_rows(one: Rated, used: Weights) -> list[tuple[list[float], str, float]]:
+    """Return what the second regression reads of a texture, with each class that the chosen lattice may have."""
+    order, truths = _choose(one, used)
+    if not order:
+        return []
+    names = ["exact"] if order[0].role and _holds_right(order, truths) else [each[0] for each in truths]
+    return [(short_list.describe_choice(order), name, 1 / len(names)) for name in names]
 
 
 def _choose(one: Rated, used: Weights) -> tuple[list[Rival], list[list[str]]]:
@@ -271,14 +285,14 @@ def _is_exact(outcome: Outcome) -> bool:
     return outcome.truth == "exact"
 
 
-def leave_out(rated: Sequence[Rated], field: str) -> list[Outcome]:
-    """Return the outcomes of each group with weights that are fitted to the other groups."""
+def leave_out(rated: Sequence[Rated], further: Sequence[Rated], field: str) -> list[Outcome]:
+    """Return the outcomes of each group with weights that are fitted to the other groups, as by :func:`fit`."""
     outcomes = []
-    groups = sorted({getattr(one.case, field) for one in rated})
+    groups = sorted({getattr(one.case, field) for one in (*rated, *further)})
     for some in (groups[start::FOLDS] for start in range(FOLDS)) if field == "family" else ([k] for k in groups):
-        inside = [one for one in rated if getattr(one.case, field) in some]
-        outside = [one for one in rated if getattr(one.case, field) not in some]
-        outcomes += list(judge(inside, fit(outside)))
+        inside = [one for one in (*rated, *further) if getattr(one.case, field) in some]
+        outside = [[one for one in part if getattr(one.case, field) not in some] for part in (rated, further)]
+        outcomes += list(judge(inside, fit(*outside)))
     return outcomes
 
 
@@ -317,29 +331,32 @@ def _read_stream(path: Path) -> tuple[list[Rated], int]:
 
 
 def main() -> None:
-    """Fit on the draws of two seeds, report on those of a third one."""
+    """Fit on the draws of eight seeds, report on those of a ninth one."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=4, help="draws of each model, for each seed")
     parser.add_argument("--kinds", type=int, default=1, help="draws of each further kind, for each seed")
-    parser.add_argument("--report", type=int, nargs=2, metavar=("COUNT", "KINDS"), help="the same for the third seed")
+    parser.add_argument("--report", type=int, nargs=2, metavar=("COUNT", "KINDS"), help="the same for the ninth seed")
     parser.add_argument(
         "--keep", type=Path, help="folder in which rated draws are kept, so that a run which was stopped goes on there"
     )
     options = parser.parse_args()
     load_kernels()
     counts = options.count, options.kinds
-    used = [one for seed in FIT_SEEDS for one in load(options.keep, seed, *counts)]
+    used, further = (
+        [one for seed in seeds for one in load(options.keep, seed, *counts)] for seeds in (FIT_SEEDS, CHOICE_SEEDS)
+    )
     fresh = load(options.keep, REPORT_SEED, *(options.report or counts))
-    noise = [np.exp(one.rivals[0].traits.sigmas) for one in used + fresh if one.rivals and one.case.family == "noise"]
+    every = used + further + fresh
+    noise = [np.exp(one.rivals[0].traits.sigmas) for one in every if one.rivals and one.case.family == "noise"]
     print(f"noise: the best lattice reaches {max(noise, default=0):.1f} sigmas in {len(noise)} draws")
     print("weights:", Traits._fields)
-    found = fit(used)
+    found = fit(used, further)
     pprint.pp(found, width=120, compact=True)
     report("fitted, on fresh draws", list(judge(fresh, found)))
     report("as shipped, on fresh draws", list(judge(fresh, (weights.WEIGHTS, weights.CHOSEN))))
-    report("fitted without the family", leave_out(used + fresh, "family"))
+    report("fitted without the family", leave_out(used, further + fresh, "family"))
     if options.kinds:
-        report("fitted without the kind", leave_out(used + fresh, "kind"))
+        report("fitted without the kind", leave_out(used, further + fresh, "kind"))
 
 
 if __name__ == "__main__":

@@ -184,7 +184,7 @@ class Consensus:
     surrogates: int = 12
     false_alarms: float = 0.02
 
-    version: ClassVar[str] = "5"
+    version: ClassVar[str] = "6"
 
     def __post_init__(self) -> None:
         for name in ("max_loss", "relief", "least"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,7 +14,15 @@ from nrbench import texture
 from nrbench.detectors.agreement.evidence import Evidence
 from nrbench.detectors.agreement.likeness import compute_likeness, views
 from nrbench.detectors.agreement.search import propose_lattices
-from nrbench.detectors.agreement.short_list import Rival, Traits, classify, reclassify, relate_bases, share_certainty
+from nrbench.detectors.agreement.short_list import (
+    Rival,
+    Traits,
+    classify,
+    describe_choice,
+    reclassify,
+    relate_bases,
+    share_certainty,
+)
 from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.frdft import Frdft
 from nrbench.errors import BadInput
@@ -443,6 +452,27 @@ def test_traits_of_structure_ignore_colors(color: float) -> None:
     cells = {relate_bases(rival.basis, np.diag([12.0, 12.0])): rival.traits for rival in rivals}
     assert {1, 2} <= set(cells) and (cells[1].alternation > 3) == (color > 0)
     assert cells[1].structure_alternation == cells[2].distinction == 0
+
+
+def test_a_supercell_and_a_subcell_that_are_probable_speak_for_different_errors() -> None:
+    """What a nearly as probable lattice is tells what the chosen one may be.
+
+    The partner of structure or color does not count.
+    """
+    traits = Traits(*np.zeros(len(Traits._fields)))
+    sure = Rival(np.eye(2) * 20, 1.0, traits, Probabilities(0.6, 0.3, 0.1))
+    coarser, finer, unrelated = (
+        sure._replace(basis=basis, probabilities=Probabilities(0.5, 0.3, 0.2))
+        for basis in (np.diag([20.0, 40.0]), np.diag([10.0, 20.0]), np.array([[17.0, 3.0], [-5.0, 31.0]]))
+    )
+    alone = describe_choice([sure])
+    for number, rival in enumerate((coarser, finer, unrelated), 3):
+        described = describe_choice([sure, rival])
+        assert described[number] == math.log(0.5)
+        assert described[:number] + described[number + 1 :] == alone[:number] + alone[number + 1 :]
+    assert describe_choice([sure._replace(role="color"), coarser._replace(role="structure")]) == alone
+    doubled, alternated = (reclassify([sure, rival]) for rival in (coarser, finer))
+    assert doubled.sub_or_supercell > max(alternated.sub_or_supercell, reclassify([sure]).sub_or_supercell)
 
 
 def test_certainty_is_shared() -> None:

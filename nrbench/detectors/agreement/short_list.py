@@ -341,17 +341,23 @@ def reclassify(rivals: Sequence[Rival]) -> Probabilities:
 
 
 def describe_choice(rivals: Sequence[Rival]) -> list[float]:
-    """Return what :func:`reclassify` reads: 1, and three logarithms.
+    """Return what :func:`reclassify` reads: 1, and five logarithms.
 
     The first two are those of the probabilities ``exact`` and ``sub_or_supercell`` of the chosen lattice over ``none``,
-    within +-8. The third is that of the highest probability of another lattice to be exact, at least that of
-    :data:`LEAST_SECOND`. If the chosen lattice is that of the structure or of the colors, the other one of the two does
-    not count.
+    within +-8. The others are those of the highest probability to be exact of a coarser lattice, of a finer one, and of
+    one that is neither, each at least that of :data:`LEAST_SECOND`. If the chosen lattice is that of the structure or
+    of the colors, the other one of the two does not count.
     """
-    exact, nested, none = (math.log(max(share, 1e-6)) for share in rivals[0].probabilities)
-    others = (rival.probabilities.exact for rival in rivals[1:] if not (rivals[0].role and rival.role))
-    second = math.log(max(max(others, default=0.0), LEAST_SECOND))
-    return [1.0, min(max(exact - none, -8.0), 8.0), min(max(nested - none, -8.0), 8.0), second]
+    first = rivals[0]
+    exact, nested, none = (math.log(max(share, 1e-6)) for share in first.probabilities)
+    highest = [LEAST_SECOND] * 3
+    for rival in rivals[1:]:
+        if rival.probabilities.exact > min(highest) and not (first.role and rival.role):
+            cells = relate_bases(rival.basis, first.basis)
+            relation = 0 if cells > 1 else 1 if cells > 0 else 2
+            highest[relation] = max(highest[relation], rival.probabilities.exact)
+    own = [min(max(share - none, -8.0), 8.0) for share in (exact, nested)]
+    return [1.0, *own, *(math.log(share) for share in highest)]
 
 
 def _apply(weights: Mapping[str, Sequence[float]], terms: Sequence[float]) -> Probabilities:

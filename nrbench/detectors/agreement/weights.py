@@ -12,8 +12,7 @@ WEIGHTS: dict[str, list[float]] = {
 }
 """For any lattice, for each class but ``none``: a constant, then one weight for each trait."""
 CHOSEN: dict[str, list[float]] = {
-    "exact": [-1.364, 0.634, 0.454, -0.569],
-    "sub_or_supercell": [-0.919, 0.22, 0.656, 0.025],
+    "exact": [-1.423, 0.706, 0.247, 0.102, 0.107, -0.728],
+    "sub_or_supercell": [1.966, 0.251, 0.463, 0.945, 0.37, -0.501],
 }
-"""For the chosen lattice: a constant, then weights of the logarithms of the first two probabilities over the third, and
-of the probability of the next one."""
+"""For the chosen lattice: a constant, then weights of what :func:`~.short_list.describe_choice` returns."""
