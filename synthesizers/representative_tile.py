@@ -34,6 +34,8 @@ _SEARCH_SHARE = 0.4
 
 MOST = 1e6
 """Largest weight: beyond it the other term has no effect."""
+MOST_TILES = 1000
+"""Largest number of Wang tiles: an output shows fewer."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ class RepresentativeTile:
     tolerance
         Largest distance of a side of the tile from a lattice vector, in shares of s, in [0, 0.5).
     tiles
-        1, or the number of Wang tiles: 4, or 6 and more.
+        1, or the number of Wang tiles: 4, or 6 to 1000.
     """
 
     alpha: float = 1.0
@@ -133,9 +135,8 @@ class RepresentativeTile:
         _check(1 <= self.m <= 99, f"m {self.m}; choose from 1 (the best tile) to 99")
         _check(0 < self.depth <= 1, f"depth {self.depth}; choose a share above 0, at most 1")
         _check(0 <= self.tolerance < 0.5, f"tolerance {self.tolerance}; choose a share of s from 0 to below 0.5")
-        _check(
-            self.tiles == 1 or edge_colors(self.tiles) is not None, f"tiles {self.tiles}; choose 1, 4, or 6 and more"
-        )
+        possible = self.tiles == 1 or (1 < self.tiles <= MOST_TILES and edge_colors(self.tiles) is not None)
+        _check(possible, f"tiles {self.tiles}; choose 1, 4, or 6 to {MOST_TILES}")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`RepresentativeTile`.

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 from synthesis_cases import noise
 
+from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Synthesis, Task
@@ -28,6 +29,13 @@ def test_there_are_edge_colors_all_numbers_but_few() -> None:
         colors = edge_colors(tiles)
         assert colors is not None and 2 * math.prod(colors) <= tiles <= math.prod(colors) ** 2
     assert (edge_colors(8), edge_colors(18)) == ((2, 2), (3, 3))
+
+
+@pytest.mark.parametrize("tiles", [-4, 0, 2, 3, 5, 1001, 10**18])
+def test_other_numbers_of_tiles_are_refused(tiles: int) -> None:
+    """No time is spent on a number that no output can show."""
+    with pytest.raises(BadInput, match=f"tiles {tiles}; choose 1, 4, or 6 to 1000"):
+        RepresentativeTile(tiles=tiles)
 
 
 @pytest.mark.parametrize("tiles", [4, 6, 7, 8, 12, 16, 18])
