@@ -2,7 +2,7 @@
 
 Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/consensus_calibration.py [--count 4] [--kinds 1]``. With
 ``--keep FOLDER`` a run that was stopped goes on where it stopped. The shipped weights are those of ``--count 10 --kinds
-6``.
+6``, which takes about an hour.
 
 The draws are of 25 models at random departures, from none to beyond recognition, 64 to 256 px a side, of noise, and of
 kinds of texture that the models lack (``benchmarks/texture_kinds.py``). A multinomial logistic regression tells from

@@ -83,6 +83,8 @@ def main(arguments: list[str] | None = None) -> None:
             stream.reconfigure(errors="backslashreplace")
     words = move_global_options(list(sys.argv[1:] if arguments is None else arguments))
     try:
+        if any("\0" in word for word in words):
+            raise click.UsageError("an argument holds a zero byte, which no name has")
         with warnings.catch_warnings():
             warnings.showwarning = _print_warning
             code = nrbench.main(args=words, prog_name="nrbench", standalone_mode=False)

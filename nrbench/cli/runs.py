@@ -217,12 +217,11 @@ def report_command(
     from nrbench.labelling.labels import read_people
     from nrbench.running.guard import Limits
     from nrbench.runs.records import Run
-    from nrbench.runs.store import RunDirectory
 
     if more and not labels:
         raise click.UsageError(f"{more[0]}: only one run is reported; files of answers come after --labels")
-    RunDirectory(run).info()
     record, files = Run(run), (*labels, *more)
+    _ = record.cells  # a damaged run is bad input
     read_people(record, files)
     wanted = parse_formats(formats) if formats else None
     shared: dict[str, Any] = {"labels": files}

@@ -270,6 +270,16 @@ def metric_key(metric: str) -> str:
     return f"{metric}-{hashlib.blake2b(content.encode(), digest_size=6).hexdigest()}"
 
 
+def _is_suite(content: Any) -> bool:
+    """Return whether the content of a suite has the shape that reports rely on."""
+    if not isinstance(content, dict):
+        return False
+    metrics, rows = content.get("metrics") or [], content.get("texture", [])
+    if not isinstance(metrics, list) or not isinstance(rows, list) or not all(isinstance(one, str) for one in metrics):
+        return False
+    return all(isinstance(row, dict) and isinstance(row.get("name"), str) for row in rows)
+
+
 @dataclass(frozen=True)
 class RunDirectory:
     """The directory of a run.
@@ -317,6 +327,8 @@ class RunDirectory:
         odd = next((key for key in keys if not re.fullmatch("[0-9a-f]{8,64}", key)), None)
         if odd is not None:
             raise BadInput(f"{self.root / RUN_FILE}: has a cell with the key {odd!r}, which is no hash; run it again")
+        if not _is_suite(content["suite"].get("content", {})):
+            raise BadInput(f"{self.root / RUN_FILE}: suite.content is damaged; run the same command again")
         return content
 
     def write_info(self, plan: Plan, argv: Sequence[str], metrics: Iterable[str]) -> None:

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -91,6 +91,9 @@ class Recipe:
             return drawn
 
         return draw
+
+
+_PLAIN = {"str": str, "int": int, "bool": bool}
 
 
 @dataclass(frozen=True)
@@ -191,8 +194,20 @@ class Cell:
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Cell:
-        """Build a cell from the mapping of :meth:`as_dict`."""
+        """Build a cell from the mapping of :meth:`as_dict`.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError, AttributeError
+            If it is not such a mapping.
+        """
         values = {key: value for key, value in mapping.items() if key != "key"}
+        for one in fields(cls):
+            kind = _PLAIN.get(str(one.type))
+            if kind is not None and not isinstance(values.get(one.name, kind()), kind):
+                raise TypeError(f"{one.name} is {values[one.name]!r}, not {one.type}")
+        if not all(isinstance(side, int) for side in values["shape"]):
+            raise TypeError(f"shape is {values['shape']!r}")
         values["recipe"] = Recipe.from_dict(values["recipe"])
         for name in ("lattice_given", "lattice_truth"):
             values[name] = Lattice.from_dict(values[name]) if values[name] else None

@@ -6,6 +6,7 @@ each test.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import io
 import json
@@ -357,6 +358,33 @@ def test_damaged_runs(content: bytes) -> None:
             assert name in str(error)
 
 
+DAMAGED = [
+    ("suite", "content"),
+    ("suite", "content", "texture"),
+    ("suite", "content", "texture", 0, "name"),
+    ("suite", "content", "metrics"),
+    ("cells", 0, "label"),
+    ("cells", 0, "shape", 0),
+    ("cells", 0, "replicate"),
+]
+
+
+@pytest.mark.parametrize("place", DAMAGED)
+@pytest.mark.parametrize("value", [7.5, [[]]])
+def test_a_run_with_a_wrong_type(place: tuple[str | int, ...], value: Any, tmp_path: Path) -> None:
+    """A run.json whose parts have wrong types is bad input, and no error of the code that reads them."""
+    content = json.loads(run_file())
+    part = content
+    for step in place[:-1]:
+        part = part[step]
+    part[place[-1]] = value
+    (tmp_path / "run.json").write_text(json.dumps(content))
+    errors = io.StringIO()
+    with contextlib.redirect_stderr(errors), pytest.raises(SystemExit) as left:
+        main(["report", str(tmp_path), "--format", "text"])
+    assert left.value.code == 2 and "damaged" in errors.getvalue() and str(tmp_path) in errors.getvalue()
+
+
 WORDS = st.sampled_from(
     ("list", "show", "synth", "lattice", "score", "render", "plan", "report", "status", "label", "check", "new", "rsgf")
 ) | st.sampled_from(
@@ -366,14 +394,17 @@ WORDS = st.sampled_from(
 
 @fuzz
 @given(st.lists(WORDS | st.text(max_size=6), min_size=1, max_size=5).filter(lambda words: "core" not in words))
+@example(["synth", "\0"])
 def test_words_of_a_command_line(words: list[str]) -> None:
     """Any words end with code 0 or 2, never with an internal error."""
     errors = io.StringIO()
-    from contextlib import redirect_stderr, redirect_stdout
-
     if words[0] in ("render", "plan", "check", "new", "run", "label"):
         words = [words[0], "--no-such-option", *words[1:]]  # these do real work
-    with redirect_stderr(errors), redirect_stdout(io.StringIO()), pytest.raises(SystemExit) as left:
+    with (
+        contextlib.redirect_stderr(errors),
+        contextlib.redirect_stdout(io.StringIO()),
+        pytest.raises(SystemExit) as left,
+    ):
         main(words)
     assert left.value.code in (0, 2), errors.getvalue()
     assert "internal error" not in errors.getvalue() and "Traceback" not in errors.getvalue()
