@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -17,6 +17,26 @@ from nrbench.streams import stream
 
 RESULTS_VERSION = 9
 """Increased whenever a change of the code changes an output or a score. Results of other versions are never reused."""
+
+_TYPES: dict[str, tuple[type, ...]] = {
+    "str": (str,),
+    "str | None": (str, type(None)),
+    "int": (int,),
+    "bool": (bool,),
+    "float | None": (float, int, type(None)),
+    "Mapping[str, Any]": (Mapping,),
+}
+
+
+def _check_types(cls: type, values: Mapping[str, Any]) -> None:
+    """Raise TypeError if a value for a field of plain type, or a number of the shape or region, has another type."""
+    for one in dataclasses.fields(cls):
+        kinds = _TYPES.get(str(one.type))
+        if kinds and one.name in values and not isinstance(values[one.name], kinds):
+            raise TypeError(f"{one.name} is {values[one.name]!r}, not {one.type}")
+    for name in ("shape", "region"):
+        if not all(isinstance(number, int) for number in values.get(name) or ()):
+            raise TypeError(f"{name} is {values[name]!r}")
 
 
 @dataclass(frozen=True)
@@ -47,8 +67,16 @@ class Recipe:
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Recipe:
-        """Build a recipe from the mapping of :meth:`as_dict`."""
-        return cls(**{**mapping, "shape": tuple(mapping["shape"])})
+        """Build a recipe from the mapping of :meth:`as_dict`.
+
+        Raises
+        ------
+        KeyError, TypeError
+            If it is not such a mapping.
+        """
+        values = {**mapping, "shape": tuple(mapping["shape"])}
+        _check_types(cls, values)
+        return cls(**values)
 
     def plugin(self) -> Any:
         """Return the dataset plugin's instance."""
@@ -91,9 +119,6 @@ class Recipe:
             return drawn
 
         return draw
-
-
-_PLAIN = {"str": str, "int": int, "bool": bool}
 
 
 @dataclass(frozen=True)
@@ -198,21 +223,17 @@ class Cell:
 
         Raises
         ------
-        KeyError, TypeError, ValueError, AttributeError
+        LookupError, TypeError, ValueError, AttributeError
             If it is not such a mapping.
         """
         values = {key: value for key, value in mapping.items() if key != "key"}
-        for one in fields(cls):
-            kind = _PLAIN.get(str(one.type))
-            if kind is not None and not isinstance(values.get(one.name, kind()), kind):
-                raise TypeError(f"{one.name} is {values[one.name]!r}, not {one.type}")
-        if not all(isinstance(side, int) for side in values["shape"]):
-            raise TypeError(f"shape is {values['shape']!r}")
+        _check_types(cls, values)
         values["recipe"] = Recipe.from_dict(values["recipe"])
         for name in ("lattice_given", "lattice_truth"):
             values[name] = Lattice.from_dict(values[name]) if values[name] else None
         values["detected"] = FoundLattice.from_dict(values["detected"]) if values.get("detected") else None
         values["shape"] = tuple(values["shape"])
-        values["detector"] = tuple(values["detector"]) if values["detector"] else None
+        detector = values["detector"]
+        values["detector"] = (str(detector[0]), str(detector[1]), dict(detector[2])) if detector else None
         values["region"] = tuple(values["region"]) if values["region"] else None
         return cls(**values)

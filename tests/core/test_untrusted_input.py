@@ -364,6 +364,9 @@ DAMAGED = [
     ("suite", "content", "texture", 0, "name"),
     ("suite", "content", "metrics"),
     ("cells", 0, "label"),
+    ("cells", 0, "parameters"),
+    ("cells", 0, "region"),
+    ("cells", 0, "recipe", "parameters"),
     ("cells", 0, "shape", 0),
     ("cells", 0, "replicate"),
 ]
