@@ -26,10 +26,14 @@ _TYPES: dict[str, tuple[type, ...]] = {
     "float | None": (float, int, type(None)),
     "Mapping[str, Any]": (Mapping,),
 }
+"""Types of the values for fields that are declared so."""
 
 
 def _check_types(cls: type, values: Mapping[str, Any]) -> None:
-    """Raise TypeError if a value for a field of plain type, or a number of the shape or region, has another type."""
+    """Raise TypeError if a value for a field of plain type, or a number of the shape or region, has another type.
+
+    Importing pydantic for it would slow down short commands, as ``nrbench status``.
+    """
     for one in dataclasses.fields(cls):
         kinds = _TYPES.get(str(one.type))
         if kinds and one.name in values and not isinstance(values[one.name], kinds):

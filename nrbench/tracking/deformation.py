@@ -130,7 +130,7 @@ class Deformation:
         """
         if self.knots is None or self.amplitude < LEAST_AMPLITUDE:
             return False
-        return self.smoothness >= LEAST_SMOOTHNESS or self._plane is not None
+        return self.smoothness >= LEAST_SMOOTHNESS or self._fitted_homography is not None
 
     @property
     def homography(self) -> Points | None:
@@ -139,10 +139,10 @@ class Deformation:
         None if the image is not bent, or if no homography explains the displacements: their rest must be at most 0.35
         times as large. A plane in perspective is a homography, a curved surface or a wavy cloth is none.
         """
-        return self._plane if self.bent else None
+        return self._fitted_homography if self.bent else None
 
     @cached_property
-    def _plane(self) -> Points | None:
+    def _fitted_homography(self) -> Points | None:
         """The homography that explains the displacements, if there is one, whether or not the image is bent."""
         points = self.lattice.from_cell(self.cells)
         matrix = fit_homography(points, self.places)
