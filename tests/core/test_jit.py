@@ -3,7 +3,6 @@ from pathlib import Path
 
 import numba
 import numpy as np
-import numpy as np
 import pytest
 
 from nrbench import jit
