@@ -31,7 +31,6 @@ METHODS: dict[str, Synthesizer] = {
         seam="blend", subpixel=False, tolerance=3.0, candidate_fraction=0.0, prefer_unused=False
     ),
     "tiling": Tiling(),
-    "tiling:tile=mean": Tiling(tile="mean"),
     "tile-set": TileSet(),
     "representative-tile": RepresentativeTile(),
 }
