@@ -57,13 +57,9 @@ BENCHMARKS = (
     Benchmark(
         "quilting_peer.py --textures brick-middle weave-middle hexagon-middle",
         "Quilting beside another program",
-        "quilting_peer.py --opencv PYTHON",
+        "quilting_peer.py",
     ),
     Benchmark("representative_tile.py", "The exact tile search beside brute force"),
-    Benchmark("fftm_mask.py 41", "What masks hold, how far they last, how exact waves are", "fftm_mask.py 41 42 43"),
-    Benchmark("fftm_patch.py 256", "What refinements and the mask's weight change", "fftm_patch.py 2048"),
-    Benchmark("fftm_pixel.py coherence", "How long copies run, by search and factor"),
-    Benchmark("fftm_pixel.py weight", "How much the output looks like the mask, by the mask's weight"),
     Benchmark(
         "detector_accuracy.py --count 1 --stochastic 14 consensus gncc ssdn dominance",
         "How often detectors find the lattice, and find one where there is none",
@@ -82,8 +78,6 @@ BENCHMARKS = (
         "How often the lattice of a bent picture is found, and a straight one counts as bent",
         "bent_lattices.py",
     ),
-    Benchmark("drift.py 256", "How far methods are off a fractional lattice", "drift.py 256 1024"),
-    Benchmark("two_lattices.py 1", "Which methods keep both lattices of a texture", "two_lattices.py 1 2 3"),
     Benchmark(
         "texture_statistics.py brick",
         "Whether models have the statistics that the truth states",
