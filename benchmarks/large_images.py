@@ -20,7 +20,7 @@ from unit import cpu_unit
 
 from nrbench import Lattice, texture
 from nrbench.imaging.files import write_image
-from nrbench.lattice.comparison import lattice_error
+from nrbench.lattice.relation import lattice_error
 
 DRAW, PERIOD = 2000, 25.0
 

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 from nrbench.metrics.randomness import score_tiles
 from nrbench.metrics.residual_tiles.tiles import ComparedTiles, quarters
 from nrbench.metrics.verdict.reference import FIRST_DRAW, Reference, reference_from_model
