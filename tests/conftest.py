@@ -9,6 +9,11 @@ from typing import Any
 
 import pytest
 from faults import registered_faults
+from hypothesis import HealthCheck, settings
+
+# A busy machine takes any time for an example, so no time limit says anything about the code.
+settings.register_profile("nrbench", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("nrbench")
 
 
 @pytest.fixture

@@ -94,7 +94,7 @@ def test_again_without_room(picture: Path) -> None:
     assert plugin.again(texture, (61, 8), np.random.default_rng(0)) is None
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.data())
 def test_free_corners_are_equally_likely(data: st.DataObject) -> None:
     """The corner draw_samples is the k-th of all that are free, for every k: none is missed, none is taken twice."""
@@ -203,7 +203,7 @@ LATTICES = st.builds(
 
 
 @given(st.tuples(st.integers(40, 2000), st.integers(40, 2000)), st.none() | LATTICES)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_sizes_of_a_folder(picture: Shape, lattice: Lattice | None) -> None:
     """Outputs have twice the sample's sides and 6 tiles; a smaller sample than the picture leaves the oracle room."""
     sample, output = plan_sizes(picture, lattice)

@@ -16,7 +16,7 @@ PERIODIC = {"color": 0.0, "noise": 0.0}
 FAST = Dominance(reject="none")
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(1, 60), st.integers(0, 2**32 - 1))
 def test_a_region_ends_at_the_nearest_higher_peak(count: int, seed: int) -> None:
     """The radius is the distance to the nearest higher peak, mirror images and lag 0 included, by brute force."""
@@ -77,7 +77,7 @@ def test_few_hits_give_little_confidence() -> None:
     assert found.confidence < 0.05
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(6, 30), st.floats(6, 30), st.floats(0.9, 2.2), st.floats(0, 3), st.integers(0, 2**32 - 1))
 def test_hits_and_points_are_counted(a: float, b: float, angle: float, turn: float, seed: int) -> None:
     """The kernel's points and hits equal those counted with the lattice's points and wrapped peaks."""

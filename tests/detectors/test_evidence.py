@@ -111,7 +111,7 @@ def test_no_multiples() -> None:
     )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(-3, 3), st.integers(-3, 3), st.booleans())
 def test_any_basis_has_the_same_evidence(a: int, b: int, flip: bool) -> None:
     """A change of basis by an integer matrix of determinant +-1 changes neither mean nor count."""
@@ -122,7 +122,7 @@ def test_any_basis_has_the_same_evidence(a: int, b: int, flip: bool) -> None:
     assert found.mean == pytest.approx(expected.mean, abs=1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.tuples(*[st.floats(-1.2, 1.2)] * 4))
 def test_fit_finds_the_vectors(offsets: tuple[float, ...]) -> None:
     """From within a pixel of the true vectors, the fit ends within 0.01 px of them."""

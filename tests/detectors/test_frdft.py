@@ -54,7 +54,7 @@ def test_the_papers_own_choice_is_the_tile_of_the_lowest_wave() -> None:
 
 
 @given(st.integers(0, 10_000), st.booleans())
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_fundamentals_are_recovered_without_the_lowest_waves(seed: int, sparse: bool) -> None:
     """From shifted places and strays, the fundamentals' own places left out, the lattice is the true one."""
     rng = np.random.default_rng(seed)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from nrbench.detectors.autocorrelation.peaks import (
@@ -78,7 +78,6 @@ def _flooded(surface: np.ndarray, start: tuple[int, int], value: float) -> float
     return value - float(surface.min())
 
 
-@settings(deadline=None)
 @given(st.floats(-0.49, 0.49), st.floats(-0.49, 0.49))
 def test_peaks_are_located_to_a_fraction_of_a_pixel(dx: float, dy: float) -> None:
     """The vertex of a smooth bump is found within 0.05 px, from its lag or from a pixel beside it."""

@@ -33,7 +33,7 @@ def direct(image: np.ndarray, dx: int, dy: int) -> float:
     return float((one * other).sum() / deviations.sum())
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.integers(9, 40), st.integers(9, 40), st.sampled_from([1, 3]), st.data())
 def test_every_lag_is_that_of_the_definition(height: int, width: int, channels: int, data: st.DataObject) -> None:
     """Any lag of any image with four rows and columns of overlap agrees with the sums written out."""
@@ -61,7 +61,7 @@ def test_it_is_symmetric_and_1_at_lag_0() -> None:
 
 
 @given(st.floats(0.1, 0.9), st.floats(0.05, 0.5))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_brightness_and_contrast_do_not_matter(offset: float, gain: float) -> None:
     """An image made darker and flatter has the same correlation."""
     image = picture(30, 40, 3)

@@ -279,7 +279,7 @@ def test_a_program_in_a_picture_is_not_run(tmp_path: Path) -> None:
     assert "is no picture" in _refusal(path)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.data())
 def test_garbled_files_are_bad_input_or_pictures(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     """Whatever bytes of a PNG, JPEG, TIFF or BMP file are changed, it is a picture or one clear line."""

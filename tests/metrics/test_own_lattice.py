@@ -21,7 +21,7 @@ def make_windows(true: Lattice, drift: np.ndarray, rows: int = 14, columns: int 
     return RegisteredWindows(true, (30, 30), (rows, columns), corners, displacement, bare.structure)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(_SMALL, _SMALL, _SMALL, _SMALL)
 def test_the_lattice_of_a_drifted_image_is_found(a: float, b: float, c: float, d: float) -> None:
     """The least-squares lattice is the true one displaced by the drift: its points map back onto true points."""

@@ -27,7 +27,7 @@ def measure(case: Case) -> Reference:
     return reference_from_model(case.texture, case.texture.lattice, case.again)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
 def test_displacements_are_exact_at_any_fraction_of_a_pixel(x: float, y: float, dx: float, dy: float) -> None:
     """From a start 0.6 px away the displacement of a periodic image is refined to 0.003 px, with a correlation of 1."""

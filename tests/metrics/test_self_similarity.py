@@ -54,7 +54,7 @@ def test_the_spectrum_is_in_order(side: int) -> None:
     assert min(-spearmanr(knob, row)[0] for row in scores) >= 0.95
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(-90, 90), st.floats(14, 32))
 def test_rotation_and_period_do_not_count(rotation: float, period: float) -> None:
     """Hexagons of any period and rotation score alike, if two periods are in reach."""
@@ -62,7 +62,7 @@ def test_rotation_and_period_do_not_count(rotation: float, period: float) -> Non
     assert 0.68 < regular(picture(model)) < 0.92
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(0.2, 0.6), st.floats(0, 0.4))
 def test_brightness_and_contrast_do_not_count(contrast: float, brightness: float) -> None:
     """An affine change of all values leaves the score."""

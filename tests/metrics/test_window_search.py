@@ -29,7 +29,7 @@ def test_surfaces_are_the_weighted_ncc() -> None:
         assert surfaces[n, y, x] == pytest.approx(naive(windows[n], x, y), abs=1e-4)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.floats(0.2, 3), st.floats(-0.3, 0.3))
 def test_gain_and_offset_of_the_light_do_not_count(gain: float, offset: float) -> None:
     """Brightness and contrast of a window do not change its correlation."""

@@ -18,7 +18,7 @@ def make_windows(displacement: np.ndarray, rows: int, columns: int) -> Registere
     )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(-40, 40), st.floats(-40, 40), st.integers(0, 100))
 def test_the_consensus_is_the_common_displacement(x: float, y: float, seed: int) -> None:
     """The consensus is the displacement that most windows share, for any phase and with outliers."""
@@ -36,7 +36,7 @@ def test_the_consensus_of_two_halves_is_one_of_them() -> None:
     assert min(np.hypot(*phase), np.hypot(*(phase - [4, 0]))) < 0.2
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
 def test_an_affine_drift_over_many_cells_is_unwrapped(a: float, b: float, c: float, d: float) -> None:
     """The affine part is measured even if it amounts to many cells across the image."""

@@ -38,7 +38,7 @@ from .conftest import PERILS
 Make = Callable[..., Any]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(1, 16), st.integers(0, 2**31), st.booleans())
 def test_leaders_do_not_cross_and_captions_keep_the_order(count: int, seed: int, tied: bool) -> None:
     """Captions have the order of their points and do not overlap, and no two leaders cross."""

@@ -222,7 +222,7 @@ def test_the_spectrum_is_the_sum_over_pixels(shape: tuple[int, int]) -> None:
 
 
 @given(st.floats(-1.2, 1.2), st.integers(2, 300))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_dirichlet_sums_are_sums(frequency: float, length: int) -> None:
     """The closed form equals the sum, near the poles and away from them."""
     u = np.arange(length) - (length - 1) / 2

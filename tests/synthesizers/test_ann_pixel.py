@@ -36,7 +36,7 @@ def test_a_texture_that_the_window_does_not_span_is_lost() -> None:
     assert len(rows) == 0 or (np.diff(rows) != 16).any()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.tuples(st.integers(1, 40), st.integers(1, 40)),
     st.integers(2, 10),

@@ -13,8 +13,6 @@ from nrbench.synthesizers.seams.dynamic_seam import corner_seam, dynamic_seam
 
 sizes = st.tuples(st.integers(1, 5), st.integers(1, 5))
 seeds = st.integers(0, 10_000)
-patient = settings(deadline=None)
-"""The first call loads a kernel."""
 
 
 def paths(rows: int, columns: int) -> list[tuple[int, ...]]:
@@ -31,7 +29,6 @@ def cost(error: NDArray[np.float64], path: NDArray[np.int64] | tuple[int, ...]) 
     return float(error[np.arange(len(error)), np.array(path)].sum())
 
 
-@patient
 @given(sizes, seeds)
 def test_no_path_is_cheaper(shape: tuple[int, int], seed: int) -> None:
     """The seam is a path, and costs no more than any other path."""
@@ -42,7 +39,6 @@ def test_no_path_is_cheaper(shape: tuple[int, int], seed: int) -> None:
     assert cost(error, seam) == min(cost(error, path) for path in every)
 
 
-@patient
 @given(sizes, seeds)
 def test_a_seam_from_left_to_right_is_the_transpose(shape: tuple[int, int], seed: int) -> None:
     """On the transposed surface the seam costs what the best left-to-right path costs."""
@@ -90,7 +86,7 @@ def staircases(rows: int, columns: int) -> list[list[tuple[int, int]]]:
     return found
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(3, 6), st.integers(3, 6), st.integers(0, 999))
 def test_no_staircase_is_cheaper(rows: int, columns: int, seed: int) -> None:
     """No other path of right and down steps has a smaller sum."""

@@ -85,7 +85,7 @@ def test_a_perfect_texture_with_a_perfect_mask_is_continued(
         np.testing.assert_array_equal(quantize(made.image), due)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.tuples(st.integers(1, 40), st.integers(1, 40)),
     st.integers(2, 6),

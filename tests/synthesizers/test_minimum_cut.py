@@ -56,7 +56,7 @@ def flow(links: Links, source: Weights, sink: Weights) -> int:
     return int(maximum_flow(graph, count, count + 1).flow_value)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.tuples(st.integers(1, 12), st.integers(1, 12)),
     st.integers(0, 10**6),

@@ -21,7 +21,7 @@ def distances(points: NDArray[np.int16], queries: NDArray[np.int16]) -> NDArray[
 SETS = st.tuples(st.integers(1, 120), st.integers(1, 20), st.sampled_from([0, 1, 3, 50, 5000]), st.integers(0, 999))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(SETS, st.integers(1, 5), st.integers(1, 9), st.integers(1, 4))
 def test_the_nearest_are_those_of_brute_force(
     drawing: tuple[int, int, int, int], k: int, leaf: int, number: int
@@ -41,7 +41,7 @@ def test_the_nearest_are_those_of_brute_force(
         assert (numbers[query, len(due) :] == -1).all()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(SETS, st.sampled_from([0.1, 0.5, 1.0, 3.0]))
 def test_with_eps_none_is_farther_than_it_may_be(drawing: tuple[int, int, int, int], eps: float) -> None:
     """What is found is at most (1 + eps) times as far as the nearest."""
@@ -91,7 +91,7 @@ def distances_in_gray_levels(points: NDArray[np.int16], units: int) -> NDArray[n
     return np.asarray(np.sqrt((difference**2).sum(-1)) / units)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(1, 40), st.integers(1, 60), st.sampled_from([0, 999]), st.floats(0, 6), st.integers(0, 99))
 def test_all_values_keep_weighted_distances(count: int, width: int, dimensions: int, weight: float, seed: int) -> None:
     """Without components, distances are those of the weighted values, up to the rounding of each coordinate."""

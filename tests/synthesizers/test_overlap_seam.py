@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from nrbench.synthesizers.seams.overlap_seam import cut_sides, l_shaped_seam
 
-patient = settings(deadline=None, max_examples=40)
-"""The first call loads a kernel."""
+fewer_examples = settings(max_examples=40)
 Pixel = tuple[int, int]
 
 
@@ -41,7 +40,7 @@ def least_cut(error: NDArray[np.float64], overlap: int) -> float:
     return float(min(costs))
 
 
-@patient
+@fewer_examples
 @given(st.integers(2, 5), st.integers(2, 5), st.integers(1, 3), st.integers(0, 10_000), st.booleans())
 def test_no_l_shaped_cut_is_cheaper(height: int, width: int, overlap: int, seed: int, ties: bool) -> None:
     """The cost of the cut equals that of an exhaustive search over all pairs of paths and all meeting pixels."""
@@ -52,7 +51,7 @@ def test_no_l_shaped_cut_is_cheaper(height: int, width: int, overlap: int, seed:
     assert cost == pytest.approx(least_cut(error, overlap))
 
 
-@patient
+@fewer_examples
 @given(st.integers(3, 8), st.integers(3, 8), st.integers(1, 4), st.integers(0, 10_000))
 def test_the_patch_begins_on_the_cut(height: int, width: int, overlap: int, seed: int) -> None:
     """The patch's outermost pixels are on the paths: along each line that a path crosses, they cost what the cut costs.

@@ -16,7 +16,7 @@ from nrbench.synthesizers.patch_laying.raster_canvas import RasterCanvas, Raster
 from nrbench.synthesizers.patch_laying.zone_tree import ZoneTree
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(1, 50), st.integers(1, 50), st.integers(4, 20), st.data())
 def test_spots_cover_the_output_once_and_overlap(height: int, width: int, size: int, data: st.DataObject) -> None:
     """Every pixel is covered, a spot finds its overlap covered and no more, and no line or column is superfluous."""
@@ -56,7 +56,6 @@ def test_feathering_is_linear_from_the_border(left: bool, top: bool) -> None:
         assert weights[y, x] == min([4] + [x + 1] * left + [y + 1] * top)
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 9))
 def test_a_blend_is_the_rounded_weighted_mean(seed: int, zone: int) -> None:
     """A blend equals the exact mean to half a gray level, and equal pictures stay as they are."""

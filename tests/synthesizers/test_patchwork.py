@@ -85,7 +85,7 @@ def test_the_seams_kept_are_those_of_the_map(normalized: bool, power: int | None
     assert work.cost == work.seams.sum() / UNIT > 0
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.booleans(), st.booleans(), st.sampled_from([1, 3]), st.integers(0, 10**6))
 def test_a_patch_over_what_is_known_never_makes_seams_cost_more(
     normalized: bool, wrap: bool, channels: int, seed: int
@@ -103,7 +103,7 @@ def test_a_patch_over_what_is_known_never_makes_seams_cost_more(
         assert work.cost <= before
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.tuples(st.integers(1, 3), st.integers(1, 4)), st.booleans(), st.integers(0, 10**6))
 def test_the_cut_is_the_least_of_all_choices(shape: tuple[int, int], some: bool, seed: int) -> None:
     """With the metric cost, no other choice of the new pixels makes the seams cost less: by trying all."""
@@ -264,7 +264,7 @@ def placement(
     return PatchPlacer(work, colors, randomness, np.random.default_rng(1), guide)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.tuples(st.integers(1, 60), st.integers(1, 60)),
     st.tuples(st.integers(1, 20), st.integers(1, 20)),
@@ -344,7 +344,7 @@ def output(shape: tuple[int, int], wrap: bool = False) -> Patchwork:
     return Patchwork(np.zeros((4, 4, 1), np.float32), np.zeros((4, 4, 1), np.int32), shape, wrap=wrap)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.tuples(st.integers(3, 50), st.integers(3, 50)),
     st.tuples(st.floats(0, 1), st.floats(0, 1)),
@@ -415,7 +415,7 @@ def by_hand(sample: tuple[Features, ...], window: list[Layer]) -> NDArray[np.flo
     return costs
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.tuples(st.integers(1, 23), st.integers(1, 23)),
     st.tuples(st.floats(0, 1), st.floats(0, 1)),

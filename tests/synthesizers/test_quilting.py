@@ -21,7 +21,7 @@ def periodic(period: tuple[int, int], shape: tuple[int, int], channels: int = 3,
     return np.tile(tile, (shape[0] // period[0] + 1, shape[1] // period[1] + 1, 1))[: shape[0], : shape[1]]
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(st.integers(6, 14), st.integers(0, 100), st.sampled_from([1, 3]))
 def test_a_periodic_sample_is_continued_exactly(period: int, seed: int, channels: int) -> None:
     """With blocks of a period, the output of a sample with an integer period has this period, to the last bit."""

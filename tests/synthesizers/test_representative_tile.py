@@ -174,7 +174,7 @@ def test_any_basis_of_the_lattice_gives_the_same_bytes() -> None:
     np.testing.assert_array_equal(one.image, other.image)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.tuples(st.integers(1, 70), st.integers(1, 70)),
     st.sampled_from([UPRIGHT, TURNED, BOND, Lattice((12, 0), (0, 9)), Lattice((10, 10), (-10, 10))]),

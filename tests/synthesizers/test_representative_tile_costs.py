@@ -29,7 +29,7 @@ def naive_continuity(tile: Values) -> float:
     return float(total / (2 * (width + height - 1)))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     st.tuples(st.integers(5, 24), st.integers(5, 24)),
     st.tuples(st.integers(1, 9), st.integers(1, 9)),

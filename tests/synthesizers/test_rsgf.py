@@ -58,7 +58,7 @@ def test_every_seam_continues_exactly(seam: Any, subpixel: bool, deform: float) 
     np.testing.assert_array_equal(quantize(made.image), picture[:100, :130])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.tuples(st.integers(1, 45), st.integers(1, 45)),
     st.integers(2, 15),

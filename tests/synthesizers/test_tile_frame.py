@@ -25,7 +25,7 @@ def pixels_of(frame: TileFrame) -> Points:
     return pixel_grid(*frame.shape[::-1]).astype(np.float64)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(8, 40), st.floats(0, math.pi), st.floats(0.7, 1.4), st.floats(1.05, 2.1), st.sampled_from([0.02, 0.1]))
 def test_periods_are_lattice_vectors_at_nearly_a_right_angle(
     length: float, turn: float, ratio: float, angle: float, tolerance: float

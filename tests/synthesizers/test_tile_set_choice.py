@@ -116,7 +116,7 @@ def test_the_first_tile_is_drawn_from_all_of_t() -> None:
     st.sampled_from(["upright", "lattice", "rectangle", "cell"]),
     st.integers(1, 3),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_laying_starts_with_a_tile_of_t(origin: tuple[float, float], tile: Any, cells: int) -> None:
     """Wherever the lattice lies, the first tile is of T, at most a step before the first that touches the output."""
     lattice = Lattice((20, 5), (-4, 22), origin)

@@ -52,7 +52,7 @@ def test_samples_without_a_tile_of_each_set_are_refused() -> None:
         synthesize(TileSet(cells=64), noise(60, 60), (64, 64), RECTANGULAR)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.tuples(st.integers(16, 48), st.integers(16, 48)),
     st.sampled_from([Lattice((12, 0), (0, 15)), Lattice((11.3, 0), (0, 9.7)), *LATTICES, Lattice((8, 1), (-1, 9.5))]),

@@ -18,7 +18,7 @@ def gray_levels(rng: np.random.Generator, height: int, width: int, channels: int
     return rng.integers(0, 256, (height, width, channels)).astype(np.int32)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.tuples(st.integers(1, 12), st.integers(1, 12)),
     st.tuples(st.integers(1, 9), st.integers(1, 9)),

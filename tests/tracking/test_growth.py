@@ -215,7 +215,7 @@ def test_a_bent_lattice_with_a_longer_vector_counts_as_bent() -> None:
 
 
 @given(st.floats(-1e-3, 1e-3), st.floats(-1e-3, 1e-3), st.floats(0.5, 2.0), st.floats(-30, 30))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_a_homography_is_fitted_exactly_despite_outliers(p: float, q: float, scale: float, shift: float) -> None:
     """Pairs of any homography give it back, though one pair in twelve is far off."""
     matrix = np.array([[scale, 0.1, shift], [-0.2, scale, 3.0], [p, q, 1.0]])

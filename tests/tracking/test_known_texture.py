@@ -100,7 +100,7 @@ def test_what_does_not_show_the_texture_is_not_found() -> None:
 
 
 @given(st.floats(0.3, 1.0), st.floats(0.0, 0.3))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 def test_brightness_and_contrast_do_not_matter(contrast: float, brightness: float) -> None:
     """Displacements and correlations of a darker, fainter image are the same to 0.01 s."""
     texture, lattice, tile = drawn("weave", 0.5, 5)

@@ -57,7 +57,7 @@ SHIFTS = [(-1, -1), (-1, 0), (-1, 1), (0, -1), (1, -1)]
 
 
 @given(st.sampled_from(SHIFTS), st.integers(33, 44))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_a_slipped_corner_gets_its_numbers_back(shift: tuple[int, int], border: int) -> None:
     """Away from the fault, and on an undeformed lattice, each place then has the numbers that belong to it."""
     knots = bent_knots()

@@ -86,7 +86,7 @@ def test_amplitude_grows_with_the_warp() -> None:
     assert spearmanr([bend for bend, _ in sizes], found)[0] >= 0.95
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(0, 1), st.floats(0, 1), st.integers(-2, 2))
 def test_unwrapping_follows_any_slope(u: float, v: float, shear: int) -> None:
     """Unwrapping recovers a linear field from peaks modulo the lattice, up to one lattice vector, in any basis."""
