@@ -426,6 +426,10 @@ class Synthesizer(Protocol):
         True: the method receives ``task.again`` and ``task.recompose``, and is never ranked.
     ``uses_lattice``
         False: the lattice axis of a suite does not apply. It may be a property that depends on the parameters.
+    ``finder``
+        The detector, ``name`` or ``name:param=value,...``, by which the method finds a lattice if none is given. The
+        key of a cell with the lattice source ``own`` depends on it. It may be a parameter or a property. Empty or
+        absent: the method uses no detector.
     ``label``
         The name of the method in tables, a parameter or a property; if it is empty, the tables show the plugin's name
         and the parameters that differ from their defaults. Two methods of a run may not have the same one.
