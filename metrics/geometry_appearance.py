@@ -38,6 +38,7 @@ class GeometryAppearance:
     """
 
     version: ClassVar[str] = "1"
+    uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "g": Column("Deviation of the output's lattice from its best regular fit.", "of s", (0.0, math.inf)),
         "a": Column("Mean standard deviation of the output's aligned tiles.", "values", (0.0, 1.0)),

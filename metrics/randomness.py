@@ -79,6 +79,7 @@ class Randomness:
     """
 
     version: ClassVar[str] = "6"
+    uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
             "The worst of variation, repetition and distance: 1 as a fresh draw, 0 one tile repeated.", better="higher"

@@ -94,6 +94,7 @@ class Regularity:
     """
 
     version: ClassVar[str] = "8"
+    uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),
         "intact": Column(

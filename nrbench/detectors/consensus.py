@@ -185,6 +185,7 @@ class Consensus:
     false_alarms: float = 0.02
 
     version: ClassVar[str] = "6"
+    uses: ClassVar[tuple[str, ...]] = ("dominance",)
 
     def __post_init__(self) -> None:
         for name in ("max_loss", "relief", "least"):
