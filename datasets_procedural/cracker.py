@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, disc, mix, nearest
 from .modelling.model import SquareModel, check_sizes
+from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, disc, mix, nearest
 
 _BISCUIT = (0.62, 0.52, 0.36)
 _BAKED = (0.52, 0.36, 0.22)
@@ -29,8 +29,7 @@ class Cracker(SquareModel):
     period: float = 33.7
     gap: float = 2.4
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_parameters(self) -> None:
         check_sizes(self, gap=1, period=16 + self.gap)
 
     def pattern(self, x: Field, y: Field) -> Pattern:

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .modelling.drawing import Field, Layer, Pattern, coverage, disc, nearest, rim
-from .modelling.model import Model, Vectors, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
+from .modelling.pattern import Field, Layer, Pattern, coverage, disc, nearest, rim
 
 _CARD = (0.52, 0.50, 0.39)
 _TABLE = (0.24, 0.22, 0.20)
@@ -35,9 +35,7 @@ class Jigsaw(Model):
     gap: float = 1.6
     tabs: Literal["alternate", "same"] = "alternate"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_choice(self, "tabs", ("alternate", "same"))
+    def _check_parameters(self) -> None:
         check_sizes(self, gap=1, width=8 * self.gap, height=8 * self.gap)
 
     @property

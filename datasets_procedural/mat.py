@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, capsule, coverage, nearest, round_profile, stripe
 from .modelling.model import Model, Vectors, check_sizes
+from .modelling.pattern import Field, Layer, Pattern, capsule, coverage, nearest, round_profile, stripe
 
 _ROPE = (0.60, 0.52, 0.38)
 _KNOT = (0.56, 0.44, 0.30)
@@ -32,19 +32,15 @@ class Mat(Model):
     height: float = 17.3
     rope: float = 8.3
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    breadth = "rope"
+
+    def _check_parameters(self) -> None:
         check_sizes(self, rope=3, width=2 * self.rope, height=self.rope)
 
     @property
     def vectors(self) -> Vectors:
         """The vectors from a knot to the next ones, on the next rope."""
         return (self.width, self.height), (self.width, -self.height)
-
-    @property
-    def element_size(self) -> float:
-        """The breadth of a rope."""
-        return self.rope
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return ropes and knots on a floor; the origin lies on a rope."""

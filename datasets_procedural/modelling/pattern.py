@@ -60,8 +60,7 @@ class Frame:
         y = np.arange(-margin, shape[0] + margin)[:, np.newaxis] - self.origin[1]
         if moved is not None:
             x, y = x - moved[..., 0], y - moved[..., 1]
-        cos, sin = _cos_sin(self.rotation)
-        return x * cos + y * sin, y * cos - x * sin
+        return rotate(x, y, self.rotation)
 
     def vector(self, model: Vector) -> Vector:
         """Return a vector (x, y) of the model in the picture's axes."""
@@ -149,7 +148,7 @@ def _hat(u: Field, parity: int) -> tuple[Index, Field]:
 
 def rotate(x: Field, y: Field, degrees: float) -> tuple[Field, Field]:
     """Return the coordinates along axes turned by ``degrees`` from x towards y."""
-    cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    cos, sin = _cos_sin(degrees)
     return x * cos + y * sin, y * cos - x * sin
 
 
@@ -265,6 +264,10 @@ class Thread:
     distance: Field
     coverage: Field
     shade: Field
+
+    def layer(self, name: str, color: ArrayLike) -> Layer:
+        """Return the layer of these threads."""
+        return Layer(name, (self.index,), self.coverage, color, self.shade)
 
 
 def interlace(
