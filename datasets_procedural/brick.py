@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from .modelling.model import Model, Vectors, check_sizes, require
-from .modelling.pattern import Field, Layer, Pattern, box, boxes, coverage, nearest, rim
+from .modelling.pattern import Field, Layer, Pattern, box, boxes, coverage, rim, split_period
 
 _CLAY = (0.55, 0.38, 0.32)
 _MORTAR = (0.75, 0.72, 0.67)
@@ -65,7 +65,7 @@ class Brick(Model):
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return bricks on mortar; the origin is the middle of a brick."""
-        j, across = nearest(y, self.height)
+        j, across = split_period(y, self.height)
         x = x - j * (_SHIFTS[self.bond] * self.width)
         widths = (self.width, self.width / 2) if self.bond == "flemish" else (self.width,)
         i, along, width = boxes(x, widths)

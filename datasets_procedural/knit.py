@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .modelling.model import RectangularModel
-from .modelling.pattern import Field, Layer, Pattern, capsule, coverage, nearest, round_profile
+from .modelling.pattern import Field, Layer, Pattern, capsule, coverage, round_profile, split_period
 
 _WOOL = (0.55, 0.31, 0.33)
 _SHADOW = (0.25, 0.18, 0.18)
@@ -30,9 +30,9 @@ class Knit(RectangularModel):
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return stitches on a shadow; the origin is the tip of a V."""
-        i, right = nearest(x, self.width)
+        i, right = split_period(x, self.width)
         aside = np.abs(right) - self.width / 4
-        j, down = nearest(y + 1.1 * self.height / self.width * 2 * aside, self.height)
+        j, down = split_period(y + 1.1 * self.height / self.width * 2 * aside, self.height)
         distance = capsule(aside, down * 0.9, 0.52 * self.width, 0.84 * self.height * 0.9)
         strand = 0.88 + 0.12 * np.cos(2 * np.pi * (aside / self.width * 4 + down / self.height))
         shade = strand * round_profile(down, self.height, 0.4)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .modelling.model import Model, Vectors, check_sizes
-from .modelling.pattern import Field, Layer, Pattern, capsule, coverage, nearest, round_profile, stripe
+from .modelling.pattern import Field, Layer, Pattern, capsule, coverage, round_profile, split_period, stripe
 
 _ROPE = (0.60, 0.52, 0.38)
 _KNOT = (0.56, 0.44, 0.30)
@@ -49,8 +49,8 @@ class Mat(Model):
         swing = np.where(i % 2 == 0, 0.5, -0.5) * (self.width - 0.7 * self.rope)
         slope = swing * number * np.cos(number * y)
         aside = (x - i * self.width - swing * np.sin(number * y)) / np.hypot(1, slope)
-        across, right = nearest(x - self.width / 2, self.width)
-        along, down = nearest(y - np.where(across % 2 == 0, 0.5, 1.5) * self.height, 2 * self.height)
+        across, right = split_period(x - self.width / 2, self.width)
+        along, down = split_period(y - np.where(across % 2 == 0, 0.5, 1.5) * self.height, 2 * self.height)
         distance = capsule(right, down, 1.75 * self.rope, 1.05 * self.rope)
         knot = coverage(distance)
         twist = 0.82 + 0.18 * np.cos(8 * number * y + 5 * aside / self.rope)

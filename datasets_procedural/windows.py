@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .modelling.model import RectangularModel, check_sizes, require
-from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, nearest
+from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, split_period
 
 _WALL = (0.60, 0.54, 0.46)
 _FRAME = (0.62, 0.62, 0.60)
@@ -50,8 +50,8 @@ class Windows(RectangularModel):
         """Return windows in a wall; the origin is the middle of a window."""
         (i, j), (right, down) = cells(x, y, self.width, self.height)
         width, height = (1 - self.wall) * self.width, (1 - self.wall) * self.height
-        column, aside = nearest(right - width / self.columns * (self.columns - 1) / 2, width / self.columns)
-        line, below = nearest(down - height / self.lines * (self.lines - 1) / 2, height / self.lines)
+        column, aside = split_period(right - width / self.columns * (self.columns - 1) / 2, width / self.columns)
+        line, below = split_period(down - height / self.lines * (self.lines - 1) / 2, height / self.lines)
         window = coverage(box(right, down, width, height))
         pane = window * coverage(box(aside, below, width / self.columns - 2, height / self.lines - 2))
         sill = coverage(box(right, down - height / 2 - 1.2, 1.15 * width, 2.4)) * (1 - window)
