@@ -229,7 +229,7 @@ def synthesize(
     BadInput
         For a bad image, lattice, method or parameter.
     """
-    from nrbench.running.outputs import checked_synthesis
+    from nrbench.running.output_checks import checked_synthesis
 
     plugin = _plugin("synthesizers", method, parameters)
     sample = quantize(_image(image))

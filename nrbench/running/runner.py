@@ -17,7 +17,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.files import write_image
 from nrbench.plugins.forms import FoundLattice
 from nrbench.running.executors import Executor, executor
-from nrbench.running.outputs import InvalidOutput
+from nrbench.running.output_checks import InvalidOutput
 from nrbench.running.phases import read_output
 from nrbench.running.progress import Pace, Progress, Step
 from nrbench.running.supervisor import Job, print_notice
@@ -139,7 +139,7 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
         directory.write_info(plan, options.argv, metrics)
         if options.reuse is not None:
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
-        with executor(options.jobs, options.scheduler, root, options.worker_wait, options.tell) as pool:
+        with executor(options.jobs, options.scheduler, options.worker_wait, options.tell) as pool:
             runner = _Runner(directory, options, metrics, pool)
             runner.run(runner.with_detected_lattices(plan.cells), progress)
     return Run(root)

@@ -87,7 +87,7 @@ class Job:
     side_by_side: float = 0.0
     user_folder: str = dataclasses.field(default_factory=working_folder)
 
-    def request(self, phase: Literal["detect", "synthesize", "score"], metrics: tuple[str, ...] = ()) -> Request:
+    def request(self, phase: str, metrics: tuple[str, ...] = ()) -> Request:
         """Return the request of one phase of this job."""
         return Request(phase, self.folder, self.seconds, self.mib, metrics, self.user_folder)
 

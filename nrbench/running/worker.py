@@ -26,13 +26,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import IO, Any, Literal, cast
+from typing import IO, Any, cast
 
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.jit import load_kernels
 from nrbench.plugins.parameters import prepare_conversion
-from nrbench.running import clauses, guard, phases
+from nrbench.running import guard, phases
 from nrbench.running.guard import Message
 from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import leave_user_folder, read_json, remove_folder, working_folder
@@ -59,7 +59,7 @@ class Request:
     Parameters
     ----------
     phase
-        What to do; see :mod:`nrbench.running.phases`.
+        What to do: the name of a function of :mod:`nrbench.running.phases`, or the whole path of another function.
     folder
         The cell's folder.
     seconds, mib
@@ -73,7 +73,7 @@ class Request:
         the cell's folder: the path of a socket has 107 bytes at most, and that of a run may be longer.
     """
 
-    phase: Literal["render", "detect", "synthesize", "score", "report", "check"]
+    phase: str
     folder: str
     seconds: float
     mib: float
@@ -172,24 +172,15 @@ class Reply:
 
 def perform(request: Request, send: Callable[[Message], None]) -> None:
     """Run one phase in this process, sending messages."""
-    folder = Path(request.folder)
     before = guard.peak_bytes()
 
     def send_with_memory(message: Message) -> None:
-        send({**message, "peak_mib": max(0, guard.peak_bytes() - before) / guard.MIB})
+        peak = {"peak_mib": max(0, guard.peak_bytes() - before) / guard.MIB} if request.phase == "synthesize" else {}
+        send(cast("Message", {**message, **peak}))
 
-    if request.phase == "score":
-        phases.score(folder, request.metrics, send)
-    elif request.phase == "detect":
-        phases.detect(folder, send)
-    elif request.phase == "render":
-        phases.render(folder, send)
-    elif request.phase == "report":
-        phases.report(folder, send)
-    elif request.phase == "check":
-        clauses.check(folder, send)
-    else:
-        phases.synthesize(folder, send_with_memory)
+    module, _, name = request.phase.rpartition(".")
+    phase = getattr(importlib.import_module(module or phases.__name__), name)
+    phase(Path(request.folder), send_with_memory, *request.metrics)
 
 
 def warm(compiling: Callable[[], None]) -> None:
