@@ -25,7 +25,7 @@ from unit import cpu_unit, machine_unit
 from nrbench import plugins
 from nrbench.api import run
 from nrbench.imaging.files import read_image, write_image
-from nrbench.running.progress import Step
+from nrbench.running.pace import Step
 from nrbench.running.runner import Options
 
 BLOCKS = 20

@@ -18,8 +18,8 @@ from nrbench.imaging.files import write_image
 from nrbench.plugins.forms import FoundLattice
 from nrbench.running.executors import Executor, executor
 from nrbench.running.output_checks import InvalidOutput
+from nrbench.running.pace import Pace, Progress, Step
 from nrbench.running.phases import read_output
-from nrbench.running.progress import Pace, Progress, Step
 from nrbench.running.supervisor import Job, print_notice
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
@@ -119,7 +119,7 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     options
         How to run it.
     progress
-        Called after each cell with a :class:`~nrbench.running.progress.Step`.
+        Called after each cell with a :class:`~nrbench.running.pace.Step`.
 
     Raises
     ------

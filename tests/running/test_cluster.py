@@ -21,7 +21,7 @@ from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.running import cluster
-from nrbench.running.progress import Step
+from nrbench.running.pace import Step
 from nrbench.running.runner import Options, _Runner
 from nrbench.runs.records import Run
 from nrbench.suites.suite import Suite, validated_suite

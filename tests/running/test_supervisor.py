@@ -29,8 +29,8 @@ from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.imaging.files import read_image, write_image
 from nrbench.running import guard, phases, runner
-from nrbench.running.guarded import write_guarded
-from nrbench.running.progress import Step
+from nrbench.running.pace import Step
+from nrbench.running.plugin_children import write_guarded
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Job, Supervisor, perform_job
 from nrbench.running.worker import Request, _is_own
