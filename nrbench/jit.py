@@ -1,6 +1,8 @@
 """Compiled kernels: numba where it is installed, plain Python with a warning where it is not.
 
 The first call of a kernel, or :func:`load_kernels`, imports numba and compiles the kernel or reads it from the cache.
+The annotations of a kernel are the types that it is compiled for. ``Float64x2`` is an array of float64 with two
+dimensions, contiguous in memory; a ``Float64View2`` need not be contiguous.
 """
 
 from __future__ import annotations
@@ -13,31 +15,58 @@ import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FunctionType
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import Annotated, Any, Generic, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
+import numpy as np
 import platformdirs
+from numpy.typing import NDArray
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+Float64x1 = Annotated[NDArray[np.float64], "float64[::1]"]
+Float64x2 = Annotated[NDArray[np.float64], "float64[:, ::1]"]
+Float64x3 = Annotated[NDArray[np.float64], "float64[:, :, ::1]"]
+Float64View2 = Annotated[NDArray[np.float64], "float64[:, :]"]
+Float32x1 = Annotated[NDArray[np.float32], "float32[::1]"]
+Float32x2 = Annotated[NDArray[np.float32], "float32[:, ::1]"]
+Float32x3 = Annotated[NDArray[np.float32], "float32[:, :, ::1]"]
+Float32x4 = Annotated[NDArray[np.float32], "float32[:, :, :, ::1]"]
+Float32View3 = Annotated[NDArray[np.float32], "float32[:, :, :]"]
+Int64x1 = Annotated[NDArray[np.int64], "int64[::1]"]
+Int64x2 = Annotated[NDArray[np.int64], "int64[:, ::1]"]
+Int64x3 = Annotated[NDArray[np.int64], "int64[:, :, ::1]"]
+Int64x4 = Annotated[NDArray[np.int64], "int64[:, :, :, ::1]"]
+Int32x1 = Annotated[NDArray[np.int32], "int32[::1]"]
+Int32x2 = Annotated[NDArray[np.int32], "int32[:, ::1]"]
+Int32x3 = Annotated[NDArray[np.int32], "int32[:, :, ::1]"]
+Int16x1 = Annotated[NDArray[np.int16], "int16[::1]"]
+Int16x2 = Annotated[NDArray[np.int16], "int16[:, ::1]"]
+UInt8x1 = Annotated[NDArray[np.uint8], "uint8[::1]"]
+UInt8x2 = Annotated[NDArray[np.uint8], "uint8[:, ::1]"]
+UInt8x3 = Annotated[NDArray[np.uint8], "uint8[:, :, ::1]"]
+UInt8View2 = Annotated[NDArray[np.uint8], "uint8[:, :]"]
+Boolx1 = Annotated[NDArray[np.bool_], "boolean[::1]"]
+Boolx2 = Annotated[NDArray[np.bool_], "boolean[:, ::1]"]
+
+_SCALARS = {float: "float64", int: "int64", bool: "boolean", type(None): "void"}
 
 KERNELS: list[Kernel[..., Any]] = []
 """Every kernel declared so far."""
 
 
 class Kernel(Generic[P, R]):
-    """A function that numba compiles for one signature when it is first needed.
+    """A function that numba compiles for the types of its annotations when it is first needed.
 
     Parameters
     ----------
     function
-        Plain Python that numba can compile. It may call other kernels by their names in its module.
-    signature
-        The signature that numba compiles for, e.g. ``"float64(float64[::1])"``. No later call compiles another one.
+        Plain Python that numba can compile. It may call other kernels by their names in its module. No later call
+        compiles it for other types.
     """
 
-    def __init__(self, function: Callable[P, R], signature: str) -> None:
+    def __init__(self, function: Callable[P, R]) -> None:
         self.function = function
-        self.signature = signature
         self._compiled: Callable[P, R] | None = None
         KERNELS.append(self)
 
@@ -48,17 +77,29 @@ class Kernel(Generic[P, R]):
     def load(self) -> Callable[P, R]:
         """Return the compiled function. The first call compiles it or reads it from the cache."""
         if self._compiled is None:
-            self._compiled = _compile(self.function, self.signature)
+            self._compiled = _compile(self.function)
         return self._compiled
 
 
-def kernel(signature: str) -> Callable[[Callable[P, R]], Kernel[P, R]]:
+def kernel(function: Callable[P, R]) -> Kernel[P, R]:
     """Declare a function as a :class:`Kernel`."""
+    return Kernel(function)
 
-    def declare(function: Callable[P, R]) -> Kernel[P, R]:
-        return Kernel(function, signature)
 
-    return declare
+def find_signature(function: Callable[..., Any]) -> str:
+    """Return the signature that numba compiles a function for, as ``"float64(float64[::1], int64)"``."""
+    types = {name: _name_type(hint) for name, hint in get_type_hints(function, include_extras=True).items()}
+    returned = types.pop("return")
+    return f"{returned}({', '.join(types.values())})"
+
+
+def _name_type(hint: Any) -> str:
+    """Return numba's name of the type of an annotation."""
+    if get_origin(hint) is Annotated:
+        return str(get_args(hint)[1])
+    if get_origin(hint) is tuple:
+        return f"Tuple(({', '.join(map(_name_type, get_args(hint)))},))"
+    return _SCALARS.get(hint) or str(hint.__name__)
 
 
 def load_kernels(compiling: Callable[[], None] = lambda: None) -> None:
@@ -139,7 +180,7 @@ def _link_kernels(function: Callable[P, R]) -> Callable[P, R]:
     return linked
 
 
-def _compile(function: Callable[P, R], signature: str) -> Callable[P, R]:
+def _compile(function: Callable[P, R]) -> Callable[P, R]:
     try:
         import numba
     except ImportError:
@@ -149,7 +190,8 @@ def _compile(function: Callable[P, R], signature: str) -> Callable[P, R]:
             stacklevel=3,
         )
         return function
-    return _njit(numba, _link_kernels(function), signature, cache_folder(function, numba.__version__))
+    folder = cache_folder(function, numba.__version__)
+    return _njit(numba, _link_kernels(function), find_signature(function), folder)
 
 
 def _njit(numba: Any, function: Callable[P, R], signature: str, folder: Path) -> Callable[P, R]:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import fold
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
@@ -49,6 +49,7 @@ class Auto:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
+    finder: ClassVar[str] = "consensus"
     needs_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
@@ -68,7 +69,7 @@ class Auto:
         Refused
             If the method that is picked refuses the sample.
         """
-        found = find_lattice(task, NamedDetector("consensus"))
+        found = find_lattice(task, NamedDetector(self.finder))
         share = estimate_share(task.sample, found.lattice) if found.lattice else 0.0
         near_regular = found.lattice is not None and share >= self.threshold
         name: str = self.regular if near_regular else self.other

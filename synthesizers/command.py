@@ -60,6 +60,11 @@ class Command:
         """Whether the command has a field of the lattice."""
         return bool(_fields(self.run) & set(LATTICE_FIELDS))
 
+    @property
+    def finder(self) -> str:
+        """The detector that finds the lattice if none is given; empty if the command takes no lattice."""
+        return "consensus" if self.uses_lattice else ""
+
     def __post_init__(self) -> None:
         checked_label(self.label)
         unknown = _fields(self.run) - set(FIELDS)
@@ -83,7 +88,7 @@ class Command:
         """
         lattice, seconds = None, 0.0
         if self.uses_lattice:
-            lattice, seconds = require_lattice(task, NamedDetector("consensus"), "the command takes one")
+            lattice, seconds = require_lattice(task, NamedDetector(self.finder), "the command takes one")
         with tempfile.TemporaryDirectory(prefix="nrbench-") as folder:
             sample, output = Path(folder, "sample.png"), Path(folder, "output.png")
             write_image(sample, task.sample)

@@ -85,6 +85,7 @@ class RegularizedPatch:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
+    finder: ClassVar[str] = "consensus"
     version: ClassVar[str] = "1"
     patch_shape: ClassVar[str] = "user identified lattice, quadrilateral patch"
     patch_placement: ClassVar[str] = "lattice points"
@@ -119,7 +120,7 @@ class RegularizedPatch:
         Refused
             If no lattice is found, or if the sample does not show two periods or two whole texels.
         """
-        lattice, seconds = require_lattice(task, NamedDetector("consensus"), "there are no texels; give a lattice")
+        lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no texels; give a lattice")
         require_two_periods(lattice, task.sample.shape)
         straight = StraightSample.of(task.sample, lattice)
         deform: Deform = self.deform if straight.departs else "none"

@@ -15,6 +15,7 @@ from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Refused, SourceMap, Synthesis, Task, require_lattice
+from nrbench.plugins.registry import NamedDetector
 
 from .rectangular_tiles.tile_frame import TileFrame, find_tile_frame
 from .rectangular_tiles.wang_tiles import Cutter, WangTiles, edge_colors, make_wang_tiles
@@ -138,6 +139,12 @@ class RepresentativeTile:
         possible = self.tiles == 1 or (1 < self.tiles <= MOST_TILES and edge_colors(self.tiles) is not None)
         _check(possible, f"tiles {self.tiles}; choose 1, 4, or 6 to {MOST_TILES}")
 
+    @property
+    def finder(self) -> str:
+        """The detector that finds the period if no lattice is given."""
+        last = ",subpixel=false,reject=none" if self.period == "last" else ""
+        return f"ssdn:depth={self.depth!r},primitive=false{last}"
+
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`RepresentativeTile`.
 
@@ -148,7 +155,7 @@ class RepresentativeTile:
         Refused
             When no lattice is found, or the sample shows less than two periods or holds no rectangular tile.
         """
-        lattice, seconds = require_lattice(task, self._detector(), "there is no period to cut a tile by")
+        lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there is no period to cut a tile by")
         frame = find_tile_frame(lattice, task.sample.shape, self.tolerance, self.scale_down)
         patches = Patches(task.sample)
         image, known = frame.scale_sample(task.sample, patches)
@@ -171,11 +178,6 @@ class RepresentativeTile:
             extras |= {f"best-{number:02d}": _cut(image, frame, (x, y)) for number, (x, y) in enumerate(places, 1)}
         note = f"a tile holds {frame.cells} cells" if frame.cells > 1 else ""
         return Synthesis(output, lattice, source, extras, seconds, note)
-
-    def _detector(self) -> Ssdn:
-        if self.period == "last":
-            return Ssdn(depth=self.depth, subpixel=False, primitive=False, reject="none")
-        return Ssdn(depth=self.depth, primitive=False)
 
     def _best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
         """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S (section 4). Of equal places the first comes first."""

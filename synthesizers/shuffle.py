@@ -9,10 +9,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.gncc import Gncc
-from nrbench.imaging.fold import fold, sample_tile
+from nrbench.imaging.mean_tile import fold, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
+from nrbench.plugins.registry import NamedDetector
 
 from .baselines.voronoi_cell import OFFSET, edge_points, half_extent, whole_cell_centers
 from .sampling.patches import resample
@@ -40,6 +40,7 @@ class Shuffle:
 
     reference: ClassVar[bool] = True
     uses_lattice: ClassVar[bool] = True
+    finder: ClassVar[str] = "gncc"
     right_on: ClassVar[frozenset[Kind]] = frozenset({"0"})
     version: ClassVar[str] = "1"
 
@@ -51,7 +52,7 @@ class Shuffle:
         Refused
             When no lattice is found, or the sample does not hold a whole tile.
         """
-        lattice, seconds = require_lattice(task, Gncc(), "there are no tiles to shuffle")
+        lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no tiles to shuffle")
         whole_cell_centers(lattice, task.sample.shape)
         middle, places = _place_cuts(task, lattice.reduced())
         tiles = Lattice(lattice.t1, lattice.t2, (float(middle[0]), float(middle[1]))).reduced()

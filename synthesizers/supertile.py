@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from nrbench.detectors.gncc import Gncc
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
+from nrbench.plugins.registry import NamedDetector
 
 from .baselines.voronoi_cell import half_extent, half_extents
 from .sampling.patches import resample
@@ -34,6 +34,7 @@ class Supertile:
 
     reference: ClassVar[bool] = True
     uses_lattice: ClassVar[bool] = True
+    finder: ClassVar[str] = "gncc"
     right_on: ClassVar[frozenset[Kind]] = frozenset({"0"})
     version: ClassVar[str] = "1"
 
@@ -45,7 +46,7 @@ class Supertile:
         Refused
             When no lattice is found, or the sample does not hold a whole tile.
         """
-        lattice, seconds = require_lattice(task, Gncc(), "there is nothing to repeat")
+        lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there is nothing to repeat")
         cell = largest_supercell(lattice, task.sample.shape)
         middle = (np.array(task.sample.shape[1::-1]) - 1) / 2
         image, source = resample(task, lambda pixels: middle + cell.wrap(pixels - middle))

@@ -145,6 +145,7 @@ class TileSet:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
+    finder: ClassVar[str] = "consensus"
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
@@ -200,8 +201,8 @@ class TileSet:
             of one, or if registration, feather or margin is larger than s.
         """
         if self.geometry == "straighten":
-            return straighten_first(replace(self, geometry="as-is"), task, NamedDetector("consensus"))
-        found = find_lattice(task, NamedDetector("consensus"))
+            return straighten_first(replace(self, geometry="as-is"), task, NamedDetector(self.finder))
+        found = find_lattice(task, NamedDetector(self.finder))
         if found.lattice is None:
             raise Refused(f"no lattice found ({found.reason}), so that there are no tiles; give a lattice")
         self._require_within_s(found.lattice.s)

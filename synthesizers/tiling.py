@@ -9,11 +9,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.gncc import Gncc
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import fold
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Kind, Synthesis, Task, require_lattice
+from nrbench.plugins.registry import NamedDetector
 
 from .baselines.voronoi_cell import OFFSET, half_extent, whole_cell_centers
 from .sampling.equal_places import EqualPlaces, pixel_grid
@@ -47,6 +47,7 @@ class Tiling:
 
     reference: ClassVar[bool] = True
     uses_lattice: ClassVar[bool] = True
+    finder: ClassVar[str] = "gncc"
     right_on: ClassVar[frozenset[Kind]] = frozenset({"0"})
     version: ClassVar[str] = "2"
 
@@ -61,7 +62,7 @@ class Tiling:
         Refused
             When no lattice is found, or the sample does not hold a whole tile.
         """
-        lattice, seconds = require_lattice(task, Gncc(), "there is no tile to repeat")
+        lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there is no tile to repeat")
         centers = whole_cell_centers(lattice, task.sample.shape)
         if self.tile == "mean":
             return Synthesis(_repeat_mean(task, lattice), lattice, detection_seconds=seconds)

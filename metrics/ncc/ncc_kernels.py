@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float32x1, Float32x2, Float32x3, Float64x1, Float64x2, Float64x3, Int64x1, Int64x2, kernel
 
 _FLAT = np.float32(1e-6)
 
 
-@kernel("void(float32[:, ::1], float32[:, :, ::1], float32[:, ::1], float32[::1])")
-def normalize_sums(
-    cross: NDArray[np.float32],
-    window_means: NDArray[np.float32],
-    template_sums: NDArray[np.float32],
-    scale: NDArray[np.float32],
-) -> None:
+@kernel
+def normalize_sums(cross: Float32x2, window_means: Float32x3, template_sums: Float32x2, scale: Float32x1) -> None:
     """Compute the NCC of n windows at q offsets from weighted sums, in place.
 
     Parameters
@@ -41,14 +35,10 @@ def normalize_sums(
             cross[n, k] = product * scale[k] / np.sqrt(max(power, _FLAT)) if power > _FLAT else np.float32(0)
 
 
-@kernel("float64[::1](float32[:, :, ::1], int64[:, ::1], float32[:, :, ::1], int64[:, ::1], int64[::1])")
+@kernel
 def compute_ncc(
-    planes: NDArray[np.float32],
-    corners: NDArray[np.int64],
-    template: NDArray[np.float32],
-    offsets: NDArray[np.int64],
-    window: NDArray[np.int64],
-) -> NDArray[np.float64]:
+    planes: Float32x3, corners: Int64x2, template: Float32x3, offsets: Int64x2, window: Int64x1
+) -> Float64x1:
     """Return the weighted NCC of each window with the template at one offset; 0 where one of the two is flat.
 
     Parameters
@@ -102,15 +92,10 @@ def compute_ncc(
     return ncc
 
 
-@kernel("float64[:, :, ::1](float32[:, :, ::1], float32[:, ::1], float64[:, ::1], int64, int64, int64)")
+@kernel
 def sum_courses(
-    image: NDArray[np.float32],
-    departures: NDArray[np.float32],
-    places: NDArray[np.float64],
-    first: int,
-    rows: int,
-    columns: int,
-) -> NDArray[np.float64]:
+    image: Float32x3, departures: Float32x2, places: Float64x2, first: int, rows: int, columns: int
+) -> Float64x3:
     """Return the sums over the pixels on each sample of the courses of one direction.
 
     A sample has a row, which counts across the courses, and a column, which counts along one cell of a course. Columns
@@ -151,19 +136,16 @@ def sum_courses(
     return sums
 
 
-@kernel(
-    "float64[:, ::1](float32[:, :, ::1], float32[:, :, ::1], int64[:, ::1], float64[:, ::1], int64[::1],"
-    " float64[:, ::1], int64)"
-)
+@kernel
 def sum_products(
-    image: NDArray[np.float32],
-    cell: NDArray[np.float32],
-    corners: NDArray[np.int64],
-    start: NDArray[np.float64],
-    window: NDArray[np.int64],
-    inverse: NDArray[np.float64],
+    image: Float32x3,
+    cell: Float32x3,
+    corners: Int64x2,
+    start: Float64x2,
+    window: Int64x1,
+    inverse: Float64x2,
     step: int,
-) -> NDArray[np.float64]:
+) -> Float64x2:
     """Return the weighted sums of products from which the displacement of each window is computed.
 
     Parameters

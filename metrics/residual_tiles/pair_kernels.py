@@ -6,19 +6,12 @@ A pair (i, j), i < j, of n tiles has the number ``i (2 n - i - 1) / 2 + j - i - 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float32x1, Float32x2, Int64x1, Int64x2, kernel
 
 
-@kernel("void(float32[:, ::1], float32[::1], float32, float32[::1], float32[::1])")
-def add_distances(
-    products: NDArray[np.float32],
-    powers: NDArray[np.float32],
-    mass: float,
-    part: NDArray[np.float32],
-    whole: NDArray[np.float32],
-) -> None:
+@kernel
+def add_distances(products: Float32x2, powers: Float32x1, mass: np.float32, part: Float32x1, whole: Float32x1) -> None:
     """Compute the squared distances of all pairs of one part of the tiles, and add them to those of the whole tiles.
 
     Parameters
@@ -44,8 +37,8 @@ def add_distances(
             pair += 1
 
 
-@kernel("int64[::1](int64[:, ::1])")
-def index_lags(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+@kernel
+def index_lags(numbers: Int64x2) -> Int64x1:
     """Return an index of the lag of each pair, the same from j to i as from i to j.
 
     Parameters
@@ -63,10 +56,8 @@ def index_lags(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     return lags
 
 
-@kernel("Tuple((float32[::1], int64[::1]))(float32[::1], int64[:, ::1], int64[:, ::1], int64)")
-def pair_blocks(
-    whole: NDArray[np.float32], blocks: NDArray[np.int64], numbers: NDArray[np.int64], count: int
-) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+@kernel
+def pair_blocks(whole: Float32x1, blocks: Int64x2, numbers: Int64x2, count: int) -> tuple[Float32x1, Int64x1]:
     """Return the distances and the lags of pairs of blocks of 2 x 2 tiles that have no tile in common.
 
     Parameters
@@ -100,8 +91,8 @@ def pair_blocks(
     return distances[:pair].copy(), lags[:pair].copy()
 
 
-@kernel("int64(int64[:, ::1])")
-def _reach(numbers: NDArray[np.int64]) -> int:
+@kernel
+def _reach(numbers: Int64x2) -> int:
     """Return the largest difference of the second cell coordinate."""
     low, high = 0, 0
     for n in range(len(numbers)):
@@ -110,7 +101,7 @@ def _reach(numbers: NDArray[np.int64]) -> int:
     return high - low
 
 
-@kernel("int64(int64, int64, int64)")
+@kernel
 def _index_lag(u: int, v: int, reach: int) -> int:
     """Return the index of the lag (u, v), which is that of (-u, -v)."""
     if u < 0 or (u == 0 and v < 0):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float32x2, Float64x1, Float64x2, kernel
 
 
-@kernel("float32[:, ::1](float32[:, ::1])")
-def steep_line_sums(image: NDArray[np.float32]) -> NDArray[np.float32]:
+@kernel
+def steep_line_sums(image: Float32x2) -> Float32x2:
     """Return the sums along the lines that lean right by up to 45 degrees from upright.
 
     This is the fast discrete Radon transform (Brady, SIAM Journal on Computing 27, 1998): lines through two strips are
@@ -45,14 +44,10 @@ def steep_line_sums(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return before
 
 
-@kernel("float64[:, ::1](float32[:, ::1], float32[:, ::1], float32[:, ::1], float64, float64[::1])")
+@kernel
 def worst_of_parallels(
-    value: NDArray[np.float32],
-    energy: NDArray[np.float32],
-    length: NDArray[np.float32],
-    least: float,
-    floors: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    value: Float32x2, energy: Float32x2, length: Float32x2, least: float, floors: Float64x1
+) -> Float64x2:
     """Return the line with the largest step, and the one with the largest gradient, relative to their parallels.
 
     Parameters

@@ -112,7 +112,7 @@ def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
     """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
     from nrbench.api import detect_lattice
     from nrbench.cli.progress import waiting
-    from nrbench.lattice.comparison import relate
+    from nrbench.lattice.relation import relate
     from nrbench.plugins.forms import NoLatticeFound
 
     try:

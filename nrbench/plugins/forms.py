@@ -171,7 +171,7 @@ class Alternative:
     relation
         How the lattice relates to the chosen one, whose vectors are t1 and t2: ``"half along t1"``,
         ``"double along t2"``, ``"x 3 along t2"``, ``"supercell x 4"``, ``"subcell 1/2"``, ``"unrelated"``
-        (:class:`nrbench.lattice.comparison.BasisChange`).
+        (:class:`nrbench.lattice.relation.BasisChange`).
     evidence
         The rating by which the detector orders lattices; its docstring says which. None if it has none.
     role
@@ -426,6 +426,10 @@ class Synthesizer(Protocol):
         True: the method receives ``task.again`` and ``task.recompose``, and is never ranked.
     ``uses_lattice``
         False: the lattice axis of a suite does not apply. It may be a property that depends on the parameters.
+    ``finder``
+        The detector, ``name`` or ``name:param=value,...``, by which the method finds a lattice if none is given. The
+        key of a cell with the lattice source ``own`` depends on it. It may be a parameter or a property. Empty or
+        absent: the method uses no detector.
     ``label``
         The name of the method in tables, a parameter or a property; if it is empty, the tables show the plugin's name
         and the parameters that differ from their defaults. Two methods of a run may not have the same one.

@@ -5,27 +5,23 @@ from __future__ import annotations
 import heapq
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float32x2, Float32x3, Float32x4, Float64x1, Float64x2, Float64x3, Int64x1, Int64x2, kernel
 
 
-@kernel(
-    "float64(float32[:, :, ::1], float32[:, ::1], float32[:, :, ::1], float64[:, ::1], float64[:, ::1],"
-    " float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float64, int64)"
-)
+@kernel
 def register(
-    image: NDArray[np.float32],
-    template: NDArray[np.float32],
-    rows: NDArray[np.float32],
-    normal: NDArray[np.float64],
-    sums: NDArray[np.float64],
-    offsets: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    reach: NDArray[np.float64],
-    state: NDArray[np.float64],
-    predicted: NDArray[np.float64],
-    prior: NDArray[np.float64],
+    image: Float32x3,
+    template: Float32x2,
+    rows: Float32x3,
+    normal: Float64x2,
+    sums: Float64x2,
+    offsets: Float64x2,
+    weights: Float64x1,
+    reach: Float64x1,
+    state: Float64x1,
+    predicted: Float64x1,
+    prior: Float64x1,
     least_seen: float,
     steps: int,
 ) -> float:
@@ -181,26 +177,22 @@ def register(
     return correlation
 
 
-@kernel(
-    "void(float32[:, :, ::1], float32[:, :, ::1], float32[:, :, :, ::1], float64[:, :, ::1], float64[:, :, ::1],"
-    " int64[:, ::1], float64[:, ::1], float64[::1], float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1],"
-    " int64[::1], float64[::1], float64[::1], float64, float64, float64)"
-)
+@kernel
 def grow_knots(
-    image: NDArray[np.float32],
-    templates: NDArray[np.float32],
-    rows: NDArray[np.float32],
-    normals: NDArray[np.float64],
-    sums: NDArray[np.float64],
-    phases: NDArray[np.int64],
-    offsets: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    points: NDArray[np.float64],
-    states: NDArray[np.float64],
-    correlations: NDArray[np.float64],
-    seed: NDArray[np.int64],
-    prior: NDArray[np.float64],
-    levels: NDArray[np.float64],
+    image: Float32x3,
+    templates: Float32x3,
+    rows: Float32x4,
+    normals: Float64x3,
+    sums: Float64x3,
+    phases: Int64x2,
+    offsets: Float64x2,
+    weights: Float64x1,
+    points: Float64x3,
+    states: Float64x3,
+    correlations: Float64x2,
+    seed: Int64x1,
+    prior: Float64x1,
+    levels: Float64x1,
     farthest: float,
     margin: float,
     least_seen: float,

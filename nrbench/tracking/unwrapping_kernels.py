@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float32x4, Float64x2, Float64x3, Int64x1, kernel
 
 
-@kernel("int64(float64[:, ::1], int64[::1], int64)")
-def pop_most_trusted(trust: NDArray[np.float64], front: NDArray[np.int64], waiting: int) -> int:
+@kernel
+def pop_most_trusted(trust: Float64x2, front: Int64x1, waiting: int) -> int:
     """Return the flat index of the most trusted of the first ``waiting`` nodes in ``front``, and remove it there."""
     columns, best = trust.shape[1], 0
     for k in range(1, waiting):
@@ -20,18 +19,10 @@ def pop_most_trusted(trust: NDArray[np.float64], front: NDArray[np.int64], waiti
     return node
 
 
-@kernel(
-    "float64[:, :, ::1](float32[:, :, :, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[:, ::1],"
-    " int64)"
-)
+@kernel
 def grow(
-    surfaces: NDArray[np.float32],
-    trust: NDArray[np.float64],
-    steps: NDArray[np.float64],
-    costs: NDArray[np.float64],
-    matrix: NDArray[np.float64],
-    sweeps: int,
-) -> NDArray[np.float64]:
+    surfaces: Float32x4, trust: Float64x2, steps: Float64x3, costs: Float64x2, matrix: Float64x2, sweeps: int
+) -> Float64x3:
     """Return a continuous displacement (x, y) px of each node, ``(rows, columns, 2)``.
 
     The field grows from the most trusted node. Of the nodes next to the field, the most trusted one is added first.

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float32x2, Float64x1, Int64x2, kernel
 
 LONGEST_RUN = 256
 """Number of products of 8-bit values whose sum is exact in float32: 256 * 255^2 < 2^24."""
 
 
-@kernel("float64[::1](float32[:, ::1], float32[:, ::1], int64[:, ::1], int64[:, ::1])")
-def correlate_at(
-    image: NDArray[np.float32],
-    template: NDArray[np.float32],
-    runs: NDArray[np.int64],
-    positions: NDArray[np.int64],
-) -> NDArray[np.float64]:
+@kernel
+def correlate_at(image: Float32x2, template: Float32x2, runs: Int64x2, positions: Int64x2) -> Float64x1:
     """Compute the sum of products of a template and the image under it, for each position.
 
     Parameters

@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float64x2, Float64x3, kernel
 
 
-@kernel(
-    "float64[:, :, ::1](float64[:, :, ::1], float64[:, :, ::1], float64, float64[:, ::1], float64[:, :, ::1], int64)"
-)
+@kernel
 def move_vertices(
-    start: NDArray[np.float64],
-    maps: NDArray[np.float64],
-    step: float,
-    moves: NDArray[np.float64],
-    chances: NDArray[np.float64],
-    sweeps: int,
-) -> NDArray[np.float64]:
+    start: Float64x3, maps: Float64x3, step: float, moves: Float64x2, chances: Float64x3, sweeps: int
+) -> Float64x3:
     """Return the displacements of the vertices after some rounds (report, appendix A, equations 2 and 3).
 
     In each round every vertex, in the order of rows, takes one of its possible moves. The likelihood of a move is the

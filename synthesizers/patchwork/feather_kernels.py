@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float32x3, Float64x2, Int64x3, kernel
 
 
-@kernel(
-    "Tuple((float32[:, :, ::1], float32[:, :, ::1]))"
-    "(float32[:, :, ::1], int64[:, :, ::1], float32[:, :, ::1], float64[:, ::1])"
-)
+@kernel
 def feather_seams(
-    sample: NDArray[np.float32],
-    origin: NDArray[np.int64],
-    image: NDArray[np.float32],
-    weights: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    sample: Float32x3, origin: Int64x3, image: Float32x3, weights: Float64x2
+) -> tuple[Float32x3, Float32x3]:
     """Return an output whose patches are blended near their seams, and its source map.
 
     Each pixel is the weighted mean of the values that the patches around it have there. The weight of a patch is the

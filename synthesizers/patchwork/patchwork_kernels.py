@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Boolx2, Int32x3, Int64x1, Int64x3, Int64x4, kernel
 
 from ..seams.seam_kernels import SOURCE, grow_trees
 
@@ -16,7 +15,7 @@ STAY, SECOND, FIRST = 0, 1, 2
 link costs nothing."""
 
 
-@kernel("int64(float64, int64, boolean, int64)")
+@kernel
 def seam_cost(apart: float, busy: int, normalized: bool, power: int) -> int:
     """Return the cost of a seam on a link, from the summed differences and gradients of two patches at its pixels."""
     if normalized:
@@ -26,17 +25,9 @@ def seam_cost(apart: float, busy: int, normalized: bool, power: int) -> int:
     return int(np.rint(UNIT * apart * apart if power == 2 else UNIT * apart))
 
 
-@kernel("int64(int32[:, :, ::1], int32[:, :, ::1], int64, boolean, int64, int64, int64, int64, int64)")
+@kernel
 def step_cost(
-    features: NDArray[np.int32],
-    slopes: NDArray[np.int32],
-    axis: int,
-    normalized: bool,
-    power: int,
-    y: int,
-    x: int,
-    v: int,
-    u: int,
+    features: Int32x3, slopes: Int32x3, axis: int, normalized: bool, power: int, y: int, x: int, v: int, u: int
 ) -> int:
     """Return the cost of a seam between two patches on a link to the right (axis 0) or downward (axis 1).
 
@@ -61,20 +52,10 @@ def step_cost(
     return seam_cost(apart, busy, normalized, power)
 
 
-@kernel(
-    "int64[:, :, :, ::1]"
-    "(int32[:, :, ::1], int32[:, :, ::1], boolean, int64, int64[:, :, ::1], boolean[:, ::1], int64, int64)"
-)
+@kernel
 def link_choices(
-    features: NDArray[np.int32],
-    slopes: NDArray[np.int32],
-    normalized: bool,
-    power: int,
-    source: NDArray[np.int64],
-    known: NDArray[np.bool_],
-    x: int,
-    y: int,
-) -> NDArray[np.int64]:
+    features: Int32x3, slopes: Int32x3, normalized: bool, power: int, source: Int64x3, known: Boolx2, x: int, y: int
+) -> Int64x4:
     """Return the cost of each link of a window for each case of replaced pixels.
 
     Parameters
@@ -142,10 +123,8 @@ def link_choices(
     return costs
 
 
-@kernel("boolean[:, ::1](int64[:, :, :, ::1], boolean[:, ::1], boolean[:, ::1])")
-def cut_links(
-    choices: NDArray[np.int64], fixed_old: NDArray[np.bool_], fixed_new: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+@kernel
+def cut_links(choices: Int64x4, fixed_old: Boolx2, fixed_new: Boolx2) -> Boolx2:
     """Return the pixels of a window that become new: :func:`~.patchwork.cut_least_seams` describes the graph."""
     height, width = fixed_old.shape
     stride = width + 2
@@ -174,21 +153,18 @@ def cut_links(
     return new
 
 
-@kernel(
-    "int64(int64[:, :, :, ::1], boolean[:, ::1], boolean[:, ::1], int64[::1], int64[::1], int64, int64,"
-    " int64[:, :, ::1], boolean[:, ::1], int64[:, :, ::1])"
-)
+@kernel
 def show_patch(
-    choices: NDArray[np.int64],
-    new: NDArray[np.bool_],
-    ring: NDArray[np.bool_],
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
+    choices: Int64x4,
+    new: Boolx2,
+    ring: Boolx2,
+    rows: Int64x1,
+    columns: Int64x1,
     x: int,
     y: int,
-    origin: NDArray[np.int64],
-    known: NDArray[np.bool_],
-    seams: NDArray[np.int64],
+    origin: Int64x3,
+    known: Boolx2,
+    seams: Int64x3,
 ) -> int:
     """Show a patch at the new pixels of a window, record the costs of the seams, and return the number of new pixels.
 

@@ -9,38 +9,33 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Int16x1, Int16x2, Int32x1, Int32x2, Int64x1, Int64x2, UInt8x1, UInt8x2, kernel
 
 UNBOUNDED = np.int64(2**63 - 1)
 """A key larger than that of any point."""
 DEEPEST = 160
 """Rows of a search's stack: two per level, for trees of at most 2^32 points that are split at their medians."""
-TreeArrays = tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int32], NDArray[np.int16], NDArray[np.int16]]
+TreeArrays = tuple[Int16x2, Int64x1, Int32x2, Int16x2, Int16x2]
 """A k-d tree: ``points (n, d)`` in the tree's order, their ``ranks (n,)``, ``nodes (m, 6)``, and the ``lows`` and
 ``highs (g, d)`` of each root's box. The columns of a node are its first point, its last point + 1, its axis (-1: a
 leaf), the largest coordinate of its left child along this axis, the smallest of its right child, and the number of the
 right child. The left child is the next node."""
-CanvasArrays = tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]
+CanvasArrays = tuple[UInt8x1, Int64x2, Int64x1]
 """The output: the flat ``values`` of its layers, with their border; ``sources (P, Q)``: each pixel's source in the
 sample, -1 if it has none; ``frame``: the number of rows and of columns after which the output repeats, and the rows and
 columns of the border at its top and left."""
-StockArrays = tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], int]
+StockArrays = tuple[UInt8x2, Int64x1, Int64x1, Int64x2, int]
 """The sample: its ``colors (h w, C)``; ``pixels (n,)``: the pixel at each place of the tree; ``places (h w,)``: the
 place of each pixel, -1 if its neighborhood is incomplete; ``similar (n, k)``: the places most similar to each; the
 sample's width."""
-QueryArrays = tuple[NDArray[np.int64], NDArray[np.int16], NDArray[np.int32], int, NDArray[np.int64]]
+QueryArrays = tuple[Int64x1, Int16x2, Int32x1, int, Int64x2]
 """A neighborhood: ``steps (D,)`` from a pixel's first value to its neighborhood's; the projection's ``matrix``,
 ``shift`` and ``bits``; ``texture_offsets (m, 2)``: the offsets (x, y) whose sources are continued."""
-TREE = "Tuple((int16[:, ::1], int64[::1], int32[:, ::1], int16[:, ::1], int16[:, ::1]))"
-CANVAS = "Tuple((uint8[::1], int64[:, ::1], int64[::1]))"
-STOCK = "Tuple((uint8[:, ::1], int64[::1], int64[::1], int64[:, ::1], int64))"
-QUERY = "Tuple((int64[::1], int16[:, ::1], int32[::1], int64, int64[:, ::1]))"
 
 
-@kernel("void(int16[::1], int64[::1], int64, int64, int64)")
-def split_at_middle(values: NDArray[np.int16], order: NDArray[np.int64], start: int, stop: int, middle: int) -> None:
+@kernel
+def split_at_middle(values: Int16x1, order: Int64x1, start: int, stop: int, middle: int) -> None:
     """Reorder the values from ``start`` to ``stop`` so that no value before ``middle`` exceeds a later one.
 
     ``order`` is reordered in the same way. This is Hoare's selection, O(stop - start) on average; values equal to the
@@ -68,8 +63,8 @@ def split_at_middle(values: NDArray[np.int16], order: NDArray[np.int64], start: 
             return
 
 
-@kernel("int64(int16[:, ::1], int64[::1], int64, int64)")
-def widest_axis(points: NDArray[np.int16], order: NDArray[np.int64], start: int, stop: int) -> int:
+@kernel
+def widest_axis(points: Int16x2, order: Int64x1, start: int, stop: int) -> int:
     """Return the axis with the largest variance of the points' coordinates; -1 if all points are equal."""
     count, best, axis = np.int64(stop - start), np.int64(0), -1
     for a in range(points.shape[1]):
@@ -84,14 +79,8 @@ def widest_axis(points: NDArray[np.int16], order: NDArray[np.int64], start: int,
     return axis
 
 
-@kernel("int32[:, ::1](int16[:, ::1], int64[::1], int64[::1], int64[::1], int64)")
-def build_tree(
-    points: NDArray[np.int16],
-    order: NDArray[np.int64],
-    bounds: NDArray[np.int64],
-    roots: NDArray[np.int64],
-    leaf: int,
-) -> NDArray[np.int32]:
+@kernel
+def build_tree(points: Int16x2, order: Int64x1, bounds: Int64x1, roots: Int64x1, leaf: int) -> Int32x2:
     """Return the nodes of a tree for each group of points. A node is split at the median of its widest axis.
 
     Parameters
@@ -136,8 +125,8 @@ def build_tree(
     return nodes[:count].copy()
 
 
-@kernel("int32(int16[::1], int16[::1])")
-def squared_distance(one: NDArray[np.int16], other: NDArray[np.int16]) -> np.int32:
+@kernel
+def squared_distance(one: Int16x1, other: Int16x1) -> np.int32:
     """Return the squared distance of two points."""
     total = np.int32(0)
     for a in range(one.size):
@@ -146,24 +135,24 @@ def squared_distance(one: NDArray[np.int16], other: NDArray[np.int16]) -> np.int
     return total
 
 
-@kernel("int64(int16[::1], int16[:, ::1], int64[::1], int64)")
-def key_of(query: NDArray[np.int16], points: NDArray[np.int16], ranks: NDArray[np.int64], place: int) -> np.int64:
+@kernel
+def key_of(query: Int16x1, points: Int16x2, ranks: Int64x1, place: int) -> np.int64:
     """Return the key of a point for a query: squared distance times 2^32 plus rank, so that ranks break ties."""
     key: np.int64 = (np.int64(squared_distance(query, points[place])) << 32) + ranks[place]
     return key
 
 
-@kernel(f"void({TREE}, int64, int64, int16[::1], float64, int64[::1], int64[::1], int64[:, ::1], int64[::1])")
+@kernel
 def search_tree(
     tree: TreeArrays,
     group: int,
     root: int,
-    query: NDArray[np.int16],
+    query: Int16x1,
     shrink: float,
-    keys: NDArray[np.int64],
-    places: NDArray[np.int64],
-    stack: NDArray[np.int64],
-    gaps: NDArray[np.int64],
+    keys: Int64x1,
+    places: Int64x1,
+    stack: Int64x2,
+    gaps: Int64x1,
 ) -> None:
     """Find the points of one group that are nearest to a query, and nearer than the known ones.
 
@@ -235,15 +224,9 @@ def search_tree(
                 keys[i], places[i] = key, p
 
 
-@kernel(f"void({TREE}, int64[::1], int64[::1], int16[:, ::1], float64, int64[:, ::1], int64[:, ::1])")
+@kernel
 def search_queries(
-    tree: TreeArrays,
-    roots: NDArray[np.int64],
-    groups: NDArray[np.int64],
-    queries: NDArray[np.int16],
-    shrink: float,
-    keys: NDArray[np.int64],
-    places: NDArray[np.int64],
+    tree: TreeArrays, roots: Int64x1, groups: Int64x1, queries: Int16x2, shrink: float, keys: Int64x2, places: Int64x2
 ) -> None:
     """Run :func:`search_tree` for each of ``queries (q, d)`` in its group; keys and places are ``(q, k)``."""
     stack, gaps = np.empty((DEEPEST, 4), np.int64), np.empty(queries.shape[1], np.int64)
@@ -252,16 +235,16 @@ def search_queries(
         search_tree(tree, group, roots[group], queries[q], shrink, keys[q], places[q], stack, gaps)
 
 
-@kernel("void(uint8[::1], int64, int64[::1], int16[:, ::1], int32[::1], int64, int16[::1], int16[::1])")
+@kernel
 def project_neighborhood(
-    values: NDArray[np.uint8],
+    values: UInt8x1,
     at: int,
-    steps: NDArray[np.int64],
-    matrix: NDArray[np.int16],
-    shift: NDArray[np.int32],
+    steps: Int64x1,
+    matrix: Int16x2,
+    shift: Int32x1,
     bits: int,
-    buffer: NDArray[np.int16],
-    point: NDArray[np.int16],
+    buffer: Int16x1,
+    point: Int16x1,
 ) -> None:
     """Compute the point of a neighborhood into ``point``; ``at`` is the index of the pixel's first value."""
     for i in range(steps.size):
@@ -274,8 +257,8 @@ def project_neighborhood(
         point[a] = np.int16((np.int64(total) + shift[a]) >> bits)
 
 
-@kernel(f"void({CANVAS}, int64, int64, int64, uint8[::1])")
-def write_pixel(canvas: CanvasArrays, row: int, column: int, source: int, color: NDArray[np.uint8]) -> None:
+@kernel
+def write_pixel(canvas: CanvasArrays, row: int, column: int, source: int, color: UInt8x1) -> None:
     """Write a pixel and, if the output wraps, its copies in the border."""
     values, sources, frame = canvas
     height, width, channels = sources.shape[0], sources.shape[1], color.size
@@ -286,15 +269,15 @@ def write_pixel(canvas: CanvasArrays, row: int, column: int, source: int, color:
                 values[(r * width + c) * channels + k] = color[k]
 
 
-@kernel(f"void({CANVAS}, {STOCK}, {QUERY}, {TREE}, int64[::1], int64[:, ::1], int64[::1], float64, float64, boolean)")
+@kernel
 def grow_box(
     canvas: CanvasArrays,
     stock: StockArrays,
     query: QueryArrays,
     tree: TreeArrays,
-    roots: NDArray[np.int64],
-    groups: NDArray[np.int64],
-    box: NDArray[np.int64],
+    roots: Int64x1,
+    groups: Int64x2,
+    box: Int64x1,
     factor: float,
     shrink: float,
     everywhere: bool,

@@ -7,16 +7,15 @@ long for 512 x 512 points, and 3.6 times as long for 60 x 60 points.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float32x2, Float64x2, Float64x3, kernel
 
 PAD = 3
 """Number of rows and columns of coefficients beyond each edge, mirrored about the outermost ones."""
 
 
-@kernel("float32[:, ::1](float64[:, :, ::1], float64[:, ::1])")
-def quintic_at(coefficients: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float32]:
+@kernel
+def quintic_at(coefficients: Float64x3, points: Float64x2) -> Float32x2:
     """Return the values of a spline at points. Outside, the image is mirrored about its outermost pixels.
 
     O(n C): 36 products each.

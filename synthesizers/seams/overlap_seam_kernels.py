@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float64View2, Float64x2, Int64x1, UInt8x2, UInt8x3, kernel
 
 
-@kernel("float64[:, ::1](uint8[:, :, ::1], uint8[:, :, ::1])")
-def squared_differences(old: NDArray[np.uint8], new: NDArray[np.uint8]) -> NDArray[np.float64]:
+@kernel
+def squared_differences(old: UInt8x3, new: UInt8x3) -> Float64x2:
     """Return the squared difference of two pictures ``(h, w, C)`` at each pixel, summed over channels: ``(h, w)``."""
     height, width, channels = old.shape
     error = np.empty((height, width))
@@ -23,8 +22,8 @@ def squared_differences(old: NDArray[np.uint8], new: NDArray[np.uint8]) -> NDArr
     return error
 
 
-@kernel("float64[:, ::1](float64[:, :])")
-def path_costs(error: NDArray[np.float64]) -> NDArray[np.float64]:
+@kernel
+def path_costs(error: Float64View2) -> Float64x2:
     """Return, for each pixel, the least sum of errors over 8-connected paths from the lowest row up to it. O(h w)."""
     rows, columns = error.shape
     total = np.empty((rows, columns))
@@ -40,8 +39,8 @@ def path_costs(error: NDArray[np.float64]) -> NDArray[np.float64]:
     return total
 
 
-@kernel("int64[::1](float64[:, ::1], int64, int64)")
-def follow_path(total: NDArray[np.float64], row: int, column: int) -> NDArray[np.int64]:
+@kernel
+def follow_path(total: Float64x2, row: int, column: int) -> Int64x1:
     """Return the columns of the path of least cost from a pixel down to the lowest row, one for each row from ``row``.
 
     Parameters
@@ -65,8 +64,8 @@ def follow_path(total: NDArray[np.float64], row: int, column: int) -> NDArray[np
     return path
 
 
-@kernel("Tuple((uint8[:, ::1], float64))(float64[:, ::1], int64)")
-def cut_corner(error: NDArray[np.float64], overlap: int) -> tuple[NDArray[np.uint8], float]:
+@kernel
+def cut_corner(error: Float64x2, overlap: int) -> tuple[UInt8x2, float]:
     """Return the mask and the cost of an L-shaped cut; see :func:`~.overlap_seam.l_shaped_seam`. O((h + w) overlap).
 
     Of meeting pixels of equal cost the first one is chosen, row by row.

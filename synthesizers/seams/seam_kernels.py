@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float32x3, Float64x1, Float64x2, Int64x1, UInt8x1, kernel
 
 SOURCE, SINK = 1, 2
 """The two trees of a minimum cut; 0 marks a node in neither."""
@@ -15,8 +14,8 @@ _ROOT, _ORPHAN, _NONE = 4, 5, 6
 """Values of a node's parent besides the directions 0 right, 1 left, 2 down, 3 up (``d ^ 1`` is the opposite of d)."""
 
 
-@kernel("int64[::1](float64[:, ::1])")
-def cheapest_path(error: NDArray[np.float64]) -> NDArray[np.int64]:
+@kernel
+def cheapest_path(error: Float64x2) -> Int64x1:
     """Return the columns, row by row, of the 8-connected path from top to bottom with the least sum of errors.
 
     Dynamic programming (Efros and Freeman 2001, section 2.1): E[i, j] = e[i, j] + min of E[i-1, j-1], E[i-1, j] and
@@ -54,8 +53,8 @@ def cheapest_path(error: NDArray[np.float64]) -> NDArray[np.int64]:
     return path
 
 
-@kernel("uint8[::1](float64[:, ::1], float64[::1], int64)")
-def grow_trees(residual: NDArray[np.float64], terminal: NDArray[np.float64], width: int) -> NDArray[np.uint8]:
+@kernel
+def grow_trees(residual: Float64x2, terminal: Float64x1, width: int) -> UInt8x1:
     """Compute the maximum flow of a grid, and return the tree of each node at the end.
 
     Parameters
@@ -230,10 +229,8 @@ def grow_trees(residual: NDArray[np.float64], terminal: NDArray[np.float64], wid
     return tree
 
 
-@kernel("Tuple((float64[:, ::1], float64[:, ::1]))(float32[:, :, ::1], float32[:, :, ::1], boolean, float64)")
-def link_costs(
-    old: NDArray[np.float32], new: NDArray[np.float32], normalized: bool, power: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+@kernel
+def link_costs(old: Float32x3, new: Float32x3, normalized: bool, power: float) -> tuple[Float64x2, Float64x2]:
     """Return the cost of a seam between two pictures on each link to the right, and on each link downward.
 
     See :func:`~nrbench.synthesizers.seams.minimum_cut.seam_links`. Gradients are central differences, one-sided at the

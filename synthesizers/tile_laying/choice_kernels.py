@@ -9,22 +9,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float64x1, Float64x2, Int64x1, Int64x2, Int64x3, UInt8x1, UInt8x2, UInt8x3, kernel
 
 
-@kernel(
-    "UniTuple(int64, 2)(uint8[:, :, ::1], uint8[:, ::1], int64[:, ::1], int64, int64, uint8[:, ::1], int64[:, ::1])"
-)
+@kernel
 def gather(
-    canvas: NDArray[np.uint8],
-    filled: NDArray[np.uint8],
-    pixels: NDArray[np.int64],
-    left: int,
-    top: int,
-    values: NDArray[np.uint8],
-    runs: NDArray[np.int64],
+    canvas: UInt8x3, filled: UInt8x2, pixels: Int64x2, left: int, top: int, values: UInt8x2, runs: Int64x2
 ) -> tuple[int, int]:
     """Write the filled pixels under a tile, and return the number of pixels and of runs.
 
@@ -54,10 +45,8 @@ def gather(
     return count, number
 
 
-@kernel("int64[::1](uint8[::1], int64[:, ::1], uint8[:, ::1], int64[:, ::1])")
-def absolute_differences(
-    values: NDArray[np.uint8], runs: NDArray[np.int64], sources: NDArray[np.uint8], places: NDArray[np.int64]
-) -> NDArray[np.int64]:
+@kernel
+def absolute_differences(values: UInt8x1, runs: Int64x2, sources: UInt8x2, places: Int64x2) -> Int64x1:
     """Compute, for each place of a source, the sum of absolute differences between its values and those of an overlap.
 
     Parameters
@@ -92,14 +81,8 @@ def absolute_differences(
     return sums
 
 
-@kernel("int64[:, :, ::1](uint8[::1], int64[:, ::1], uint8[:, ::1], int64[:, ::1], int64)")
-def product_sums(
-    values: NDArray[np.uint8],
-    runs: NDArray[np.int64],
-    sources: NDArray[np.uint8],
-    places: NDArray[np.int64],
-    channels: int,
-) -> NDArray[np.int64]:
+@kernel
+def product_sums(values: UInt8x1, runs: Int64x2, sources: UInt8x2, places: Int64x2, channels: int) -> Int64x3:
     """Compute, for each place of a source, the sums of its values, their squares, and their products with an overlap.
 
     Parameters as in :func:`absolute_differences`, each run of whole pixels; the result is ``(p, channels, 3)``.
@@ -117,10 +100,8 @@ def product_sums(
     return sums
 
 
-@kernel("int64[:, ::1](float64[:, ::1], int64, int64[:, ::1], int64, int64)")
-def nearest_places(
-    places: NDArray[np.float64], parts: int, box: NDArray[np.int64], height: int, width: int
-) -> NDArray[np.int64]:
+@kernel
+def nearest_places(places: Float64x2, parts: int, box: Int64x2, height: int, width: int) -> Int64x2:
     """Return the nearest places that shifted images have, and whether a tile around them lies inside the sample.
 
     Parameters
@@ -153,24 +134,21 @@ def nearest_places(
     return nearest
 
 
-@kernel(
-    "int64[::1](uint8[::1], int64[:, ::1], uint8[:, ::1], int64, int64, int64, int64, float64[::1], float64[::1],"
-    " float64, int64[:, ::1], int64)"
-)
+@kernel
 def best_move(
-    values: NDArray[np.uint8],
-    runs: NDArray[np.int64],
-    sources: NDArray[np.uint8],
+    values: UInt8x1,
+    runs: Int64x2,
+    sources: UInt8x2,
     height: int,
     width: int,
     channels: int,
     parts: int,
-    here: NDArray[np.float64],
-    middle: NDArray[np.float64],
+    here: Float64x1,
+    middle: Float64x1,
     radius: float,
-    box: NDArray[np.int64],
+    box: Int64x2,
     first: int,
-) -> NDArray[np.int64]:
+) -> Int64x1:
     """Return the place at which a tile correlates best with what is filled there.
 
     Parameters
@@ -195,10 +173,7 @@ def best_move(
     side = 2 * reach + 1
     moves = np.empty((side * side + 1, 2))
     for m in range(side * side):
-        moves[m + 1, 0], moves[m + 1, 1] = (
-            here[0] + (m % side - reach) / parts,
-            here[1] + (m // side - reach) / parts,
-        )
+        moves[m + 1, 0], moves[m + 1, 1] = (here[0] + (m % side - reach) / parts, here[1] + (m // side - reach) / parts)
     moves[0] = here
     nearest = nearest_places(moves, parts, box, height, width)
     places = np.empty((moves.shape[0], 2), np.int64)

@@ -3,9 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import (
+    Float32View3,
+    Float32x2,
+    Float32x3,
+    Float64x1,
+    Float64x2,
+    Int64x1,
+    Int64x2,
+    Int64x3,
+    UInt8View2,
+    UInt8x1,
+    UInt8x2,
+    UInt8x3,
+    kernel,
+)
 
 from ..seams.seam_kernels import SOURCE, cheapest_path, grow_trees, link_costs
 
@@ -14,16 +27,16 @@ _OUTSIDE, _EMPTY, _KEPT, _FREE = 0, 1, 2, 3
 it is kept; free to choose."""
 
 
-@kernel("void(uint8[:, :, ::1], uint8[:, ::1], uint8[::1], int64, int64[:, :, ::1], int64, int64, float64[:, ::1])")
+@kernel
 def error_surface(
-    canvas: NDArray[np.uint8],
-    filled: NDArray[np.uint8],
-    source: NDArray[np.uint8],
+    canvas: UInt8x3,
+    filled: UInt8x2,
+    source: UInt8x1,
     first: int,
-    cells: NDArray[np.int64],
+    cells: Int64x3,
     left: int,
     top: int,
-    surface: NDArray[np.float64],
+    surface: Float64x2,
 ) -> None:
     """Write the squared color difference of canvas and tile at each cell of the tile's grid, or -1 if it is not filled.
 
@@ -54,8 +67,8 @@ def error_surface(
             surface[i, j] = total
 
 
-@kernel("int64(float64[:, ::1])")
-def band_width(surface: NDArray[np.float64]) -> int:
+@kernel
+def band_width(surface: Float64x2) -> int:
     """Return how far the filled region reaches from the left, in rows where a cell is not filled (negative)."""
     width = 0
     for i in range(surface.shape[0]):
@@ -66,8 +79,8 @@ def band_width(surface: NDArray[np.float64]) -> int:
     return width
 
 
-@kernel("int64[::1](float64[:, ::1], int64, int64)")
-def wide_seam(error: NDArray[np.float64], band: int, slope: int) -> NDArray[np.int64]:
+@kernel
+def wide_seam(error: Float64x2, band: int, slope: int) -> Int64x1:
     """Return the seam through the first ``band`` columns of a surface whose rows are each repeated ``slope`` times.
 
     In this way the seam can move ``slope`` columns aside from one row to the next. Negative errors, where nothing is
@@ -87,17 +100,17 @@ def wide_seam(error: NDArray[np.float64], band: int, slope: int) -> NDArray[np.i
     return path
 
 
-@kernel("float64[::1](uint8[:, ::1], int64[:, ::1], int64, int64, int64[::1], int64[::1], int64[::1], float64)")
+@kernel
 def blend_weights(
-    filled: NDArray[np.uint8],
-    pixels: NDArray[np.int64],
+    filled: UInt8x2,
+    pixels: Int64x2,
     left: int,
     top: int,
-    across: NDArray[np.int64],
-    down: NDArray[np.int64],
-    bands: NDArray[np.int64],
+    across: Int64x1,
+    down: Int64x1,
+    bands: Int64x1,
     feather: float,
-) -> NDArray[np.float64]:
+) -> Float64x1:
     """Return the weight of each of a tile's pixels over what is filled, given its two seams.
 
     Where nothing is filled the weight is 1. Where only one seam applies, it cuts. Where both apply, the tile fades in
@@ -132,21 +145,18 @@ def blend_weights(
     return weights
 
 
-@kernel(
-    "void(uint8[:, :, ::1], uint8[:, ::1], float32[:, :, ::1], uint8[::1], int64, int64[:, ::1], int64, int64,"
-    " float64[::1], float64[::1])"
-)
+@kernel
 def paste(
-    canvas: NDArray[np.uint8],
-    filled: NDArray[np.uint8],
-    origins: NDArray[np.float32],
-    source: NDArray[np.uint8],
+    canvas: UInt8x3,
+    filled: UInt8x2,
+    origins: Float32x3,
+    source: UInt8x1,
     first: int,
-    pixels: NDArray[np.int64],
+    pixels: Int64x2,
     left: int,
     top: int,
-    weights: NDArray[np.float64],
-    place: NDArray[np.float64],
+    weights: Float64x1,
+    place: Float64x1,
 ) -> None:
     """Blend a tile into the canvas, and record where its pixels come from.
 
@@ -186,22 +196,19 @@ def paste(
         filled[y, x] = 1
 
 
-@kernel(
-    "float64[::1](uint8[:, :, ::1], uint8[:, ::1], float32[:, :, ::1],"
-    " Tuple((float32[:, ::1], float64[:, ::1])), uint8[::1], int64, int64[:, ::1], int64[:, ::1], int64, int64)"
-)
+@kernel
 def cut_tile(
-    canvas: NDArray[np.uint8],
-    filled: NDArray[np.uint8],
-    seams: NDArray[np.float32],
-    weights: tuple[NDArray[np.float32], NDArray[np.float64]],
-    source: NDArray[np.uint8],
+    canvas: UInt8x3,
+    filled: UInt8x2,
+    seams: Float32x3,
+    weights: tuple[Float32x2, Float64x2],
+    source: UInt8x1,
     first: int,
-    pixels: NDArray[np.int64],
-    box: NDArray[np.int64],
+    pixels: Int64x2,
+    box: Int64x2,
     left: int,
     top: int,
-) -> NDArray[np.float64]:
+) -> Float64x1:
     """Return the weight of each of a tile's pixels: 1 where nothing is filled and beyond the best seam, else 0.
 
     Parameters
@@ -263,15 +270,8 @@ def cut_tile(
     return shown
 
 
-@kernel("void(float32[:, ::1], float64[:, ::1], int64, int64, float64[:, ::1], float64[:, ::1])")
-def weigh_links(
-    table: NDArray[np.float32],
-    to_cell: NDArray[np.float64],
-    x0: int,
-    y0: int,
-    across: NDArray[np.float64],
-    down: NDArray[np.float64],
-) -> None:
+@kernel
+def weigh_links(table: Float32x2, to_cell: Float64x2, x0: int, y0: int, across: Float64x2, down: Float64x2) -> None:
     """Multiply the costs of links by the mean weight of their two pixels, read from a table over the cell.
 
     Parameters
@@ -302,8 +302,8 @@ def weigh_links(
                 down[y, x] *= (weights[y, x] + weights[y + 1, x]) / 2
 
 
-@kernel("void(uint8[:, ::1], float64[:, ::1], float64[:, ::1])")
-def double_border(state: NDArray[np.uint8], across: NDArray[np.float64], down: NDArray[np.float64]) -> None:
+@kernel
+def double_border(state: UInt8x2, across: Float64x2, down: Float64x2) -> None:
     """Double the costs of links to where nothing is filled: the unknown half counts as much as the known one."""
     for y in range(state.shape[0]):
         for x in range(state.shape[1]):
@@ -313,13 +313,8 @@ def double_border(state: NDArray[np.uint8], across: NDArray[np.float64], down: N
                 down[y, x] *= 2
 
 
-@kernel("Tuple((float64[:, ::1], float64[::1]))(uint8[:, ::1], float64[:, ::1], float64[:, ::1], float32[:, :, :])")
-def link_graph(
-    state: NDArray[np.uint8],
-    across: NDArray[np.float64],
-    down: NDArray[np.float64],
-    seams: NDArray[np.float32],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+@kernel
+def link_graph(state: UInt8x2, across: Float64x2, down: Float64x2, seams: Float32View3) -> tuple[Float64x2, Float64x1]:
     """Return the capacities and terminals of a box, see :func:`~nrbench.synthesizers.seams.seam_kernels.grow_trees`.
 
     Old seams count as in :func:`~nrbench.synthesizers.seams.minimum_cut.cut_overlap`.
@@ -347,14 +342,8 @@ def link_graph(
     return residual, terminal
 
 
-@kernel("void(float32[:, :, :], uint8[:, :], uint8[:, ::1], float64[:, ::1], float64[:, ::1])")
-def record_seams(
-    seams: NDArray[np.float32],
-    filled: NDArray[np.uint8],
-    mask: NDArray[np.uint8],
-    across: NDArray[np.float64],
-    down: NDArray[np.float64],
-) -> None:
+@kernel
+def record_seams(seams: Float32View3, filled: UInt8View2, mask: UInt8x2, across: Float64x2, down: Float64x2) -> None:
     """Change the seams of a box to those with the tile: new ones along its cut, none inside it."""
     height, width = mask.shape
     for y in range(height):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from nrbench import jit
+from nrbench.jit import Float64x2, Int64x1, UInt8View2
 from nrbench.synthesizers.gap_filling.matching_kernels import correlate_at
 
 
@@ -14,7 +15,7 @@ def double(x: float) -> float:
     return 2 * x
 
 
-@jit.kernel("float64(float64)")
+@jit.kernel
 def squared(x: float) -> float:
     """Return the square."""
     return x * x
@@ -35,7 +36,7 @@ def undeclared(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_kernel_is_compiled_on_its_first_call_and_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A kernel is compiled when first called, gives what Python gives, and leaves its machine code in the cache."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    kernel = jit.kernel("float64(float64)")(double)
+    kernel = jit.kernel(double)
     assert not list(tmp_path.rglob("*.nbi"))
     assert kernel(3.0) == double(3.0)
     assert list(tmp_path.rglob("*.nbi"))
@@ -45,7 +46,7 @@ def test_a_kernel_is_compiled_on_its_first_call_and_cached(tmp_path: Path, monke
 def test_load_kernels_loads_every_declared_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After load_kernels nothing is left to compile."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    kernel = jit.kernel("float64(float64)")(double)
+    kernel = jit.kernel(double)
     jit.load_kernels()
     assert kernel.load() is kernel.load()
     assert kernel.load() is not double
@@ -55,7 +56,7 @@ def test_load_kernels_loads_every_declared_kernel(tmp_path: Path, monkeypatch: p
 def test_without_numba_a_kernel_runs_as_python_and_warns(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where numba is absent the kernel runs uncompiled, and a warning says how to mend it."""
     monkeypatch.setitem(sys.modules, "numba", None)
-    kernel = jit.kernel("float64(float64)")(double)
+    kernel = jit.kernel(double)
     with pytest.warns(RuntimeWarning, match="pip install numba"):
         assert kernel(3.0) == 6.0
 
@@ -66,7 +67,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypa
     blocked = tmp_path / "file"
     blocked.write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
-    assert jit.kernel("float64(float64)")(double)(3.0) == 6.0
+    assert jit.kernel(double)(3.0) == 6.0
 
 
 @pytest.mark.usefixtures("undeclared")
@@ -74,7 +75,7 @@ def test_numbas_own_cache_setting_is_left_alone(tmp_path: Path, monkeypatch: pyt
     """Compiling a kernel does not move the cache of the user's own numba functions."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     before = numba.config.CACHE_DIR
-    jit.kernel("float64(float64)")(double).load()
+    jit.kernel(double).load()
     assert before == numba.config.CACHE_DIR
 
 
@@ -83,7 +84,7 @@ def test_a_kernel_may_call_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     """A kernel that calls another is compiled with it, is read back from the cache, and gives what Python gives."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
-        compiled = jit.kernel("float64(float64, float64)")(sum_of_squares).load()
+        compiled = jit.kernel(sum_of_squares).load()
         assert compiled(3.0, 4.0) == 25.0
     assert compiled.stats.cache_hits  # type: ignore[attr-defined]
     folder = jit.cache_folder(sum_of_squares, numba.__version__)
@@ -96,7 +97,7 @@ def test_the_user_is_told_before_kernels_are_compiled(tmp_path: Path, monkeypatc
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     said = []
     for _ in range(2):
-        jit.KERNELS[:] = [jit.kernel("float64(float64, float64)")(sum_of_squares)]
+        jit.KERNELS[:] = [jit.kernel(sum_of_squares)]
         jit.load_kernels(lambda: said.append(len(list(tmp_path.rglob("*.nbi")))))
     assert said == [0]
 
@@ -127,3 +128,13 @@ def test_compiled_and_plain_kernels_agree() -> None:
     positions = np.array([[0, 0], [21, 7], [4, 3]])
     compiled = correlate_at(image, template, runs, positions)
     np.testing.assert_array_equal(compiled, correlate_at.function(image, template, runs, positions))
+
+
+def test_annotations_are_the_types_of_a_kernel() -> None:
+    """Numba compiles a kernel for its annotations: scalars, contiguous arrays, views and tuples."""
+
+    def count(a: Float64x2, b: UInt8View2, c: bool, d: np.int32) -> tuple[Int64x1, float]:
+        raise AssertionError  # only its annotations are read
+
+    expected = "Tuple((int64[::1], float64,))(float64[:, ::1], uint8[:, :], boolean, int32)"
+    assert jit.find_signature(count) == expected

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nrbench.detectors.autocorrelation.pair_kernels import row_ends
-from nrbench.jit import kernel
+from nrbench.jit import Float64x1, Float64x2, Float64x3, Int64x2, Int64x3, kernel
 
 
-@kernel("float64[:, ::1](float64[:, ::1], float64[:, ::1])")
-def jets(spline: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.float64]:
+@kernel
+def jets(spline: Float64x2, at: Float64x2) -> Float64x2:
     """Return the value and the derivatives of a cubic spline surface at real-valued positions.
 
     Parameters
@@ -58,8 +57,8 @@ def jets(spline: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.flo
     return out
 
 
-@kernel("float64(float64[:, ::1], float64, float64)")
-def height_at(spline: NDArray[np.float64], across: float, down: float) -> float:
+@kernel
+def height_at(spline: Float64x2, across: float, down: float) -> float:
     """Return the value of a cubic spline surface at a position as for :func:`jets`."""
     column, row = int(across), int(down)
     t, r = across - column, down - row
@@ -84,15 +83,8 @@ def height_at(spline: NDArray[np.float64], across: float, down: float) -> float:
     return value
 
 
-@kernel("float64[::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], int64, int64)")
-def between(
-    spline: NDArray[np.float64],
-    finer: NDArray[np.float64],
-    coarser: NDArray[np.float64],
-    end: NDArray[np.float64],
-    pad: int,
-    most: int,
-) -> NDArray[np.float64]:
+@kernel
+def between(spline: Float64x2, finer: Float64x2, coarser: Float64x2, end: Float64x1, pad: int, most: int) -> Float64x1:
     """Return mean and variance of an autocorrelation at those points of a lattice that a coarser lattice lacks.
 
     Parameters
@@ -167,15 +159,10 @@ def between(
     return np.array((mean, max(squares / weights - mean * mean, 0.0), float(count)))
 
 
-@kernel("float64[:, ::1](float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[::1], int64, int64)")
+@kernel
 def between_many(
-    spline: NDArray[np.float64],
-    finer: NDArray[np.float64],
-    coarser: NDArray[np.float64],
-    end: NDArray[np.float64],
-    pad: int,
-    most: int,
-) -> NDArray[np.float64]:
+    spline: Float64x2, finer: Float64x3, coarser: Float64x2, end: Float64x1, pad: int, most: int
+) -> Float64x2:
     """Return :func:`between` for many lattices ``(n, 2, 2)``, as ``(n, 3)``."""
     out = np.zeros((finer.shape[0], 3))
     for i in range(finer.shape[0]):
@@ -183,8 +170,8 @@ def between_many(
     return out
 
 
-@kernel("int64[:, ::1](float64[:, ::1], float64[::1])")
-def list_multiples(basis: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.int64]:
+@kernel
+def list_multiples(basis: Float64x2, end: Float64x1) -> Int64x2:
     """Return the integers (a, b), ``(n, 2)``, of a lattice's points within a box of half sides ``end``, px.
 
     Lag 0 is left out; of each pair of opposite points one is returned.
@@ -205,14 +192,8 @@ def list_multiples(basis: NDArray[np.float64], end: NDArray[np.float64]) -> NDAr
     return out
 
 
-@kernel("float64[:, ::1](float64[:, ::1], float64[:, ::1], int64[:, :, ::1], float64[::1], int64)")
-def split_by_coarser(
-    spline: NDArray[np.float64],
-    basis: NDArray[np.float64],
-    changes: NDArray[np.int64],
-    end: NDArray[np.float64],
-    pad: int,
-) -> NDArray[np.float64]:
+@kernel
+def split_by_coarser(spline: Float64x2, basis: Float64x2, changes: Int64x3, end: Float64x1, pad: int) -> Float64x2:
     """Return the correlations at the multiples of coarser lattices, and at the other multiples of a lattice.
 
     Each lag is read once for all coarser lattices.
@@ -266,15 +247,10 @@ def split_by_coarser(
     return out
 
 
-@kernel("float64[::1](float64[:, ::1], int64[:, ::1], float64[:, ::1], float64, float64[::1], int64)")
+@kernel
 def newton_sums(
-    spline: NDArray[np.float64],
-    numbers: NDArray[np.int64],
-    basis: NDArray[np.float64],
-    radius: float,
-    end: NDArray[np.float64],
-    pad: int,
-) -> NDArray[np.float64]:
+    spline: Float64x2, numbers: Int64x2, basis: Float64x2, radius: float, end: Float64x1, pad: int
+) -> Float64x1:
     """Return the sums that Newton's method needs to fit a basis to the peaks at its multiples.
 
     Parameters
@@ -327,19 +303,17 @@ def newton_sums(
     return out
 
 
-@kernel(
-    "float64[:, ::1](float64[:, ::1], int64[:, ::1], float64[:, ::1], float64[::1], float64, int64, float64, int64)"
-)
+@kernel
 def climb_multiples(
-    spline: NDArray[np.float64],
-    numbers: NDArray[np.int64],
-    basis: NDArray[np.float64],
-    end: NDArray[np.float64],
+    spline: Float64x2,
+    numbers: Int64x2,
+    basis: Float64x2,
+    end: Float64x1,
     far: float,
     pad: int,
     growth: float,
     steps: int,
-) -> NDArray[np.float64]:
+) -> Float64x2:
     """Return the basis near a given one at whose multiples the mean correlation is highest, ``(2, 2)``.
 
     Newton's method on all multiples at once, from the nearest outward. No step moves a multiple by more than a pixel
@@ -393,8 +367,8 @@ def climb_multiples(
     return fitted
 
 
-@kernel("float64[:, :, ::1](float64[:, :, ::1])")
-def reduce_all(bases: NDArray[np.float64]) -> NDArray[np.float64]:
+@kernel
+def reduce_all(bases: Float64x3) -> Float64x3:
     """Return the reduced bases of many lattices, ``(n, 2, 2)``, as :meth:`nrbench.lattice.geometry.Lattice.reduced`."""
     out = np.zeros_like(bases)
     for i in range(bases.shape[0]):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float64x1, Float64x2, Int32x2, Int64x1, kernel
 
 
-@kernel("UniTuple(int64, 2)(float64, float64, float64, float64, int64, float64, float64)")
+@kernel
 def row_ends(x1: float, y1: float, x2: float, y2: float, b: int, end_x: float, end_y: float) -> tuple[int, int]:
     """Return the first and the last integer a for which a (x1, y1) + b (x2, y2) lies within (+-end_x, +-end_y).
 
@@ -28,10 +27,8 @@ def row_ends(x1: float, y1: float, x2: float, y2: float, b: int, end_x: float, e
     return int(np.ceil(low)), int(np.floor(high))
 
 
-@kernel("float64[::1](int32[:, ::1], float64[:, ::1], float64, float64, float64)")
-def best_pair(
-    surface: NDArray[np.int32], candidates: NDArray[np.float64], unit: float, alpha: float, overlap: float
-) -> NDArray[np.float64]:
+@kernel
+def best_pair(surface: Int32x2, candidates: Float64x2, unit: float, alpha: float, overlap: float) -> Float64x1:
     """Return the pair of generating vectors of the highest goodness.
 
     Parameters
@@ -105,15 +102,10 @@ def best_pair(
     return best
 
 
-@kernel("float64[:, ::1](float64[:, ::1], int64[::1], float64[:, ::1], float64[::1], float64, int64)")
+@kernel
 def count_hits(
-    peaks: NDArray[np.float64],
-    heights: NDArray[np.int64],
-    candidates: NDArray[np.float64],
-    reach: NDArray[np.float64],
-    tolerance: float,
-    most: int,
-) -> NDArray[np.float64]:
+    peaks: Float64x2, heights: Int64x1, candidates: Float64x2, reach: Float64x1, tolerance: float, most: int
+) -> Float64x2:
     """Return, for each pair of candidates, how many dominant peaks lie on the lattice that the pair generates.
 
     Parameters
@@ -199,10 +191,8 @@ def count_hits(
     return out[:m].copy()
 
 
-@kernel("float64[:, ::1](int32[:, ::1], float64[:, ::1], float64, float64)")
-def mean_correlations(
-    surface: NDArray[np.int32], candidates: NDArray[np.float64], unit: float, reach: float
-) -> NDArray[np.float64]:
+@kernel
+def mean_correlations(surface: Int32x2, candidates: Float64x2, unit: float, reach: float) -> Float64x2:
     """Return the mean correlation at the multiples of every pair of candidates.
 
     Parameters

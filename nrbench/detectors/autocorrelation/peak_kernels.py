@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Boolx1, Boolx2, Float32x2, Float64x1, Float64x2, Int32x1, Int32x2, Int64x1, kernel
 
 
-@kernel("int64(int64[::1], int64)")
-def root(parent: NDArray[np.int64], node: int) -> int:
+@kernel
+def root(parent: Int64x1, node: int) -> int:
     """Return the root of a node's tree in a union-find forest, and halve the path to it.
 
     ``parent`` holds the parent of each node; a root is its own parent. Amortized O(log n).
@@ -20,8 +19,8 @@ def root(parent: NDArray[np.int64], node: int) -> int:
     return node
 
 
-@kernel("int64(int32[::1], int64, int64, int64, int64)")
-def neighbor_above(height: NDArray[np.int32], rows: int, columns: int, pixel: int, step: int) -> int:
+@kernel
+def neighbor_above(height: Int32x1, rows: int, columns: int, pixel: int, step: int) -> int:
     """Return one of the nine pixels around a pixel; -1 if it is outside, or does not come before the pixel.
 
     Pixels come in descending height, and of equal heights in ascending index. ``height`` ``(rows * columns,)`` is the
@@ -37,8 +36,8 @@ def neighbor_above(height: NDArray[np.int32], rows: int, columns: int, pixel: in
     return near if height[near] > height[pixel] or (height[near] == height[pixel] and near < pixel) else -1
 
 
-@kernel("boolean[::1]()")
-def list_saddles() -> NDArray[np.bool_]:
+@kernel
+def list_saddles() -> Boolx1:
     """Return for each set of the eight neighbors of a pixel whether it has several parts, ``(256,)``.
 
     Bit k of an index stands for the k-th of the neighbors in the order of rows. Neighbors are in one part if they touch
@@ -62,8 +61,8 @@ def list_saddles() -> NDArray[np.bool_]:
     return out
 
 
-@kernel("Tuple((int64[::1], int64[::1]))(int32[:, ::1])")
-def find_basins(surface: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+@kernel
+def find_basins(surface: Int32x2) -> tuple[Int64x1, Int64x1]:
     """Return the peak to which the steepest ascent from each pixel leads, and the saddles between peaks.
 
     Parameters
@@ -125,8 +124,8 @@ def find_basins(surface: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[
     return peaks, saddles[:count].copy()
 
 
-@kernel("int32[:, ::1](int32[:, ::1], int64[::1], int64[::1])")
-def prominences(surface: NDArray[np.int32], peaks: NDArray[np.int64], saddles: NDArray[np.int64]) -> NDArray[np.int32]:
+@kernel
+def prominences(surface: Int32x2, peaks: Int64x1, saddles: Int64x1) -> Int32x2:
     """Return the prominence of each peak: its height above the highest pass to a higher peak.
 
     Basins are joined at the saddles between them, from the highest to the lowest, in a union-find forest.
@@ -183,14 +182,14 @@ def prominences(surface: NDArray[np.int32], peaks: NDArray[np.int64], saddles: N
     return found.reshape(surface.shape)
 
 
-@kernel("float64(float32[:, ::1], int64, int64)")
-def value_at(gamma: NDArray[np.float32], x: int, y: int) -> float:
+@kernel
+def value_at(gamma: Float32x2, x: int, y: int) -> float:
     """Return the correlation at a whole lag (x, y) on either half-plane, given the right half, ``(2H-1, W)``."""
     middle = gamma.shape[0] // 2
     return float(gamma[middle - y, -x]) if x < 0 else float(gamma[middle + y, x])
 
 
-@kernel("float64(float64, float64, float64)")
+@kernel
 def vertex(before: float, middle: float, after: float) -> float:
     """Return the position of the vertex of the parabola through samples at -1, 0 and 1; 0 if 0 is no maximum."""
     bend = 2 * middle - before - after
@@ -199,14 +198,8 @@ def vertex(before: float, middle: float, after: float) -> float:
     return min(max((after - before) / 2 / max(bend, 1e-12), -0.5), 0.5)
 
 
-@kernel("float64[:, ::1](float32[:, ::1], float64[:, ::1], float64[::1], int64, float64)")
-def follow_multiples(
-    gamma: NDArray[np.float32],
-    vectors: NDArray[np.float64],
-    reach: NDArray[np.float64],
-    most: int,
-    near: float,
-) -> NDArray[np.float64]:
+@kernel
+def follow_multiples(gamma: Float32x2, vectors: Float64x2, reach: Float64x1, most: int, near: float) -> Float64x2:
     """Fit each vector to the peaks at its multiples, from the nearest one to the first that is missing.
 
     Parameters
@@ -251,8 +244,8 @@ def follow_multiples(
     return fitted
 
 
-@kernel("float64[::1](float32[:, ::1], int64[::1])")
-def highest_ridge(tile: NDArray[np.float32], order: NDArray[np.int64]) -> NDArray[np.float64]:
+@kernel
+def highest_ridge(tile: Float32x2, order: Int64x1) -> Float64x1:
     """Return the ridge that joins the peaks of a periodic surface: of all paths, the one whose lowest point is highest.
 
     Parameters
@@ -304,8 +297,8 @@ def highest_ridge(tile: NDArray[np.float32], order: NDArray[np.int64]) -> NDArra
     return np.array((float(height[order[-1]]), 1.0, 0.0))
 
 
-@kernel("float64(int32[:, ::1], boolean[:, ::1], int64[::1])")
-def inner_relief(tile: NDArray[np.int32], inside: NDArray[np.bool_], order: NDArray[np.int64]) -> float:
+@kernel
+def inner_relief(tile: Int32x2, inside: Boolx2, order: Int64x1) -> float:
     """Return the relief of the most prominent inner peak of a periodic tile, relative to that of the corner peak.
 
     The relief of the inner peak is its height above the highest pass to the corner peak. It is divided by the height of
@@ -363,8 +356,8 @@ def inner_relief(tile: NDArray[np.int32], inside: NDArray[np.bool_], order: NDAr
     return relief
 
 
-@kernel("float64[::1](float64[:, ::1])")
-def region_radii(ranked: NDArray[np.float64]) -> NDArray[np.float64]:
+@kernel
+def region_radii(ranked: Float64x2) -> Float64x1:
     """Return the distance of each peak from the nearest higher peak, px, ``(n,)``.
 
     Parameters

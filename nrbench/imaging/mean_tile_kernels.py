@@ -8,18 +8,15 @@ synthesizers are more precise, but need 36 products per value instead of 16.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.jit import kernel
+from nrbench.jit import Float32x2, Float32x3, Float64x2, kernel
 
 PAD = 2
 """Rows and columns of coefficients that are mirrored beyond the image's border."""
 
 
-@kernel("float64[:, ::1](float32[:, ::1], float64[:, ::1], int64, int64)")
-def accumulate_pixels(
-    pixels: NDArray[np.float32], uv: NDArray[np.float64], rows: int, columns: int
-) -> NDArray[np.float64]:
+@kernel
+def accumulate_pixels(pixels: Float32x2, uv: Float64x2, rows: int, columns: int) -> Float64x2:
     """Return the sum of the pixels' bilinear weights and the sums of their weighted values, for each sample of a tile.
 
     Parameters
@@ -52,8 +49,8 @@ def accumulate_pixels(
     return sums
 
 
-@kernel("float32[:, ::1](float32[:, :, ::1], float64[:, ::1])")
-def interpolate_tile(values: NDArray[np.float32], uv: NDArray[np.float64]) -> NDArray[np.float32]:
+@kernel
+def interpolate_tile(values: Float32x3, uv: Float64x2) -> Float32x2:
     """Return the bilinear values of a tile ``(V, U, C)`` at cell coordinates ``(n, 2)``, as ``(n, C)``."""
     rows, columns, channels = values.shape
     found = np.zeros((len(uv), channels), np.float32)
@@ -71,8 +68,8 @@ def interpolate_tile(values: NDArray[np.float32], uv: NDArray[np.float64]) -> ND
     return found
 
 
-@kernel("float32[:, :, ::1](float32[:, :, ::1])")
-def spline_coefficients(image: NDArray[np.float32]) -> NDArray[np.float32]:
+@kernel
+def spline_coefficients(image: Float32x3) -> Float32x3:
     """Return the coefficients of the cubic spline through an image that is mirrored about its outermost pixels.
 
     Parameters
@@ -137,8 +134,8 @@ def spline_coefficients(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return found
 
 
-@kernel("float32[:, ::1](float32[:, :, ::1], float64[:, ::1])")
-def interpolate_image(image: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:
+@kernel
+def interpolate_image(image: Float32x3, xy: Float64x2) -> Float32x2:
     """Return the bilinear values of an image ``(H, W, C)`` at places ``(n, 2)`` px inside it, as ``(n, C)``."""
     height, width, channels = image.shape
     found = np.empty((len(xy), channels), np.float32)
@@ -152,10 +149,8 @@ def interpolate_image(image: NDArray[np.float32], xy: NDArray[np.float64]) -> ND
     return found
 
 
-@kernel("float32[:, :, ::1](float32[:, :, ::1], float64[:, ::1], float64[:, ::1])")
-def spline_windows(
-    coefficients: NDArray[np.float32], middles: NDArray[np.float64], around: NDArray[np.float64]
-) -> NDArray[np.float32]:
+@kernel
+def spline_windows(coefficients: Float32x3, middles: Float64x2, around: Float64x2) -> Float32x3:
     """Return the values of a spline at the same offsets from each of several centers.
 
     Parameters
