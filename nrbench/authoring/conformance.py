@@ -28,6 +28,9 @@ LIMITS = Limits(120.0, 4096.0)
 CHECK = f"{plugin_checks.__name__}.{plugin_checks.check.__name__}"
 """The name of the phase that checks a clause."""
 
+Examine = Callable[[Clause, Path], Result]
+"""Checks a clause in a folder that holds ``cell.json``."""
+
 
 @dataclass(frozen=True)
 class Conformance:
@@ -93,9 +96,8 @@ def check_plugin(
         place = stack.enter_context(temporary_folder())
         run = make_example_run(place / "run") if kind == "reports" else ""
         subject = {"kind": kind, "name": name, "parameters": dict(parameters or {}), "run": str(run)}
-        if here:
-            examine = _examine_here
-        else:
+        examine: Examine = _examine_here
+        if not here:
             supervisors = [stack.enter_context(Supervisor(forks=forks)) for forks in (True, False)]
             examine = _examiner(supervisors, limits)
         missed: set[str] = set()
@@ -133,7 +135,7 @@ def _examine_here(clause: Clause, folder: Path) -> Result:
     return dict(results[-1])  # type: ignore[return-value]
 
 
-def _examiner(supervisors: list[Supervisor], limits: Limits) -> Callable[[Clause, Path], Result]:
+def _examiner(supervisors: list[Supervisor], limits: Limits) -> Examine:
     """Return a function that checks a clause in a child process, or in two interpreters whose answers must be equal."""
 
     def examine(clause: Clause, folder: Path) -> Result:

@@ -19,7 +19,6 @@ import sys
 import tempfile
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -84,7 +83,7 @@ def demand(holds: Any, message: str) -> None:
 
 
 @dataclass(frozen=True)
-class Subject(ABC):
+class Subject:
     """A plugin that is checked. Subclasses know how a plugin of their kind is called.
 
     Parameters
@@ -113,25 +112,18 @@ class Subject(ABC):
         """The class of the plugin."""
         return type(self.plugin)
 
-    @abstractmethod
-    def make_input(self, seed: int = 0, **changes: Any) -> Any:
-        """Return an input of its own seed; the changes depend on the kind."""
-
-    @abstractmethod
-    def call(self, given: Any) -> Any:
-        """Return the plugin's answer to an input."""
-
-    @abstractmethod
-    def describe(self, **changes: Any) -> str:
-        """Check the answer to an input; return it in a few words. Refused and errors of the plugin pass."""
+    make_input: ClassVar[Callable[..., Any]]
+    """Return an input of its own seed; further arguments depend on the kind."""
+    call: ClassVar[Callable[..., Any]]
+    """Return the plugin's answer to an input."""
+    describe: ClassVar[Callable[..., str]]
+    """Check the answer to an input; return it in a few words. Refused and errors of the plugin pass."""
+    timed: ClassVar[Callable[[Any], tuple[Callable[[], Any], int, str]]]
+    """Return the call that is timed, and the number and the name of the units that it works on."""
 
     def answer(self, seed: int = 0) -> Any:
         """Return the plugin's answer to the input of a seed."""
         return self.call(self.make_input(seed))
-
-    @abstractmethod
-    def timed(self) -> tuple[Callable[[], Any], int, str]:
-        """Return the call that is timed, and the number and the name of the units that it works on."""
 
 
 @dataclass(frozen=True)
@@ -790,10 +782,10 @@ def truth_fits(model: DatasetSubject) -> str | None:
     """Check that the truth fits the image: shapes, ranges, and the lattice."""
     texture = model.recipe().render()
     shape, ideal, moved = texture.image.shape, texture.ideal, texture.displacement
-    demand(ideal is None or ideal.shape == shape, f"ideal has shape {np.shape(ideal)}; it must be {shape}")
+    demand(ideal is None or ideal.shape == shape, f"ideal has another shape than the image, {shape}")
     demand(ideal is None or (ideal.min() >= 0 and ideal.max() <= 1), "ideal has values outside [0, 1]")
     fits = moved is None or moved.shape == (*shape[:2], 2)
-    demand(fits, f"displacement has shape {np.shape(moved)}; it must be {(*shape[:2], 2)}")
+    demand(fits, f"displacement must have the shape {(*shape[:2], 2)}")
     for name, values in texture.elements.items():
         arrays = isinstance(values, np.ndarray) and values.ndim >= 1
         demand(arrays, f"elements[{name!r}] must be an array whose first axis counts elements")

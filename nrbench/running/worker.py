@@ -313,8 +313,9 @@ def start_worker(*words: str, **options: Any) -> subprocess.Popen[str]:
         More options of :class:`subprocess.Popen`.
     """
     program = "from nrbench.running.worker import run_worker; run_worker()"
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "start_new_session": True}
-    return subprocess.Popen([sys.executable, "-c", program, *words], **pipes, **options)
+    options = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "start_new_session": True, **options}
+    started: subprocess.Popen[str] = subprocess.Popen([sys.executable, "-c", program, *words], **options)
+    return started
 
 
 def read_lines(process: subprocess.Popen[str]) -> tuple[queue.Queue[str | None], threading.Thread]:
