@@ -15,7 +15,7 @@ from .pixel_growing.pixel_growth import (
     Growth,
     Neighborhood,
     SearchParameters,
-    find_candidates,
+    list_candidates,
     scatter_pixels,
     stack_layers,
 )
@@ -63,7 +63,7 @@ class AnnPixel(SearchParameters):
         """
         neighborhood = Neighborhood.first_pass(self.neighborhood, masked=False)
         layers = stack_layers(task.sample)
-        candidates = find_candidates(layers, neighborhood, task.rng)
+        candidates = list_candidates(layers, neighborhood, task.rng)
         (height, width), (left, top, right, bottom) = task.shape, neighborhood.box
         start = scatter_pixels(layers, (height + top + bottom, width + left + right), task.rng)
         growth = Growth(task, start, (top, left))

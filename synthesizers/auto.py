@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import fold
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector

@@ -24,7 +24,7 @@ from .pixel_growing.pixel_growth import (
     Neighborhood,
     SearchParameters,
     Stock,
-    find_candidates,
+    list_candidates,
     stack_layers,
 )
 
@@ -149,7 +149,7 @@ class _GuidedGrowth:
         bordered = output_mask.draw((height + top + bottom, width + left + right), (-left, -top))
         self.mask_picture = bordered[top : top + height, left : left + width]
         self.growth = Growth(task, stack_layers(bordered, bordered), (top, left), method.tileable)
-        self.candidates = find_candidates(self.layers, window, task.rng)
+        self.candidates = list_candidates(self.layers, window, task.rng)
         if method.match == "cluster":
             self.candidates = replace(self.candidates, groups=self.clusters.labels)
 

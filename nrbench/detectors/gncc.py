@@ -24,7 +24,7 @@ from nrbench.detectors.autocorrelation.surrogates import crop_for_test, measure_
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
-from nrbench.imaging.fold import fold
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
 

@@ -17,8 +17,8 @@ from nrbench.detectors.autocorrelation.surrogates import crop_for_test, measure_
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import FLAT, Correlation, half_autocorrelation
-from nrbench.imaging.fold import Values, fold
-from nrbench.imaging.parabola import find_vertex
+from nrbench.imaging.mean_tile import Values, fold
+from nrbench.imaging.subpixel import find_vertex
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Curve, Detection, NoLatticeFound
 
