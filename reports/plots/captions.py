@@ -69,8 +69,10 @@ def draw_captions(
         line = back.transform([(x, y), (frame.x1 + 3, y), (frame.x1 + _GUTTER - 2, place)])
         color = colors[index] if colors else GRAY
         axes.plot(*line.T, color=color, lw=0.45, zorder=1, transform=axes.transAxes, clip_on=False)
+        left, middle = back.transform((frame.x1 + _GUTTER, place))
         axes.text(
-            *back.transform((frame.x1 + _GUTTER, place)),
+            left,
+            middle,
             texts[index],
             transform=axes.transAxes,
             va="center",

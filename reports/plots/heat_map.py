@@ -42,7 +42,7 @@ def _figure(comparison: Comparison) -> Figure:
     labels = [method.label for method in comparison.methods]
     axes.set_xticks(np.arange(len(labels)) + 0.5, labels, rotation=45, rotation_mode="anchor", ha="left")
     for label, method in zip(axes.get_xticklabels(), comparison.methods, strict=True):
-        label.set_style("italic" if method.reference else "normal")
+        label.set_fontstyle("italic" if method.reference else "normal")
     axes.tick_params(length=0, labelcolor=INK)
     axes.set_frame_on(False)
     for i, row in enumerate(rows):
