@@ -64,8 +64,8 @@ from nrbench.jit import load_kernels
 from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Observation, Refused, Shape, Task, Texture
 from nrbench.plugins.parameters import parse_spec
+from nrbench.running.pace import Step
 from nrbench.running.phases import score_observation
-from nrbench.running.progress import Step
 from nrbench.running.runner import Options
 from nrbench.streams import stream
 
