@@ -75,10 +75,21 @@ def check_plugin(
     only
         Names of the clauses to check, with those that they depend on; empty: all.
 
+    Yields
+    ------
+    Finding
+        The verdict on a clause, ``pass``, ``fail`` or ``skip``, and why.
+
     Raises
     ------
     BadInput
         If there is no such plugin or clause, it does not load, or its parameters are not valid.
+
+    Examples
+    --------
+    >>> from nrbench import check_plugin
+    >>> [(finding.clause, finding.verdict) for finding in check_plugin("synthesizers", "scatter", only=["docstring"])]
+    [('docstring', 'pass')]
     """
     plugins.build(kind, name, parameters or {})
     clauses = _chosen(kind, only)
