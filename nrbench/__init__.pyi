@@ -6,6 +6,7 @@ from .api import score as score
 from .api import synthesize as synthesize
 from .api import texture as texture
 from .api import track_lattice as track_lattice
+from .authoring.conformance import check_plugin as check_plugin
 from .errors import BadInput as BadInput
 from .imaging.convert import Image as Image
 from .imaging.convert import gray as gray
@@ -31,7 +32,6 @@ from .plugins.forms import Texture as Texture
 from .plugins.forms import find_lattice as find_lattice
 from .plugins.forms import require_lattice as require_lattice
 from .plugins.registry import NamedDetector as NamedDetector
-from .running.conformance import check_plugin as check_plugin
 from .running.runner import Options as Options
 from .runs.records import CellRecord as CellRecord
 from .runs.records import Run as Run

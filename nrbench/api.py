@@ -22,7 +22,7 @@ from nrbench.streams import pixels_hash, stream
 
 # Runs, suites and their executors are imported by the functions that use them: one picture needs none of them.
 if TYPE_CHECKING:
-    from nrbench.running.progress import Progress
+    from nrbench.running.pace import Progress
     from nrbench.running.runner import Options
     from nrbench.runs.records import Run
     from nrbench.suites.suite import Suite
@@ -244,7 +244,7 @@ def synthesize(
     >>> synthesize("quilting", brick, (128, 160), seed=1).image.shape
     (128, 160, 3)
     """
-    from nrbench.running.outputs import checked_synthesis
+    from nrbench.running.output_checks import checked_synthesis
 
     plugin = _plugin("synthesizers", method, parameters)
     sample = quantize(_image(image))
@@ -444,7 +444,7 @@ def run(
     out
         The run directory; ``runs/SUITE`` if None.
     progress
-        Called after each cell with a :class:`~nrbench.running.progress.Step`.
+        Called after each cell with a :class:`~nrbench.running.pace.Step`.
     options
         How to run: jobs, limits, and so on. An interrupt (Ctrl-C) stops at once. ``options.stop.set()``, called in
         ``progress`` or in another thread, lets the running cells end first. Both raise KeyboardInterrupt.
@@ -480,7 +480,7 @@ def run(
     'ok'
     """
     from nrbench.running.guard import Limits
-    from nrbench.running.guarded import LIMITS, plan_run
+    from nrbench.running.plugin_children import LIMITS, plan_run
     from nrbench.running.runner import execute
     from nrbench.suites.suite import Suite, load_suite
 

@@ -199,7 +199,7 @@ class Alternative:
     relation
         How the lattice relates to the chosen one, whose vectors are t1 and t2: ``"half along t1"``,
         ``"double along t2"``, ``"x 3 along t2"``, ``"supercell x 4"``, ``"subcell 1/2"``, ``"unrelated"``
-        (:class:`nrbench.lattice.comparison.BasisChange`).
+        (:class:`nrbench.lattice.relation.BasisChange`).
     evidence
         The rating by which the detector orders lattices; its docstring says which. None if it has none.
     role

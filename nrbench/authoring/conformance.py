@@ -3,33 +3,37 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from nrbench import plugins
+from nrbench.authoring import plugin_checks
+from nrbench.authoring.plugin_checks import CLAUSES, MARK, MARKUP, Clause
 from nrbench.errors import BadInput
 from nrbench.plugins.parameters import nearest
-from nrbench.running.clauses import CLAUSES, MARK, MARKUP, Clause
 from nrbench.running.guard import Limits
 from nrbench.running.runner import Options, execute
-from nrbench.running.supervisor import RequestRunner, Supervisor
+from nrbench.running.supervisor import Supervisor
 from nrbench.running.worker import Request
 from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import temporary_folder, write_json
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import validated_suite
 
-Verdict = Literal["pass", "fail", "skip"]
 LIMITS = Limits(120.0, 4096.0)
 """The limits of one clause, where no others are given."""
-_VERDICTS: Mapping[str, Verdict] = {"ok": "pass", "refused": "skip"}
+CHECK = f"{plugin_checks.__name__}.{plugin_checks.check.__name__}"
+"""The name of the phase that checks a clause."""
+
+Examine = Callable[[Clause, Path], Result]
+"""Checks a clause in a folder that holds ``cell.json``."""
 
 
 @dataclass(frozen=True)
-class Finding:
+class Conformance:
     """What a plugin does about one clause.
 
     Parameters
@@ -46,7 +50,7 @@ class Finding:
 
     clause: str
     demand: str
-    verdict: Verdict
+    verdict: Literal["pass", "fail", "skip"]
     reason: str
     log: str = ""
 
@@ -56,10 +60,11 @@ def check_plugin(
     name: str,
     parameters: Mapping[str, Any] | None = None,
     limits: Limits = LIMITS,
-    runner: RequestRunner | None = None,
+    *,
+    here: bool = False,
     only: Collection[str] = (),
-) -> Iterator[Finding]:
-    """Check a plugin against every clause of its form; yield one finding for each.
+) -> Iterator[Conformance]:
+    """Check a plugin against every clause of its form.
 
     Parameters
     ----------
@@ -69,14 +74,16 @@ def check_plugin(
         Parameters that it is checked with, where they differ from its defaults.
     limits
         The limits of one clause.
-    runner
-        Runs the clauses, for tests and debuggers; the clause that needs two interpreters is then skipped. None: each
-        clause runs in a child process of its own.
+    here
+        Whether the clauses run in this process, for tests and debuggers; the clause that needs two interpreters is then
+        skipped. Otherwise each clause runs in a child process of its own.
     only
         Names of the clauses to check, with those that they depend on; empty: all.
 
     Yields
     ------
+    Conformance
+        What the plugin does about one clause.
     Finding
         The verdict on a clause, ``pass``, ``fail`` or ``skip``, and why.
 
@@ -92,24 +99,29 @@ def check_plugin(
     [('docstring', 'pass')]
     """
     plugins.build(kind, name, parameters or {})
-    clauses = _chosen(kind, only)
+    clauses = _choose(kind, only)
     with ExitStack() as stack:
         place = stack.enter_context(temporary_folder())
-        run = _make_run(place / "run") if kind == "reports" else ""
-        fresh = None if runner else stack.enter_context(Supervisor(forks=False))
-        first = runner or stack.enter_context(Supervisor())
-        content = {"kind": kind, "name": name, "parameters": dict(parameters or {}), "run": str(run)}
-        failed: dict[str, Verdict] = {}
+        run = make_example_run(place / "run") if kind == "reports" else ""
+        subject = {"kind": kind, "name": name, "parameters": dict(parameters or {}), "run": str(run)}
+        examine: Examine = _examine_here
+        if not here:
+            supervisors = [stack.enter_context(Supervisor(forks=forks)) for forks in (True, False)]
+            examine = _examiner(supervisors, limits)
+        missed: set[str] = set()
         for clause in clauses:
             folder = place / clause.name.replace(" ", "-")
-            write_json(folder / "cell.json", {**content, "clause": clause.name})
-            finding = _finding(clause, failed, folder, first, fresh, limits)
-            if finding.verdict != "pass":
-                failed[clause.name] = finding.verdict
-            yield finding
+            write_json(folder / "cell.json", {**subject, "clause": clause.name})
+            if clause.after in missed:
+                result = Result(status="refused", message=f"depends on the clause {clause.after!r}")
+            else:
+                result = examine(clause, folder)
+            if result["status"] != "ok":
+                missed.add(clause.name)
+            yield _conformance(clause, result, folder)
 
 
-def _chosen(kind: str, only: Collection[str]) -> list[Clause]:
+def _choose(kind: str, only: Collection[str]) -> list[Clause]:
     """Return the clauses of these names and those that they depend on."""
     known = {clause.name: clause for clause in CLAUSES[kind]}
     wanted: set[str] = set()
@@ -122,73 +134,43 @@ def _chosen(kind: str, only: Collection[str]) -> list[Clause]:
     return [clause for clause in CLAUSES[kind] if clause.name in wanted]
 
 
-def _finding(
-    clause: Clause,
-    failed: Mapping[str, Verdict],
-    folder: Path,
-    runner: RequestRunner,
-    fresh: RequestRunner | None,
-    limits: Limits,
-) -> Finding:
-    if clause.after in failed:
-        return Finding(clause.name, clause.demand, "skip", f"depends on the clause {clause.after!r}")
-    if clause.twice and fresh is None:
-        return Finding(clause.name, clause.demand, "skip", "needs two interpreters")
-    request = Request("check", str(folder), limits.seconds, limits.mib)
-    result = runner.run(request).result
-    if clause.twice and result["status"] == "ok" and fresh is not None:
-        result = _compared(result, fresh.run(request).result)
-    verdict = _VERDICTS.get(result["status"], "fail")
+def _examine_here(clause: Clause, folder: Path) -> Result:
+    """Check a clause in this process."""
+    if clause.twice:
+        return {"status": "refused", "message": "needs two interpreters"}
+    results: list[Any] = []
+    plugin_checks.check(folder, results.append)
+    return dict(results[-1])  # type: ignore[return-value]
+
+
+def _examiner(supervisors: list[Supervisor], limits: Limits) -> Examine:
+    """Return a function that checks a clause in a child process, or in two interpreters whose answers must be equal."""
+
+    def examine(clause: Clause, folder: Path) -> Result:
+        request = Request(CHECK, str(folder), limits.seconds, limits.mib)
+        first = supervisors[0].run(request).result
+        if not clause.twice or first["status"] != "ok":
+            return first
+        second = supervisors[1].run(request).result
+        if second["status"] == "ok" and second["message"] != first["message"]:
+            why = "another interpreter gave another answer (sets, hash() or ids of objects?)"
+            return {"status": "invalid", "message": why}
+        return {**second, "message": clause.demand} if second["status"] == "ok" else second
+
+    return examine
+
+
+def _conformance(clause: Clause, result: Result, folder: Path) -> Conformance:
+    status = result["status"]
     reason = " ".join((result["message"] or "ended without an answer").split())
-    if result["status"] in ("timeout", "memory", "crash"):
-        reason = f"{result['status']}: {reason}"
-    log = CellFolder(folder).log_tail() if verdict == "fail" else ""
-    return Finding(clause.name, clause.demand, verdict, reason, log)
+    if status in ("ok", "refused"):
+        return Conformance(clause.name, clause.demand, "pass" if status == "ok" else "skip", reason)
+    if status in ("timeout", "memory", "crash"):
+        reason = f"{status}: {reason}"
+    return Conformance(clause.name, clause.demand, "fail", reason, CellFolder(folder).log_tail())
 
 
-def _compared(one: Result, other: Result) -> Result:
-    """Return how two interpreters ended that each sent the hash of an answer."""
-    if other["status"] != "ok":
-        return other
-    if one["message"] != other["message"]:
-        return {
-            "status": "invalid",
-            "message": "another interpreter gave another answer (sets, hash() or ids of objects?)",
-        }
-    return {"status": "ok", "message": "two interpreters give the same bytes"}
-
-
-def find_plugins(name: str, kind: str | None = None, only: Collection[str] = ()) -> list[tuple[str, str]]:
-    """Return the kind and the name of each plugin that is called ``name``; of all plugins if ``name`` is empty.
-
-    Parameters
-    ----------
-    name, kind
-        The plugin; a kind leaves out those of other kinds.
-    only
-        Files. If there are any and ``name`` is empty, the plugins that they define are returned.
-
-    Raises
-    ------
-    BadInput
-        If there is none; the message names the nearest.
-    """
-    kinds = [kind] if kind else list(plugins.FORMS)
-    if name:
-        found = [(one, name) for one in kinds if name in plugins.names(one)]
-        if not found:
-            known = [each for one in kinds for each in plugins.names(one)]
-            raise BadInput(f"plugin {name!r} is not known{nearest(name, known)}; load a file with --plugin FILE.py")
-        return found
-    found = [
-        (one, item.name) for one in kinds for item in plugins.inventory(one) if not only or item.distribution in only
-    ]
-    if not found:
-        raise BadInput("no plugin of that kind in these files; name one")
-    return found
-
-
-def _make_run(root: Path) -> Path:
+def make_example_run(root: Path) -> Path:
     """Make a small run for reports: two textures with awkward names, a method, a reference, and one that fails."""
     texts = {"family": " ".join(sorted(set(MARKUP.values()))), "description": f"<script>{MARK} \\input{{{MARK}}}"}
     names = (f"=1+{MARK} <script>{MARK}", f"{MARK} & 100% _of_ $x$ #1 \u202e")

@@ -154,7 +154,7 @@ def zoom_panels(image: Image, lattices: Sequence[Lattice], side: int = PANEL) ->
     return [draw_lattice(panel, _place(lattice, (left, top), factor)) for lattice in lattices]
 
 
-def overview(image: Image, lattice: Lattice | None, side: int = PANEL) -> Image:
+def draw_overview(image: Image, lattice: Lattice | None, side: int = PANEL) -> Image:
     """Return a whole image, scaled to ``side`` px, with a lattice drawn over it if its cells can be seen at this scale.
 
     Parameters
