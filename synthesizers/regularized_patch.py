@@ -79,8 +79,8 @@ class RegularizedPatch:
     References
     ----------
     .. [1] Wen-Chieh Lin, James H. Hays, Chenyu Wu, Vivek Kwatra, Yanxi Liu. "A Comparison Study of Four Texture
-           Synthesis Algorithms on Regular and Near-regular Textures." CMU-RI-TR-04-01, Robotics Institute, Carnegie Mellon
-           University, 2004.
+           Synthesis Algorithms on Regular and Near-regular Textures." CMU-RI-TR-04-01, Robotics Institute, Carnegie
+           Mellon University, 2004.
     """
 
     texel: TexelKind | Literal["given"] = "hexagon"

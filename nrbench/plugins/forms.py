@@ -58,7 +58,7 @@ class Texture:
     >>> from nrbench import texture
     >>> brick = texture("brick", shape=(64, 96))
     >>> brick.kind, brick.displacement is None
-    ('0', True)
+    ('I', True)
     """
 
     image: Image
