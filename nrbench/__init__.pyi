@@ -10,9 +10,9 @@ from .authoring.conformance import check_plugin as check_plugin
 from .errors import BadInput as BadInput
 from .imaging.convert import Image as Image
 from .imaging.convert import gray as gray
-from .imaging.overlays import draw_lattice as draw_lattice
 from .imaging.files import read_image as read_image
 from .imaging.files import write_image as write_image
+from .imaging.overlays import draw_lattice as draw_lattice
 from .lattice.geometry import Lattice as Lattice
 from .plugins.forms import Alternative as Alternative
 from .plugins.forms import Column as Column
