@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -299,15 +299,10 @@ def check_degrees(model: Any, *names: str) -> None:
 
 def check_choices(model: Any) -> None:
     """Raise :class:`BadInput` unless each ``Literal`` field of ``model`` holds one of its words."""
-    for name, hint in _field_types(type(model)).items():
+    for name, hint in get_type_hints(type(model)).items():
         word = getattr(model, name)
         if get_origin(hint) is Literal and word not in get_args(hint):
             raise BadInput(f"{name} is {word!r}; give one of: {', '.join(get_args(hint))}")
-
-
-@cache
-def _field_types(kind: type) -> dict[str, Any]:
-    return get_type_hints(kind)
 
 
 def check_shape(shape: Shape) -> None:

@@ -146,7 +146,7 @@ def _hat(u: Field, parity: int) -> tuple[Index, Field]:
     return i, np.maximum(1 - np.abs(u - i), 0)
 
 
-def rotate(x: Field, y: Field, degrees: float) -> tuple[Field, Field]:
+def rotate(x: NDArray[Any], y: NDArray[Any], degrees: float) -> tuple[Field, Field]:
     """Return the coordinates along axes turned by ``degrees`` from x towards y."""
     cos, sin = _cos_sin(degrees)
     return x * cos + y * sin, y * cos - x * sin

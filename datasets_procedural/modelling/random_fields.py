@@ -96,7 +96,7 @@ def grain(seed: int, shape: Shape) -> NDArray[np.float32]:
     kernel = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * _GRAIN**2))
     kernel /= np.sqrt((kernel**2).sum())
     smooth = scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(white, kernel, 0), kernel, 1)
-    return np.ascontiguousarray(smooth[reach:-reach, reach:-reach]) * np.float32(math.sqrt(3))
+    return np.ascontiguousarray(smooth[reach:-reach, reach:-reach], np.float32) * np.float32(math.sqrt(3))
 
 
 def waves(seed: int, shape: Shape, period: float, count: int = WAVES) -> Field:
