@@ -11,7 +11,6 @@ import math
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import sum_channels
@@ -95,8 +94,23 @@ def grain(seed: int, shape: Shape) -> NDArray[np.float32]:
     white = sum_channels(words.astype(np.float32)) / 65535 - 2
     kernel = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * _GRAIN**2))
     kernel /= np.sqrt((kernel**2).sum())
-    smooth = scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(white, kernel, 0), kernel, 1)
-    return np.ascontiguousarray(smooth[reach:-reach, reach:-reach], np.float32) * np.float32(math.sqrt(3))
+    smooth = smooth_inside(smooth_inside(white, kernel).T, kernel).T
+    return np.ascontiguousarray(smooth) * np.float32(math.sqrt(3))
+
+
+def smooth_inside(field: NDArray[Any], kernel: NDArray[np.float64]) -> NDArray[Any]:
+    """Return a field smoothed along its first axis by a symmetric kernel, without the rows that the kernel overhangs.
+
+    The sums are those of :func:`scipy.ndimage.correlate1d`, to the bit. To import that module takes longer than to draw
+    a sample.
+    """
+    reach = kernel.size // 2
+    rows = len(field) - 2 * reach
+    total = field[reach : reach + rows] * kernel[reach]
+    for far in range(reach, 0, -1):
+        pair = field[reach - far : reach - far + rows].astype(np.float64) + field[reach + far : reach + far + rows]
+        total += pair * kernel[reach - far]
+    return np.asarray(total.astype(field.dtype))
 
 
 def waves(seed: int, shape: Shape, period: float, count: int = WAVES) -> Field:

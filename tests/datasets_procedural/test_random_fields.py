@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 
 from nrbench.datasets_procedural.modelling.random_fields import (
     factor_variance,
     factors,
     grain,
     hash_bits,
+    smooth_inside,
     uniform,
     waves,
 )
@@ -33,6 +36,16 @@ def test_known_hash() -> None:
         10451216379200822465,
         13757245211066428519,
     ]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_fields_are_smoothed_as_scipy_does(dtype: type[np.floating[Any]]) -> None:
+    """Where the kernel does not overhang, the smoothed field is that of scipy, to the bit."""
+    field = np.random.default_rng(0).standard_normal((90, 41)).astype(dtype)
+    kernel = np.array([0.01, 0.3, 0.9, 0.3, 0.01])
+    smooth = smooth_inside(field, kernel)
+    assert smooth.dtype == dtype
+    np.testing.assert_array_equal(smooth, scipy.ndimage.correlate1d(field, kernel, 0)[2:-2])
 
 
 def test_hash_bits_are_fair() -> None:
