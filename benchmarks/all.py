@@ -1,116 +1,53 @@
-"""Run every benchmark in a short form, and print a list of what each answers and costs.
+"""Run every benchmark in a short form, and print what each answers and costs.
 
-``make benchmark``, or ``python benchmarks/all.py [NAME ...]``. Each script runs in a process of its own, on one thread;
-the list at the end has its CPU seconds, also in units u. The command in the list's last column gives the full figures.
+``make benchmark``, or ``python benchmarks/all.py [NAME ...]``. Each script runs in a process of its own, on one thread.
+The table at the end has the first sentence of its page, its CPU seconds, also in units u, and the command of the full
+figures.
 """
 
 from __future__ import annotations
 
+import ast
 import os
 import resource
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 from unit import cpu_unit
 
 FOLDER = Path(__file__).parent
+BENCHMARKS = {
+    "speed.py methods models cells scores": "speed.py",
+    "speed.py commands overhead correlation": "the same",
+    "speed.py pictures --sides 2000": "speed.py pictures --sides 500 1000 2000 4000 8000",
+    "speed.py outputs --largest 1024 --methods rsgf tile-set representative-tile fftm-patch": "speed.py outputs",
+    "geometry.py --seeds 0 --bends 0.5 --models brick": "geometry.py",
+    "quilting_peer.py --textures brick-middle weave-middle hexagon-middle": "quilting_peer.py",
+    "representative_tile.py": "the same",
+    "detector_accuracy.py --count 1 --stochastic 14 consensus gncc ssdn dominance": "detector_accuracy.py",
+    "consensus_calibration.py --count 1 --kinds 0": "consensus_calibration.py",
+    "bent_lattices.py bent --count 1 --bends 0.5 --tilts 20": "bent_lattices.py",
+    "texture_statistics.py brick": "texture_statistics.py",
+    "validation.py alarms detection without-model --count 6 --replicates 1": (
+        "validation.py alarms detection without-model --count 108 --replicates 3 --sides 256 512 1024"
+    ),
+    "validation.py response silence invariance departures --replicates 1 --sides 192": (
+        "validation.py response silence invariance departures --replicates 8"
+    ),
+    "validation.py references --count 2 --replicates 3": "validation.py references --count 43 --replicates 100",
+    "labels.py": "the same",
+    "variation_band.py score runs/variation.csv --replicates 1 --draws 2 --textures core/brick-*": (
+        "variation_band.py score runs/variation.csv, then variation_band.py table runs/variation.csv"
+    ),
+}
+"""The command of each short form, and that of the full figures, as the docs quote them."""
 
 
-@dataclass(frozen=True)
-class Benchmark:
-    """One benchmark.
-
-    Parameters
-    ----------
-    script
-        File and short arguments.
-    question
-        What it answers.
-    full
-        Arguments for the full figures, as the docs quote them.
-    """
-
-    script: str
-    question: str
-    full: str = ""
-
-
-BENCHMARKS = (
-    Benchmark(
-        "speed.py methods lattices models cells scores", "What methods, texture models and scores cost", "speed.py"
-    ),
-    Benchmark(
-        "speed.py outputs --largest 1024 --methods rsgf tile-set representative-tile fftm-patch",
-        "How cost and memory grow with the output",
-        "speed.py outputs --largest 4096",
-    ),
-    Benchmark(
-        "geometry.py --seeds 0 --bends 0.5 --models brick",
-        "What straightening and bending again keeps of displacements, and what it gains",
-        "geometry.py",
-    ),
-    Benchmark("commands.py", "What short commands cost from cold"),
-    Benchmark("overhead.py", "What a cell costs beyond its method and metrics"),
-    Benchmark("correlation.py", "The autocorrelation beside scikit-image's masked correlation"),
-    Benchmark(
-        "quilting_peer.py --textures brick-middle weave-middle hexagon-middle",
-        "Quilting beside another program",
-        "quilting_peer.py --opencv PYTHON",
-    ),
-    Benchmark("representative_tile.py", "The exact tile search beside brute force"),
-    Benchmark("fftm_mask.py 41", "What masks hold, how far they last, how exact waves are", "fftm_mask.py 41 42 43"),
-    Benchmark("fftm_patch.py 256", "What refinements and the mask's weight change", "fftm_patch.py 2048"),
-    Benchmark("fftm_pixel.py coherence", "How long copies run, by search and factor"),
-    Benchmark("fftm_pixel.py weight", "How much the output looks like the mask, by the mask's weight"),
-    Benchmark(
-        "detector_accuracy.py --count 1 --stochastic 14 consensus gncc ssdn dominance",
-        "How often detectors find the lattice, and find one where there is none",
-        "detector_accuracy.py",
-    ),
-    Benchmark(
-        "consensus_calibration.py --count 1 --kinds 0",
-        "What consensus's confidence is worth",
-        "consensus_calibration.py",
-    ),
-    Benchmark(
-        "large_images.py 2000", "What detection costs on large images", "large_images.py 500 1000 2000 4000 8000"
-    ),
-    Benchmark(
-        "bent_lattices.py bent --count 1 --bends 0.5 --tilts 20",
-        "How often the lattice of a bent picture is found, and a straight one counts as bent",
-        "bent_lattices.py",
-    ),
-    Benchmark("drift.py 256", "How far methods are off a fractional lattice", "drift.py 256 1024"),
-    Benchmark("two_lattices.py 1", "Which methods keep both lattices of a texture", "two_lattices.py 1 2 3"),
-    Benchmark(
-        "texture_statistics.py brick",
-        "Whether models have the statistics that the truth states",
-        "texture_statistics.py",
-    ),
-    Benchmark(
-        "validation.py alarms detection without-model --count 6 --replicates 1",
-        "False alarms, margins and detection of regularity and integrity",
-        "validation.py alarms detection without-model --count 108 --replicates 3 --sides 256 512 1024",
-    ),
-    Benchmark(
-        "validation.py response silence invariance departures --replicates 1 --sides 192",
-        "How each column responds to each defect",
-        "validation.py response silence invariance departures --replicates 8",
-    ),
-    Benchmark(
-        "validation.py references --count 2 --replicates 3",
-        "Where fresh draws and baselines lie",
-        "validation.py references --count 43 --replicates 100",
-    ),
-    Benchmark("labels.py", "Whether labels given by eye agree with the scores"),
-    Benchmark(
-        "variation_band.py score runs/variation.csv --replicates 1 --draws 2 --textures core/brick-*",
-        "Whether methods vary as the texture does",
-        "variation_band.py score runs/variation.csv, then variation_band.py table runs/variation.csv",
-    ),
-)
+def question(script: str) -> str:
+    """Return the first line of a script's page."""
+    page = ast.get_docstring(ast.parse((FOLDER / script).read_text("utf-8"))) or ""
+    return page.partition("\n")[0].rstrip(".")
 
 
 def cpu_seconds() -> float:
@@ -119,30 +56,23 @@ def cpu_seconds() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def run(benchmark: Benchmark) -> tuple[float, int]:
-    """Run one benchmark, and return its CPU seconds and exit code."""
-    script, *arguments = benchmark.script.split()
+def main() -> int:
+    """Run the benchmarks whose file names begin with one of the arguments, or all, and print the table."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
     environment = {**os.environ, **threads}
     environment.pop("PYTHONSAFEPATH", None)
-    before = cpu_seconds()
-    done = subprocess.run([sys.executable, str(FOLDER / script), *arguments], env=environment, check=False)
-    return cpu_seconds() - before, done.returncode
-
-
-def main() -> int:
-    """Run the benchmarks whose file names begin with one of the arguments, or all, and print the list."""
-    chosen = [each for each in BENCHMARKS if not sys.argv[1:] or each.script.startswith(tuple(sys.argv[1:]))]
     u, lines, failed = cpu_unit(), [], 0
-    for benchmark in chosen:
-        print(f"\n== {benchmark.script}", flush=True)
-        seconds, code = run(benchmark)
+    for short, full in BENCHMARKS.items():
+        if sys.argv[1:] and not short.startswith(tuple(sys.argv[1:])):
+            continue
+        print(f"\n== {short}", flush=True)
+        script, *arguments = short.split()
+        before = cpu_seconds()
+        code = subprocess.run([sys.executable, FOLDER / script, *arguments], env=environment, check=False).returncode
+        seconds = cpu_seconds() - before
         failed += code != 0
-        state = "" if code == 0 else f"**failed with exit code {code}**; "
-        cost = f"{seconds:.0f} s, {seconds / u:.0f} u"
-        lines.append(
-            f"| {benchmark.question} | `{benchmark.script}` | {state}{cost} | `{benchmark.full or 'the same'}` |"
-        )
+        state = f"**failed with exit code {code}**; " if code else ""
+        lines.append(f"| {question(script)} | `{short}` | {state}{seconds:.0f} s, {seconds / u:.0f} u | `{full}` |")
     print(f"\nu = {u * 1e3:.2f} ms\n\n| question | short form | CPU | full form |\n| --- | --- | --- | --- |")
     print("\n".join(lines))
     return 1 if failed else 0

@@ -1,22 +1,17 @@
-"""Cost of methods, texture models and scores, as multiples of the machine unit u (see ``unit.py``).
+"""Cost of methods, texture models, scores, commands and cells, as multiples of the machine unit u (see ``unit.py``).
 
-``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py [SUBJECT ...] [--largest SIDE] [--methods ...]``
+``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py [SUBJECT ...] [--methods ...] [--largest SIDE]``
 
-The lattice is given, kernels are compiled and warm, and every figure is CPU time over that of a unit taken right before
-it, the median of seven (three where a call is long), so that other work on the machine weighs on both. Subjects:
+In the first five subjects the lattice is given, and kernels are compiled and warm. Each figure is CPU time over that of
+a unit taken right before it, the median of seven (three where a call is long), so other work on the machine weighs on
+both. Subjects:
 
 ``methods``
-    Each method and its variants, brick, from 128 x 128 to 256 x 256 px.
-``lattices``
-    The same methods with their defaults, by the size of the cell: windows, brick, corduroy.
-``samples``
-    Brick to 256 x 256 px, by the side of the sample.
+    Each method and its variants: a texture of ``--model``, from ``--sample`` to ``--output`` px a side.
 ``outputs``
     Brick from 128 x 128 px, by the side of the output up to ``--largest``: the cost of 256 x 256 px should not grow.
-    Each figure is one synthesis in a process of its own; the last column is by how much the process grew, of which the
-    output and its source map are 24 bytes a pixel.
-``suites``
-    Each texture of ``core`` and ``report2004``, from 128 x 128 to 256 x 256 px, with tile-set, the most expensive last.
+    Each figure is one synthesis in a process of its own. The last column is by how much the process grew; the output
+    and its source map are 24 bytes a pixel of it.
 ``models``
     Each texture model at 512 x 512 px, without and with all departures.
 ``cells``
@@ -24,30 +19,55 @@ it, the median of seven (three where a call is long), so that other work on the 
     of a bent one.
 ``scores``
     Each metric on an output of 256 x 256 px, with the texture's model, and with sample and lattice alone.
+``commands``
+    Short commands in new interpreters: CPU time of the whole process, the least of three.
+``pictures``
+    ``nrbench lattice`` on square pictures of a brick wall, of ``--sides``: wall and CPU time of the whole command,
+    with reading the file and drawing the overlay, peak memory, and the error of the vectors.
+``overhead``
+    What a cell costs beyond its method: a run of ``--cells`` trivial cells, one at a time, scored by ``cost`` alone.
+    The start of the worker is left out. CPU time of all processes, and the part that encodes and decodes pictures.
+``correlation``
+    The autocorrelation beside scikit-image's masked correlation, which takes one channel and is called three times.
+    The last column is the largest difference over the inner half of the lags.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import json
 import multiprocessing
+import os
 import resource
 import statistics
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import psutil
+from skimage.registration._masked_phase_cross_correlation import cross_correlate_masked
+from trivial_cells import write_plugin, write_suite
 from unit import cpu_unit, median_units
 
-from nrbench import plugins
+import nrbench
+from nrbench import Lattice, plugins
 from nrbench.imaging.convert import quantize
+from nrbench.imaging.correlation import half_autocorrelation
+from nrbench.imaging.files import read_image, write_image
 from nrbench.jit import load_kernels
+from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Observation, Refused, Shape, Task, Texture
 from nrbench.plugins.parameters import parse_spec
+from nrbench.running.pace import Step
 from nrbench.running.phases import score_observation
+from nrbench.running.runner import Options
 from nrbench.streams import stream
-from nrbench.suites.plan import draw_samples
-from nrbench.suites.suite import load_suite
 
 PAPER = "rsgf:seam=blend,subpixel=false,tolerance=3,candidate_fraction=0,prefer_unused=false"
 METHODS = (
@@ -93,21 +113,7 @@ def print_cost(name: str, call: Callable[[], object], repeats: int = 7) -> None:
 def time_methods(options: argparse.Namespace) -> None:
     """Print the cost of each method and variant."""
     for spec in options.methods or METHODS:
-        print_cost(spec, synthesis(spec, sampled("brick", 128), 256))
-
-
-def time_lattices(options: argparse.Namespace) -> None:
-    """Print the cost by the size of the cell: the smaller the cell, the more tiles."""
-    for model in ("windows", "brick", "corduroy"):
-        for spec in options.methods or PLAIN:
-            print_cost(f"{model}: {spec}", synthesis(spec, sampled(model, 128), 256), 3)
-
-
-def time_samples(options: argparse.Namespace) -> None:
-    """Print the cost by the side of the sample."""
-    for spec in options.methods or PLAIN:
-        for side in (96, 128, 256, 512):
-            print_cost(f"{spec}, from {side} x {side}", synthesis(spec, sampled("brick", side), 256), 3)
+        print_cost(spec, synthesis(spec, sampled(options.model, options.sample), options.output))
 
 
 def time_outputs(options: argparse.Namespace) -> None:
@@ -133,16 +139,6 @@ def cost_alone(spec: str, side: int) -> tuple[float, float]:
 def peak_memory() -> int:
     """Return the most bytes that this process has held so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-
-
-def time_suites(options: argparse.Namespace) -> None:
-    """Print the cost of each texture of the suites."""
-    for suite in ("core", "report2004"):
-        for sample in draw_samples(load_suite(suite), ["*"]):
-            texture = replace(sample.recipe, shape=(128, 128)).render()
-            texture = replace(texture, image=quantize(texture.image))
-            for spec in options.methods or ("tile-set",):
-                print_cost(f"{suite}/{sample.recipe.texture}: {spec}", synthesis(spec, texture, 256), 3)
 
 
 def time_models(options: argparse.Namespace) -> None:
@@ -201,15 +197,130 @@ def time_scores(options: argparse.Namespace) -> None:
                 print_cost(f"{name}, {metric}, {kind}", lambda f=score, o=observation: f(replace(o)), 3)  # type: ignore[misc]
 
 
+COMMANDS = (
+    *("--help", "list", "show rsgf", "plan core", "status missing", "status R", "run missing.toml"),
+    "synth brick.png -m rsgf --size 256x256 --lattice 27.3,0,13.65,12.2 -o out.png",
+    "synth brick.png -m quilting --size 256x256 -o out.png",
+)
+
+
+def run_command(command: str, folder: Path) -> tuple[float, float, float, bytes]:
+    """Run a command in a new interpreter; return wall seconds, CPU seconds, peak GiB and its standard output."""
+    words = [sys.executable, "-m", "nrbench", *command.split()]
+    start = time.perf_counter()
+    pipe = subprocess.PIPE
+    with subprocess.Popen(words, cwd=folder, stdout=pipe, stderr=subprocess.DEVNULL) as process:
+        assert process.stdout is not None
+        answer = process.stdout.read()
+        _, _, usage = os.wait4(process.pid, 0)
+        process.returncode = 0
+    return time.perf_counter() - start, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 2**20, answer
+
+
+def time_commands(options: argparse.Namespace) -> None:
+    """Print the cost of short commands from cold."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        write_image(folder / "brick.png", nrbench.texture("brick", shape=(128, 128), color=0.3).image)
+        once = Options(jobs=0)
+        nrbench.run("core", methods=["scatter"], textures="brick-mild", out=folder / "R", options=once)
+        for command in COMMANDS:
+            run_command(command, folder)
+            seconds = min(run_command(command, folder)[1] for _ in range(3))
+            print(f"  {seconds:6.2f} s {seconds / cpu_unit():6.0f} u  nrbench {command}", flush=True)
+
+
+def time_pictures(options: argparse.Namespace) -> None:
+    """Print the cost of ``nrbench lattice``. The wall is one draw, repeated; its lattice fits into the draw."""
+    wall = nrbench.texture("brick", (2000, 2000), 1, width=25.0, height=12.5, color=0.3, noise=0.05)
+    assert wall.lattice is not None
+    print(f"  {'side':>6} {'wall s':>7} {'CPU s':>7} {'u':>7} {'GiB':>6}  lattice, error in px")
+    for side in options.sides:
+        times = -(-side // 2000)
+        with tempfile.TemporaryDirectory() as place:
+            write_image(Path(place) / "wall.png", np.tile(wall.image, (times, times, 1))[:side, :side])
+            seconds, cpu, held, text = run_command("lattice wall.png -o overlay.png --json", Path(place))
+        answer, found = json.loads(text), "no lattice"
+        if "t1" in answer:
+            error = lattice_error(Lattice(answer["t1"], answer["t2"]), wall.lattice, (side, side))
+            found = f"{error.label}, {error.vector:.4f}, confidence {answer['confidence']:.3f}"
+        print(f"  {side:>6} {seconds:>7.1f} {cpu:>7.1f} {cpu / cpu_unit():>7.0f} {held:>6.2f}  {found}", flush=True)
+
+
+def time_overhead(options: argparse.Namespace) -> None:
+    """Print what a cell costs beyond its method and metrics."""
+    marks: dict[int, float] = {}
+
+    def follow(step: Step) -> None:
+        if step.done in (options.cells // 10, options.cells):
+            marks[step.done] = cpu_of_all_processes()
+
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        plugins.add_file(write_plugin(folder))
+        suite = write_suite(folder, options.cells)
+        cells = nrbench.run(suite, out=folder / "run", options=Options(jobs=1), progress=follow).cells
+        pictures = picture_units(cells[0].folder)
+    if any(cell.status != "ok" for cell in cells):
+        raise SystemExit("overhead: a trivial cell failed")
+    method = statistics.fmean(float(cell.result["seconds"]) for cell in cells)
+    (early, before), (late, after) = sorted(marks.items())
+    cost = (after - before) / (late - early) - method
+    print(f"  {1000 * cost:.1f} ms = {cost / cpu_unit():.2f} u a cell over {late - early} cells, of which")
+    print(f"  encoding and decoding of pictures: {pictures:.2f} u")
+
+
+def cpu_of_all_processes() -> float:
+    """Return the CPU seconds so far of this process, and of the worker and the scorer with their ended children."""
+    total = time.process_time()
+    for child in psutil.Process().children(recursive=True):
+        with contextlib.suppress(psutil.Error):
+            total += sum(child.cpu_times()[:4])
+    return total
+
+
+def picture_units(folder: Path) -> float:
+    """Return the cost of one cell's pictures: sample and output are written, and read three times."""
+    sample, copy = folder / "sample.png", folder.parent / "copy.png"
+    image = read_image(sample)
+
+    def handle() -> None:
+        for _ in range(100):
+            write_image(copy, image)
+            write_image(copy, image)
+            for _ in range(3):
+                read_image(sample)
+
+    return median_units(handle) / 100
+
+
+def time_correlation(options: argparse.Namespace) -> None:
+    """Print the cost of the autocorrelation and of scikit-image's, and their difference in the first channel."""
+    for side in (128, 256, 512):
+        image, mask = sampled("brick", side).image, np.ones((side, side), bool)
+
+        def peer(planes: np.ndarray, mask: np.ndarray = mask) -> list[np.ndarray]:
+            return [cross_correlate_masked(each, each, mask, mask, overlap_ratio=0) for each in planes]
+
+        planes = np.moveaxis(image, 2, 0)
+        ours = median_units(lambda image=image: half_autocorrelation(image))
+        theirs = median_units(lambda planes=planes, peer=peer: peer(planes), 3)
+        exact = peer(planes[:1].astype(np.float64))[0][:, side - 1 :]
+        inner = np.s_[side - 1 - side // 2 : side + side // 2, : side // 2 + 1]
+        difference = np.abs(half_autocorrelation(image[..., :1]) - exact)[inner].max()
+        print(f"  {side:4} px: {ours:7.1f} u, scikit-image {theirs:9.1f} u, difference {difference:.1e}", flush=True)
+
+
 SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "methods": time_methods,
-    "lattices": time_lattices,
-    "samples": time_samples,
     "outputs": time_outputs,
-    "suites": time_suites,
     "models": time_models,
     "cells": time_cells,
     "scores": time_scores,
+    "commands": time_commands,
+    "pictures": time_pictures,
+    "overhead": time_overhead,
+    "correlation": time_correlation,
 }
 
 
@@ -219,6 +330,11 @@ def main() -> None:
     parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"of {', '.join(SUBJECTS)}; none: all")
     parser.add_argument("--largest", type=int, default=SIDES[-1], help="of outputs: the largest side in px")
     parser.add_argument("--methods", nargs="*", help="methods as name:param=value,...")
+    parser.add_argument("--model", default="brick", help="of methods: the texture model")
+    parser.add_argument("--sample", type=int, default=128, help="of methods: side of the sample in px")
+    parser.add_argument("--output", type=int, default=256, help="of methods: side of the output in px")
+    parser.add_argument("--sides", type=int, nargs="+", default=[8000], help="of pictures: sides in px")
+    parser.add_argument("--cells", type=int, default=2000, help="of overhead: number of cells")
     options = parser.parse_args()
     load_kernels()
     print(f"u = {cpu_unit() * 1e3:.2f} ms")

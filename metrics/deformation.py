@@ -57,6 +57,7 @@ class Deformation:
     """
 
     version: ClassVar[str] = "1"
+    uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         **_columns_of("output"),
         **_columns_of("sample"),

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nrbench.imaging.fold import Values, interpolate, tile_grid
+from nrbench.imaging.mean_tile import Values, interpolate, tile_grid
 from nrbench.plugins.forms import Column, Observation, Score, Value
 from nrbench.tracking.tracker import Track
 
@@ -38,6 +38,7 @@ class GeometryAppearance:
     """
 
     version: ClassVar[str] = "1"
+    uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "g": Column("Deviation of the output's lattice from its best regular fit.", "of s", (0.0, math.inf)),
         "a": Column("Mean standard deviation of the output's aligned tiles.", "values", (0.0, 1.0)),

@@ -138,6 +138,7 @@ class Integrity:
     """
 
     version: ClassVar[str] = "10"
+    uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
             "1 = elements as whole as in fresh draws, 0 = no element whole; corrected for those that are missed.",

@@ -35,6 +35,7 @@ class Quality:
     """
 
     version: ClassVar[str] = "5"
+    uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column("The worst of regularity, integrity and randomness; 1 as a fresh draw.", better="higher"),
         "regularity": Column("Share of tiles in place; a quarter of it if the lattice is lost.", better="higher"),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import mean_channels
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
 from .residual_tiles.dependence import sum_variance
@@ -79,6 +79,7 @@ class Randomness:
     """
 
     version: ClassVar[str] = "6"
+    uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
             "The worst of variation, repetition and distance: 1 as a fresh draw, 0 one tile repeated.", better="higher"

@@ -84,8 +84,8 @@ class RepresentativeTile:
 
     References
     ----------
-    "Extraction of a Representative Tile from a Near-Periodic Texture", Universite de Sherbrooke. The text has no date,
-    authors or venue.
+    .. [1] "Extraction of a Representative Tile from a Near-Periodic Texture." Université de Sherbrooke, Québec, Canada.
+           The text that was implemented has no date, authors or venue.
     """
 
     continuity_weight: float = 1.0

@@ -43,8 +43,8 @@ from nrbench.detectors.frdft import Frdft
 from nrbench.detectors.gncc import Gncc
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image, crop_middle, shrink
-from nrbench.lattice.comparison import relate
 from nrbench.lattice.geometry import Lattice, Points, hermite_matrices
+from nrbench.lattice.relation import relate
 from nrbench.plugins.forms import Alternative, Detection, NoLatticeFound, Role, Surface
 
 TESTED = 256
@@ -185,6 +185,7 @@ class Consensus:
     false_alarms: float = 0.02
 
     version: ClassVar[str] = "6"
+    uses: ClassVar[tuple[str, ...]] = ("dominance",)
 
     def __post_init__(self) -> None:
         for name in ("max_loss", "relief", "least"):

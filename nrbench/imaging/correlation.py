@@ -40,7 +40,7 @@ def half_autocorrelation(image: Image) -> Correlation:
     -----
     RSGF (2011), section 3.1, equations 3 to 6, and section 3.2, equations 7 and 8. One transform for each channel and
     one inverse transform; the sums over overlaps are cumulative sums from the corners. The masked correlation of
-    scikit-image, which takes one channel and any mask, needs 7 to 12 times as long (``benchmarks/correlation.py``).
+    scikit-image takes one channel and any mask, and 7 to 12 times as long (``benchmarks/speed.py correlation``).
     """
     height, width = image.shape[:2]
     channels = np.ascontiguousarray(np.moveaxis(image, 2, 0))

@@ -8,6 +8,7 @@ import hashlib
 import importlib.util
 import inspect
 import json
+import math
 import re
 import sys
 import traceback
@@ -75,8 +76,7 @@ class Plugin:
     distribution
         The installed distribution or the file that defines it.
     version
-        The version in the keys of cells: the ``version`` of the class, else that of the distribution; for a plain file
-        also a hash of the file.
+        The ``version`` of the class, else that of the distribution; for a plain file also a hash of the file.
     error
         The traceback or a message if the plugin is broken or a duplicate; else empty.
     """
@@ -92,6 +92,15 @@ class Plugin:
     def own(self) -> bool:
         """Whether nrbench itself defines it; all others run in processes of their own."""
         return self.distribution == "nrbench"
+
+    @property
+    def full_version(self) -> str:
+        """The version in the keys of cells and scores: the plugin's own, and those of the detectors that it calls.
+
+        Its class variable ``uses`` names these detectors. They run with their default parameters.
+        """
+        called = (f"+{name}-{find('detectors', name).full_version}" for name in getattr(self.cls, "uses", ()))
+        return "".join([self.version, *called])
 
 
 _files: dict[Path, list[Plugin]] = {}
@@ -191,12 +200,35 @@ class NamedDetector:
     ----------
     spec
         ``name`` or ``name:param=value,...``.
+
+    Examples
+    --------
+    >>> from nrbench import NamedDetector, texture
+    >>> brick = texture("brick", shape=(96, 96))
+    >>> NamedDetector("gncc").detect(brick.image).lattice.is_equivalent(brick.lattice, tolerance=0.5)
+    True
     """
 
     spec: str
 
     def detect(self, image: Image) -> Detection:
-        """Return what the detector finds; see :class:`~nrbench.plugins.forms.Detector`."""
+        """Return what the detector finds; see :class:`~nrbench.plugins.forms.Detector`.
+
+        Parameters
+        ----------
+        image
+            The image.
+
+        Returns
+        -------
+        Detection
+            The lattice and its confidence.
+
+        Raises
+        ------
+        NoLatticeFound
+            If the detector finds none.
+        """
         name, parameters = parse_spec(self.spec)
         found: Detection = build("detectors", name, parameters).detect(image)
         return found
@@ -255,12 +287,12 @@ def load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
         error = "" if own else fault(kind, cls)
     except (Exception, SystemExit):
         return Plugin(kind, point.name, None, distribution, version, traceback.format_exc())
-    return Plugin(kind, point.name, None if error else cls, distribution, getattr(cls, "version", version), error)
+    return Plugin(kind, point.name, None if error else cls, distribution, str(getattr(cls, "version", version)), error)
 
 
 def fault(kind: str, cls: Any) -> str:
     """Return one sentence about why a class is no valid plugin of a kind; empty if it is valid."""
-    checks = (_form_fault, _field_fault, _method_fault, _column_fault, _preset_fault, _patch_fault)
+    checks = (_form_fault, _version_fault, _field_fault, _method_fault, _column_fault, _preset_fault, _patch_fault)
     return next((found for check in checks if (found := check(kind, cls))), "")
 
 
@@ -275,6 +307,22 @@ def _form_fault(kind: str, cls: Any) -> str:
         return f"{label}: its name {name!r} is not valid; use letters, digits, '.', '-' and '_'"
     own_page = cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
     return "" if own_page else f"{label} has no docstring; write one, it is the plugin's page"
+
+
+def _version_fault(kind: str, cls: Any) -> str:
+    label = f"{FORMS[kind].noun} {cls.__name__!r}"
+    version, uses = getattr(cls, "version", ""), getattr(cls, "uses", ())
+    if not is_stable(version):
+        return (
+            f"{label}: its version {version!r:.60} is no text and no finite number; set `version: ClassVar[str] = ...`"
+        )
+    unknown = next((name for name in uses if name not in names("detectors")), None)
+    return f"{label}: it uses {unknown!r}, which is no detector; see `nrbench list detectors`" if unknown else ""
+
+
+def is_stable(value: object) -> bool:
+    """Return whether a value may be part of a key: text or a finite number, whose text is the same in each process."""
+    return isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value))
 
 
 def _field_fault(kind: str, cls: Any) -> str:

@@ -266,7 +266,7 @@ def metric_key(metric: str) -> str:
     """
     plugin = plugins.find("metrics", metric)
     parameters = plugins.parameters_of(plugins.build("metrics", metric))
-    content = json.dumps([RESULTS_VERSION, metric, plugin.version, parameters], sort_keys=True)
+    content = json.dumps([RESULTS_VERSION, metric, plugin.full_version, parameters], sort_keys=True)
     return f"{metric}-{hashlib.blake2b(content.encode(), digest_size=6).hexdigest()}"
 
 

@@ -15,8 +15,11 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, FoundLattice, Region, Shape, Texture
 from nrbench.streams import stream
 
-RESULTS_VERSION = 9
+RESULTS_VERSION = 10
 """Increased whenever a change of the code changes an output or a score. Results of other versions are never reused."""
+
+DetectorIdentity = tuple[str, str, Mapping[str, Any]]
+"""Name, full version and parameters of a detector: all that decides its results."""
 
 _TYPES: dict[str, tuple[type, ...]] = {
     "str": (str,),
@@ -146,6 +149,9 @@ class Cell:
         for a method that uses no lattice.
     detector
         Name, version and parameters of the detector, if ``lattice_source`` is one.
+    finder
+        Name, version and parameters of the detector by which the method finds the lattice itself, if it may have to;
+        None if it gets a lattice, or uses no detector.
     lattice_given, lattice_truth
         The lattice that the method gets, and the true one, in the sample's coordinates.
     detected
@@ -184,7 +190,8 @@ class Cell:
     regular_share: float | None = None
     description: str = ""
     region: Region | None = None
-    detector: tuple[str, str, Mapping[str, Any]] | None = None
+    detector: DetectorIdentity | None = None
+    finder: DetectorIdentity | None = None
     lattice_given: Lattice | None = None
     lattice_truth: Lattice | None = None
     detected: FoundLattice | None = None
@@ -199,13 +206,13 @@ class Cell:
         decides: dict[str, Any] = {
             "results": RESULTS_VERSION,
             "method": [self.method, self.version, dict(self.parameters)],
-            "lattice": [self.lattice_source, self.detector],
+            "lattice": [self.lattice_source, self.detector, self.finder],
             "truth": self.lattice_truth.as_dict() if self.lattice_truth else None,
             "sample": self.sample_hash,
             "shape": list(self.shape),
             "seed": [self.seed, self.replicate],
             "recipe": self.recipe.as_dict() if self.procedural else self.again_hash,
-            "dataset": plugins.find("datasets", self.recipe.dataset).version,
+            "dataset": plugins.find("datasets", self.recipe.dataset).full_version,
         }
         if not self.sample_hash:  # without pixels, the file and the reason tell such cells apart
             decides["fault"] = [self.recipe.as_dict(), self.fault]
@@ -237,7 +244,8 @@ class Cell:
             values[name] = Lattice.from_dict(values[name]) if values[name] else None
         values["detected"] = FoundLattice.from_dict(values["detected"]) if values.get("detected") else None
         values["shape"] = tuple(values["shape"])
-        detector = values["detector"]
-        values["detector"] = (str(detector[0]), str(detector[1]), dict(detector[2])) if detector else None
+        for name in ("detector", "finder"):
+            known = values.get(name)
+            values[name] = (str(known[0]), str(known[1]), dict(known[2])) if known else None
         values["region"] = tuple(values["region"]) if values["region"] else None
         return cls(**values)

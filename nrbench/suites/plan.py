@@ -19,16 +19,30 @@ from nrbench.imaging.convert import Image, as_image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape, Texture
 from nrbench.plugins.parameters import label, parse_spec
+from nrbench.plugins.registry import is_stable
 from nrbench.streams import pixels_hash
-from nrbench.suites.cell import Cell, Recipe
+from nrbench.suites.cell import Cell, DetectorIdentity, Recipe
 from nrbench.suites.suite import Suite, TextureRow
 
 Draw = Callable[[Recipe, Shape], tuple[Texture, Image | None]]
 """Draws a texture by its recipe, as :func:`draw_texture` does."""
 
 
+def identify_detector(spec: str) -> DetectorIdentity:
+    """Return name, full version and parameters of a detector, ``name:param=value,...``.
+
+    Raises
+    ------
+    BadInput
+        For an unknown detector or parameter, or a value that is not valid.
+    """
+    name, given = parse_spec(spec)
+    parameters = plugins.parameters_of(plugins.build("detectors", name, given))
+    return name, plugins.find("detectors", name).full_version, parameters
+
+
 @dataclass(frozen=True)
-class Method:
+class PlannedMethod:
     """A synthesizer with parameters, as named in a suite.
 
     Parameters
@@ -37,6 +51,10 @@ class Method:
         As in :class:`~nrbench.suites.cell.Cell`.
     uses_lattice
         Whether the lattice axis applies to it.
+    needs_lattice
+        Whether it is refused if the detector of the lattice axis finds none.
+    finder
+        The detector by which it finds the lattice itself; None if it uses none.
     """
 
     name: str
@@ -45,29 +63,44 @@ class Method:
     label: str
     reference: bool
     uses_lattice: bool
+    needs_lattice: bool
+    finder: DetectorIdentity | None
 
     @classmethod
-    def parse(cls, spec: str) -> Method:
+    def parse(cls, spec: str) -> PlannedMethod:
         """Parse ``name:param=value,...``; raise BadInput for an unknown method or parameter, or a bad value."""
         name, given = parse_spec(spec)
         instance = plugins.build("synthesizers", name, given)
         plugin = plugins.find("synthesizers", name)
         parameters = plugins.parameters_of(instance)
+        finder = getattr(instance, "finder", "")
         return cls(
             name,
-            f"{plugin.version}{_fingerprint(instance)}",
+            f"{plugin.full_version}{_fingerprint(name, instance)}",
             parameters,
             getattr(instance, "label", "")
             or label(name, parameters, _defaults(plugin.cls), getattr(plugin.cls, "always_shown", ())),
             bool(getattr(plugin.cls, "reference", False)),
             bool(getattr(instance, "uses_lattice", True)),
+            bool(getattr(plugin.cls, "needs_lattice", True)),
+            identify_detector(finder) if finder else None,
         )
 
+    def finder_for(self, source: LatticeSource) -> DetectorIdentity | None:
+        """Return the detector that the method may call itself, where its lattice comes from a source."""
+        finds_itself = source.name == "own" or (source.detector and not self.needs_lattice)
+        return self.finder if finds_itself else None
 
-def _fingerprint(method: Any) -> str:
+
+def _fingerprint(name: str, method: Any) -> str:
     """Return a hash of the files that a method reads, from its own ``fingerprint()``; empty if it has none."""
     function = getattr(method, "fingerprint", None)
-    return f"+{function()}" if function is not None else ""
+    if function is None:
+        return ""
+    value = function()
+    if not is_stable(value):
+        raise BadInput(f"method {name}: fingerprint() returned {value!r:.60}; it must return text or a finite number")
+    return f"+{value}"
 
 
 def _defaults(cls: Any) -> dict[str, Any]:
@@ -78,7 +111,7 @@ def _defaults(cls: Any) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Source:
+class LatticeSource:
     """The source of a method's lattice: ``given``, ``own``, ``none``, a detector, or numbers from the user.
 
     Parameters
@@ -92,11 +125,11 @@ class Source:
     """
 
     name: str
-    detector: tuple[str, str, dict[str, Any]] | None = None
+    detector: DetectorIdentity | None = None
     lattice: Lattice | None = None
 
     @classmethod
-    def parse(cls, text: str) -> Source:
+    def parse(cls, text: str) -> LatticeSource:
         """Parse an entry of the lattice axis.
 
         ``none`` is not accepted, because methods themselves declare that they use no lattice.
@@ -110,22 +143,20 @@ class Source:
             return cls(text)
         if re.match(r"\s*[-+.\d]|[^:]*,", text):
             return cls.of(Lattice.parse(text))
-        name, given = parse_spec(text)
-        if name not in plugins.names("detectors"):
+        if parse_spec(text)[0] not in plugins.names("detectors"):
             known = ", ".join(["given", "own", "x1,y1,x2,y2[,x,y] (px)", *plugins.names("detectors")])
             raise BadInput(f"--lattice {text!r} is not known; use one of: {known}")
-        parameters = plugins.parameters_of(plugins.build("detectors", name, given))
-        plugin = plugins.find("detectors", name)
-        return cls(label(name, parameters, _defaults(plugin.cls)), (name, plugin.version, parameters))
+        name, version, parameters = identify_detector(text)
+        return cls(label(name, parameters, _defaults(plugins.find("detectors", name).cls)), (name, version, parameters))
 
     @classmethod
-    def of(cls, lattice: Lattice) -> Source:
+    def of(cls, lattice: Lattice) -> LatticeSource:
         """Return the source of a user's lattice; its name is its numbers in their shortest form."""
         return cls(",".join(np.format_float_positional(x, trim="-") for x in lattice.numbers), lattice=lattice)
 
 
 @dataclass(frozen=True)
-class Origin:
+class SampleOrigin:
     """How the samples of a suite's row are drawn.
 
     Parameters
@@ -140,7 +171,7 @@ class Origin:
     drawn: tuple[Recipe, Texture] | None = None
 
     @classmethod
-    def of(cls, suite: Suite, row: TextureRow, draw: Draw | None = None) -> Origin:
+    def of(cls, suite: Suite, row: TextureRow, draw: Draw | None = None) -> SampleOrigin:
         """Return the origin of a row's samples.
 
         If the row of a picture has the recipe of a model, the texture is drawn by this recipe, provided that it gives
@@ -315,8 +346,8 @@ def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = No
     BadInput
         For unknown methods, parameters or lattice sources, or patterns that match no texture.
     """
-    methods = {spec: Method.parse(spec) for spec in suite.all_methods}
-    sources = list({source.name: source for source in map(Source.parse, suite.lattice)}.values())
+    methods = {spec: PlannedMethod.parse(spec) for spec in suite.all_methods}
+    sources = list({source.name: source for source in map(LatticeSource.parse, suite.lattice)}.values())
     _check_labels(methods.values())
     if not methods:
         raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
@@ -328,14 +359,14 @@ def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = No
         for planned in [PlannedSample.of(sample)]
         for spec, method in methods.items()
         if suite.runs(spec, sample.row.name)
-        for source in (sources if method.uses_lattice else [Source("none")])
+        for source in (sources if method.uses_lattice else [LatticeSource("none")])
     ]
     return Plan(suite, cells)
 
 
-def _check_labels(methods: Iterable[Method]) -> None:
+def _check_labels(methods: Iterable[PlannedMethod]) -> None:
     """Raise BadInput if two different methods have the same name in the tables."""
-    known: dict[str, Method] = {}
+    known: dict[str, PlannedMethod] = {}
     for method in methods:
         other = known.setdefault(method.label, method)
         if (other.name, other.parameters) != (method.name, method.parameters):
@@ -362,13 +393,13 @@ def _draw_each(suite: Suite, textures: Sequence[str], draw: Draw | None) -> Iter
 
 def _draw_row(suite: Suite, row: TextureRow, draw: Draw | None) -> Iterator[Sample]:
     try:
-        origin = Origin.of(suite, row, draw)
+        origin = SampleOrigin.of(suite, row, draw)
     except BadInput as error:
         raise BadInput(f"suite {suite.name}, texture {row.name!r}: {error}") from None
     return (_draw(suite, row, origin, replicate, draw) for replicate in range(suite.replicates))
 
 
-def _draw(suite: Suite, row: TextureRow, origin: Origin, replicate: int, draw: Draw | None) -> Sample:
+def _draw(suite: Suite, row: TextureRow, origin: SampleOrigin, replicate: int, draw: Draw | None) -> Sample:
     recipe, shape = origin.recipe(replicate), row.size or suite.size
     chosen = _chosen(draw, recipe)
     try:
@@ -448,7 +479,7 @@ def _fresh_region(recipe: Recipe, texture: Texture, shape: Shape) -> Image | Non
     return quantize(region.image) if region is not None else None
 
 
-def _make_cell(suite: Suite, sample: Sample, method: Method, source: Source) -> Cell:
+def _make_cell(suite: Suite, sample: Sample, method: PlannedMethod, source: LatticeSource) -> Cell:
     texture, row = sample.texture, sample.row
     known: dict[str, Any] = {"family": row.family}
     if texture is not None:
@@ -471,6 +502,7 @@ def _make_cell(suite: Suite, sample: Sample, method: Method, source: Source) -> 
         reference=method.reference,
         lattice_source=source.name,
         detector=source.detector,
+        finder=method.finder_for(source),
         replicate=sample.recipe.replicate,
         seed=suite.seed,
         shape=sample.shape,

@@ -11,7 +11,7 @@ from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
 from nrbench.runs.records import Run
 from nrbench.suites.claims import Claim, Expectation, Series
-from nrbench.suites.plan import Method
+from nrbench.suites.plan import PlannedMethod
 from nrbench.suites.suite import validated_suite
 
 from .estimates import Estimate, means_over_textures, paired_differences, success_rate
@@ -119,7 +119,7 @@ def _evaluate(claim: Claim, cells: pd.DataFrame, column: Column | None) -> Claim
 def _select(claim: Claim, series: Series, level: float, cells: pd.DataFrame) -> pd.DataFrame:
     """Return the cells of a series at a level; none if its method is not installed."""
     try:
-        label = Method.parse(series.method_at(level)).label
+        label = PlannedMethod.parse(series.method_at(level)).label
     except BadInput:
         return cells.iloc[:0]
     textures = cells["texture"].map(lambda name: claim.uses(series, level, name))

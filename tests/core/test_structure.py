@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from graphlib import TopologicalSorter
@@ -153,3 +154,52 @@ def test_every_package_is_declared_for_the_wheel() -> None:
     """``pyproject.toml`` lists exactly the packages there are, so that a wheel lacks none."""
     there = {name for name, file in modules().items() if file.name == "__init__.py"}
     assert set(PROJECT["tool"]["setuptools"]["packages"]) == there
+
+
+# fmt: off
+CLASHES = {
+    "modules": {
+        "changes", "claims", "comparison", "deformation", "drawing", "images", "limits", "pair_kernels", "progress",
+        "straightening", "tiles", "windows",
+    },
+    "classes": {
+        "Answer", "Cell", "Choice", "Courses", "Cutter", "Deformation", "Evidence", "Finding", "Harmonics", "Layer",
+        "Method", "Origin", "Overlap", "Pairs", "Peaks", "Result", "TextureRow", "TileSet", "Tiles", "Windows",
+    },
+    "functions": {
+        "check", "draw_lattice", "estimate_share", "find_candidates", "find_peaks", "follow_lattice", "load", "main",
+        "nearest", "score", "synthesize", "track_lattice",
+    },
+}
+"""Names that still have two meanings. A name that is mended leaves this list."""
+LONG = {"register", "grow_knots", "grow_trees", "sum_products"}
+"""Functions that still have more than :data:`LONGEST` lines."""
+# fmt: on
+LONGEST = 100
+
+
+@cache
+def definitions(kind: str) -> list[str]:
+    """Return the names of all modules, of all classes, or of all public functions at the top level of modules."""
+    if kind == "modules":
+        return [module.rpartition(".")[2] for module, file in modules().items() if file.name != "__init__.py"]
+    wanted = ast.ClassDef if kind == "classes" else ast.FunctionDef
+    nodes = (node for file in modules().values() for node in ast.parse(file.read_text("utf-8")).body)
+    names = [node.name for node in nodes if isinstance(node, wanted)]
+    return [name.lstrip("_") for name in names] if kind == "classes" else [n for n in names if not n.startswith("_")]
+
+
+@pytest.mark.parametrize("kind", CLASHES)
+def test_a_name_has_one_meaning(kind: str) -> None:
+    """No two modules, classes or public functions of the product have the same name."""
+    twice = {name for name, count in Counter(definitions(kind)).items() if count > 1}
+    assert twice <= CLASHES[kind]
+
+
+def test_functions_are_short() -> None:
+    """No function of the product has more than 100 lines, from its ``def`` to its end."""
+    for module, file in modules().items():
+        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            if isinstance(node, ast.FunctionDef) and node.name not in LONG:
+                lines = (node.end_lineno or 0) - node.lineno + 1
+                assert lines <= LONGEST, f"{module}.{node.name} has {lines} lines"

@@ -31,7 +31,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
 from nrbench.plugins.parameters import parse_size, parse_spec
 from nrbench.runs.records import Run
-from nrbench.suites.plan import Method, Source
+from nrbench.suites.plan import LatticeSource, PlannedMethod
 from nrbench.suites.suite import directory_suite, load_suite
 from nrbench.synthesizers.precomputed import Precomputed
 
@@ -159,9 +159,9 @@ def load(content: bytes) -> None:
             suite = load_suite(path)
             assert suite.hash
             for spec in suite.all_methods:
-                Method.parse(spec)
+                PlannedMethod.parse(spec)
             for source in suite.lattice:
-                Source.parse(source)
+                LatticeSource.parse(source)
         except BadInput as error:
             assert str(error)
 
@@ -281,7 +281,7 @@ def test_lattice_arguments(text: str) -> None:
     except BadInput:
         return
     assert np.isfinite(found.reduced().matrix).all() and found.area > 0
-    assert Source.parse(text).lattice == found
+    assert LatticeSource.parse(text).lattice == found
 
 
 @fuzz

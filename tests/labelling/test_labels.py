@@ -8,7 +8,6 @@ import itertools
 import json
 import re
 import shlex
-import shutil
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +18,6 @@ import PIL.Image
 import pytest
 from PIL.PngImagePlugin import PngInfo
 
-import nrbench
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.imaging.files import read_image
@@ -34,14 +32,8 @@ from nrbench.labelling.labels import (
 )
 from nrbench.labelling.questions import ANSWERS, ELEMENTS, LATTICE, MORE, PRESERVED, QUESTIONS, WHOLE_SCORE
 from nrbench.metrics import integrity
-from nrbench.running.runner import Options
 from nrbench.runs.records import CellRecord, Run
 from nrbench.streams import pixels_hash
-from nrbench.suites.suite import load_suite
-
-from .browser import PROGRAM, Browser
-
-METHODS = ("oracle", "tiling", "scatter")
 
 
 def call(line: str) -> int:
@@ -49,22 +41,6 @@ def call(line: str) -> int:
     with pytest.raises(SystemExit) as left:
         main(shlex.split(line))
     return int(left.value.code or 0)
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make a small run once: two textures of known lattice, three methods, two draws."""
-    root = tmp_path_factory.mktemp("labels") / "run"
-    changes = {"sample": "64x64", "size": "96x96", "replicates": 2, "lattice": ("given",), "methods": METHODS}
-    suite = load_suite("default").with_changes(metrics=["cost"])
-    nrbench.run(suite, textures=("brick-strong", "hexagon-strong"), out=root, options=Options(jobs=0), **changes)
-    return root
-
-
-@pytest.fixture
-def run(made: Path, tmp_path: Path) -> Run:
-    """Return a copy of the run, for one test."""
-    return Run(Path(shutil.copytree(made, tmp_path / "run")))
 
 
 def _answer(path: Path, sheet: LabelPage, answers: Sequence[Sequence[str]]) -> Path:
@@ -363,96 +339,3 @@ def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFix
     assert "Automatic verdict and people" in Path("run/report/report.html").read_text("utf-8")
     assert call("report run other") == 2
     assert "only one run is reported" in capsys.readouterr().err
-
-
-def _save(browser: Browser, folder: Path) -> None:
-    """Save the answers of a page under the name ada, and wait for the file."""
-    folder.mkdir()
-    browser.downloads(folder)
-    browser.script("document.getElementById('who').value = 'ada'; document.getElementById('save').click()")
-    for _ in range(100):
-        if any(path.suffix == ".csv" for path in folder.iterdir()):
-            break
-        browser.script("new Promise((done) => setTimeout(done, 50))")
-
-
-COUNT = "document.getElementById('count').textContent"
-
-
-@pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
-def test_keys_label_in_a_browser(run: Run, tmp_path: Path) -> None:
-    """Keys answer, the arrow goes back to correct, the page resumes after it was closed, and the saved file is read."""
-    sheet = make_page(run, repeat=0.25, questions=["lattice"])
-    write_key(run.root, sheet)
-    page, saved = tmp_path / "page.html", tmp_path / "saved"
-    page.write_text(page_html(run.root, sheet), "utf-8")
-    with Browser(tmp_path / "profile") as browser:
-        browser.open(page)
-        for key in ("Enter", "1", "2", "2", "ArrowLeft", "3"):
-            browser.press(key)
-        assert browser.script(COUNT) == "4 of 15, 3 answered"
-    with Browser(tmp_path / "profile") as browser:
-        browser.open(page)
-        browser.press("Enter")
-        assert browser.script(COUNT) == "4 of 15, 3 answered"
-        for _ in range(12):
-            browser.press("1")
-        assert browser.script(COUNT) == "15 of 15 answered"
-        _save(browser, saved)
-    (person,) = read_people(run, [saved / f"labels-{sheet.name}-ada.csv"])
-    assert [one.answer for one in person.answers] == ["yes", "no", "cannot say"] + ["yes"] * 12
-    assert [one.order for one in person.answers] == list(range(1, 16))
-    assert all(0 <= one.seconds < 60 for one in person.answers)
-
-
-@pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
-def test_three_questions_are_asked_in_turn(run: Run, tmp_path: Path) -> None:
-    """A key answers the marked question and marks the next one; pictures change after the last one; all is saved."""
-    sheet = make_page(run, repeat=0)
-    write_key(run.root, sheet)
-    page, saved = tmp_path / "page.html", tmp_path / "saved"
-    page.write_text(page_html(run.root, sheet), "utf-8")
-    marked = "[...document.querySelectorAll('.question')].map((row) => row.hasAttribute('aria-current')).indexOf(true)"
-    output = "document.getElementById('output').src"
-    open_buttons = "document.querySelectorAll('.question button:not(:disabled)').length"
-    click = "document.querySelectorAll('.question')[{}].querySelectorAll('button')[{}].click()"
-    with Browser(tmp_path / "profile") as browser:
-        browser.open(page)
-        browser.press("Enter")
-        first = browser.script(output)
-        assert (browser.script(marked), browser.script(open_buttons)) == (0, 3)
-        browser.press("2")
-        assert (browser.script(marked), browser.script(open_buttons)) == (1, 6)
-        browser.press("ArrowRight")
-        assert browser.script(marked) == 1
-        browser.press("ArrowLeft")
-        browser.press("1")
-        browser.press("3")
-        assert browser.script(marked) == 2 and browser.script(output) == first
-        assert browser.script(COUNT) == "1 of 12, 0 answered"
-        browser.script("new Promise((done) => setTimeout(done, 300))")
-        browser.press("2")
-        assert browser.script(COUNT) == "2 of 12, 1 answered" and browser.script(output) != first
-    with Browser(tmp_path / "profile") as browser:
-        browser.open(page)
-        for key in ("Enter", "2"):
-            browser.press(key)
-    with Browser(tmp_path / "profile") as browser:
-        browser.open(page)
-        browser.press("Enter")
-        assert (browser.script(COUNT), browser.script(marked)) == ("2 of 12, 1 answered", 1)
-        browser.script(click.format(0, 2))
-        browser.press("1")
-        browser.press("1")
-        for _ in range(3 * 10):
-            browser.press("1")
-        assert browser.script(COUNT) == "12 of 12 answered"
-        browser.press("ArrowLeft")
-        assert browser.script(COUNT) == "12 of 12, 12 answered" and browser.script(marked) == 2
-        _save(browser, saved)
-    (person,) = read_people(run, [saved / f"labels-{sheet.name}-ada.csv"])
-    expected = ["yes", "cannot say", "no", "cannot say", "yes", "yes"] + ["yes"] * 30
-    assert [one.answer for one in person.answers] == expected
-    assert [(one.item, one.question) for one in person.answers] == [(i, q) for i in sheet.items for q in QUESTIONS]
-    assert [one.order for one in person.answers] == [i for i in range(1, 13) for _ in QUESTIONS]
-    assert 0.3 <= person.answers[2].seconds < 60 and all(0 <= one.seconds < 60 for one in person.answers)

@@ -12,7 +12,7 @@ from nrbench import api, plugins
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.plugins import registry
-from nrbench.suites.plan import Method, Source, make_plan
+from nrbench.suites.plan import LatticeSource, PlannedMethod, make_plan
 from nrbench.suites.suite import validated_suite
 
 HEAD = """
@@ -110,8 +110,8 @@ def test_a_preset_is_the_same_cell_as_its_parameters() -> None:
     assert by_preset == by_hand and by_preset[1] == "grays:level=0.5,steps=2"
     assert cells("grays", lattice="fixed:preset=paper") == cells("grays", lattice="fixed:period=12")
     assert cells("grays", lattice="fixed:preset=paper") != cells("grays", lattice="fixed")
-    assert Method.parse("grays:preset=dark").parameters == {"level": 0.0, "steps": 4}
-    assert Source.parse("fixed:period=8").name == Source.parse("fixed").name == "fixed"
+    assert PlannedMethod.parse("grays:preset=dark").parameters == {"level": 0.0, "steps": 4}
+    assert LatticeSource.parse("fixed:period=8").name == LatticeSource.parse("fixed").name == "fixed"
 
 
 def test_show_prints_presets_and_patch_terms(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,73 +1,34 @@
 """The results of every method are pinned: a change of an output or a score raises RESULTS_VERSION and pins anew.
 
-`python tests/running/test_results_version.py` prints the pins.
+``python tests/running/test_results_version.py`` writes the pins to ``pinned_results.json``.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from nrbench import plugins
 from nrbench.api import run
 from nrbench.imaging.files import read_image, write_image
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import NoLatticeFound
 from nrbench.running.runner import Options
+from nrbench.runs.records import CellRecord
 from nrbench.streams import pixels_hash
 from nrbench.suites.cell import RESULTS_VERSION
-from nrbench.suites.plan import make_plan
+from nrbench.suites.plan import PlannedMethod, make_plan
 from nrbench.suites.suite import Suite, validated_suite
 
-PINNED_VERSION = 9
-Pins = dict[str, tuple[str, float | None, float | None]]
-PINNED: Pins = {
-    "brick/oracle": ("640969693d75", 1.0, 0.865),
-    "brick/rsgf:block=24,border=6,subpixel=False": ("a5d96a5265d3", 1.0, 1.159),
-    "brick/scatter": ("9afe72461ece", 0.0, None),
-    "weave/oracle": ("65448782c1bf", 1.0, 1.362),
-    "weave/rsgf:block=24,border=6,subpixel=False": ("c135d4b02b93", 1.0, 0.983),
-    "weave/scatter": ("df704a7cb32a", 0.0, None),
-    "hexagon/oracle": ("679af1b7299b", 1.0, 0.974),
-    "hexagon/rsgf:block=24,border=6,subpixel=False": ("da4839b09c46", 1.0, 0.963),
-    "hexagon/scatter": ("afa4a54fec13", 0.0, None),
-    "weave/ann-pixel": ("23ddeb44efe7", 0.0, None),
-    "weave/copier": ("1b33286ab27c", 1.0, 0.821),
-    "weave/command": ("c7dcc3413662", 0.554, None),
-    "weave/fftm-patch": ("55591b94be29", 1.0, 0.647),
-    "weave/fftm-pixel": ("38d55f1a6cc0", 1.0, 0.971),
-    "weave/graph-cuts": ("a7660d611138", 1.0, 0.794),
-    "weave/lattice-only": ("61b98c87908c", 0.994, None),
-    "weave/patch-based": ("22ae6fd6bc7a", 1.0, 0.854),
-    "weave/planted:kind=phase-step,size=0.25": ("f742306bbc6b", 0.417, None),
-    "weave/precomputed": ("ee38e22f8772", 0.0, None),
-    "weave/quilting": ("582aafe6ea50", 1.0, 0.927),
-    "weave/random-phase": ("569bfad8f2f5", 0.213, None),
-    "weave/regularized-patch": ("91a3c3c9ce72", 1.0, 1.0),
-    "weave/representative-tile": ("7eb69abc4ad5", 1.0, 0.33),
-    "weave/rsgf": ("71d1b2fb2cfd", 1.0, 0.656),
-    "weave/shuffle": ("752f026208e9", 1.0, 0.998),
-    "weave/supertile": ("765c00215f1b", 1.0, 1.045),
-    "weave/auto": ("71d1b2fb2cfd", 1.0, 0.656),
-    "weave/tile-set": ("7116eb4d4e52", 1.0, 0.989),
-    "weave/tiling": ("b8b538838629", 1.0, 0.008),
-}
-
-PINNED_PAPERS = {
-    "rsgf": "36d10eb3ddde",
-    "tile-set": "496e6a51c35e",
-    "fftm-patch": "35be20fcdf9a",
-    "representative-tile": "e89f394d7605",
-    "fftm-pixel": "c848b68882da",
-    "ann-pixel": "23ddeb44efe7",
-    "auto": "7116eb4d4e52",
-    "patch-based": "3e9c6cf3a162",
-    "quilting": "582aafe6ea50",
-    "regularized-patch": "578c72c3b049",
-    "graph-cuts": "a7660d611138",
-}
-"""The output of each method with the parameters of its paper, on the weave."""
+PINNED_FILE = Path(__file__).with_name("pinned_results.json")
+PINNED: dict[str, Any] = json.loads(PINNED_FILE.read_text("utf-8"))
+SCORES = ("regularity.score", "integrity.score", "quality.", "randomness.")
+"""The names of the scores that are pinned, or their beginnings: those that rank the methods, and their parts."""
 
 TOOL = """
 import sys
@@ -81,18 +42,20 @@ Image.fromarray(pixels[rows][:, columns]).save(output)
 """
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8"))
 METHODS = PROJECT["project"]["entry-points"]["nrbench.synthesizers"]
+DETECTORS = PROJECT["project"]["entry-points"]["nrbench.detectors"]
+TEXTURES = {"brick": 0.0, "weave": 12.0, "hexagon": 33.0}
+"""Models, and the rotations by which they are drawn, degrees."""
 ON_EVERY_TEXTURE = ("oracle", "rsgf:block=24,border=6,subpixel=false", "scatter")
 """Methods that are pinned on all three textures; the default of every method is pinned on the weave."""
 
 
-def suite_of(methods: list[str], *textures: str) -> Suite:
-    """Return a suite of some methods on one texture of each family that is named, all with their true lattices."""
-    rotations = {"brick": 0.0, "weave": 12.0, "hexagon": 33.0}
+def suite_of(methods: list[str], *textures: str, lattice: str = "given", metrics: tuple[str, ...] = ("cost",)) -> Suite:
+    """Return a suite of some methods on some of :data:`TEXTURES`."""
     rows = [
-        {"name": name, "dataset": name, "parameters": {"rotation": rotations[name], "color": 0.3, "noise": 0.03}}
+        {"name": name, "dataset": name, "parameters": {"rotation": TEXTURES[name], "color": 0.3, "noise": 0.03}}
         for name in textures
     ]
-    content = {"sample": "128x128", "size": "144x136", "lattice": ["given"], "metrics": ["regularity", "randomness"]}
+    content = {"sample": "128x128", "size": "144x136", "lattice": [lattice], "metrics": metrics}
     return validated_suite({"name": "pinned", **content, "methods": methods, "texture": rows}, "pinned")
 
 
@@ -115,65 +78,119 @@ def paper_methods() -> list[str]:
     return [f"{name}:preset=paper" for name, cls in classes.items() if "paper" in getattr(cls, "presets", {})]
 
 
-def measure_papers(place: Path) -> dict[str, str]:
-    """Return the hash of the output of each method as its paper describes it."""
-    done = run(suite_of(paper_methods(), "weave"), out=place / "papers", options=Options(jobs=0))
+def cells_of(suite: Suite, place: Path) -> list[CellRecord]:
+    """Run a suite, and return its cells, all of which succeed."""
+    done = run(suite, out=place, options=Options(jobs=0))
     assert all(record.status == "ok" for record in done.cells), [record.message for record in done.cells]
-    return {record.cell.method: pixels_hash(read_image(record.folder / "output.png"))[:12] for record in done.cells}
+    return done.cells
 
 
-def measure(place: Path) -> Pins:
-    """Return the hash of the output, the regularity score and the variation of each cell."""
-    runs = (
-        run(suite_of(list(ON_EVERY_TEXTURE), "brick", "weave", "hexagon"), out=place / "all", options=Options(jobs=0)),
-        run(suite_of(default_methods(place / "files"), "weave"), out=place / "default", options=Options(jobs=0)),
-    )
-    pins: Pins = {}
-    for record in (record for one in runs for record in one.cells):
-        assert record.status == "ok", (record.method, record.message)
-        outside = record.cell.method in ("command", "precomputed")
-        pins[f"{record.texture}/{record.cell.method if outside else record.method}"] = (
-            pixels_hash(read_image(record.folder / "output.png"))[:12],
-            _rounded(record.values["regularity.score"]),
-            _rounded(record.values["randomness.variation"]),
-        )
-    return pins
+def output_hash(record: CellRecord) -> str:
+    """Return a hash of the output's pixels."""
+    return pixels_hash(read_image(record.folder / "output.png"))[:12]
 
 
-def _rounded(value: float | bool | None) -> float | None:
+def measure_outputs(place: Path) -> dict[str, dict[str, Any]]:
+    """Return the hash of the output, and the scores, of each cell with a given lattice."""
+    metrics = ("regularity", "integrity", "randomness", "quality")
+    cells = [
+        *cells_of(suite_of(list(ON_EVERY_TEXTURE), *TEXTURES, metrics=metrics), place / "all"),
+        *cells_of(suite_of(default_methods(place / "files"), "weave", metrics=metrics), place / "default"),
+    ]
+    return {
+        f"{record.texture}/{method_name(record)}": {
+            "output": output_hash(record),
+            **{name: rounded(value) for name, value in record.values.items() if name.startswith(SCORES)},
+        }
+        for record in cells
+    }
+
+
+def method_name(record: CellRecord) -> str:
+    """Return the method with its parameters, but without the paths on this machine."""
+    return record.cell.method if record.cell.method in ("command", "precomputed") else record.method
+
+
+def measure_papers(place: Path) -> dict[str, str]:
+    """Return the hash of the output of each method as its paper describes it, on the weave."""
+    return {record.cell.method: output_hash(record) for record in cells_of(suite_of(paper_methods(), "weave"), place)}
+
+
+def measure_own(place: Path) -> dict[str, dict[str, Any]]:
+    """Return the hash of the output, and the lattice, of each method that calls a detector, on the weave."""
+    methods = [spec for spec in default_methods(place / "files") if PlannedMethod.parse(spec).finder]
+    return {
+        record.cell.method: {"output": output_hash(record), "lattice": numbers(Lattice.from_dict(record.lattice_used))}
+        for record in cells_of(suite_of(methods, "weave", lattice="own"), place / "own")
+        if record.lattice_used is not None
+    }
+
+
+def measure_detections(place: Path) -> dict[str, dict[str, Any] | None]:
+    """Return the lattice and the confidence of each detector on each texture, and on noise; None if it finds none."""
+    content = {"sample": "128x128", "texture": [{"name": "noise", "dataset": "noise"}], "methods": ["oracle"]}
+    suites = (suite_of(["oracle"], *TEXTURES), validated_suite({"name": "noise", **content}, "noise"))
+    found: dict[str, dict[str, Any] | None] = {}
+    for cell, sample in (pair for suite in suites for pair in make_plan(suite).cells):
+        for detector in DETECTORS:
+            try:
+                detection = plugins.build("detectors", detector).detect(sample.image())
+            except NoLatticeFound:
+                found[f"{cell.texture}/{detector}"] = None
+                continue
+            known = {"lattice": numbers(detection.lattice), "confidence": rounded(detection.confidence)}
+            found[f"{cell.texture}/{detector}"] = known
+    return found
+
+
+def numbers(lattice: Lattice) -> list[float]:
+    """Return the two vectors of a lattice, rounded to 0.001 px."""
+    return [round(float(x), 3) for x in (*lattice.t1, *lattice.t2)]
+
+
+def rounded(value: float | bool | None) -> float | None:
+    """Return a score rounded to 0.001."""
     return None if value is None else round(float(value), 3)
 
 
-@pytest.fixture(scope="module")
-def pins(tmp_path_factory: pytest.TempPathFactory) -> Pins:
-    """Measure the pins once."""
-    return measure(tmp_path_factory.mktemp("pins"))
+MEASURES = {
+    "outputs": measure_outputs,
+    "papers": measure_papers,
+    "own": measure_own,
+    "detections": measure_detections,
+}
+"""The parts of the file of pins, and the functions that measure them."""
 
 
-def test_results_are_those_of_this_version(pins: Pins) -> None:
-    """Outputs are pinned to the byte and scores to 2e-3 as long as RESULTS_VERSION stays the same."""
-    assert RESULTS_VERSION == PINNED_VERSION, "pin the results of the new version here"
-    assert {key: pin[0] for key, pin in pins.items()} == {key: pin[0] for key, pin in PINNED.items()}
-    for key, (_, *scores) in pins.items():
-        assert scores == pytest.approx(PINNED[key][1:], abs=2e-3), key
+@pytest.mark.parametrize("part", MEASURES)
+def test_results_are_those_of_this_version(part: str, tmp_path: Path) -> None:
+    """Outputs are pinned to the byte, lattices and scores to 2e-3, as long as RESULTS_VERSION stays the same."""
+    assert PINNED["results_version"] == RESULTS_VERSION, "pin the results of the new version"
+    found = MEASURES[part](tmp_path)
+    assert found.keys() == PINNED[part].keys()
+    for name, values in found.items():
+        pinned = PINNED[part][name]
+        if not isinstance(values, dict) or not isinstance(pinned, dict):
+            assert values == pinned, name
+            continue
+        assert values.keys() == pinned.keys()
+        for key, value in values.items():
+            exact = value is None or pinned[key] is None or isinstance(value, str)
+            assert value == (pinned[key] if exact else pytest.approx(pinned[key], abs=2e-3)), (name, key)
 
 
-def test_every_method_is_pinned() -> None:
-    """The default output of each registered method is pinned on at least one texture."""
-    pinned = {key.partition("/")[2].partition(":")[0] for key in PINNED if "rsgf:" not in key}
-    assert set(METHODS) == pinned
-
-
-def test_the_methods_of_the_papers_are_those_of_this_version(tmp_path: Path) -> None:
-    """The output of every method with ``preset=paper`` is pinned to the byte."""
-    assert measure_papers(tmp_path) == PINNED_PAPERS
+def test_every_plugin_is_pinned() -> None:
+    """The output of each registered method is pinned on at least one texture, and each detector on four."""
+    assert set(METHODS) == {key.partition("/")[2].partition(":")[0] for key in PINNED["outputs"]}
+    assert {key.partition("/")[2] for key in PINNED["detections"]} == set(DETECTORS)
 
 
 if __name__ == "__main__":
     import tempfile
 
-    for method, pin in measure_papers(Path(tempfile.mkdtemp())).items():
-        print(f"    {method!r}: {pin!r},")
-
-    for cell, result in measure(Path(tempfile.mkdtemp())).items():
-        print(f"    {cell!r}: {result!r},")
+    place = Path(tempfile.mkdtemp())
+    for part in sys.argv[1:] or MEASURES:
+        (place / part).mkdir()
+        PINNED[part] = MEASURES[part](place / part)
+    PINNED["results_version"] = RESULTS_VERSION
+    PINNED_FILE.write_text(json.dumps(PINNED, indent=1) + "\n", "utf-8")

@@ -12,7 +12,7 @@ from nrbench.reports.statistics.detections import tabulate_answers
 from nrbench.running.runner import Options, metrics_of
 from nrbench.runs.records import Run
 from nrbench.suites.cell import Cell
-from nrbench.suites.plan import Source, make_plan
+from nrbench.suites.plan import LatticeSource, make_plan
 from nrbench.suites.suite import Suite, load_suite, validated_suite
 
 BRICK = {"name": "brick", "dataset": "brick", "parameters": {"color": 0.1}}
@@ -71,12 +71,12 @@ def test_a_manual_origin_reaches_the_method() -> None:
 def test_bad_sources(text: str, message: str) -> None:
     """A text that is no keyword, lattice or detector is refused; the message lists the valid forms."""
     with pytest.raises(BadInput, match=message):
-        Source.parse(text)
+        LatticeSource.parse(text)
 
 
 def test_a_detector_with_parameters_is_no_manual_lattice() -> None:
     """Commas after a colon separate parameters."""
-    source = Source.parse("gncc:alpha=1.3,overlap=0.8")
+    source = LatticeSource.parse("gncc:alpha=1.3,overlap=0.8")
     assert source.lattice is None and source.detector is not None and source.detector[2]["overlap"] == 0.8
 
 

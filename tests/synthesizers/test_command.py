@@ -9,7 +9,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Synthesis, Task
-from nrbench.suites.plan import Method, make_plan
+from nrbench.suites.plan import PlannedMethod, make_plan
 from nrbench.suites.suite import validated_suite
 from nrbench.synthesizers.command import Command
 
@@ -160,9 +160,9 @@ def test_without_a_lattice_a_command_that_takes_one_is_refused(tmp_path: Path, s
 
 def test_a_label_names_the_method_in_tables() -> None:
     """`label=` replaces the command line in tables; the lattice axis applies if the command takes the lattice."""
-    method = Method.parse("command:run=tool {sample} {output} --t1 {t1x} {t1y},label=my tool")
+    method = PlannedMethod.parse("command:run=tool {sample} {output} --t1 {t1x} {t1y},label=my tool")
     assert (method.label, method.uses_lattice) == ("my tool", True)
-    assert Method.parse("command:run=tool {sample} {output}").label == "command:run=tool {sample} {output}"
+    assert PlannedMethod.parse("command:run=tool {sample} {output}").label == "command:run=tool {sample} {output}"
     with pytest.raises(BadInput, match="printable"):
         Command(run="tool {sample} {output}", label="two\nlines")
 

@@ -1,0 +1,130 @@
+"""The labelling page in a real browser."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nrbench.labelling.labels import Person, make_page, page_html, read_people, write_key
+from nrbench.labelling.questions import QUESTIONS
+from nrbench.runs.records import Run
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra test")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+
+
+class Labeller:
+    """A person in front of a labelling page."""
+
+    def __init__(self, context: Any, run: Run, **choices: Any) -> None:
+        self.run, self.sheet = run, make_page(run, **choices)
+        write_key(run.root, self.sheet)
+        file = run.root / "page.html"
+        file.write_text(page_html(run.root, self.sheet), "utf-8")
+        self.page = context.new_page()
+        self.page.goto(file.as_uri())
+
+    def press(self, *keys: str) -> None:
+        """Press keys, each when the pictures of the item are shown: the page takes no answer before."""
+        for key in keys:
+            self.page.wait_for_function("() => since !== Infinity")
+            self.page.keyboard.press(key)
+
+    def count(self, words: str) -> None:
+        """Wait until the page counts items and answers in these words."""
+        sync_api.expect(self.page.locator("#count")).to_have_text(words)
+
+    def reopen(self) -> None:
+        """Close the page and open it again, after the browser has stored the answers where another page reads them."""
+        stored = self.page.evaluate("() => JSON.stringify(localStorage)")
+        other = self.page.context.new_page()
+        other.goto(self.page.url)
+        other.wait_for_function("stored => JSON.stringify(localStorage) === stored", arg=stored)
+        self.page.close()
+        other.reload()
+        self.page = other
+
+    def save(self, folder: Path) -> Person:
+        """Save the answers under the name ada, and read them."""
+        self.page.fill("#who", "ada")
+        with self.page.expect_download() as download:
+            self.page.click("#save")
+        path = folder / download.value.suggested_filename
+        assert path.name == f"labels-{self.sheet.name}-ada.csv"
+        download.value.save_as(path)
+        (person,) = read_people(self.run, [path])
+        return person
+
+
+@pytest.fixture
+def label(run: Run) -> Iterator[Callable[..., Labeller]]:
+    """Return a function that opens a page of the run."""
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        context = browser.new_context(viewport={"width": 1280, "height": 900})
+        yield lambda **choices: Labeller(context, run, **choices)
+        browser.close()
+
+
+def test_keys_label(label: Callable[..., Labeller], tmp_path: Path) -> None:
+    """Keys answer, the arrow goes back to correct, the page resumes after it was closed, and the saved file is read."""
+    labeller = label(repeat=0.25, questions=["lattice"])
+    labeller.press("Enter", "1", "2", "2", "ArrowLeft", "3")
+    labeller.count("4 of 15, 3 answered")
+    labeller.reopen()
+    labeller.press("Enter")
+    labeller.count("4 of 15, 3 answered")
+    labeller.press(*"1" * 12)
+    labeller.count("15 of 15 answered")
+    person = labeller.save(tmp_path)
+    assert [one.answer for one in person.answers] == ["yes", "no", "cannot say"] + ["yes"] * 12
+    assert [one.order for one in person.answers] == list(range(1, 16))
+    assert all(0 <= one.seconds < 60 for one in person.answers)
+
+
+def test_three_questions_are_asked_in_turn(label: Callable[..., Labeller], tmp_path: Path) -> None:
+    """A key answers the marked question and marks the next one; pictures change after the last one; all is saved."""
+    labeller = label(repeat=0)
+    page = labeller.page
+    marked = "() => [...document.querySelectorAll('.question')].findIndex((row) => row.hasAttribute('aria-current'))"
+    output = "() => document.getElementById('output').src"
+    buttons = page.locator(".question button:not(:disabled)")
+    labeller.press("Enter")
+    first = page.evaluate(output)
+    assert (page.evaluate(marked), buttons.count()) == (0, 3)
+    labeller.press("2")
+    assert (page.evaluate(marked), buttons.count()) == (1, 6)
+    labeller.press("ArrowRight")
+    assert page.evaluate(marked) == 1
+    labeller.press("ArrowLeft", "1", "3")
+    assert page.evaluate(marked) == 2 and page.evaluate(output) == first
+    labeller.count("1 of 12, 0 answered")
+    page.wait_for_function("() => performance.now() - since >= 300")
+    labeller.press("2")
+    labeller.count("2 of 12, 1 answered")
+    assert page.evaluate(output) != first
+    labeller.reopen()
+    labeller.press("Enter", "2")
+    labeller.reopen()
+    labeller.press("Enter")
+    labeller.count("2 of 12, 1 answered")
+    assert labeller.page.evaluate(marked) == 1
+    labeller.page.locator(".question").nth(0).locator("button").nth(2).click()
+    labeller.press(*"1" * 32)
+    labeller.count("12 of 12 answered")
+    labeller.press("ArrowLeft")
+    labeller.count("12 of 12, 12 answered")
+    assert labeller.page.evaluate(marked) == 2
+    person = labeller.save(tmp_path)
+    expected = ["yes", "cannot say", "no", "cannot say", "yes", "yes"] + ["yes"] * 30
+    assert [one.answer for one in person.answers] == expected
+    assert [(one.item, one.question) for one in person.answers] == [
+        (i, q) for i in labeller.sheet.items for q in QUESTIONS
+    ]
+    assert [one.order for one in person.answers] == [i for i in range(1, 13) for _ in QUESTIONS]
+    assert 0.3 <= person.answers[2].seconds < 60 and all(0 <= one.seconds < 60 for one in person.answers)
