@@ -94,7 +94,7 @@ def cheapest_path(error: Float64x2) -> Int64x1:
         rows differ by at most 1.
     """
     total = path_costs(error[::-1])
-    return follow_path(total, 0, np.argmin(total[0]))[::-1].copy()
+    return follow_path(total, 0, int(np.argmin(total[0])))[::-1].copy()
 
 
 @kernel
