@@ -111,10 +111,10 @@ def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float) 
         raise Refused(f"the lattice repeats every {lengths.min():.2f} px: a tile of less than 2 px shows nothing")
     steps = periods / np.array([[columns], [rows]])  # equation 4: the periods shrink to whole pixels
     first, covered = _cover(steps, shape)
-    return TileFrame(periods, (rows, columns), steps, first, covered, count_cells(rectangle))
+    return TileFrame(periods, (rows, columns), steps, first, covered, count_rectangle_cells(rectangle))
 
 
-def count_cells(rectangle: Integers) -> int:
+def count_rectangle_cells(rectangle: Integers) -> int:
     """Return the number of cells of the lattice in a rectangle."""
     (p, q), (r, s) = rectangle
     return abs(int(p) * int(s) - int(q) * int(r))
@@ -131,7 +131,7 @@ def _find_rectangle(lattice: Lattice, shape: tuple[int, ...], tolerance: float) 
             (find_free_rectangle(lattice, reach, limit), _TURNED),
         )
         fitting = [
-            (count_cells(rectangle) * weight, rectangle)
+            (count_rectangle_cells(rectangle) * weight, rectangle)
             for rectangle, weight in candidates
             if rectangle is not None and bool((np.abs(rectangle @ lattice.matrix).sum(0) <= room).all())
         ]

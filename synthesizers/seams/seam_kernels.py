@@ -151,7 +151,7 @@ def grow_trees(residual: Float64x2, terminal: Float64x1, width: int) -> UInt8x1:
             first += offset[link]
             link ^= 1
         count = send_flow(residual, terminal, parent, up, orphans, link, (first, last))
-        adopt_orphans(residual, offset, nodes, queue, orphans, state, count, time)
+        reattach_orphans(residual, offset, nodes, queue, orphans, state, count, time)
 
 
 @step_kernel
@@ -255,7 +255,7 @@ def send_flow(
 
 
 @step_kernel
-def adopt_orphans(
+def reattach_orphans(
     residual: Float64x2,
     offset: Int64x1,
     nodes: Nodes,

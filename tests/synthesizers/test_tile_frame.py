@@ -9,7 +9,7 @@ from nrbench.lattice.geometry import Integers, Lattice, Points
 from nrbench.plugins.forms import Refused
 from nrbench.synthesizers.rectangular_tiles.tile_frame import (
     TileFrame,
-    count_cells,
+    count_rectangle_cells,
     find_free_rectangle,
     find_tile_frame,
     find_upright_rectangle,
@@ -100,7 +100,7 @@ def test_a_whole_numbered_lattice_has_its_exact_rectangle(basis: tuple[int, int,
     assert found is not None
     expected = [[det / math.gcd(q, s), 0], [0, det / math.gcd(p, r)]]
     np.testing.assert_allclose(found @ lattice.matrix, expected, atol=1e-6)
-    assert count_cells(found) == pytest.approx(math.prod(size(found, lattice)) / det)
+    assert count_rectangle_cells(found) == pytest.approx(math.prod(size(found, lattice)) / det)
 
 
 @given(st.floats(3, 30), st.floats(3, 30), st.floats(-30, 30), st.floats(0, 90), st.floats(0.05, 1.4))
@@ -123,7 +123,7 @@ def test_the_rectangle_is_the_smallest_within_tolerance(
         (width, across), (down, height) = found @ lattice.matrix
         assert width <= shortest[0] + 1e-6 and height <= shortest[1] + 1e-6
         assert max(abs(across), abs(down)) <= tolerance + 1e-5 and max(width, height) <= 60 + 1e-6
-        assert count_cells(found) > 0
+        assert count_rectangle_cells(found) > 0
 
 
 @given(st.integers(-3, 3), st.integers(-3, 3), st.floats(0, 90))
@@ -136,7 +136,7 @@ def test_the_rectangle_does_not_depend_on_the_basis(i: int, j: int, angle: float
         ours, theirs = search(lattice, 0.7, 300), search(other, 0.7, 300)
         assert (ours is None) == (theirs is None)
         if ours is not None and theirs is not None:
-            assert count_cells(ours) == count_cells(theirs)
+            assert count_rectangle_cells(ours) == count_rectangle_cells(theirs)
             assert sorted(size(ours, lattice)) == pytest.approx(sorted(size(theirs, other)))
 
 
@@ -144,7 +144,7 @@ def test_known_rectangles() -> None:
     """A brick lattice's is one brick by two courses; a hexagonal one's is s by the square root of 3 times s."""
     bond = Lattice((27.3, 0.0), (13.65, 12.2))
     brick, hexagon = find_upright_rectangle(bond, 0, 200), find_upright_rectangle(HEXAGON, 0, 200)
-    assert brick is not None and size(brick, bond) == pytest.approx([27.3, 24.4]) and count_cells(brick) == 2
+    assert brick is not None and size(brick, bond) == pytest.approx([27.3, 24.4]) and count_rectangle_cells(brick) == 2
     assert hexagon is not None and size(hexagon, HEXAGON) == pytest.approx([20, 20 * math.sqrt(3)])
 
 
@@ -155,7 +155,7 @@ def test_a_free_rectangle_turns_with_the_lattice(angle: float) -> None:
     rhombic, square = find_free_rectangle(bond, 0, 200), find_free_rectangle(grid, 0, 200)
     assert rhombic is not None and sorted(size(rhombic, bond)) == pytest.approx([24.4, 27.3])
     assert square is not None and size(square, grid) == pytest.approx([20, 20])
-    assert count_cells(rhombic) == 2 and count_cells(square) == 1
+    assert count_rectangle_cells(rhombic) == 2 and count_rectangle_cells(square) == 1
     sides = rhombic @ bond.matrix
     assert abs(sides[0] @ sides[1]) < 1e-6
 
