@@ -7,9 +7,11 @@ import textwrap
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Alternative, Detection
+from nrbench.suites.surveying import SHOWN, candidate_dict, known_vectors, rank_candidates
+
 if TYPE_CHECKING:
-    from nrbench.lattice.geometry import Lattice
-    from nrbench.plugins.forms import Alternative, Detection
     from nrbench.tracking.deformation import Deformation
     from nrbench.views.deformed import Followed
 
@@ -50,16 +52,12 @@ class Result:
     @property
     def vectors(self) -> dict[str, Any]:
         """The two vectors for JSON, and the origin where it is known."""
-        from nrbench.suites.surveying import known_vectors
-
         assert self.lattice is not None
         return {name: list(vector) for name, vector in known_vectors(self.lattice, self.has_origin).items()}
 
     @property
     def candidates(self) -> list[Alternative]:
         """The first candidates of a detector, the chosen lattice among them."""
-        from nrbench.suites.surveying import SHOWN, rank_candidates
-
         return rank_candidates(self.detection)[:SHOWN] if self.detection else []
 
     def text(self, separator: str = ", ") -> str:
@@ -89,7 +87,6 @@ class Result:
         if self.detection is None:
             start = {"detector": self.detector, "confidence": None} if self.detector else {}
             return {**self.vectors, **start, **self._deformation_dict()}
-        from nrbench.suites.surveying import candidate_dict
 
         probabilities = self.detection.probabilities
         return {

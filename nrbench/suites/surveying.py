@@ -20,8 +20,7 @@ from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Alternative, Detection, Detector, NoLatticeFound
 from nrbench.plugins.parameters import parse_spec
 from nrbench.storage import write_aside
-from nrbench.suites.rendering import KNOWN_FILE, SHEET
-from nrbench.truth import ORIGIN, TRUTH_FILE, VECTORS, TruthRow, TruthTable, write_table
+from nrbench.truth import KNOWN_FILE, ORIGIN, SHEET, TRUTH_FILE, VECTORS, TruthRow, TruthTable, write_table
 
 SHOWN = 3
 """Number of candidates that are drawn and listed."""
