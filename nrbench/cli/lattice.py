@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from nrbench import plugins
-from nrbench.cli.lattice_results import Result
+from nrbench.cli.lattice_results import LatticeResult
 from nrbench.cli.options import check_output
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.cli.straightening import draw_deformed_lattice, find_bent_lattice, straighten_picture
@@ -167,7 +167,7 @@ def _use_given(image: Image, numbers: str | None, output: Path | None, as_json: 
         lattice, has_origin = Lattice.parse(numbers), numbers.count(",") == 5
     if output is not None:
         write_image(output, draw_overlay(image, lattice))
-    Result("picked" if numbers is None else "given", lattice, has_origin=has_origin).print(as_json)
+    LatticeResult("picked" if numbers is None else "given", lattice, has_origin=has_origin).print(as_json)
 
 
 def _print_numbers(lattice: Lattice) -> None:
@@ -204,9 +204,9 @@ def _detect(image: Image, chosen: str | None, output: Path | None, diagnostics: 
         _draw_diagnostics(none.best.diagnostics if none.best else {}, title, diagnostics)
         if output is not None:
             click.echo(f"{output}: not written, there is no lattice to draw", err=True)
-        Result(name, None, reason=none.reason).print(as_json)
+        LatticeResult(name, None, reason=none.reason).print(as_json)
         return
-    result = Result.of_detection(name, detection)
+    result = LatticeResult.of_detection(name, detection)
     title = f"{spec}: {result.text()}, confidence {detection.confidence:.3f}"
     _draw_diagnostics(detection.diagnostics, title, diagnostics)
     if output is not None:
@@ -245,22 +245,22 @@ def _compare_detectors(image: Image, output: Path | None, as_json: bool) -> int:
     return int(any(result.failed for result in results))
 
 
-def _run_detector(image: Image, name: str) -> Result:
+def _run_detector(image: Image, name: str) -> LatticeResult:
     """Return the result of a detector; an error of the detector is a failed result."""
     detector = plugins.build("detectors", name)
     start = time.perf_counter()
     try:
         detection = detector.detect(image)
     except NoLatticeFound as none:
-        return Result(name, None, reason=none.reason, seconds=time.perf_counter() - start)
+        return LatticeResult(name, None, reason=none.reason, seconds=time.perf_counter() - start)
     except BadInput:
         raise
     except Exception as error:
-        return Result(name, None, reason=f"failed: {type(error).__name__}: {error}", failed=True)
-    return Result.of_detection(name, detection, time.perf_counter() - start)
+        return LatticeResult(name, None, reason=f"failed: {type(error).__name__}: {error}", failed=True)
+    return LatticeResult.of_detection(name, detection, time.perf_counter() - start)
 
 
-def _draw_comparison(image: Image, results: Sequence[Result], output: Path) -> None:
+def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Path) -> None:
     """Write a sheet with a captioned picture for each candidate of each detector; of a large image, its middle."""
     lattices = [each.lattice for result in results for each in result.candidates]
     is_large = max(image.shape[:2]) > WHOLE

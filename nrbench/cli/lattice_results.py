@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Result:
+class LatticeResult:
     """The result of a detector or of the user: a lattice, or why there is none.
 
     ``detection`` is that of a detector. ``has_origin`` says whether the origin is known. ``seconds`` is set in a
@@ -37,12 +37,12 @@ class Result:
     straightened: Lattice | None = None
 
     @classmethod
-    def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> Result:
+    def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> LatticeResult:
         """Return the result of a detector."""
         return cls(detector, detection.lattice, detection, has_origin=detection.has_origin, seconds=seconds)
 
     @classmethod
-    def of_followed(cls, detector: str, followed: Followed, has_origin: bool) -> Result:
+    def of_followed(cls, detector: str, followed: Followed, has_origin: bool) -> LatticeResult:
         """Return the mean lattice of an image that may be bent, with or without its origin."""
         mean, detection = followed.deformation.lattice, followed.detection
         if detection is not None:
@@ -148,9 +148,9 @@ def _notes(candidate: Alternative) -> str:
     return ", ".join(filter(None, (candidate.relation, candidate.role and f"{candidate.role} lattice")))
 
 
-def _of_alternative(candidate: Alternative) -> Result:
+def _of_alternative(candidate: Alternative) -> LatticeResult:
     """Return a result without a detector, for the forms of its vectors."""
-    return Result("", candidate.lattice, has_origin=candidate.has_origin)
+    return LatticeResult("", candidate.lattice, has_origin=candidate.has_origin)
 
 
 def _describe(candidate: Alternative) -> str:

@@ -81,7 +81,6 @@ def show_command(name: str, as_json: bool, as_toml: bool) -> None:
 
 
 def _all_names() -> list[str]:
-
     return [name for kind in plugins.FORMS for name in plugins.names(kind)]
 
 
@@ -112,7 +111,6 @@ def _column_page(page: dict[str, Any], column: str) -> list[dict[str, Any]]:
 
 
 def _page(kind: str, plugin: Any) -> dict[str, Any]:
-
     cls = plugin.cls
     page = {
         "kind": kind,

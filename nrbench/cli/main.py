@@ -24,10 +24,10 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "compare": ("comparing", "Compare RUN_B with RUN_A: which scores moved by more than noise."),
     "list": ("listing", "List plugins and suites."),
     "show": ("listing", "Show a plugin or a suite."),
-    "synth": ("pictures", "Synthesize a texture of any size from IMAGE."),
+    "synth": ("single_images", "Synthesize a texture of any size from IMAGE."),
     "lattice": ("lattice", "Detect the lattice of IMAGE, or those of all pictures in FOLDER."),
-    "score": ("pictures", "Score any tool's OUTPUT against its SAMPLE."),
-    "render": ("pictures", "Draw the textures of a model or a suite as PNG files."),
+    "score": ("single_images", "Score any tool's OUTPUT against its SAMPLE."),
+    "render": ("single_images", "Draw the textures of a model or a suite as PNG files."),
     "check": ("authoring", "Check that PLUGIN fulfils every clause of its form."),
     "new": ("authoring", "Write a package with a plugin called NAME to start from."),
 }

@@ -11,7 +11,7 @@ from importlib.machinery import SourceFileLoader
 from importlib.metadata import EntryPoint
 from typing import Any
 
-from nrbench.plugins.registry import Plugin, distribution_of, entry_points_of, from_files, load
+from nrbench.plugins.registry import Plugin, distribution_of, entry_points_of, from_files, load_plugin
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,8 @@ def summaries(kind: str) -> list[Summary]:
     Plugins of nrbench are read from their source. Plugins of others are imported.
     """
     points = [(point, i > 0) for group in entry_points_of(kind).values() for i, point in enumerate(group)]
-    listed = [(not later and _read_source(point)) or _of_plugin(load(kind, point, later)) for point, later in points]
+    read = [(not later and _read_source(point), point, later) for point, later in points]
+    listed = [summary or _of_plugin(load_plugin(kind, point, later)) for summary, point, later in read]
     return listed + [_of_plugin(plugin) for plugin in from_files(kind)]
 
 

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from nrbench.api import texture
-from nrbench.cli.pictures import synth_command
+from nrbench.cli.single_images import synth_command
 from nrbench.detectors.ssdn import Ssdn
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
