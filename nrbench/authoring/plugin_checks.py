@@ -46,7 +46,7 @@ from nrbench.plugins.forms import (
     Texture,
 )
 from nrbench.running.output_checks import InvalidOutput, check_source, checked_synthesis
-from nrbench.running.phases import FAULTS, Send, score_observation, send_error, write_score
+from nrbench.running.phases import FAULTS, Send, freeze, leaves, score_observation, send_error, write_score
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder
 from nrbench.storage import read_json
@@ -150,17 +150,6 @@ class Clause:
     after: str = ""
     twice: bool = False
 
-    def examine(self, subject: Subject) -> tuple[str, str]:
-        """Check the clause; return ``ok``, ``refused`` (it does not apply) or ``invalid`` (violated), and why."""
-        try:
-            return "ok", self.test(subject) or self.demand
-        except Skipped as skipped:
-            return "refused", str(skipped)
-        except Refused as refusal:
-            return "refused", f"refused: {refusal.reason}"
-        except Violated as violated:
-            return "invalid", str(violated)
-
 
 CLAUSES: dict[str, list[Clause]] = {kind: [] for kind in plugins.FORMS}
 """The clauses of each kind, in the order in which they are tested."""
@@ -195,14 +184,20 @@ def clause(
 def check(folder: Path, send: Send) -> None:
     """Check the clause that ``cell.json`` names. This is a phase, see :mod:`nrbench.running.phases`.
 
-    Sends one message: a status of :meth:`Clause.examine`, or ``error``, with what was seen.
+    Sends one message: status ``ok`` (fulfilled), ``refused`` (it does not apply), ``invalid`` (violated) or ``error``,
+    with what was seen.
     """
     wanted = read_json(CellFolder(folder).cell_file) or {}
     subject = SUBJECTS[wanted["kind"]](wanted["name"], wanted["parameters"], wanted["run"])
     (chosen,) = (each for each in CLAUSES[wanted["kind"]] if each.name == wanted["clause"])
     try:
-        status, message = chosen.examine(subject)
-        send({"status": status, "message": message})
+        send({"status": "ok", "message": chosen.test(subject) or chosen.demand})
+    except Skipped as skipped:
+        send({"status": "refused", "message": str(skipped)})
+    except Refused as refusal:
+        send({"status": "refused", "message": f"refused: {refusal.reason}"})
+    except Violated as violated:
+        send({"status": "invalid", "message": str(violated)})
     except FAULTS as error:
         send_error(error, send)
 
@@ -249,42 +244,18 @@ def draw_wall(shape: Shape, rng: np.random.Generator, channels: int = 3) -> Text
 
 def _draw_again(seed: int, channels: int, shape: Shape, k: int) -> Texture:
     """Return a fresh draw, read-only as in a run."""
-    texture = draw_wall(shape, stream("check", seed, "again", k), channels)
-    freeze(texture)
-    return texture
-
-
-def _leaves(thing: Any) -> Iterator[Any]:
-    """Yield the values that an input or an answer is made of, and their names. Measured times are left out."""
-    if isinstance(thing, Mapping):
-        for key in sorted(thing, key=str):
-            yield str(key)
-            yield from _leaves(thing[key])
-    elif isinstance(thing, tuple | list):
-        for part in thing:
-            yield from _leaves(part)
-    elif dataclasses.is_dataclass(thing) and not isinstance(thing, type):
-        yield from _leaves({each.name: getattr(thing, each.name) for each in dataclasses.fields(thing) if each.init})
-    else:
-        yield thing
+    return freeze(draw_wall(shape, stream("check", seed, "again", k), channels))
 
 
 def digest(answer: Any) -> str:
     """Return a hash of an answer: arrays by their bytes, dataclasses and containers by their content."""
     found = hashlib.blake2b(digest_size=12)
-    for part in _leaves(dataclasses.replace(answer, detection_seconds=0) if isinstance(answer, Synthesis) else answer):
+    for part in leaves(dataclasses.replace(answer, detection_seconds=0) if isinstance(answer, Synthesis) else answer):
         if isinstance(part, np.ndarray):
             found.update(f"{part.dtype}{part.shape}".encode() + np.ascontiguousarray(part).tobytes())
         else:
             found.update(repr(part).encode())
     return found.hexdigest()
-
-
-def freeze(given: Any) -> None:
-    """Make all arrays of an input read-only."""
-    for part in _leaves(given):
-        if isinstance(part, np.ndarray):
-            part.setflags(write=False)
 
 
 # -------------------------------------------------------------------------------------- the plugins of each kind
@@ -629,10 +600,8 @@ def _listed(files: Iterator[Path]) -> dict[str, tuple[int, int]]:
 @clause("read-only", SynthesizerSubject, DetectorSubject, MetricSubject, DatasetSubject)
 def input_stays(subject: Subject) -> None:
     """Check that the input is not changed."""
-    given = subject.make_input()
-    freeze(given)
     try:
-        subject.call(given)
+        subject.call(freeze(subject.make_input()))
     except ValueError as error:
         if "read-only" not in str(error):
             raise

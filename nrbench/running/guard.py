@@ -76,25 +76,56 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Ending:
-    """How a child ended.
+class Reply:
+    """How a request ended.
 
     Parameters
     ----------
-    messages
-        All messages of the child.
-    status
-        ``ended``, ``timeout``, ``memory`` or ``crash``.
-    message
-        One sentence, empty for ``ended``.
-    started
-        Most bytes that all processes which the child started held at any check.
+    result
+        At least ``status`` and ``message``.
+    scored
+        The metrics that are done.
     """
 
-    messages: list[Message]
-    status: str = "ended"
-    message: str = ""
-    started: int = 0
+    result: Result
+    scored: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the reply as a mapping that can be written as JSON."""
+        return {**self.result, "metrics": self.scored}
+
+    @classmethod
+    def from_json(cls, line: str) -> Reply | None:
+        """Read a reply from the JSON of :meth:`as_dict`; None for any other text."""
+        content: Any = parse_message(line)
+        if content is None or "status" not in content:
+            return None
+        scored = tuple(content.pop("metrics", ()))
+        return cls(content, scored)
+
+    @classmethod
+    def of(cls, messages: Iterable[Message], broken: tuple[str, str] | None = None, started: int = 0) -> Reply:
+        """Return the reply that follows from what a child sent.
+
+        Parameters
+        ----------
+        messages
+            All messages of the child.
+        broken
+            The status and the message of a child that was ended or died: ``timeout``, ``memory`` or ``crash``.
+        started
+            Most bytes that all processes which the child started held at any check.
+        """
+        scored = tuple(message["scored"] for message in messages if "scored" in message)
+        result: Result = {"status": "ok", "message": ""}
+        for message in messages:
+            if "status" in message:
+                result = cast("Result", message)
+        if broken:
+            result = {"status": broken[0], "message": broken[1]}
+        elif "peak_mib" in result:
+            result = {**result, "peak_mib": max(result["peak_mib"], started / MIB)}
+        return cls(result, scored)
 
 
 class Watch:
@@ -178,14 +209,12 @@ class Watch:
         time.sleep(TICK / 20)
         return []
 
-    def ending(self, broken: tuple[str, str] | None, code: int) -> Ending:
+    def reply(self, broken: tuple[str, str] | None, code: int) -> Reply:
         """Return how the child ended, from what :meth:`watch` returned and its exit code."""
         shorten(self.log)
-        if broken:
-            return Ending(self.messages, *broken)
-        if code != 0:
-            return Ending(self.messages, "crash", explain_exit(code))
-        return Ending(self.messages, started=self.started)
+        if code and not broken:
+            broken = "crash", explain_exit(code)
+        return Reply.of(self.messages, broken, self.started)
 
 
 def shorten(log: Path | None) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
+import itertools
 import os
 import queue
 import shutil
@@ -24,8 +25,8 @@ import numpy as np
 from nrbench import plugins
 from nrbench.errors import describe_error, storage_fault
 from nrbench.running import guard
-from nrbench.running.guard import Message
-from nrbench.running.worker import GRACE, Reply, Request, perform, read_lines, start_worker
+from nrbench.running.guard import Message, Reply
+from nrbench.running.worker import GRACE, Request, perform, read_lines, start_worker
 from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import temporary_folder, working_folder
 
@@ -213,6 +214,7 @@ class Supervisor:
         self._ended = False
         self._stack = contextlib.ExitStack()
         self._temporary: Path | None = None
+        self._numbers = itertools.count()
 
     def run(self, request: Request) -> Reply:
         """Run one request under its limits.
@@ -224,7 +226,7 @@ class Supervisor:
             self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
         if self._worker is None:
             self._start()
-        request = dataclasses.replace(request, temporary=str(self._folder() / "tmp"))
+        request = dataclasses.replace(request, temporary=str(self._folder() / str(next(self._numbers))))
         self._check_open()
         assert self._worker is not None and self._worker.stdin is not None
         try:
@@ -311,7 +313,7 @@ class InProcessRunner:
         messages: list[Message] = []
         with np.errstate():  # so that no plugin changes it for the next one
             perform(request, messages.append)
-        return Reply.of(guard.Ending(messages))
+        return Reply.of(messages)
 
 
 def worker_environment() -> dict[str, str]:

@@ -16,16 +16,14 @@ import os
 import queue
 import select
 import signal
-import stat
 import subprocess
 import sys
 import tempfile
 import threading
-import uuid
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -34,9 +32,9 @@ from nrbench.errors import BadInput
 from nrbench.jit import load_kernels
 from nrbench.plugins.parameters import prepare_conversion
 from nrbench.running import guard, phases
-from nrbench.running.guard import Message
+from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import Send
-from nrbench.runs.store import CellFolder, Result
+from nrbench.runs.store import CellFolder
 from nrbench.storage import leave_user_folder, read_json, remove_folder, working_folder
 
 SCORER_ROOM = 256.0
@@ -96,27 +94,8 @@ class Request:
         leave_user_folder(Path(self.user_folder), temporary / "work")
 
     def tidy(self) -> None:
-        """Remove what the phase left among its temporary files.
-
-        Folders in which it left nothing are kept for the next phase, because some disks take milliseconds to remove
-        one. All others get another name first, so that the next phase finds nothing of what cannot be removed.
-        """
-        if not self.left_nothing():
-            temporary = Path(self.temporary)
-            aside = temporary.with_name(uuid.uuid4().hex)
-            with contextlib.suppress(OSError):
-                temporary.rename(aside)
-            remove_folder(aside)
-
-    def left_nothing(self) -> bool:
-        """Return whether the folder of temporary files is as :meth:`settle` made it."""
-        temporary, work = Path(self.temporary), Path(self.temporary, "work")
-        try:
-            modes = [path.lstat().st_mode & ~stat.S_ISGID for path in (temporary, work)]  # that bit is inherited
-            folders = all(mode == stat.S_IFDIR | 0o700 for mode in modes)
-            return folders and os.listdir(temporary) == [work.name] and not os.listdir(work)  # noqa: PTH208
-        except OSError:
-            return False
+        """Remove the temporary files of the phase."""
+        remove_folder(Path(self.temporary))
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""
@@ -127,49 +106,6 @@ class Request:
         """Read a request from :meth:`to_json`."""
         content = json.loads(line)
         return cls(**{**content, "metrics": tuple(content["metrics"])})
-
-
-@dataclass(frozen=True)
-class Reply:
-    """How a request ended.
-
-    Parameters
-    ----------
-    result
-        At least ``status`` and ``message``.
-    scored
-        The metrics that are done.
-    """
-
-    result: Result
-    scored: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the reply as a mapping that can be written as JSON."""
-        return {**self.result, "metrics": self.scored}
-
-    @classmethod
-    def from_json(cls, line: str) -> Reply | None:
-        """Read a reply from the JSON of :meth:`as_dict`; None for any other text."""
-        content: Any = guard.parse_message(line)
-        if content is None or "status" not in content:
-            return None
-        scored = tuple(content.pop("metrics", ()))
-        return cls(content, scored)
-
-    @classmethod
-    def of(cls, ending: guard.Ending) -> Reply:
-        """Return the reply that follows from how a child ended."""
-        scored = tuple(message["scored"] for message in ending.messages if "scored" in message)
-        results = [message for message in ending.messages if "status" in message]
-        if ending.status != "ended":
-            return cls({"status": ending.status, "message": ending.message}, scored)
-        if not results:
-            return cls({"status": "ok", "message": ""}, scored)
-        result = cast("Result", results[-1])
-        if "peak_mib" in result:
-            result = {**result, "peak_mib": max(result["peak_mib"], ending.started / guard.MIB)}
-        return cls(result, scored)
 
 
 def perform(request: Request, send: Callable[[Message], None]) -> None:
@@ -377,7 +313,7 @@ class ChildServer:
             self._last = child, request
         code = 0 if watch.finished else child.end(kill=broken is not None)
         request.tidy()  # the disk of the run may be full of it
-        return Reply.of(watch.ending(broken, code))
+        return watch.reply(broken, code)
 
     def _take_child(self, request: Request, shared: bool) -> ForkedChild | FreshChild:
         """Return a child that waits for a request."""
@@ -415,19 +351,15 @@ def _is_own(request: Request) -> bool:
     Such a request runs no code of others, and its costs are not measured. The dataset counts because scoring draws the
     texture again. A plugin may have changed the file of the cell, so its content is checked.
     """
-    if request.phase != "score" or not set(request.metrics) <= _own_names("metrics"):
+    if request.phase != "score":
         return False
     try:
         recipe: Any = (read_json(CellFolder(Path(request.folder)).cell_file) or {}).get("recipe")
     except OSError:  # it cannot be read
         return False
-    name = recipe.get("dataset") if isinstance(recipe, dict) else None
-    return isinstance(name, str) and name in _own_names("datasets")
-
-
-@cache  # a search among all plugins for each request would touch, and so copy, much memory that children share
-def _own_names(kind: str) -> set[str]:
-    return {plugin.name for plugin in plugins.inventory(kind) if plugin.own and plugin.cls is not None}
+    dataset = recipe.get("dataset") if isinstance(recipe, dict) else None
+    named = [("datasets", dataset), *(("metrics", metric) for metric in request.metrics)]
+    return all(isinstance(name, str) and phases.is_own(kind, name) for kind, name in named)
 
 
 def _run_forked(run: Callable[[], None], requests: int, messages: int) -> None:
