@@ -279,11 +279,13 @@ def test_a_plugin_that_does_not_load(how: str, tmp_path: Path, capsys: pytest.Ca
     assert message in line
 
 
-def test_a_slow_import_takes_no_ones_time(tmp_path: Path) -> None:
+@pytest.mark.parametrize("forks", ["yes", "no"])
+def test_a_slow_import_takes_no_ones_time(forks: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A plugin that takes long to import is imported once by each process, outside of every limit.
 
     A file that it writes meanwhile is not in the user's folder.
     """
+    monkeypatch.setenv("NRBENCH_FORK", forks)
     slowly = "import os, time\ntime.sleep(1.5)\nopen(f'imported by {os.getpid()}', 'w').close()\n"
     text = FAULTS.read_text().replace("from __future__ import annotations", slowly)
     slow = tmp_path / "slow_plugins.py"

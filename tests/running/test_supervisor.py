@@ -353,6 +353,7 @@ def test_a_phase_finds_nothing_of_the_last_one(supervisors: list[Supervisor], tm
         assert found["found"] == ["work"]
         assert found["folder"] == f"{found['place']}/work"
         assert not Path(found["place"]).is_relative_to(tmp_path)
+        assert found["leads"] and found["limited"]
         assert len(found["place"]) <= 70 + len(tempfile.gettempdir())  # a socket's path has room for 107 bytes
     assert not list(tmp_path.rglob("left"))
 
@@ -363,32 +364,6 @@ def wait_until(holds: Callable[[], bool]) -> None:
     while not holds():
         assert time.monotonic() < deadline
         time.sleep(0.01)
-
-
-@pytest.mark.usefixtures("faulty")
-def test_a_child_forked_ahead_is_like_any_other(supervisors: list[Supervisor], tmp_path: Path) -> None:
-    """After a reply the child of the next request is forked. It finds what a child finds that is forked later."""
-    supervisor, folder = supervisors[0], prepare(tmp_path / "cell", "tenant")
-
-    def waiting() -> list[psutil.Process]:
-        children = server_of(supervisor).children()
-        return [child for child in children if child.status() == psutil.STATUS_SLEEPING and not is_scorer(child)]
-
-    def spare() -> psutil.Process:
-        wait_until(lambda: len(waiting()) == 1)
-        return waiting()[0]
-
-    look_around(supervisor, folder)
-    ahead = spare()
-    early = look_around(supervisor, folder)
-    killed = spare()
-    killed.kill()
-    wait_until(lambda: killed.status() == psutil.STATUS_ZOMBIE)
-    late = look_around(supervisor, folder)
-    assert early.pop("pid") == ahead.pid
-    assert late.pop("pid") not in (ahead.pid, killed.pid)
-    assert early == late
-    assert early["leads"] and early["limited"]
 
 
 def test_the_worker_has_one_thread(supervisors: list[Supervisor]) -> None:
@@ -505,28 +480,6 @@ def test_only_the_own_code_of_nrbench_shares_a_process(faulty: Path, tmp_path: P
     file.rmdir()
     assert is_shared("brick", "cost")
     assert not is_shared("brick", "cost", "none such")
-
-
-def test_a_fresh_interpreter_imports_plugins_before_its_limits_hold(tmp_path: Path) -> None:
-    """The plugins of a request are imported, and only those; a damaged file of the cell is left to the phase."""
-    script = (
-        "import pathlib, sys\n"
-        "from nrbench.running.worker import Request, _import_plugins\n"
-        "request, names = Request(sys.argv[1], '.', 1, 1, tuple(sys.argv[2:])), ('brick', 'scatter', 'regularity')\n"
-        "for content in ('', '[]', '{\"recipe\": 3, \"method\": [1]}', '{\"method\": \"none such\"}'):\n"
-        "    pathlib.Path('cell.json').write_text(content)\n"
-        "    _import_plugins(Request('synthesize', '.', 1, 1))\n"
-        'pathlib.Path(\'cell.json\').write_text(\'{"recipe": {"dataset": "brick"}, "method": "scatter"}\')\n'
-        "_import_plugins(request)\n"
-        "print([name for name in names if any(module.endswith('.' + name) for module in sys.modules)])\n"
-    )
-
-    def imported(*words: str) -> str:
-        command = [sys.executable, "-c", script, *words]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.strip()
-
-    assert imported("synthesize") == "['brick', 'scatter']"
-    assert imported("score", "regularity") == "['brick', 'regularity']"
 
 
 @pytest.mark.usefixtures("faulty")
