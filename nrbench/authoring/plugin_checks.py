@@ -558,10 +558,8 @@ def global_generators_stay(subject: Subject) -> None:
     """Check that all randomness comes from the generator that is passed in."""
     np.random.seed(1)  # noqa: NPY002
     random.seed(1)
-    before = _states()
-    subject.answer()
-    changed = [name for name, state in _states().items() if state != before[name]]
-    demand(not changed, f"draws from, or seeds, {' and '.join(changed)}; draw from the generator that is passed in")
+    changed = _changed_by(subject, _states)
+    demand(not changed, f"draws from, or seeds, {changed}; draw from the generator that is passed in")
 
 
 def _states() -> dict[str, Any]:
@@ -569,15 +567,21 @@ def _states() -> dict[str, Any]:
     return {"np.random": (kind, words.tobytes(), *rest), "random": random.getstate()}
 
 
+def _changed_by(subject: Subject, look: Callable[[], Mapping[str, Any]]) -> str:
+    """Return the names of what an answer of a plugin changes."""
+    before = look()
+    subject.answer()
+    after = look()
+    return " and ".join(name for name in before if before[name] != after[name])
+
+
 @clause("side effects", *_ALL)
 def surroundings_stay(subject: Subject) -> None:
     """Check that nothing outside of the plugin changes."""
     subject.answer()  # imports and caches of the first call are no side effects
-    before, threads = _surroundings(subject), set(threading.enumerate())
-    subject.answer()
-    after = _surroundings(subject)
-    changed = [name for name in before if before[name] != after[name]]
-    demand(not changed, f"changes {' and '.join(changed)}")
+    threads = set(threading.enumerate())
+    changed = _changed_by(subject, partial(_surroundings, subject))
+    demand(not changed, f"changes {changed}")
     demand(set(threading.enumerate()) <= threads, "leaves a thread running")
 
 

@@ -9,10 +9,10 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import psutil
 
@@ -45,10 +45,6 @@ class Message(Result, total=False):
     scored: str
     held: int
     finished: bool
-
-
-Receive = Callable[[float], Iterable[Message] | None]
-"""Waits up to a number of seconds. Returns the messages that arrived, or None if the child has closed its end."""
 
 
 @dataclass(frozen=True)
@@ -128,48 +124,60 @@ class Reply:
         return cls(result, scored)
 
 
+class Child(Protocol):
+    """A child process that can be watched.
+
+    Attributes
+    ----------
+    pid
+        Its process id.
+    """
+
+    pid: int
+
+    def receive(self, seconds: float) -> Iterable[Message] | None:
+        """Wait up to a time. Return the messages that arrived, or None if the child has closed its end."""
+        ...
+
+    def has_ended(self) -> bool:
+        """Return whether the process has ended.
+
+        The end of its messages is no proof: a process that it started may hold the pipe open, and the child may close
+        the pipe early.
+        """
+        ...
+
+
+@dataclass
 class Watch:
     """Watches one child until it ends or breaks a limit.
 
     Parameters
     ----------
-    pid
-        Process id of the child, leader of its own process group where there are such groups.
-    receive
-        Receives its messages.
-    ended
-        Returns whether the process has ended. The end of its messages is no proof: a process that it started may hold
-        the pipe open, and the child may close the pipe early.
+    child
+        The child.
     limits
         What it may use.
     base
-        Bytes that the idle worker holds (:func:`held_bytes`) that it was forked from; 0 for a fresh interpreter.
+        Bytes that the child holds (:func:`held_bytes`) before it begins; 0 for a fresh interpreter, which sends them.
     log
         The file that the child writes its messages to; it is kept short.
-
-    Attributes
-    ----------
     messages
         The messages that have arrived.
     finished
         Whether the child has said that its request is finished. It may still be running.
+    started
+        Most bytes that all processes which the child started held at any check.
     """
 
-    def __init__(
-        self,
-        pid: int,
-        receive: Receive,
-        ended: Callable[[], bool],
-        limits: Limits,
-        base: int = 0,
-        log: Path | None = None,
-    ) -> None:
-        self.pid, self.receive, self.ended, self.log = pid, receive, ended, log
-        self.limits, self.base = limits, base
-        self.messages: list[Message] = []
-        self.finished = False
-        self.started = 0
-        self._open = True
+    child: Child
+    limits: Limits
+    base: int
+    log: Path
+    messages: list[Message] = field(default_factory=list)
+    finished: bool = False
+    started: int = 0
+    _open: bool = True
 
     def watch(self) -> tuple[str, str] | None:
         """Wait for the child. Return None when it finishes or ends, or (status, message) when it exceeds a limit."""
@@ -181,7 +189,7 @@ class Watch:
             messages = self._receive()
             self.messages += [message for message in messages if "finished" not in message]
             self.finished = any("finished" in message for message in messages)
-            if self.finished or (not messages and self.ended()):
+            if self.finished or (not messages and self.child.has_ended()):
                 return None
             now = time.monotonic()
             done = left & {message.get("scored", "") for message in messages}
@@ -190,12 +198,12 @@ class Watch:
                 deadline = now + limits.seconds
             if starting and any(isinstance(message.get("held"), int) for message in messages):
                 starting, deadline = False, now + limits.seconds
-                self.base, most = held_bytes(self.pid), limits.mib
+                self.base, most = held_bytes(self.child.pid), limits.mib
             if now > deadline:
                 return "timeout", f"took longer than {limits.seconds:g} s; raise --timeout if it may"
             if now > memory_check:
                 memory_check = now + MEMORY_TICK
-                own, started = held_by_family(self.pid)
+                own, started = held_by_family(self.child.pid)
                 self.started = max(self.started, started)
                 if own + started - self.base > most * MIB:
                     return "memory", f"used more than {limits.mib:g} MiB; raise --memory if it may"
@@ -203,7 +211,7 @@ class Watch:
 
     def _receive(self) -> list[Message]:
         if self._open:
-            messages = self.receive(TICK)
+            messages = self.child.receive(TICK)
             self._open = messages is not None
             return list(messages or ())
         time.sleep(TICK / 20)
@@ -217,10 +225,10 @@ class Watch:
         return Reply.of(self.messages, broken, self.started)
 
 
-def shorten(log: Path | None) -> None:
+def shorten(log: Path) -> None:
     """Cut a log that has grown long: only its end is kept. The child goes on appending to it, and may remove it."""
     with contextlib.suppress(OSError):
-        if log is None or not log.is_file() or log.stat().st_size <= LONG_LOG:
+        if not log.is_file() or log.stat().st_size <= LONG_LOG:
             return
         with log.open("rb") as file:
             file.seek(-SHORT_LOG, os.SEEK_END)

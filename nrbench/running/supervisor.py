@@ -250,8 +250,9 @@ class Supervisor:
     def _start(self) -> None:
         """Start the worker, and wait until it is ready. If it does not start, the first request says so."""
         self._plugins = plugins.files()
-        words = [f"--folder={self._folder() / 'imports'}", *([] if self._forks else ["--fresh"]), *self._plugins]
-        self._worker = start_worker(*words, stderr=subprocess.DEVNULL, env=worker_environment())
+        content = {"once": False, "fresh": not self._forks, "files": self._plugins}
+        content["folder"] = str(self._folder() / "imports")
+        self._worker = start_worker(content, stderr=subprocess.DEVNULL, env=worker_environment())
         self._lines, self._reader = read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}
         if first.get("compiling"):

@@ -7,7 +7,6 @@ metrics of nrbench: one forked child, the scorer, scores many cells.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import dataclasses
 import importlib
@@ -167,12 +166,20 @@ class ForkedChild:
         finally:
             os.close(theirs)
             os.close(requests)
-        self.receive = _receiver(self._messages)
+        self._pending = b""
 
     def send(self, request: Request) -> None:
         """Send a request."""
         with contextlib.suppress(OSError):  # it has just died
             _write_line(self._requests, request.to_json())
+
+    def receive(self, seconds: float) -> list[Message] | None:
+        """Wait for messages, see :class:`~nrbench.running.guard.Child`."""
+        if not select.select([self._messages], [], [], seconds)[0]:
+            return []
+        data = os.read(self._messages, 1 << 16)
+        *lines, self._pending = (self._pending + data).split(b"\n")
+        return [message for line in lines if (message := guard.parse_message(line))] if data else None
 
     def has_ended(self) -> bool:
         """Return whether the process has ended."""
@@ -203,7 +210,7 @@ class FreshChild:
 
     def __init__(self, log: Path, files: Iterable[str], folder: str) -> None:
         with log.open("ab") as opened:
-            self._process = start_worker("--once", *files, stderr=opened, cwd=folder)
+            self._process = start_worker({"once": True, "files": list(files)}, stderr=opened, cwd=folder)
         self.pid = self._process.pid
         self._lines, _ = read_lines(self._process)
 
@@ -215,13 +222,13 @@ class FreshChild:
             self._process.stdin.close()
 
     def receive(self, seconds: float) -> list[Message] | None:
-        """Wait for a message, see :data:`~nrbench.running.guard.Receive`."""
+        """Wait for a message, see :class:`~nrbench.running.guard.Child`."""
         try:
             line = self._lines.get(timeout=seconds)
         except queue.Empty:
             return []
-        message = guard.parse_message(line) if line is not None else None
-        return None if line is None else [message] if message is not None else []
+        message = guard.parse_message(line or "")
+        return [message] if message else [] if line else None
 
     def has_ended(self) -> bool:
         """Return whether the process has ended."""
@@ -238,19 +245,20 @@ class FreshChild:
         return code
 
 
-def start_worker(*words: str, **options: Any) -> subprocess.Popen[str]:
+def start_worker(content: Mapping[str, Any], **options: Any) -> subprocess.Popen[str]:
     """Start an interpreter that calls :func:`run_worker`.
 
     Parameters
     ----------
-    words
-        Its arguments.
+    content
+        Its argument.
     options
         More options of :class:`subprocess.Popen`.
     """
     program = "from nrbench.running.worker import run_worker; run_worker()"
+    command = [sys.executable, "-c", program, json.dumps(content)]
     options = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "start_new_session": True, **options}
-    started: subprocess.Popen[str] = subprocess.Popen([sys.executable, "-c", program, *words], **options)
+    started: subprocess.Popen[str] = subprocess.Popen(command, **options)
     return started
 
 
@@ -305,7 +313,7 @@ class ChildServer:
             limits = dataclasses.replace(limits, start_seconds=GRACE, start_mib=512)
         base = guard.held_bytes(child.pid) if self._forks else 0
         child.send(request)
-        watch = guard.Watch(child.pid, child.receive, child.has_ended, limits, base, request.log)
+        watch = guard.Watch(child, limits, base, request.log)
         broken = watch.watch()
         if watch.finished and shared:
             self._scorer = cast("ForkedChild", child)
@@ -439,54 +447,36 @@ def _write_line(writable: int, line: str) -> None:
         data = data[os.write(writable, data) :]
 
 
-def _receiver(readable: int) -> guard.Receive:
-    """Return a receiver of a child's messages, one a line."""
-    pending = b""
-
-    def receive(seconds: float) -> list[Message] | None:
-        nonlocal pending
-        if not select.select([readable], [], [], seconds)[0]:
-            return []
-        data = os.read(readable, 1 << 16)
-        if not data:
-            return None
-        *lines, pending = (pending + data).split(b"\n")
-        return [message for line in lines if (message := guard.parse_message(line)) is not None]
-
-    return receive
-
-
 def run_worker() -> None:
-    """Serve the requests on standard input; with ``--once``, run a single one in this process.
+    """Serve the requests on standard input, or run a single one in this process.
 
-    The other arguments are files of plugins. They are imported in the working directory of the request, or in the one
-    that ``--folder`` names. With ``--fresh`` no child is forked.
+    The argument of the process is a mapping in JSON:
+
+    - ``once``: whether a single request is run in this process.
+    - ``fresh``: whether no child is forked.
+    - ``files``: files of plugins.
+    - ``folder``: the working directory in which they are imported; for a single request its own one.
 
     The first line of output is ``{"ready": true}``. Where kernels have to be compiled, the line
     ``{"compiling": true}`` comes before it.
     """
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--once", action="store_true")
-    parser.add_argument("--fresh", action="store_true")
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("files", nargs="*")
-    options = parser.parse_args()
+    options: Mapping[str, Any] = json.loads(sys.argv[1])
     out = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
 
     def write(content: Mapping[str, Any]) -> None:
         out.write(json.dumps(content) + "\n")
 
-    if options.once:
-        _run_fresh(options.files, cast("Send", write))
+    if options["once"]:
+        _run_fresh(options["files"], cast("Send", write))
     guard.go_on_in_child(sys.stdin.fileno())
-    home, forks = working_folder(), may_fork() and not options.fresh
+    home, forks = working_folder(), may_fork() and not options["fresh"]
     if forks:
-        leave_user_folder(Path(home), options.folder)
-        _add_files(options.files)
+        leave_user_folder(Path(home), Path(options["folder"]))
+        _add_files(options["files"])
         warm(lambda: write({"compiling": True}))
         forks = may_fork()  # again, because a plugin may have started a thread
-    server = ChildServer(forks, options.files, home)
+    server = ChildServer(forks, options["files"], home)
     write({"ready": True})
     server.recover()
     for line in sys.stdin:
