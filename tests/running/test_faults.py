@@ -15,6 +15,7 @@ import psutil
 import pytest
 from faults import FAULTS, registered_faults
 
+from nrbench import plugins
 from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
@@ -279,43 +280,33 @@ def test_a_plugin_that_does_not_load(how: str, tmp_path: Path, capsys: pytest.Ca
     assert message in line
 
 
-@pytest.mark.parametrize("forks", ["yes", "no"])
-def test_a_slow_import_takes_no_ones_time(forks: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_import_takes_no_ones_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A plugin that takes long to import is imported once by each process, outside of every limit.
 
     A file that it writes meanwhile is not in the user's folder.
     """
-    monkeypatch.setenv("NRBENCH_FORK", forks)
+    monkeypatch.setattr(plugins.registry, "_files", {})
     slowly = "import os, time\ntime.sleep(1.5)\nopen(f'imported by {os.getpid()}', 'w').close()\n"
     text = FAULTS.read_text().replace("from __future__ import annotations", slowly)
     slow = tmp_path / "slow_plugins.py"
     slow.write_text(text)
-    from nrbench import plugins
-
     plugins.add_file(slow)
-    try:
-        suite = suite_of("slow", ["faulty:how=fine", "faulty:how=seed", "faulty:how=flood"], ["judge-fine"])
-        found = run(suite, out=tmp_path / "run", options=Options(jobs=1, timeout=1.0))
-    finally:
-        plugins.registry._files.pop(slow.resolve())
+    suite = suite_of("slow", ["faulty:how=fine", "faulty:how=seed", "faulty:how=flood"], ["judge-fine"])
+    found = run(suite, out=tmp_path / "run", options=Options(jobs=1, timeout=1.0))
     assert [record.status for record in found.cells] == ["ok"] * 3
     # This process may have threads; then it imports in its working directory.
     assert {path.name for path in Path.cwd().glob("imported by *")} <= {f"imported by {os.getpid()}"}
     assert not list(found.root.rglob("imported by *"))
 
 
-def test_parameters_that_json_cannot_hold(tmp_path: Path) -> None:
+def test_parameters_that_json_cannot_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A plugin with a parameter that cannot be written down is refused with a line that names it."""
+    monkeypatch.setattr(plugins.registry, "_files", {})
     (tmp_path / "odd.py").write_text(
         "from dataclasses import dataclass\nfrom typing import Any, ClassVar\n"
         "@dataclass(frozen=True)\nclass Lambda:\n    'A method.'\n    way: Any = print\n"
         "    uses_lattice: ClassVar[bool] = False\n    def synthesize(self, task): ...\n"
     )
-    from nrbench import plugins
-
     with pytest.raises(BadInput, match="way"):
         plugins.add_file(tmp_path / "odd.py")
-        try:
-            run(suite_of("odd", ["lambda"], []), out=tmp_path / "run", options=Options(jobs=0))
-        finally:
-            plugins.registry._files.pop((tmp_path / "odd.py").resolve(), None)
+        run(suite_of("odd", ["lambda"], []), out=tmp_path / "run", options=Options(jobs=0))
