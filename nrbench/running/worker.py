@@ -29,7 +29,6 @@ from typing import IO, Any, cast
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.jit import load_kernels
-from nrbench.plugins.parameters import prepare_conversion
 from nrbench.running import guard, phases
 from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import Send
@@ -131,9 +130,7 @@ def warm(compiling: Callable[[], None]) -> None:
     for name in DEFERRED:
         importlib.import_module(name)
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
-        for plugin in plugins.inventory(kind):
-            if plugin.cls is not None:
-                prepare_conversion(plugin.cls)
+        plugins.inventory(kind)
     load_kernels(compiling)
 
 
