@@ -12,7 +12,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from nrbench.running.cluster import connect
-from nrbench.running.supervisor import Job, close_all, print_notice, run_job, run_job_here
+from nrbench.running.supervisor import InProcessRunner, Job, close_all, perform_job, print_notice, run_job
 from nrbench.runs.store import Result
 
 
@@ -39,7 +39,7 @@ def _run_now(job: Job) -> Future[Result]:
     """Run a job in the caller's thread, for the debugger; return its finished future."""
     future: Future[Result] = Future()
     try:
-        future.set_result(run_job_here(job))
+        future.set_result(perform_job(job, InProcessRunner()))
     except Exception as error:
         future.set_exception(error)
     return future

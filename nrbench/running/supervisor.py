@@ -348,11 +348,6 @@ def run_job(job: Job, tell: Callable[[str], None] = print_notice) -> Result:
     return perform_job(job, own_supervisor(tell))
 
 
-def run_job_here(job: Job) -> Result:
-    """Run one job in this process, for the debugger."""
-    return perform_job(job, InProcessRunner())
-
-
 def close_all() -> None:
     """End every worker that this process started."""
     while _all:
