@@ -329,14 +329,16 @@ def go_on_in_child(leash: int) -> None:
     if not sys.platform.startswith("linux"):
         return
     adopt_orphans()
-    child = os.fork()
-    if child == 0:
+    ended, held = os.pipe()
+    if os.fork() == 0:
+        os.close(ended)
         adopt_orphans()
         signal.signal(signal.SIGTERM, _end_with_children)
         _prctl(1, signal.SIGTERM)  # sent when the parent ends
         return
+    os.close(held)
     poll = select.poll()
-    poll.register(os.pidfd_open(child), select.POLLIN)
+    poll.register(ended, 0)
     poll.register(leash, 0)
     while not poll.poll():
         pass

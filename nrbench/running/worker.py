@@ -346,8 +346,9 @@ class ChildServer:
         guard.kill_children(os.getpid(), {child.pid for child in (self._scorer, self._next) if child is not None})
         if last is not None:
             last[1].tidy()
-        if self._forks:
-            self._next = self._next or ForkedChild(_run_one)
+        if self._forks and self._next is None:
+            with contextlib.suppress(OSError):
+                self._next = ForkedChild(_run_one)
 
 
 def _is_own(request: Request) -> bool:
