@@ -213,7 +213,7 @@ class Supervisor:
         self._reader: threading.Thread | None = None
         self._ended = False
         self._stack = contextlib.ExitStack()
-        self._temporary: Path | None = None
+        self._folder = Path()
         self._numbers = itertools.count()
 
     def run(self, request: Request) -> Reply:
@@ -226,7 +226,7 @@ class Supervisor:
             self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
         if self._worker is None:
             self._start()
-        request = dataclasses.replace(request, temporary=str(self._folder() / str(next(self._numbers))))
+        request = dataclasses.replace(request, temporary=str(self._folder / str(next(self._numbers))))
         self._check_open()
         assert self._worker is not None and self._worker.stdin is not None
         try:
@@ -245,25 +245,25 @@ class Supervisor:
 
     def _check_open(self) -> None:
         if self._ended:
+            self.close()
             raise Closed
 
     def _start(self) -> None:
-        """Start the worker, and wait until it is ready. If it does not start, the first request says so."""
+        """Start the worker, and wait until it is ready. If plugins keep it from that, start one that imports none."""
         self._plugins = plugins.files()
+        self._folder = self._stack.enter_context(temporary_folder())
         content = {"once": False, "fresh": not self._forks, "files": self._plugins}
-        content["folder"] = str(self._folder() / "imports")
+        content["folder"] = str(self._folder / "imports")
         self._worker = start_worker(content, stderr=subprocess.DEVNULL, env=worker_environment())
         self._lines, self._reader = read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}
         if first.get("compiling"):
             self._tell(COMPILING)
-            self._line(START)
-
-    def _folder(self) -> Path:
-        """Return the folder of temporary files, made when needed; :meth:`close` removes it."""
-        if self._temporary is None:
-            self._temporary = self._stack.enter_context(temporary_folder())
-        return self._temporary
+            first = guard.parse_message(self._line(START) or "") or {}
+        if not first.get("ready") and self._forks and not self._ended:  # a plugin ended it when it was imported
+            self._forks = False
+            self.close()
+            self._start()
 
     def _line(self, seconds: float) -> str | None:
         with contextlib.suppress(queue.Empty):
@@ -277,10 +277,11 @@ class Supervisor:
             guard.kill_children(worker.pid)
             worker.kill()
             worker.wait()
-            for pipe in (worker.stdin, worker.stdout if self._drained() else None):
-                with contextlib.suppress(OSError):
-                    pipe.close() if pipe else None
-        stack, self._stack, self._temporary = self._stack, contextlib.ExitStack(), None
+            assert self._reader is not None and worker.stdin is not None
+            self._reader.join(1.0)  # it closes the output
+            with contextlib.suppress(OSError):
+                worker.stdin.close()
+        stack, self._stack = self._stack, contextlib.ExitStack()
         stack.close()
 
     @property
@@ -292,12 +293,6 @@ class Supervisor:
         """Kill the worker for good: a running job raises :class:`Closed`, and no further one starts."""
         self._ended = True
         self.close()
-
-    def _drained(self) -> bool:
-        """Wait a little for the end of the worker's output, which a process that it started may hold open."""
-        if self._reader is not None:
-            self._reader.join(1.0)
-        return self._reader is None or not self._reader.is_alive()
 
     def __enter__(self) -> Supervisor:
         return self

@@ -299,6 +299,22 @@ def test_a_slow_import_takes_no_ones_time(tmp_path: Path, monkeypatch: pytest.Mo
     assert not list(found.root.rglob("imported by *"))
 
 
+@pytest.mark.usefixtures("faulty")
+def test_a_worker_that_ends_when_it_imports_a_plugin(tmp_path: Path) -> None:
+    """Where a plugin ends every process that imports all plugins, cells run in fresh interpreters."""
+    text = "import os, sys\nif '\"once\": false' in sys.argv[-1]:\n    os._exit(0)\n"
+    (tmp_path / "fatal.py").write_text(
+        f"{text}from dataclasses import dataclass\n@dataclass(frozen=True)\nclass Fatal:\n    'A method.'\n"
+        "    def synthesize(self, task): ...\n"
+    )
+    plugins.add_file(tmp_path / "fatal.py")
+    try:
+        found = run(suite_of("fatal", ["fine"], ["cost"]), out=tmp_path / "run", options=Options(timeout=30))
+    finally:
+        plugins.registry._files.pop((tmp_path / "fatal.py").resolve())
+    assert [record.status for record in found.cells] == ["ok"]
+
+
 def test_parameters_that_json_cannot_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A plugin with a parameter that cannot be written down is refused with a line that names it."""
     monkeypatch.setattr(plugins.registry, "_files", {})
