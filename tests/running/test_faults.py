@@ -121,7 +121,7 @@ def is_logged(record: CellRecord, how: str) -> bool:
     """Return whether a cell's row shows the line that its plugin printed, or the end of the traceback after it."""
     return any(
         text in record.log_tail
-        for text in (f"planted {how}", "planted failure", "is read-only", "MemoryError", "BadInput")
+        for text in (f"planted {how}", "planted failure", "is read-only", "MemoryError", "BadInput", "No space", "Mute")
     )
 
 
