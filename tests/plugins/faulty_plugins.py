@@ -272,7 +272,7 @@ def make_judge(how: str) -> type:
 
 
 JUDGES = (
-    *("raise", "stubborn", "segfault", "exit", "hog", "litter", "flood", "seed", "folder", "mutate"),
+    *("raise", "stubborn", "segfault", "exit", "hog", "litter", "flood", "seed", "folder", "mutate", "escape"),
     *("nothing", "nan", "shape", "words", "fine"),
 )
 globals().update({f"Judge{how}": make_judge(how) for how in JUDGES})
