@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -80,7 +79,7 @@ def executor(
     else:
         pool = ThreadPoolExecutor(jobs, thread_name_prefix="cell")
         try:
-            yield Executor(partial(pool.submit, run_job, tell=tell), lambda: jobs)
+            yield Executor(lambda job: pool.submit(run_job, job, tell), lambda: jobs)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             close_all()
