@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
+from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
@@ -172,6 +173,12 @@ class MethodSummary:
     rank: int | None = None
     leading: bool = False
     average_rank: float | None = None
+
+    @property
+    def all_means(self) -> dict[str, Estimate]:
+        """The success rates and the means, by the names of their columns."""
+        rates = {"preserved": self.success, "preserved_refusals_left_out": self.success_answered}
+        return {**rates, **self.means}
 
 
 @dataclass(frozen=True)
@@ -797,6 +804,30 @@ def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[Summa
     return [row for row in rows if any(row.estimates)]
 
 
+def choose_rows(run: Run, comparison: Comparison, names: Sequence[str]) -> Sequence[SummaryRow]:
+    """Return the numbers of the named scores in their order, or the headlines if none is named.
+
+    Parameters
+    ----------
+    run, comparison
+        The run and its comparison.
+    names
+        Names of columns, as in ``columns.csv``, or titles of headlines.
+
+    Raises
+    ------
+    BadInput
+        For a score that no method has.
+    """
+    if not names:
+        return comparison.summary_rows
+    rows = {row.name: row for row in (*comparison.summary_rows, *other_score_rows(run, comparison.summaries))}
+    rows = {row.title: row for row in comparison.summary_rows} | rows
+    if unknown := [name for name in names if name not in rows]:
+        raise BadInput(f"column {unknown[0]!r}: no method of this run has such a score{nearest(unknown[0], rows)}")
+    return [rows[name] for name in names]
+
+
 def _row(
     name: str,
     column: Column,
@@ -849,11 +880,12 @@ def perils_points(summaries: Sequence[MethodSummary]) -> list[PerilsPoint]:
 
 def perils_table(points: Sequence[PerilsPoint]) -> pd.DataFrame:
     """Return one row a point, with intervals and the number of textures that each coordinate rests on."""
-    parts = ("value", "low", "high", "n", "of")
-    names = [f"{axis}_{part}" for axis in ("structure", "randomness") for part in parts]
-    rows = [
-        [point.method.name, point.method.lattice_source, point.method.reference]
-        + [getattr(estimate, part) for estimate in (point.structure, point.randomness) for part in parts]
+    return pd.DataFrame(
+        {
+            **{"method": point.method.name, "lattice_source": point.method.lattice_source},
+            "reference": point.method.reference,
+            **point.structure.columns("structure_value", "structure_"),
+            **point.randomness.columns("randomness_value", "randomness_"),
+        }
         for point in points
-    ]
-    return pd.DataFrame(rows, columns=["method", "lattice_source", "reference", *names])
+    )

@@ -60,6 +60,12 @@ class Estimate:
         """Whether zero lies outside the interval; None if there is no interval."""
         return None if self.ends is None else self.ends[0] > 0 or self.ends[1] < 0
 
+    def columns(
+        self, name: str, prefix: str = "", parts: Sequence[str] = ("low", "high", "n", "of")
+    ) -> dict[str, float | int | None]:
+        """Return the value under a name, and other parts under their own names with a prefix, for a row of a table."""
+        return {name: self.value, **{prefix + part: getattr(self, part) for part in parts}}
+
 
 def wilson_interval(successes: float, n: int) -> tuple[float, float] | None:
     """Compute Wilson's score interval of a proportion.

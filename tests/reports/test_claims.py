@@ -13,7 +13,7 @@ from nrbench.plugins.forms import Column
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.plots.series_plot import _claim_figure, plot_claim
-from nrbench.reports.statistics.claims import ClaimResult, evaluate_claims
+from nrbench.reports.statistics.expectations import ClaimResult, evaluate_claims
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
