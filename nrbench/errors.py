@@ -14,6 +14,15 @@ class BadInput(ValueError):
     """Input that cannot be used: the message says what, where, and what to do.
 
     The command line prints it on one line and exits with code 2.
+
+    Examples
+    --------
+    >>> from nrbench import BadInput, texture
+    >>> try:
+    ...     texture("bricks")
+    ... except BadInput as error:
+    ...     print(error)
+    dataset 'bricks' is not known (did you mean 'brick'?); see `nrbench list datasets`
     """
 
 

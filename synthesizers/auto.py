@@ -41,6 +41,11 @@ class Auto:
         The method for near-regular textures: ``"rsgf"``, which breaks fewer elements, or ``"tile-set"``.
     other
         The method for all other textures: ``"rsgf"`` in its stochastic mode, or ``"ann-pixel"``.
+
+    References
+    ----------
+    .. [1] Yanxi Liu, Yanghai Tsin, Wen-Chieh Lin. "The Promise and Perils of Near-Regular Texture." International
+           Journal of Computer Vision 62(1-2):145-159, 2005.
     """
 
     threshold: float = 0.1

@@ -82,6 +82,11 @@ class FftmPixel(MaskParameters, SearchParameters):
         The candidates for an output pixel are the sample's pixels of the same cluster; only d_TT compares them.
     clusters
         Number of clusters, 2 to 4096, only for match ``cluster``. None: 64.
+
+    References
+    ----------
+    .. [1] Alexander Nicoll, Jan Meseth, Gero Müller, Reinhard Klein. "Fractional Fourier Texture Masks: Guiding
+           Near-Regular Texture Synthesis." Computer Graphics Forum 24(3), 2005.
     """
 
     neighborhood: int = 3

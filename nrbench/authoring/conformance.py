@@ -84,11 +84,19 @@ def check_plugin(
     ------
     Conformance
         What the plugin does about one clause.
+    Finding
+        The verdict on a clause, ``pass``, ``fail`` or ``skip``, and why.
 
     Raises
     ------
     BadInput
         If there is no such plugin or clause, it does not load, or its parameters are not valid.
+
+    Examples
+    --------
+    >>> from nrbench import check_plugin
+    >>> [(finding.clause, finding.verdict) for finding in check_plugin("synthesizers", "scatter", only=["docstring"])]
+    [('docstring', 'pass')]
     """
     plugins.build(kind, name, parameters or {})
     clauses = _choose(kind, only)

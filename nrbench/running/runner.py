@@ -59,6 +59,12 @@ class Options:
         Called with a sentence that the user should read: that kernels are compiled, that a cluster has no worker.
     stop
         Once this event is set no further cell is started; those that are running end, then the run is interrupted.
+
+    Examples
+    --------
+    >>> from nrbench import Options
+    >>> Options(jobs=2, timeout=60.0).memory
+    4096.0
     """
 
     jobs: int = 1
