@@ -179,7 +179,7 @@ def summary_table(comparison: Comparison) -> pd.DataFrame:
     """Return one row a method and lattice source: rank, counts, success rates and means with intervals."""
     rows = []
     for one in comparison.summaries:
-        row = {"method": one.method.name, "lattice_source": one.method.lattice_source}
+        row: dict[str, Any] = {"method": one.method.name, "lattice_source": one.method.lattice_source}
         row |= {"reference": one.method.reference, "rank": one.rank, "leading": one.leading if one.rank else None}
         row |= one.counts
         for name, estimate in one.all_means.items():

@@ -608,7 +608,7 @@ def _summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
         summaries.append(
             MethodSummary(
                 method=method,
-                counts=_count_statuses(own["status"]),
+                counts=count_statuses(own["status"]),
                 success=success_rate(own),
                 success_answered=success_rate(own, leave_refusals_out=True),
                 means=dict(zip(names, itertools.islice(estimates, len(names)), strict=True)),
@@ -749,7 +749,8 @@ def _mean_of_known(values: Floats) -> Floats:
     return np.where(count > 0, np.where(known, values, 0.0).sum(-1) / np.maximum(count, 1), np.nan)
 
 
-def _count_statuses(status: pd.Series[str]) -> dict[str, int]:
+def count_statuses(status: pd.Series[str]) -> dict[str, int]:
+    """Return the number of ``cells``, and of those that are ``ok``, ``refused``, ``missing`` and ``failed``."""
     by_status = {name: int((status == name).sum()) for name in ("ok", "refused", "missing")}
     return {"cells": len(status), **by_status, "failed": int(status.isin(FAILED).sum())}
 

@@ -192,8 +192,8 @@ def _test(claim: Claim, expected: Expectation, cells: pd.DataFrame) -> Expectati
 
 def _subtract(mean: Estimate, value: float) -> Estimate:
     """Return an estimate less a number."""
-    known = (None if end is None else end - value for end in (mean.value, mean.low, mean.high))
-    return Estimate(*known, mean.n, mean.of)
+    known, low, high = (None if end is None else end - value for end in (mean.value, mean.low, mean.high))
+    return Estimate(known, low, high, mean.n, mean.of)
 
 
 def _difference(first: pd.DataFrame, second: pd.DataFrame) -> Estimate:
@@ -391,7 +391,7 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
     rows = run.info.get("suite", {}).get("content", {}).get("texture", [])
     names = {row["figure"]: row["name"] for row in rows if row.get("figure")}
     ran = dict.fromkeys(method for figure in read_published() for method in figure.verdicts)
-    methods = [known for name in ran if (known := _find_method(name, comparison.methods)) is not None]
+    methods = [found for name in ran if (found := _find_method(name, comparison.methods)) is not None]
     known = [figure for figure in read_published() if figure.number in names]
     if not known or not methods:
         return None
@@ -434,8 +434,8 @@ def _find_method(name: str, methods: Sequence[Method]) -> Method | None:
 def _measured_shares(cells: pd.DataFrame) -> dict[str, float]:
     """Return the share of preserved replicates by texture; failures and refusals count as lost."""
     decided = cells[cells["verdict"].isin(["preserved", "lost", "failed", "refused"])]
-    shares: dict[str, float] = decided["verdict"].eq("preserved").groupby(decided["texture"]).mean().to_dict()
-    return shares
+    shares = decided["verdict"].eq("preserved").groupby(decided["texture"]).mean()
+    return {str(texture): float(share) for texture, share in shares.items()}
 
 
 def _pair_verdicts(figures: Sequence[FigureRow], methods: Sequence[Method]) -> pd.DataFrame:
