@@ -23,7 +23,7 @@ from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
-from .estimates import Estimate, estimate_means, success_rate
+from .estimates import Estimate, estimate_means, mean_of_known, success_rate
 from .format import (
     describe_column,
     format_count,
@@ -727,7 +727,7 @@ class _TextureDraws:
 
     def means(self, method: Method) -> Floats:
         """Return the mean over replicates of each score on each texture, ``(scores, textures)``."""
-        return _mean_of_known(self.values[method.label])
+        return mean_of_known(self.values[method.label], -1)
 
     def count(self, method: Method) -> int:
         """Return the number of textures on which a method has the quality that ranks."""
@@ -735,18 +735,11 @@ class _TextureDraws:
 
     def differences(self, first: Method, second: Method) -> Floats:
         """Return the mean over replicates of first minus second on each texture, ``(scores, textures)``."""
-        return _mean_of_known(self.values[first.label] - self.values[second.label])
+        return mean_of_known(self.values[first.label] - self.values[second.label], -1)
 
     def common(self, first: Method, second: Method) -> int:
         """Return the number of textures that both methods ran on."""
         return int((self.present[first.label] & self.present[second.label]).any(1).sum())
-
-
-def _mean_of_known(values: Floats) -> Floats:
-    """Return the mean over the last axis of the values that are known; NaN if there are none."""
-    known = np.isfinite(values)
-    count = known.sum(-1)
-    return np.where(count > 0, np.where(known, values, 0.0).sum(-1) / np.maximum(count, 1), np.nan)
 
 
 def count_statuses(status: pd.Series[str]) -> dict[str, int]:

@@ -299,7 +299,7 @@ def agreement_table(comparison: PeopleComparison) -> pd.DataFrame:
 
 def _agreement_rows(comparison: QuestionComparison) -> Iterator[dict[str, Any]]:
     """Yield the kind, the raters, the number of items, the share of equal answers and four estimates of each pair."""
-    kinds = {
+    kinds: dict[str, Sequence[Any]] = {
         "judge and people": [*comparison.ranks, *comparison.with_verdict],
         "people": comparison.between,
         "self": comparison.selves,
@@ -307,7 +307,7 @@ def _agreement_rows(comparison: QuestionComparison) -> Iterator[dict[str, Any]]:
     estimates = {"kappa": "kappa", "kappa_decided": "decided", "tau": "tau", "ordered": "ordered"}
     for kind, agreements in kinds.items():
         for one in agreements:
-            row = {"kind": kind, "first": one.first, "second": one.second, "items": one.n}
+            row: dict[str, Any] = {"kind": kind, "first": one.first, "second": one.second, "items": one.n}
             row["share_equal"] = getattr(one, "equal", None)
             for name, part in estimates.items():
                 row |= getattr(one, part, Estimate(None)).columns(name, f"{name}_", ("low", "high"))
