@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
@@ -44,13 +44,30 @@ from .statistics.detections import KINDS, STOCHASTIC, DetectorComparison, compar
 from .statistics.expectations import SENTENCE, compare_with_published, evaluate_claims
 from .statistics.levels import BROKEN, compare_levels
 from .statistics.people import compare_people
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MARKS, MEANINGS
+from .statistics.verdicts import (
+    BASELINE_LEGEND,
+    BASELINE_SIGN,
+    MARKS,
+    MEANINGS,
+    explain_valid_baseline,
+    explain_verdict,
+    verdict,
+)
 
 _KEY_VERSIONS = ("nrbench", "python", "numpy", "scipy", "scikit-image", "numba", "pandas", "pillow")
 _MOST_DIFFERENCES = 1000
 """More paired differences than this are in the CSV tables only: their number grows with the square of the methods."""
 _LEVELS_WIDTH = 8.7
 """Width of the plot of levels, inches: three columns."""
+
+
+_FILTERS: Mapping[str, Callable[..., Any]] = {
+    "score_shade": score_shade,
+    "strip_control": strip_control,
+    "verdict": verdict,
+    "explain_verdict": explain_verdict,
+    "explain_valid_baseline": explain_valid_baseline,
+}
 
 
 @dataclass(frozen=True)
@@ -167,7 +184,7 @@ class HtmlReport:
 
 def _fill_template(content: Mapping[str, Any]) -> str:
     """Return the page; its content policy names style and script by hash, so that nothing else on it can run."""
-    environment = make_environment({"score_shade": score_shade, "strip_control": strip_control}, autoescape=True)
+    environment = make_environment(_FILTERS, autoescape=True)
     style = Markup(environment.get_template("style.css").render(content))
     script = Markup(environment.get_template("script.js").render())
     hashes = {"style_hash": content_hash(style), "script_hash": content_hash(script)}

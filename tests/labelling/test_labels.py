@@ -270,7 +270,7 @@ def test_answers_to_another_run_are_refused(run: Run, tmp_path: Path) -> None:
     write_key(run.root, make_page(run, seed=7))
     with pytest.raises(BadInput, match=r"p\.csv, line 2: item .* is on no page of this run"):
         read_people(run, [path])
-    with pytest.raises(BadInput, match="cannot be read .*No such file"):
+    with pytest.raises(BadInput, match=r"cannot be read .*No such file"):
         read_people(run, [tmp_path / "missing.csv"])
     with pytest.raises(BadInput, match="is given twice"):
         read_people(run, [path, path])
