@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from nrbench.cli.images import synth_command
+from nrbench.cli.single_images import synth_command
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
