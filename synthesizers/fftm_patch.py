@@ -19,7 +19,6 @@ from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
 from .patchwork.patchwork import PatchPlacer, Patchwork, SeamHeat, scan_windows
 from .patchwork.translations import to_gray_levels
 
-SeamValues = Literal["color", "mask"]
 PatchRule = Literal["period", "lowest"]
 
 LEAST_PATCH = 24
@@ -83,13 +82,10 @@ class FftmPatch(MaskParameters):
         0: one of the patches of least cost.
     refinements
         Number of windows that are covered again, as a multiple of the number of windows.
-    seam
-        The values from which the cost of a seam is computed. ``"mask"``: color and weighted mask, as in the paper.
-        ``"color"``: color alone.
     normalized
-        Whether the cost of a seam is divided by the gradients along it (section 5 of Kwatra et al.), so that seams
-        prefer places where the texture varies strongly. False: the differences alone, as in the paper (equation 1 of
-        Kwatra et al.).
+        Whether the cost of a seam is the square of the differences, in color and weighted mask, divided by the
+        gradients along the seam (after section 5 of Kwatra et al.), so that seams prefer places where the texture
+        varies strongly. False: the differences alone, as in the paper (equation 1 of Kwatra et al.).
     """
 
     weight: float = 2.0
@@ -99,7 +95,6 @@ class FftmPatch(MaskParameters):
     reach: float = 1.0
     randomness: float = 0.1
     refinements: int = 1
-    seam: SeamValues = "mask"
     normalized: bool = True
 
     reference: ClassVar[bool] = False
@@ -115,7 +110,6 @@ class FftmPatch(MaskParameters):
             "reach": 0.0,
             "randomness": 0.1,
             "refinements": 1,
-            "seam": "mask",
             "normalized": False,
             **MASK_OF_THE_PAPER,
         }
@@ -174,8 +168,8 @@ class FftmPatch(MaskParameters):
         colors = to_gray_levels(task.sample)
         sample_mask = to_gray_levels(mask.draw(_shape(task.sample)), self.weight)
         guide = to_gray_levels(output_mask, self.weight), sample_mask
-        features = colors if self.seam == "color" else np.concatenate([colors, sample_mask], -1)
-        work = Patchwork(task.sample, features, task.shape, self.normalized, self.tileable)
+        features = np.concatenate([colors, sample_mask], -1)
+        work = Patchwork(task.sample, features, task.shape, self.normalized, 2 if self.normalized else 1, self.tileable)
         placer = PatchPlacer(work, colors, self.randomness, task.rng, guide, round(self.reach * min(size)))
         step_y, step_x = (max(1, round(side * (1 - self.overlap))) for side in size)
         windows = list(scan_windows(task.shape, size, (step_y, step_x), self.tileable))

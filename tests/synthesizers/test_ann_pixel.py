@@ -81,13 +81,6 @@ def test_every_parameter_changes_something() -> None:
         assert (first != second).any(), other
 
 
-def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
-    """The random stream of the task is the only source of randomness."""
-    first, second, other = (synthesize(AnnPixel(), noise(40, 40), (50, 50), seed=k).image for k in (1, 1, 2))
-    np.testing.assert_array_equal(first, second)
-    assert (first != other).any()
-
-
 def test_a_sample_smaller_than_the_window_is_refused() -> None:
     """The message names the sizes of the sample and of the window, whose rows below the pixel do not count."""
     with pytest.raises(Refused, match="10x6 px, the sample is 30x5 px"):

@@ -184,18 +184,6 @@ def test_every_parameter_changes_something() -> None:
         assert (output(**one) != output(**other)).any(), other
 
 
-def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
-    """The random stream of the task is the only source of randomness."""
-    tile = soft_tile(7, 9)
-    for match in MATCHES:
-        first, second, other = (
-            synthesize(FftmPixel(match=match), repeated(tile, (40, 40)), (50, 50), mask_of(tile), k).source
-            for k in (1, 1, 2)
-        )
-        np.testing.assert_array_equal(first, second)
-        assert (np.asarray(first) != np.asarray(other)).any()
-
-
 @pytest.mark.parametrize("tileable", [False, True])
 def test_progress_rises_to_one(tileable: bool) -> None:
     """Progress is reported band by band."""
@@ -233,13 +221,6 @@ def test_a_flat_sample_gives_a_flat_output() -> None:
     for match, search in itertools.product(MATCHES, SEARCHES):
         made = synthesize(FftmPixel(match=match, search=search), flat, (70, 70), mask_of(soft_tile(7, 9, 1)))  # type: ignore[arg-type]
         np.testing.assert_allclose(made.image, 0.4, atol=0.002)
-
-
-def test_without_waves_it_is_refused() -> None:
-    """A sample without a regular part has no mask."""
-    flat = np.full((32, 32, 3), 0.4, np.float32)
-    with pytest.raises(Refused, match="no regular part"):
-        FftmPixel().synthesize(Task(flat, (40, 40), None, np.random.default_rng(0)))
 
 
 def test_it_makes_its_own_mask() -> None:
