@@ -11,7 +11,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.running.outputs import checked_synthesis, is_picture
 from nrbench.synthesizers.fftm_patch import FftmPatch, automatic_size
-from nrbench.synthesizers.masks.texture_mask import CommonPeriod, MaskParameters, TextureMask
+from nrbench.synthesizers.masks.texture_mask import MaskParameters, TextureMask
 
 WHOLE = Lattice((24, 0), (0, 20))
 
@@ -48,10 +48,10 @@ class Tiled:
         one, other = (np.take(values, k % values.shape[axis], axis) for k in (first, first + 1))
         return one * (1 - share) + other * share
 
-    def find_period(self, tolerance: float, limit: float = 1024.0) -> CommonPeriod | None:
+    def find_period(self, tolerance: float = 0.5, limit: int = 1024) -> tuple[int, int] | None:
         """Return the smallest rectangle that is a period."""
         height, width = self.tile.shape[:2]
-        return CommonPeriod((width, height), 0.0) if max(width, height) <= limit else None
+        return (width, height) if max(width, height) <= limit else None
 
 
 def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:

@@ -122,7 +122,7 @@ def test_every_pixel_is_the_samples_and_the_map_says_which(
 @pytest.mark.parametrize("coherence", [0.0, 2.0])
 @pytest.mark.parametrize("dimensions", [0, 5])
 def test_the_tree_finds_what_exhaustive_search_finds(match: Any, coherence: float, dimensions: int) -> None:
-    """With eps 0 both searches give the same bytes, on noise and on a texture with many ties."""
+    """Both searches give the same bytes, on noise and on a texture with many ties."""
     tile = soft_tile(7, 9)
     for sample in (noise(40, 44), repeated(tile, (40, 44)), repeated(tile, (40, 44), 0.05)):
         ann, all_of_them = (
@@ -177,8 +177,7 @@ def test_every_parameter_changes_something() -> None:
     clustered, coherent = {"match": "cluster"}, {"search": "k-coherence", "coherence": 0.0}
     pairs: list[tuple[dict[str, Any], dict[str, Any]]] = [
         ({}, {"neighborhood": 4}), ({}, {"weight": 3.0}), ({}, clustered), ({}, coherent), ({}, {"coherence": 0.0}),
-        ({}, {"eps": 3.0}), ({}, {"dimensions": 4}), (coherent, {**coherent, "similar": 9}),
-        (clustered, {**clustered, "clusters": 9}), ({}, {"tileable": True}),
+        ({}, {"dimensions": 4}), ({}, {"tileable": True}),
     ]  # fmt: skip
     for one, other in pairs:
         assert (output(**one) != output(**other)).any(), other
@@ -241,10 +240,8 @@ def test_it_makes_its_own_mask() -> None:
     "parameters",
     [
         {"neighborhood": 1}, {"neighborhood": 7}, {"weight": -1.0}, {"weight": math.nan}, {"weight": 101.0},
-        {"coherence": 0.5}, {"coherence": math.inf}, {"coherence": math.nan}, {"eps": -0.1}, {"eps": math.inf},
-        {"eps": 1.0, "search": "exhaustive"}, {"eps": 1.0, "search": "k-coherence"}, {"dimensions": -1},
-        {"similar": 3}, {"similar": 0, "search": "k-coherence"}, {"similar": 65, "search": "k-coherence"},
-        {"clusters": 9}, {"clusters": 1, "match": "cluster"}, {"weight": 2.0, "match": "cluster"},
+        {"coherence": 0.5}, {"coherence": math.inf}, {"coherence": math.nan}, {"dimensions": -1},
+        {"weight": 2.0, "match": "cluster"},
         {"tileable": True, "harmonics": "free"}, {"threshold": -1.0},
     ],
 )  # fmt: skip
