@@ -14,8 +14,15 @@ from nrbench.plugins.forms import Synthesis, Task
 
 from .gap_filling.blocks import Box
 from .gap_filling.matching import FrameMatcher
-from .patch_laying.choice import LARGEST_SHARE, draw_within
-from .patch_laying.raster_canvas import Place, RasterCanvas, RasterGrid, check_patch, require_patch
+from .patch_laying.raster_canvas import (
+    LARGEST_SHARE,
+    Place,
+    RasterCanvas,
+    RasterGrid,
+    check_patch,
+    draw_within,
+    require_patch,
+)
 
 BLOCK_SHARE = 0.5
 """Side of an automatic block as a share of the sample's shorter side.

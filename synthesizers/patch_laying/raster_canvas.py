@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ Place = tuple[int, int]
 Weights = NDArray[np.int64]
 """``int64 (h, w)``: weights in units of 1 / (zone + 1), from 1 to zone + 1. They are integers, so that blends are
 rounded alike on every machine."""
+LARGEST_SHARE = 1e6
+"""The largest relative error that a method accepts as a parameter. Its square times an error is finite."""
 
 
 class Spot(NamedTuple):
@@ -120,6 +122,29 @@ def require_patch(what: str, size: int, margin: str, overlap: int, sample_shape:
     raise Refused(
         f"the sample is {width}x{height} px, a {what} {size}x{size} px; choose {what} <= {side}, or leave it out"
     )
+
+
+def draw_within(errors: NDArray[Any], limit: float, rng: np.random.Generator) -> int:
+    """Draw one of the entries that are at most ``limit``, all with the same probability.
+
+    If there are none, one of the least entries is drawn, so that there is always a result.
+
+    Parameters
+    ----------
+    errors
+        At least one, of any shape.
+    limit
+        The largest accepted error, in the unit of ``errors``.
+    rng
+        The generator; at most one number is drawn from it.
+
+    Returns
+    -------
+    int
+        Flat index of the entry.
+    """
+    accepted = np.flatnonzero(errors <= max(limit, errors.min()))
+    return int(accepted[rng.integers(len(accepted))])
 
 
 class RasterCanvas:

@@ -11,8 +11,13 @@ from synthesis_cases import noise
 from nrbench.imaging.convert import to_bytes
 from nrbench.synthesizers.gap_filling.blocks import box_slices
 from nrbench.synthesizers.gap_filling.matching import FrameMatcher, frame_mask
-from nrbench.synthesizers.patch_laying.choice import draw_within
-from nrbench.synthesizers.patch_laying.raster_canvas import RasterCanvas, RasterGrid, blend, feather_weights
+from nrbench.synthesizers.patch_laying.raster_canvas import (
+    RasterCanvas,
+    RasterGrid,
+    blend,
+    draw_within,
+    feather_weights,
+)
 from nrbench.synthesizers.patch_laying.zone_tree import ZoneTree
 
 
