@@ -40,6 +40,11 @@ class AnnPixel(SearchParameters):
     neighborhood
         Side N of the window in px, 2 to 10. The window reaches from -N//2 to N - 1 - N//2 around the pixel; the pixels
         before it in scan-line order are compared. (The paper uses 5, 6, 8 and 10.)
+
+    References
+    ----------
+    .. [1] Alexander Nicoll, Jan Meseth, Gero Müller, Reinhard Klein. "Fractional Fourier Texture Masks: Guiding
+           Near-Regular Texture Synthesis." Computer Graphics Forum 24(3), 2005.
     """
 
     neighborhood: int = 8

@@ -80,6 +80,11 @@ class FftmPixel(MaskParameters, SearchParameters):
         ``"full"``: as above. ``"cluster"``: pixels are sorted into 64 clusters by the mask in the whole window around
         them (k-means). The candidates for an output pixel are the sample's pixels of the same cluster; only d_TT
         compares them.
+
+    References
+    ----------
+    .. [1] Alexander Nicoll, Jan Meseth, Gero Müller, Reinhard Klein. "Fractional Fourier Texture Masks: Guiding
+           Near-Regular Texture Synthesis." Computer Graphics Forum 24(3), 2005.
     """
 
     neighborhood: int = 3

@@ -77,6 +77,11 @@ class PatchBased:
     search
         ``"exhaustive"``: all patches are compared. ``"kdtree"``: only the 40 nearest neighbors that the tree
         finds. A neighbor may be up to twice as far, in the space of the components, as the one that it stands for.
+
+    References
+    ----------
+    .. [1] Lin Liang, Ce Liu, Ying-Qing Xu, Baining Guo, Heung-Yeung Shum. "Real-Time Texture Synthesis by Patch-Based
+           Sampling." ACM Transactions on Graphics 20(3):127-150, 2001. :DOI:`10.1145/501786.501787`
     """
 
     patch: int = 0

@@ -92,6 +92,11 @@ class Gncc:
         Number of phase-randomized copies.
     false_alarms
         Probability that a phase-randomized copy is accepted as a lattice.
+
+    References
+    ----------
+    .. [1] Diego Lopez Recas, Anna Hilsmann, Peter Eisert. "Near-Regular Texture Synthesis by Random Sampling and Gap
+           Filling." Vision, Modeling, and Visualization (VMV 2011), The Eurographics Association, 2011.
     """
 
     alpha: float = 1.12

@@ -85,6 +85,11 @@ class Ssdn:
         Number of phase-randomized copies.
     false_alarms
         Probability that a phase-randomized copy is accepted as a lattice.
+
+    References
+    ----------
+    .. [1] "Extraction of a Representative Tile from a Near-Periodic Texture." Université de Sherbrooke, Québec, Canada.
+           The text that was implemented has no date, authors or venue.
     """
 
     depth: float = 0.8

@@ -50,10 +50,22 @@ def draw_lattice(image: Image, lattice: Lattice, color: tuple[float, float, floa
     color
         sRGB color of the lines, in [0, 1].
 
+    Returns
+    -------
+    Image
+        Float32 ``(H, W, 3)`` in [0, 1].
+
     Notes
     -----
     Each pixel is mixed with the color by its distance from the nearest line, which follows from its cell coordinates.
     The time depends on the image alone and not on the number of cells.
+
+    Examples
+    --------
+    >>> from nrbench import draw_lattice, texture
+    >>> brick = texture("brick", shape=(64, 96))
+    >>> draw_lattice(brick.image, brick.lattice).shape
+    (64, 96, 3)
     """
     canvas = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image.copy()
     basis = lattice.reduced()

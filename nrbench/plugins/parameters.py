@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import difflib
 import inspect
@@ -159,16 +158,6 @@ def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
         raise BadInput(f"{where}: {error}") from error
 
 
-def prepare_conversion(cls: type[Any]) -> None:
-    """Build the converters of all parameters of a plugin, so that no child of this process has to.
-
-    A converter that cannot be built is left out. The conversion of that parameter raises the error.
-    """
-    for field in dataclasses.fields(cls):
-        with contextlib.suppress(Exception):  # the annotations of plugins of others may be wrong in any way
-            _adapter(cls, field.name)  # type: ignore[arg-type]
-
-
 @cache
 def _adapter(cls: type[Any], name: str) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
@@ -247,6 +236,6 @@ def append_parameters(cls: type[Any], base: type[Any]) -> None:
     """
     if cls.__doc__ and base.__doc__:
         shared = inspect.cleandoc(base.__doc__).partition("Parameters\n----------\n")[2]
-        own = inspect.cleandoc(cls.__doc__)
-        heading = "" if "\nParameters\n" in own else "\nParameters\n----------\n"
-        cls.__doc__ = f"{own}\n{heading}{shared}\n"
+        own, heading, references = inspect.cleandoc(cls.__doc__).partition("\n\nReferences\n")
+        begin = "" if "\nParameters\n" in own else "\nParameters\n----------\n"
+        cls.__doc__ = f"{own}\n{begin}{shared}{heading}{references}\n"

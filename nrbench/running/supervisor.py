@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
+import itertools
 import os
 import queue
 import shutil
@@ -13,20 +14,19 @@ import sys
 import tempfile
 import threading
 import time
-import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from nrbench import plugins
 from nrbench.errors import describe_error, storage_fault
 from nrbench.running import guard
-from nrbench.running.guard import Message
-from nrbench.running.worker import Reply, Request, perform
+from nrbench.running.guard import Message, Reply
+from nrbench.running.worker import GRACE, Request, perform, read_lines, start_worker
 from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import temporary_folder, working_folder
 
@@ -40,13 +40,10 @@ THREAD_VARIABLES = (
     "NUMBA_NUM_THREADS",
 )
 """Set to 1 in every worker, before numpy loads there."""
-GRACE = 10.0
-"""Seconds that a worker may take, beyond the limit it enforces itself, before it is killed."""
 ROOM = 4 << 20
 """Bytes that must find room on the disk of a run for it to go on after an error of a disk."""
 START = 900.0
-"""Seconds that a worker may take to start. A busy machine compiles all kernels for minutes. If the worker were stopped,
-fresh interpreters would compile them for each cell."""
+"""Seconds that a worker may take to start. A busy machine compiles all kernels for minutes."""
 COMPILING = "compiling kernels (once per machine, up to some minutes)"
 """The notice of a worker that compiles kernels."""
 
@@ -87,7 +84,7 @@ class Job:
     side_by_side: float = 0.0
     user_folder: str = dataclasses.field(default_factory=working_folder)
 
-    def request(self, phase: Literal["detect", "synthesize", "score"], metrics: tuple[str, ...] = ()) -> Request:
+    def request(self, phase: str, metrics: tuple[str, ...] = ()) -> Request:
         """Return the request of one phase of this job."""
         return Request(phase, self.folder, self.seconds, self.mib, metrics, self.user_folder)
 
@@ -200,27 +197,24 @@ class Closed(BaseException):
 class Supervisor:
     """Owns one warm worker, and replaces it when it dies.
 
-    Where forking is unsafe or absent, each request runs in a fresh interpreter, under the same limits but more slowly.
-
     Parameters
     ----------
     tell
         Called with a sentence when the start of the worker takes minutes, because kernels are compiled.
     forks
-        Whether requests may run in forked children; otherwise each one runs in a fresh interpreter.
+        Whether requests run in forked children where that is safe; otherwise each one runs in a fresh interpreter.
     """
 
     def __init__(self, tell: Callable[[str], None] = print_notice, *, forks: bool = True) -> None:
-        self._tell = tell
+        self._tell, self._forks = tell, forks
         self._plugins: list[str] = []
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader: threading.Thread | None = None
-        self._mark = uuid.uuid4().hex
-        self._forks = forks
         self._ended = False
         self._stack = contextlib.ExitStack()
-        self._temporary: Path | None = None
+        self._folder = Path()
+        self._numbers = itertools.count()
 
     def run(self, request: Request) -> Reply:
         """Run one request under its limits.
@@ -230,22 +224,17 @@ class Supervisor:
         self._check_open()
         if self._worker is not None and self._plugins != plugins.files():
             self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
-        if self._forks and self._worker is None:
-            self._forks = self._start()
-        request = dataclasses.replace(request, temporary=str(self._folder() / "tmp"))
+        if self._worker is None:
+            self._start()
+        request = dataclasses.replace(request, temporary=str(self._folder / str(next(self._numbers))))
         self._check_open()
-        if not self._forks:
-            reply = _run_in_fresh_interpreter(request, lambda: not self._ended)
-            self._check_open()
-            return reply
         assert self._worker is not None and self._worker.stdin is not None
         try:
             self._worker.stdin.write(request.to_json() + "\n")
             self._worker.stdin.flush()
         except OSError:
             return self._crash("the worker process had ended")
-        parts = max(1, len(request.metrics))
-        line = self._line(request.seconds * parts + GRACE)
+        line = self._line(request.seconds * max(1, len(request.metrics)) + 2 * GRACE)
         self._check_open()
         return Reply.from_json(line or "") or self._crash("the worker process died")
 
@@ -256,27 +245,25 @@ class Supervisor:
 
     def _check_open(self) -> None:
         if self._ended:
+            self.close()
             raise Closed
 
-    def _start(self) -> bool:
-        """Start the worker; return whether it can fork."""
+    def _start(self) -> None:
+        """Start the worker, and wait until it is ready. If plugins keep it from that, start one that imports none."""
         self._plugins = plugins.files()
-        self._worker = _start_process(subprocess.DEVNULL, self._mark, f"--folder={self._folder() / 'imports'}")
-        self._lines, self._reader = _read_lines(self._worker)
+        self._folder = self._stack.enter_context(temporary_folder())
+        content = {"once": False, "fresh": not self._forks, "files": self._plugins}
+        content["folder"] = str(self._folder / "imports")
+        self._worker = start_worker(content, stderr=subprocess.DEVNULL, env=worker_environment())
+        self._lines, self._reader = read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}
         if first.get("compiling"):
             self._tell(COMPILING)
             first = guard.parse_message(self._line(START) or "") or {}
-        if not first.get("fork"):
+        if not first.get("ready") and self._forks and not self._ended:  # a plugin ended it when it was imported
+            self._forks = False
             self.close()
-            return False
-        return True
-
-    def _folder(self) -> Path:
-        """Return the folder of temporary files, made when needed; :meth:`close` removes it."""
-        if self._temporary is None:
-            self._temporary = self._stack.enter_context(temporary_folder())
-        return self._temporary
+            self._start()
 
     def _line(self, seconds: float) -> str | None:
         with contextlib.suppress(queue.Empty):
@@ -287,13 +274,14 @@ class Supervisor:
         """Kill the worker and all that it started."""
         worker, self._worker = self._worker, None  # two threads may close at the same time
         if worker is not None:
-            guard.sweep(worker.pid)
+            guard.kill_children(worker.pid)
+            worker.kill()
             worker.wait()
-            guard.sweep_marked(self._mark)
-            for pipe in (worker.stdin, worker.stdout if self._drained() else None):
-                with contextlib.suppress(OSError):
-                    pipe.close() if pipe else None
-        stack, self._stack, self._temporary = self._stack, contextlib.ExitStack(), None
+            assert self._reader is not None and worker.stdin is not None
+            self._reader.join(1.0)  # it closes the output
+            with contextlib.suppress(OSError):
+                worker.stdin.close()
+        stack, self._stack = self._stack, contextlib.ExitStack()
         stack.close()
 
     @property
@@ -305,12 +293,6 @@ class Supervisor:
         """Kill the worker for good: a running job raises :class:`Closed`, and no further one starts."""
         self._ended = True
         self.close()
-
-    def _drained(self) -> bool:
-        """Wait a little for the end of the worker's output, which a process that it started may hold open."""
-        if self._reader is not None:
-            self._reader.join(1.0)
-        return self._reader is None or not self._reader.is_alive()
 
     def __enter__(self) -> Supervisor:
         return self
@@ -327,79 +309,12 @@ class InProcessRunner:
         messages: list[Message] = []
         with np.errstate():  # so that no plugin changes it for the next one
             perform(request, messages.append)
-        return Reply.of(guard.Ending(messages))
+        return Reply.of(messages)
 
 
 def worker_environment() -> dict[str, str]:
     """Return the environment of a worker: one thread, and no imports from the working directory."""
     return {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "1"), "PYTHONSAFEPATH": "1", "MPLBACKEND": "Agg"}
-
-
-def _start_process(log: IO[bytes] | int, mark: str, *options: str) -> subprocess.Popen[str]:
-    program = "from nrbench.running.worker import main; main()"
-    return subprocess.Popen(
-        [sys.executable, "-c", program, *options, *plugins.files()],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=log,
-        text=True,
-        env={**worker_environment(), guard.MARK: mark},
-        start_new_session=True,
-    )
-
-
-def _read_lines(process: subprocess.Popen[str]) -> tuple[queue.Queue[str | None], threading.Thread]:
-    """Read the output of a process in a thread; return the queue of its lines (None at the end) and the thread."""
-    lines: queue.Queue[str | None] = queue.Queue()
-
-    def read(output: IO[str]) -> None:
-        with contextlib.suppress(ValueError, OSError):
-            for line in output:
-                lines.put(line)
-            output.close()
-        lines.put(None)
-
-    thread = threading.Thread(target=read, args=(process.stdout,), daemon=True)
-    thread.start()
-    return lines, thread
-
-
-def _run_in_fresh_interpreter(request: Request, wanted: Callable[[], bool]) -> Reply:
-    """Run one request in an interpreter of its own, and watch it from this process while the reply is wanted."""
-    mark = uuid.uuid4().hex
-    with request.log.open("ab") as log:
-        child = _start_process(log, mark, "--once")
-    lines, _ = _read_lines(child)
-    assert child.stdin is not None
-    with contextlib.suppress(OSError):
-        child.stdin.write(request.to_json() + "\n")
-        child.stdin.close()
-    limits = guard.Limits(request.seconds, request.mib, request.metrics, GRACE, 512)
-    watch = guard.Watch(
-        child.pid,
-        lambda seconds: _next_message(lines, seconds),
-        lambda: child.poll() is not None,
-        limits,
-        log=request.log,
-        wanted=wanted,
-    )
-    try:
-        broken = watch.watch()
-    finally:  # also at an interrupt
-        guard.sweep(child.pid)
-        code = child.wait()
-        guard.sweep_marked(mark)
-        request.tidy()
-    return Reply.of(watch.ending(broken, code))
-
-
-def _next_message(lines: queue.Queue[str | None], seconds: float) -> list[Message] | None:
-    try:
-        line = lines.get(timeout=seconds)
-    except queue.Empty:
-        return []
-    message = guard.parse_message(line) if line is not None else None
-    return None if line is None else [message] if message is not None else []
 
 
 _own = threading.local()
@@ -426,11 +341,6 @@ def run_job(job: Job, tell: Callable[[str], None] = print_notice) -> Result:
         Called with a sentence that the user should read.
     """
     return perform_job(job, own_supervisor(tell))
-
-
-def run_job_here(job: Job) -> Result:
-    """Run one job in this process, for the debugger."""
-    return perform_job(job, InProcessRunner())
 
 
 def close_all() -> None:
