@@ -21,20 +21,13 @@ from .patch_laying.raster_canvas import (
     RasterCanvas,
     RasterGrid,
     check_patch,
+    choose_size,
     draw_within,
-    require_patch,
 )
 from .patch_laying.zone_tree import ZoneTree
 
 Search = Literal["exhaustive", "kdtree"]
 
-PATCH_SHARE = 0.5
-"""Side of an automatic patch as a share of the sample's shorter side.
-
-Mean quality on the suite core with other seeds: 0.41 with a half, 0.34 with three eighths.
-"""
-LEAST_PATCH = 3
-"""px: least side of an automatic patch."""
 NEIGHBORS = 40
 """Number of patches that the k-d tree finds."""
 SEARCH_ERROR = 1.0
@@ -123,7 +116,8 @@ class PatchBased:
         Refused
             If the sample does not hold a patch.
         """
-        grid = self.find_grid(task)
+        patch = choose_size("patch", self.patch, "zone", self.zone, task.sample.shape)
+        grid = RasterGrid(task.shape, patch, self.zone)
         canvas, matcher = RasterCanvas(task.sample, grid), FrameMatcher(task.sample, grid.size)
         tree = lru_cache(maxsize=3)(lambda hole: ZoneTree(matcher, hole))
 
@@ -138,13 +132,6 @@ class PatchBased:
             return x, y
 
         return canvas.cover(task, matcher.search_shape, choose, canvas.join_by_feathering)
-
-    def find_grid(self, task: Task) -> RasterGrid:
-        """Return the spots of the patches. Raise :class:`Refused` if the sample does not hold a patch."""
-        side = min(task.sample.shape[:2])
-        patch = self.patch or max(round(PATCH_SHARE * side), LEAST_PATCH, 2 * self.zone)
-        require_patch("patch", patch, "zone", self.zone, task.sample.shape)
-        return RasterGrid(task.shape, patch, self.zone)
 
 
 def squared_limit(zone: NDArray[np.float32], epsilon: float) -> float:

@@ -58,16 +58,6 @@ def test_every_pixel_is_the_samples_and_the_map_says_which(
     np.testing.assert_array_equal(made.image, sample[y.astype(int), x.astype(int)])
 
 
-def test_the_tree_finds_what_exhaustive_search_finds() -> None:
-    """Both searches give the same bytes."""
-    for coherence in (0.0, 2.0):
-        ann, all_of_them = (
-            synthesize(AnnPixel(5, search=search, coherence=coherence), noise(40, 44), (50, 41)).source
-            for search in ("ann", "exhaustive")
-        )
-        np.testing.assert_array_equal(ann, all_of_them)
-
-
 def test_every_parameter_changes_something() -> None:
     """Each parameter changes the output."""
     sample = quantize(0.8 * np.tile(noise(9, 10), (5, 5, 1)) + 0.2 * noise(45, 50, seed=1))

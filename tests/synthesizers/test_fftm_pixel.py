@@ -194,16 +194,6 @@ def test_progress_rises_to_one(tileable: bool) -> None:
     assert len(reports) > 8
 
 
-@pytest.mark.parametrize("shape", [(1, 90), (90, 1), (1, 1), (3, 4), (8, 8)])
-@pytest.mark.parametrize("neighborhood", [2, 6])
-def test_lines_and_outputs_smaller_than_the_sample_and_the_window_work(
-    shape: tuple[int, int], neighborhood: int
-) -> None:
-    """Outputs of any shape are filled completely."""
-    made = synthesize(FftmPixel(neighborhood), noise(30, 30), shape, mask_of(soft_tile(7, 9)))
-    assert made.image.shape == (*shape, 3)
-
-
 def test_a_sample_smaller_than_the_window_is_refused() -> None:
     """The message names the sizes of neighborhood and sample; one complete neighborhood is enough."""
     mask = mask_of(soft_tile(7, 9))
