@@ -288,8 +288,8 @@ class ChildServer:
     no state and start nothing, so one child, the scorer, scores many cells: a fork takes longer than many a score. It
     is replaced when it breaks a limit, dies, or has come to hold more than :data:`SCORER_ROOM`.
 
-    A fork takes milliseconds, and so does the end of a process. Neither delays a reply: the child of the next request is
-    forked after a reply, and the last child ends while the scorer works, or before the next child begins.
+    A fork takes milliseconds, and so does the end of a process. Neither delays a reply: the child of the next request
+    is forked after a reply, and the last child ends while the scorer works, or before the next child begins.
 
     Parameters
     ----------
