@@ -9,14 +9,8 @@ import pytest
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
-from nrbench.reports.statistics.comparison import (
-    COSTS,
-    Comparison,
-    compare_methods,
-    list_patch_terms,
-    other_score_rows,
-    sort_headlines_first,
-)
+from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
+from nrbench.reports.statistics.summaries import COSTS, list_patch_terms, other_score_rows, sort_headlines_first
 from nrbench.reports.statistics.verdicts import SCORE
 from nrbench.runs.records import Run
 from nrbench.synthesizers.tile_set import TileSet
@@ -24,12 +18,6 @@ from nrbench.synthesizers.tile_set import TileSet
 from .conftest import COLUMNS, PERILS
 
 Make = Callable[..., Any]
-
-
-def test_every_cell_has_one_entry(every_ending: Run, every_comparison: Comparison) -> None:
-    """Each cell of the run is in exactly one entry."""
-    keys = [record.key for row in every_comparison.rows for entry in row.entries if entry for record in entry.records]
-    assert sorted(keys) == sorted(record.key for record in every_ending.cells)
 
 
 def test_the_patches_of_a_run_are_those_of_its_plugins(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
@@ -166,30 +154,10 @@ def test_success_rates_count_textures(make_cell: Make, make_run: Make) -> None:
     assert (answered.values, answered.counts) == (["50 %"], ["1 of 2, 1 left out"])
 
 
-def test_columns_differ_by_lattice_source(make_cell: Make, make_run: Make) -> None:
-    """One method with two lattice sources is two columns with a paired difference."""
-    cells = [
-        make_cell(texture, "rsgf", source, score=score)
-        for texture in "ab"
-        for source, score in (("given", 0.9), ("own", 0.5))
-    ]
-    comparison = compare_methods(make_run(cells))
-    assert [method.label for method in comparison.methods] == ["rsgf (given)", "rsgf (own)"]
-    difference = next(one for one in comparison.differences if one.score == "regularity.score")
-    assert difference.estimate.value == pytest.approx(0.4)
-    assert difference.estimate.excludes_zero
-
-
 def test_a_run_without_cells_has_no_rows(make_run: Make) -> None:
     """A run without cells has no methods, no rows and no summary rows."""
     comparison = compare_methods(make_run([]))
     assert not [*comparison.methods, *comparison.rows, *comparison.summary_rows, *comparison.notes, *comparison.legend]
-
-
-def test_a_run_without_metrics_is_compared_by_time(make_cell: Make, make_run: Make) -> None:
-    """A run without scores has success rates and seconds."""
-    rows = compare_methods(make_run([make_cell()], columns={})).summary_rows
-    assert [line.name for line in rows] == ["preserved", "seconds"]
 
 
 def test_other_scores_have_their_own_rows(
