@@ -36,7 +36,7 @@ def feature_distance(features: Int32x3, y: int, x: int, v: int, u: int) -> float
     for c in range(features.shape[2]):
         difference = int(features[y, x, c]) - int(features[v, u, c])
         squares += difference * difference
-    return np.sqrt(np.float64(squares))
+    return float(np.sqrt(np.float64(squares)))
 
 
 @kernel
