@@ -55,9 +55,9 @@ def page(run: Run) -> str:
     lines = [
         "# Gallery",
         "",
-        f"Outputs on textures of the suite `{run.info['suite']['name']}`, with the lattice given. They show what methods",
-        "do; scores of the present version may differ. In each picture the sample comes first. A method that refused the",
-        "texture is left out.",
+        f"Outputs on textures of the suite `{run.info['suite']['name']}`, with the lattice given.",
+        "They show what methods do; scores of the present version may differ.",
+        "In each picture the sample comes first. A method that refused the texture is left out.",
         "",
         "The page is made by `python docs/make_gallery.py RUN`.",
     ]
