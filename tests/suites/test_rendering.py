@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,7 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.imaging.files import read_image, write_image
-from nrbench.plugins.forms import Texture
-from nrbench.suites.cell import Cell, Recipe
+from nrbench.suites.cell import Cell
 from nrbench.suites.plan import draw_samples, make_plan
 from nrbench.suites.rendering import SHEET, model_suite, write_textures
 from nrbench.suites.suite import Suite, load_suite, validated_suite
@@ -221,20 +219,6 @@ def test_pictures_of_two_folders(tmp_path: Path) -> None:
         write_textures(draw_samples(model_suite(f"images:path={tmp_path / 'b' / 'p.png'}")), tmp_path / "one")
     write_textures(draw_samples(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
     assert _contents(tmp_path / "one") == before
-
-
-def test_a_planned_picture_is_drawn_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plan of a rendered directory draws the model of each picture once, and reads each file once."""
-    renders: list[str] = []
-    render = Recipe.render
-
-    def counted(recipe: Recipe) -> Texture:
-        renders.append(recipe.dataset)
-        return render(recipe)
-
-    monkeypatch.setattr(Recipe, "render", counted)
-    _cells(load_suite(folder))
-    assert Counter(renders) == {"images": 6, "brick": 2, "weave": 2, "noise": 2}
 
 
 @pytest.mark.parametrize("names", [("a-1", "a"), ("contact-sheet", "b"), ("Wall", "wall")])
