@@ -278,25 +278,6 @@ def shortest_pair(basis: Points) -> tuple[Points, Points]:
         a, b = b, a
 
 
-def reduce_pairs(a: Points, b: Points) -> tuple[Points, Points]:
-    """Return the Lagrange-Gauss reduced bases of many lattices at once; :func:`shortest_pair` is faster for one.
-
-    Parameters
-    ----------
-    a, b
-        ``(n, 2)`` each, rows (x, y): the two vectors of each basis; they may be parallel or 0.
-    """
-    for _ in range(12):
-        swap = ((a**2).sum(1) > (b**2).sum(1))[:, np.newaxis]
-        a, b = np.where(swap, b, a), np.where(swap, a, b)
-        steps = np.rint((a * b).sum(1) / np.maximum((a**2).sum(1), 1e-12))
-        if not steps.any():
-            break
-        b = b - steps[:, np.newaxis] * a
-    swap = ((a**2).sum(1) > (b**2).sum(1))[:, np.newaxis]
-    return np.where(swap, b, a), np.where(swap, a, b)
-
-
 def _make_acute(a: Points, b: Points) -> tuple[Points, Points]:
     """Return a, and b or -b: the one at no obtuse angle to a (b if both angles are right)."""
     return a, b if a @ b >= 0 or abs(a @ b) < 1e-9 * (a @ a) else -b

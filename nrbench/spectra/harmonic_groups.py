@@ -10,7 +10,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.lattice.geometry import hermite_matrices, reduce_pairs, shortest_pair
+from nrbench.lattice.geometry import hermite_matrices, shortest_pair
+from nrbench.lattice.reduction_kernels import reduce_bases
 from nrbench.spectra.spectrum import Array, Spectrum
 from nrbench.spectra.wave_fit import Waves
 from nrbench.spectra.wave_search import WaveDetection
@@ -263,7 +264,7 @@ def _propose_pairs(peaks: Peaks) -> Array:
     steps = steps[np.hypot(*steps.T) >= SHORTEST]
     steps = steps[_first_of_equal(np.rint(steps * 4))]
     i, j = np.triu_indices(len(steps), 1)
-    pairs = np.stack(reduce_pairs(steps[i], steps[j]), 1)
+    pairs = reduce_bases(np.stack([steps[i], steps[j]], 1))
     pairs = pairs[_are_usable(pairs)]
     return np.asarray(pairs[_first_of_equal(np.rint(np.abs(pairs.reshape(-1, 4)) * 8))])
 
@@ -282,15 +283,12 @@ def _are_usable(pairs: Array) -> NDArray[np.bool_]:
     return np.asarray((short >= SHORTEST) & (area > 0.2 * short * np.hypot(*b.T)))
 
 
-def _reduce(basis: Array) -> Array:
-    return np.concatenate(reduce_pairs(basis[:1], basis[1:]))
-
 
 def _is_usable(basis: Array) -> bool:
     """Return whether one vector is not 0, or the reduced basis of two passes :func:`_are_usable`."""
     if len(basis) == 1:
         return bool(np.hypot(*basis[0]) > 0)
-    return bool(_are_usable(_reduce(basis)[np.newaxis])[0])
+    return bool(_are_usable(reduce_bases(basis[np.newaxis]))[0])
 
 
 def _nearest_orders(bases: Array, places: Array) -> tuple[Array, Array]:
@@ -351,8 +349,8 @@ def _best_fit(bases: Iterable[Array], peaks: Peaks) -> tuple[float, Array]:
     return best
 
 
-_INDEX_FORMS = [*hermite_matrices(2), *hermite_matrices(3)]
-_CHANGES = [*_INDEX_FORMS, *np.linalg.inv(_INDEX_FORMS)]
+_INDEX_FORMS = np.concatenate([hermite_matrices(2), hermite_matrices(3)])
+_CHANGES = np.concatenate([_INDEX_FORMS, np.linalg.inv(_INDEX_FORMS)])
 """Changes of basis to all sublattices of index 2 and 3, and to all superlattices."""
 
 
@@ -364,12 +362,12 @@ def _improve_by_index(score: float, basis: Array, peaks: Peaks) -> Array:
     while True:
         found = _basis(basis, peaks)
         if not _span(found.orders[found.explained]):
-            return _reduce(basis)
-        relatives = [_fit_basis(_reduce(change @ basis), peaks) for change in _CHANGES]
+            return reduce_bases(basis[np.newaxis])[0]
+        relatives = [_fit_basis(related, peaks) for related in reduce_bases(_CHANGES @ basis)]
         relatives = [r for r in relatives if _is_usable(r)]
         scores = [float(_evidence(r[np.newaxis], peaks, 1.0).sum()) for r in relatives]
         if not scores or max(scores) <= score + 1e-6:
-            return _reduce(basis)
+            return reduce_bases(basis[np.newaxis])[0]
         score, basis = max(scores), relatives[int(np.argmax(scores))]
 
 

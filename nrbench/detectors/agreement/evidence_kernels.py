@@ -365,29 +365,3 @@ def climb_multiples(
         if radius >= far and largest * np.sqrt(numbers.shape[0]) < 1e-3:
             break
     return fitted
-
-
-@kernel
-def reduce_all(bases: Float64x3) -> Float64x3:
-    """Return the reduced bases of many lattices, ``(n, 2, 2)``, as :meth:`nrbench.lattice.geometry.Lattice.reduced`."""
-    out = np.zeros_like(bases)
-    for i in range(bases.shape[0]):
-        ax, ay, bx, by = bases[i, 0, 0], bases[i, 0, 1], bases[i, 1, 0], bases[i, 1, 1]
-        if ax * ax + ay * ay > bx * bx + by * by:
-            ax, ay, bx, by = bx, by, ax, ay
-        while True:
-            square = ax * ax + ay * ay
-            steps = np.rint((ax * bx + ay * by) / square)
-            bx, by = bx - steps * ax, by - steps * ay
-            if bx * bx + by * by >= square * (1 - 1e-12):
-                break
-            ax, ay, bx, by = bx, by, ax, ay
-        if ax < 0 or (ax == 0 and ay <= 0):
-            ax, ay = -ax, -ay
-        if bx < 0 or (bx == 0 and by <= 0):
-            bx, by = -bx, -by
-        dot = ax * bx + ay * by
-        if dot < 0 and abs(dot) >= 1e-9 * (ax * ax + ay * ay):
-            bx, by = -bx, -by
-        out[i, 0, 0], out[i, 0, 1], out[i, 1, 0], out[i, 1, 1] = ax, ay, bx, by
-    return out
