@@ -24,6 +24,7 @@ test: lint types unit
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python -m pytest tests/core/test_docstrings.py -k complete
 
 types: $(VENV)/.installed-test
 	cd $(VENV) && bin/mypy --config-file "$(CURDIR)/pyproject.toml" -p nrbench

@@ -23,17 +23,11 @@ BENCHMARKS = {
     "speed.py pictures --sides 2000": "speed.py pictures --sides 500 1000 2000 4000 8000",
     "speed.py outputs --largest 1024 --methods rsgf tile-set representative-tile fftm-patch": "speed.py outputs",
     "geometry.py --seeds 0 --bends 0.5 --models brick": "geometry.py",
-    "quilting_peer.py --textures brick-middle weave-middle hexagon-middle": "quilting_peer.py --opencv PYTHON",
+    "quilting_peer.py --textures brick-middle weave-middle hexagon-middle": "quilting_peer.py",
     "representative_tile.py": "the same",
-    "fftm_mask.py 41": "fftm_mask.py 41 42 43",
-    "fftm_patch.py 256": "fftm_patch.py 2048",
-    "fftm_pixel.py coherence": "the same",
-    "fftm_pixel.py weight": "the same",
     "detector_accuracy.py --count 1 --stochastic 14 consensus gncc ssdn dominance": "detector_accuracy.py",
     "consensus_calibration.py --count 1 --kinds 0": "consensus_calibration.py",
     "bent_lattices.py bent --count 1 --bends 0.5 --tilts 20": "bent_lattices.py",
-    "drift.py 256": "drift.py 256 1024",
-    "two_lattices.py 1": "two_lattices.py 1 2 3",
     "texture_statistics.py brick": "texture_statistics.py",
     "validation.py alarms detection without-model --count 6 --replicates 1": (
         "validation.py alarms detection without-model --count 108 --replicates 3 --sides 256 512 1024"

@@ -26,7 +26,7 @@ from unit import cpu_unit
 import nrbench
 from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.fold import interpolate
+from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.deformation import Deformation
 from nrbench.tracking.homography import map_points

@@ -40,8 +40,8 @@ from nrbench.detectors.agreement.short_list import Rival, Traits, classify
 from nrbench.detectors.consensus import Consensus
 from nrbench.imaging.convert import quantize
 from nrbench.jit import load_kernels
-from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Probabilities
 
 PENALTY = 0.3

@@ -22,8 +22,8 @@ from unit import machine_unit
 from nrbench import plugins
 from nrbench.imaging.convert import Image, as_image, quantize
 from nrbench.jit import load_kernels
-from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
 from nrbench.plugins.parameters import parse_spec
 

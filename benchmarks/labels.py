@@ -36,7 +36,7 @@ from nrbench.metrics.quality import Quality
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Observation, Task
 from nrbench.plugins.parameters import parse_spec
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.output_checks import checked_synthesis
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.plan import Sample, draw_samples
 from nrbench.suites.suite import load_suite

@@ -1,6 +1,6 @@
 """CPU time and quality of quilting beside another program, on the same samples, in one run.
 
-``python benchmarks/quilting_peer.py [--peer COMMAND] [--opencv PYTHON] [--block PX] [--overlap PX]``
+``python benchmarks/quilting_peer.py [--peer COMMAND] [--block PX] [--overlap PX]``
 
 ``--peer`` is the command line of the other program. ``{sample}`` and ``{output}`` become paths of PNG files;
 ``{width}``, ``{height}``, ``{seed}``, ``{block}`` and ``{overlap}`` become numbers. For bmquilting (MIT, needs Python
@@ -8,10 +8,6 @@
 ``bmquilting.square.generate_texture`` with this block and overlap, and writes the output. Without ``--peer``, G'MIC's
 ``syntexturize_matchpatch`` is the peer, which has no blocks (Debian: ``apt install gmic``). If there is no peer, the
 script says so and ends.
-
-``--opencv`` names a Python that has OpenCV (``pip install opencv-python-headless``). The script then also measures the
-search for blocks alone, as bmquilting makes it: one masked ``cv2.matchTemplate`` for each block. This is a lower bound
-of its CPU time, without cuts and blending; as a process, it includes the imports of NumPy and OpenCV.
 
 ``quilting`` is shown twice: the synthesis alone, which is what a cell of a run costs, and the process
 ``nrbench synth``, which includes the start of Python and all imports, as the peer's time does.
@@ -39,22 +35,6 @@ from nrbench.suites.plan import draw_samples
 from nrbench.suites.suite import load_suite
 
 GMIC = "gmic {sample} syntexturize_matchpatch {width},{height} -o {output}"
-SEARCH = """
-import sys, time
-import cv2
-import numpy as np
-
-cv2.setNumThreads(1)
-path, side, block, overlap = sys.argv[1], *map(int, sys.argv[2:])
-sample = cv2.imread(path).astype(np.float32) / 255
-mask = np.zeros((block, block), np.float32)
-mask[:overlap] = mask[:, :overlap] = 1
-count = -(-(side - overlap) // (block - overlap))
-start = time.process_time()
-for _ in range(count * count):
-    cv2.matchTemplate(sample, sample[:block, :block], cv2.TM_SQDIFF, mask=mask)
-print(time.process_time() - start)
-"""
 SIDE = 256
 """px: side of the outputs."""
 
@@ -91,7 +71,6 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--peer", help="command line of the other program")
-    parser.add_argument("--opencv", help="a Python that has OpenCV")
     parser.add_argument("--block", type=int, default=64)
     parser.add_argument("--overlap", type=int, default=11)
     parser.add_argument("--textures", nargs="*", default=["*"], help="textures of the suite core")
@@ -113,10 +92,6 @@ def main() -> None:
         write_image(sample, draw_samples(suite, options.textures)[0].recipe.render().image)
         synth = [sys.executable, "-c", "from nrbench.cli.main import main; main()", "synth", str(sample), "-m", ours]
         process = [child_seconds([*synth, "--size", f"{SIDE}x{SIDE}", "-o", str(output)]) for _ in range(3)]
-        if options.opencv:
-            words = [options.opencv, "-c", SEARCH, str(sample), *map(str, (SIDE, options.block, options.overlap))]
-            search = [float(subprocess.run(words, check=True, capture_output=True).stdout) for _ in range(3)]
-            started = [child_seconds(words) for _ in range(3)]
     records = {name: [cell for cell in cells if cell.cell.method == name] for name in ("quilting", "command")}
     taken = {name: [float(cell.values["cost.cpu_seconds"] or 0) for cell in each] for name, each in records.items()}
     base = sum(taken["quilting"]) / len(taken["quilting"])
@@ -125,9 +100,6 @@ def main() -> None:
     print_row(ours, taken["quilting"], unit, base, records["quilting"])
     print_row("the same, as a process", process, unit, base)
     print_row(f"the peer {peer.split()[0]}, as a process", taken["command"], unit, base, records["command"])
-    if options.opencv:
-        print_row("OpenCV's search alone, imports not counted", search, unit, base)
-        print_row("OpenCV's search alone, as a process", started, unit, base)
 
 
 if __name__ == "__main__":

@@ -61,11 +61,11 @@ from nrbench.imaging.convert import quantize
 from nrbench.imaging.correlation import half_autocorrelation
 from nrbench.imaging.files import read_image, write_image
 from nrbench.jit import load_kernels
-from nrbench.lattice.comparison import lattice_error
+from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Observation, Refused, Shape, Task, Texture
 from nrbench.plugins.parameters import parse_spec
+from nrbench.running.pace import Step
 from nrbench.running.phases import score_observation
-from nrbench.running.progress import Step
 from nrbench.running.runner import Options
 from nrbench.streams import stream
 

@@ -73,7 +73,7 @@ from nrbench.metrics.quality import Quality
 from nrbench.metrics.regularity import Regularity
 from nrbench.metrics.verdict.bent import bent_reference_from_model, compute_bent_verdict
 from nrbench.plugins.forms import Again, Observation, Shape, Task, Texture
-from nrbench.running.progress import Step
+from nrbench.running.pace import Step
 from nrbench.streams import stream
 from nrbench.suites.suite import load_suite, validated_suite
 from nrbench.synthesizers.planted import Planted

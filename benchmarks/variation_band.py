@@ -33,13 +33,13 @@ from numpy.typing import NDArray
 
 from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 from nrbench.metrics.randomness import score_tiles
 from nrbench.metrics.residual_tiles.tiles import ComparedTiles, quarters
 from nrbench.metrics.verdict.reference import FIRST_DRAW, Reference, reference_from_model
 from nrbench.metrics.verdict.verdict import compute_verdict
 from nrbench.plugins.forms import Again, Observation, Refused, Synthesis, Task, Texture, Value
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.output_checks import checked_synthesis
 from nrbench.streams import stream
 from nrbench.suites.plan import PlannedMethod, Sample, draw_samples
 from nrbench.suites.suite import load_suite

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nrbench.imaging.fold import Values, interpolate, tile_grid
+from nrbench.imaging.mean_tile import Values, interpolate, tile_grid
 from nrbench.plugins.forms import Column, Observation, Score, Value
 from nrbench.tracking.tracker import Track
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nrbench.errors import BadInput
-from nrbench.lattice.comparison import LatticeError, lattice_error
+from nrbench.lattice.relation import LatticeError, lattice_error
 from nrbench.plugins.forms import Column, FoundLattice, Observation, Score, Value
 
 
 @dataclass(frozen=True)
 class LatticeRecovery:
-    """How well the lattice of the method agrees with the true one; see :mod:`nrbench.lattice.comparison`.
+    """How well the lattice of the method agrees with the true one; see :mod:`nrbench.lattice.relation`.
 
     If the lattice comes from a detector, ``found`` and ``confidence`` are its answer. A detector that finds no lattice
     gives an answer too: ``exact`` is False if the texture has a lattice, and has no value if it has none.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import mean_channels
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
 from .residual_tiles.dependence import sum_variance

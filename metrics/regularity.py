@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, gray
-from nrbench.imaging.fold import cell_coordinates
+from nrbench.imaging.mean_tile import cell_coordinates
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Column, Observation, Score, Value
 

@@ -22,7 +22,7 @@ from nrbench.streams import pixels_hash, stream
 
 # Runs, suites and their executors are imported by the functions that use them: one picture needs none of them.
 if TYPE_CHECKING:
-    from nrbench.running.progress import Progress
+    from nrbench.running.pace import Progress
     from nrbench.running.runner import Options
     from nrbench.runs.records import Run
     from nrbench.suites.suite import Suite
@@ -98,6 +98,14 @@ def detect_lattice(image: Imagelike, detector: Pluginlike = "consensus", **param
         When the detector finds no lattice.
     BadInput
         For a bad image, detector or parameter.
+
+    Examples
+    --------
+    >>> from nrbench import detect_lattice, texture
+    >>> brick = texture("brick", shape=(128, 128), seed=1)
+    >>> found = detect_lattice(brick)
+    >>> found.lattice.is_equivalent(brick.lattice, tolerance=0.5)
+    True
     """
     detection: Detection = _plugin("detectors", detector, parameters).detect(_image(image))
     return detection
@@ -228,8 +236,15 @@ def synthesize(
         When the method cannot be applied to the sample.
     BadInput
         For a bad image, lattice, method or parameter.
+
+    Examples
+    --------
+    >>> from nrbench import synthesize, texture
+    >>> brick = texture("brick", shape=(96, 96))
+    >>> synthesize("quilting", brick, (128, 160), seed=1).image.shape
+    (128, 160, 3)
     """
-    from nrbench.running.outputs import checked_synthesis
+    from nrbench.running.output_checks import checked_synthesis
 
     plugin = _plugin("synthesizers", method, parameters)
     sample = quantize(_image(image))
@@ -295,6 +310,14 @@ class Sheet:
         Why a value is None, by ``metric.column``.
     pictures
         By ``metric.name``.
+
+    Examples
+    --------
+    >>> from nrbench import score, texture
+    >>> brick = texture("brick", shape=(96, 96))
+    >>> sheet = score(brick, brick, metrics="appearance")
+    >>> sorted(sheet.values) == sorted(sheet.values.keys() | sheet.reasons.keys())
+    True
     """
 
     values: Mapping[str, Value]
@@ -328,6 +351,19 @@ def score(
     -------
     Sheet
         The scores, and why some have no value.
+
+    Raises
+    ------
+    BadInput
+        For a bad image or lattice, an unknown metric, or if one image is gray and the other one in color.
+
+    Examples
+    --------
+    >>> from nrbench import score, synthesize, texture
+    >>> brick = texture("brick", shape=(96, 96))
+    >>> tiled = synthesize("tiling", brick, (128, 128), lattice=brick.lattice)
+    >>> score(brick, tiled, metrics="regularity").values["regularity.preserved"]
+    True
     """
     pair = quantize(_image(sample, "sample")), quantize(_image(output, "output"))
     pair = match_channels(*pair), match_channels(*pair[::-1])
@@ -408,7 +444,7 @@ def run(
     out
         The run directory; ``runs/SUITE`` if None.
     progress
-        Called after each cell with a :class:`~nrbench.running.progress.Step`.
+        Called after each cell with a :class:`~nrbench.running.pace.Step`.
     options
         How to run: jobs, limits, and so on. An interrupt (Ctrl-C) stops at once. ``options.stop.set()``, called in
         ``progress`` or in another thread, lets the running cells end first. Both raise KeyboardInterrupt.
@@ -425,9 +461,26 @@ def run(
     BadInput
         For an unknown suite, method, texture or lattice, or a class that is not registered: cells run in other
         processes, which find plugins by their names.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from nrbench import Options, run
+    >>> folder = tempfile.mkdtemp()
+    >>> done = run(
+    ...     "core",
+    ...     methods="scatter",
+    ...     textures="brick-mild",
+    ...     size="64x64",
+    ...     out=folder,
+    ...     options=Options(jobs=0),
+    ...     metrics=["cost"],
+    ... )
+    >>> done.cells[0].status
+    'ok'
     """
     from nrbench.running.guard import Limits
-    from nrbench.running.guarded import LIMITS, plan_run
+    from nrbench.running.plugin_children import LIMITS, plan_run
     from nrbench.running.runner import execute
     from nrbench.suites.suite import Suite, load_suite
 
@@ -457,6 +510,23 @@ def load(path: str | os.PathLike[str]) -> Run:
     ------
     BadInput
         If the directory is no run.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from nrbench import Options, load, run
+    >>> folder = tempfile.mkdtemp()
+    >>> _ = run(
+    ...     "core",
+    ...     methods="scatter",
+    ...     textures="brick-mild",
+    ...     size="64x64",
+    ...     out=folder,
+    ...     options=Options(jobs=0),
+    ...     metrics=["cost"],
+    ... )
+    >>> load(folder).cells[0].status
+    'ok'
     """
     from nrbench.runs.records import Run
 

@@ -14,6 +14,15 @@ class BadInput(ValueError):
     """Input that cannot be used: the message says what, where, and what to do.
 
     The command line prints it on one line and exits with code 2.
+
+    Examples
+    --------
+    >>> from nrbench import BadInput, texture
+    >>> try:
+    ...     texture("bricks")
+    ... except BadInput as error:
+    ...     print(error)
+    dataset 'bricks' is not known (did you mean 'brick'?); see `nrbench list datasets`
     """
 
 
@@ -28,7 +37,7 @@ def checker(who: str) -> Callable[[bool, str], None]:
 
 
 _CONTROL = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-_CALLERS = [Path(__file__).parent / folder for folder in ("running", "suites", "plugins")]
+_CALLERS = [Path(__file__).parent / folder for folder in ("running", "suites", "plugins", "authoring")]
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS) if sys.platform != "win32" else (errno.ENOSPC,)
 
 

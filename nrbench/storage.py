@@ -115,7 +115,24 @@ def working_folder() -> str:
 
 
 def user_path(path: str | Path) -> Path:
-    """Return a path that a user gave, as it is to be opened: a relative one starts from the user's folder."""
+    """Return a path that a user gave, as it is to be opened: a relative one starts from the user's folder.
+
+    Parameters
+    ----------
+    path
+        As the user wrote it.
+
+    Returns
+    -------
+    Path
+        Absolute where the working directory is not the user's folder.
+
+    Examples
+    --------
+    >>> from nrbench import user_path
+    >>> user_path("picture.png").name
+    'picture.png'
+    """
     return Path(path) if _user_folder is None else _user_folder / path
 
 

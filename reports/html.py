@@ -27,12 +27,11 @@ from .page.forest_plot import forest_axes
 from .page.gallery import SOURCE_MAP, build_disagreement, build_gallery, list_failings, list_layers, score_shade
 from .page.inline_svg import inline_svg
 from .page.pictures import CROP, PictureStore
-from .plots.claim_plot import plot_claim
 from .plots.cost_plane import has_cost, plot_cost
 from .plots.critical_difference import plot_ranks
 from .plots.heat_map import plot_heat_map
-from .plots.level_plot import plot_levels
 from .plots.perils_plane import plot_perils_plane
+from .plots.series_plot import plot_claim, plot_levels
 from .statistics import format as text_format
 from .statistics.claims import evaluate_claims
 from .statistics.comparison import (

@@ -13,8 +13,8 @@ from nrbench.storage import write_bytes
 from .plots.cost_plane import has_cost, plot_cost
 from .plots.critical_difference import plot_ranks
 from .plots.heat_map import plot_heat_map
-from .plots.level_plot import plot_levels
 from .plots.perils_plane import plot_perils_plane
+from .plots.series_plot import plot_levels
 from .statistics.comparison import compare_methods, perils_points
 from .statistics.levels import compare_levels
 

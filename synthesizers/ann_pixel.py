@@ -15,7 +15,7 @@ from .pixel_growing.pixel_growth import (
     Growth,
     Neighborhood,
     SearchParameters,
-    find_candidates,
+    list_candidates,
     scatter_pixels,
     stack_layers,
 )
@@ -39,6 +39,11 @@ class AnnPixel(SearchParameters):
     neighborhood
         Side N of the window in px, 2 to 10. The window reaches from -N//2 to N - 1 - N//2 around the pixel; the pixels
         before it in scan-line order are compared. (The paper uses 5, 6, 8 and 10.)
+
+    References
+    ----------
+    .. [1] Alexander Nicoll, Jan Meseth, Gero Müller, Reinhard Klein. "Fractional Fourier Texture Masks: Guiding
+           Near-Regular Texture Synthesis." Computer Graphics Forum 24(3), 2005.
     """
 
     neighborhood: int = 8
@@ -63,7 +68,7 @@ class AnnPixel(SearchParameters):
         """
         neighborhood = Neighborhood.first_pass(self.neighborhood, masked=False)
         layers = stack_layers(task.sample)
-        candidates = find_candidates(layers, neighborhood, task.rng)
+        candidates = list_candidates(layers, neighborhood, task.rng)
         (height, width), (left, top, right, bottom) = task.shape, neighborhood.box
         start = scatter_pixels(layers, (height + top + bottom, width + left + right), task.rng)
         growth = Growth(task, start, (top, left))

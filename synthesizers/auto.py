@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import fold
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
@@ -41,6 +41,11 @@ class Auto:
         The method for near-regular textures: ``"rsgf"``, which breaks fewer elements, or ``"tile-set"``.
     other
         The method for all other textures: ``"rsgf"`` in its stochastic mode, or ``"ann-pixel"``.
+
+    References
+    ----------
+    .. [1] Yanxi Liu, Yanghai Tsin, Wen-Chieh Lin. "The Promise and Perils of Near-Regular Texture." International
+           Journal of Computer Vision 62(1-2):145-159, 2005.
     """
 
     threshold: float = 0.1

@@ -90,6 +90,11 @@ class FftmPatch(MaskParameters):
         Whether the cost of a seam is divided by the gradients along it (section 5 of Kwatra et al.), so that seams
         prefer places where the texture varies strongly. False: the differences alone, as in the paper (equation 1 of
         Kwatra et al.).
+
+    References
+    ----------
+    .. [1] Alexander Nicoll, Jan Meseth, Gero Müller, Reinhard Klein. "Fractional Fourier Texture Masks: Guiding
+           Near-Regular Texture Synthesis." Computer Graphics Forum 24(3), 2005.
     """
 
     weight: float = 2.0

@@ -24,7 +24,7 @@ from .pixel_growing.pixel_growth import (
     Neighborhood,
     SearchParameters,
     Stock,
-    find_candidates,
+    list_candidates,
     stack_layers,
 )
 
@@ -82,6 +82,11 @@ class FftmPixel(MaskParameters, SearchParameters):
         The candidates for an output pixel are the sample's pixels of the same cluster; only d_TT compares them.
     clusters
         Number of clusters, 2 to 4096, only for match ``cluster``. None: 64.
+
+    References
+    ----------
+    .. [1] Alexander Nicoll, Jan Meseth, Gero Müller, Reinhard Klein. "Fractional Fourier Texture Masks: Guiding
+           Near-Regular Texture Synthesis." Computer Graphics Forum 24(3), 2005.
     """
 
     neighborhood: int = 3
@@ -149,7 +154,7 @@ class _GuidedGrowth:
         bordered = output_mask.draw((height + top + bottom, width + left + right), (-left, -top))
         self.mask_picture = bordered[top : top + height, left : left + width]
         self.growth = Growth(task, stack_layers(bordered, bordered), (top, left), method.tileable)
-        self.candidates = find_candidates(self.layers, window, task.rng)
+        self.candidates = list_candidates(self.layers, window, task.rng)
         if method.match == "cluster":
             self.candidates = replace(self.candidates, groups=self.clusters.labels)
 

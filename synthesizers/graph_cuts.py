@@ -94,6 +94,11 @@ class GraphCuts:
     feather
         Standard deviation in px of the Gaussian that weights the patches around a pixel near a seam (section 5); 0.1
         to 8. 0: every pixel is a copy.
+
+    References
+    ----------
+    .. [1] Vivek Kwatra, Arno Schödl, Irfan Essa, Greg Turk, Aaron Bobick. "Graphcut Textures: Image and Video Synthesis
+           Using Graph Cuts." ACM Transactions on Graphics 22(3):277-286, 2003. :DOI:`10.1145/882262.882264`
     """
 
     placement: Placement = "entire"

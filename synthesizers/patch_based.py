@@ -70,6 +70,11 @@ class PatchBased:
     search_error
         The tree may return a patch whose distance, in the space of the components, is up to 1 + ``search_error`` times
         that of the one it stands for; 0 to 1e6. Without effect in an exhaustive search.
+
+    References
+    ----------
+    .. [1] Lin Liang, Ce Liu, Ying-Qing Xu, Baining Guo, Heung-Yeung Shum. "Real-Time Texture Synthesis by Patch-Based
+           Sampling." ACM Transactions on Graphics 20(3):127-150, 2001. :DOI:`10.1145/501786.501787`
     """
 
     patch: int = 0

@@ -54,6 +54,11 @@ class Quilting:
         Width of the overlap in px, from 1 to half a block. 0: a sixth of the block, rounded (the paper).
     tolerance
         A block is accepted if its error is at most (1 + tolerance) times the least error; 0 to 1e6. (The paper: 0.1.)
+
+    References
+    ----------
+    .. [1] Alexei A. Efros, William T. Freeman. "Image Quilting for Texture Synthesis and Transfer." Proceedings of
+           SIGGRAPH 2001, 341-346. :DOI:`10.1145/383259.383296`
     """
 
     block: int = 0

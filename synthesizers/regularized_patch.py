@@ -75,6 +75,12 @@ class RegularizedPatch:
         How the deformation is synthesized. ``"sample"``: drawn at once from a normal distribution whose covariance is
         that of the sample's displacements. ``"gibbs"``: each vertex is drawn in turn given its eight neighbors
         (equation 2). ``"argmax"``: each vertex takes its most likely place (equation 3).
+
+    References
+    ----------
+    .. [1] Wen-Chieh Lin, James H. Hays, Chenyu Wu, Vivek Kwatra, Yanxi Liu. "A Comparison Study of Four Texture
+           Synthesis Algorithms on Regular and Near-regular Textures." CMU-RI-TR-04-01, Robotics Institute, Carnegie
+           Mellon University, 2004.
     """
 
     texel: TexelKind | Literal["given"] = "hexagon"

@@ -95,6 +95,11 @@ class RepresentativeTile:
         Largest distance of a side of the tile from a lattice vector, in shares of s, in [0, 0.5).
     tiles
         1, or the number of Wang tiles: 4, or 6 to 1000.
+
+    References
+    ----------
+    .. [1] "Extraction of a Representative Tile from a Near-Periodic Texture." Université de Sherbrooke, Québec, Canada.
+           The text that was implemented has no date, authors or venue.
     """
 
     alpha: float = 1.0

@@ -107,6 +107,11 @@ class Rsgf:
         ``"straighten"``: if the geometry of the sample departs from the lattice, the sample is straightened first and
         the output deformed again, as the sample is (:func:`~.geometry.straightening.straighten_first`). ``"as-is"``:
         not, as in the paper.
+
+    References
+    ----------
+    .. [1] Diego Lopez Recas, Anna Hilsmann, Peter Eisert. "Near-Regular Texture Synthesis by Random Sampling and Gap
+           Filling." Vision, Modeling, and Visualization (VMV 2011), The Eurographics Association, 2011.
     """
 
     block: int = 40

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.fold import fold, sample_tile
+from nrbench.imaging.mean_tile import fold, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector

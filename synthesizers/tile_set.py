@@ -125,6 +125,11 @@ class TileSet:
         ``"straighten"``: if the geometry of the sample departs from the lattice, the sample is straightened first and
         the output deformed again, as the sample is (:func:`~.geometry.straightening.straighten_first`). ``"as-is"``:
         not, as in the paper.
+
+    References
+    ----------
+    .. [1] Yanxi Liu, Yanghai Tsin, Wen-Chieh Lin. "The Promise and Perils of Near-Regular Texture." International
+           Journal of Computer Vision 62(1-2):145-159, 2005.
     """
 
     tile: TileKind | Literal["auto"] = "auto"

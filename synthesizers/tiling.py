@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import fold
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Kind, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector

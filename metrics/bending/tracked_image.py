@@ -12,9 +12,9 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import interpolate
-from nrbench.imaging.fold_kernels import spline_coefficients, spline_windows
 from nrbench.imaging.largest_box import largest_box
+from nrbench.imaging.mean_tile import interpolate
+from nrbench.imaging.mean_tile_kernels import spline_coefficients, spline_windows
 from nrbench.lattice.geometry import Points
 from nrbench.tracking.known_texture import FollowedImage, follow_texture
 from nrbench.tracking.tracker import MeanTile

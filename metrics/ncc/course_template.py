@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 from nrbench.lattice.geometry import Lattice
 
 from .ncc_kernels import sum_courses

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.imaging.fold import Tile, Values, fold, tile_grid
+from nrbench.imaging.mean_tile import Tile, Values, fold, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Shape
 

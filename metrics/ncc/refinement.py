@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import Tile, Values, sample_tile
+from nrbench.imaging.mean_tile import Tile, Values, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
 
 from .ncc_kernels import sum_products

@@ -15,8 +15,8 @@ from scipy import ndimage
 
 from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import subtract_color
-from nrbench.imaging.fold import Values
-from nrbench.imaging.parabola import find_vertex
+from nrbench.imaging.mean_tile import Values
+from nrbench.imaging.subpixel import find_vertex
 
 from .ncc_kernels import compute_ncc, normalize_sums
 

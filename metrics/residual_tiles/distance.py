@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.imaging.convert import mean_channels
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 
 from .tiles import TileSet, part_starts
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 from nrbench.lattice.geometry import Lattice
 
 from ..ncc.periodic import tile_box

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.fold import Values, cut_tiles, tile_grid
+from nrbench.imaging.mean_tile import Values, cut_tiles, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Observation, Shape, Texture
 

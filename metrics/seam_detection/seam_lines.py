@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, gray
-from nrbench.imaging.fold import Values, cell_coordinates, tile_grid
+from nrbench.imaging.mean_tile import Values, cell_coordinates, tile_grid
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Shape
 

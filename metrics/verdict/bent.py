@@ -14,7 +14,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from nrbench.imaging.convert import Image, mean_channels, quantize
-from nrbench.imaging.fold import Tile, Values, fold
+from nrbench.imaging.mean_tile import Tile, Values, fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Again, Shape, Texture
 from nrbench.tracking.tracker import MeanTile

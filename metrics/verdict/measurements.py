@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 
 from ..ncc.periodic import Periodic
 from .courses import Courses, measure_courses

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from nrbench.detectors.dominance import Dominance
 from nrbench.imaging.convert import Image, mean_channels, quantize
-from nrbench.imaging.fold import Tile, Values, fold, tile_grid
+from nrbench.imaging.mean_tile import Tile, Values, fold, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Again, NoLatticeFound, Observation, Shape, Texture
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
-from nrbench.lattice.comparison import LatticeError, lattice_error
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.relation import LatticeError, lattice_error
 from nrbench.plugins.forms import Shape
 
 from ..ncc.periodic import Periodic

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 from nrbench.lattice.geometry import Points
 
 from .elements import Box, Cutter

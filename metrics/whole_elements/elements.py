@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import Values, interpolate
+from nrbench.imaging.mean_tile import Values, interpolate
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Shape
 

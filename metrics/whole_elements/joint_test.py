@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 
 from .composite_tiles import Levels, Rows
 from .elements import Box

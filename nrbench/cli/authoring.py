@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,8 @@ def check_command(
     code is 1 if a clause fails.
     """
     from nrbench import plugins
+    from nrbench.authoring.conformance import check_plugin
     from nrbench.plugins.parameters import parse_spec
-    from nrbench.running.conformance import check_plugin, find_plugins
     from nrbench.running.guard import Limits
 
     if plugin is not None and plugin.endswith(".py"):
@@ -44,18 +45,17 @@ def check_command(
     name, parameters = parse_spec(plugin) if plugin else ("", {})
     results: list[dict[str, Any]] = []
     failed = 0
-    for one, found in find_plugins(name, kind, files):
-        findings = check_plugin(one, found, parameters, Limits(timeout, memory), only=only)
+    for each, found in _find_plugins(name, kind, files):
         if not as_json:
-            print(f"{plugins.FORMS[one].noun} {found}")
+            print(f"{plugins.FORMS[each].noun} {found}")
         clauses = []
-        for finding in findings:
-            clauses.append(finding)
+        for checked in check_plugin(each, found, parameters, Limits(timeout, memory), only=only):
+            clauses.append(checked)
             if not as_json:
-                print(f"  {finding.verdict}  {finding.clause:<13} {finding.reason}", flush=True)
-        failures = [finding for finding in clauses if finding.verdict == "fail"]
+                print(f"  {checked.verdict}  {checked.clause:<13} {checked.reason}", flush=True)
+        failures = [checked for checked in clauses if checked.verdict == "fail"]
         failed += len(failures)
-        results.append({"kind": one, "name": found, "clauses": [dataclasses.asdict(finding) for finding in clauses]})
+        results.append({"kind": each, "name": found, "clauses": [dataclasses.asdict(checked) for checked in clauses]})
         if not as_json:
             _print_failures(failures, len(clauses))
     if as_json:
@@ -63,11 +63,37 @@ def check_command(
     return int(failed > 0)
 
 
+def _find_plugins(name: str, kind: str | None, files: Collection[str]) -> list[tuple[str, str]]:
+    """Return the kind and the name of each plugin of a name; without a name, of those that some files define.
+
+    Raises
+    ------
+    BadInput
+        If there is none; the message names the nearest.
+    """
+    from nrbench import plugins
+    from nrbench.errors import BadInput
+    from nrbench.plugins.parameters import nearest
+
+    kinds = [kind] if kind else KINDS
+    if not name:
+        listed = [(each, plugin) for each in kinds for plugin in plugins.inventory(each)]
+        found = [(each, plugin.name) for each, plugin in listed if plugin.distribution in files]
+        if not found:
+            raise BadInput("no plugin of that kind in these files; name one")
+        return found
+    found = [(each, name) for each in kinds if name in plugins.names(each)]
+    if not found:
+        near = nearest(name, [plugin for each in kinds for plugin in plugins.names(each)])
+        raise BadInput(f"plugin {name!r} is not known{near}; load a file with --plugin FILE.py")
+    return found
+
+
 def _print_failures(failures: list[Any], clauses: int) -> None:
     """Print what each violated clause demands, with the end of the log."""
-    for finding in failures:
-        print(f"\n{finding.clause}: {finding.demand}")
-        for line in finding.log.strip().splitlines()[-20:]:
+    for checked in failures:
+        print(f"\n{checked.clause}: {checked.demand}")
+        for line in checked.log.strip().splitlines()[-20:]:
             print(f"    {line}")
     print(f"\n{len(failures)} of {clauses} clauses failed" if failures else f"no clause of {clauses} failed")
 

@@ -58,7 +58,7 @@ def synth_command(image: Path, method: str, size: str, lattice: str | None, seed
     from nrbench.errors import BadInput
     from nrbench.imaging.files import read_image, write_image
     from nrbench.plugins.parameters import parse_size, parse_spec
-    from nrbench.running.outputs import is_picture
+    from nrbench.running.output_checks import is_picture
 
     name, parameters = parse_spec(method)
     check_output(output)
@@ -112,7 +112,7 @@ def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
     """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
     from nrbench.api import detect_lattice
     from nrbench.cli.progress import waiting
-    from nrbench.lattice.comparison import relate
+    from nrbench.lattice.relation import relate
     from nrbench.plugins.forms import NoLatticeFound
 
     try:

@@ -160,8 +160,8 @@ def _survey(folder: Path, detector: str, output: Path | None, least: float | Non
 
 def _use_given(image: Image, numbers: str | None, output: Path | None, as_json: bool) -> None:
     """Print and draw the user's lattice, given as numbers or picked in a window."""
-    from nrbench.imaging.drawing import draw_overlay
     from nrbench.imaging.files import write_image
+    from nrbench.imaging.overlays import draw_overlay
     from nrbench.lattice.geometry import Lattice
 
     if numbers is None:
@@ -233,8 +233,8 @@ def _draw_overlay(image: Image, candidates: Sequence[Alternative], output: Path)
 
     The image stays in the upper left corner, enlarged by a whole factor if it or its cells are small.
     """
-    from nrbench.imaging.drawing import contact_sheet, draw_overlay, stack
     from nrbench.imaging.files import write_image
+    from nrbench.imaging.overlays import contact_sheet, draw_overlay, stack
     from nrbench.suites.surveying import draw_candidates
 
     drawn = draw_overlay(image, candidates[0].lattice)
@@ -287,8 +287,8 @@ def _run_detector(image: Image, name: str) -> Result:
 
 def _draw_comparison(image: Image, results: Sequence[Result], output: Path) -> None:
     """Write a sheet with a captioned picture for each candidate of each detector; of a large image, its middle."""
-    from nrbench.imaging.drawing import contact_sheet, draw_lattice, zoom_panels
     from nrbench.imaging.files import write_image
+    from nrbench.imaging.overlays import contact_sheet, draw_lattice, zoom_panels
 
     lattices = [each.lattice for result in results for each in result.candidates]
     is_large = max(image.shape[:2]) > WHOLE

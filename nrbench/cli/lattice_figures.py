@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.drawing import COLOR, draw_lattice
+from nrbench.imaging.overlays import COLOR, draw_lattice
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Curve, Surface
 

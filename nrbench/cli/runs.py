@@ -14,7 +14,7 @@ import click
 from nrbench.cli.limits import limit_options
 
 if TYPE_CHECKING:
-    from nrbench.running.progress import Step
+    from nrbench.running.pace import Step
     from nrbench.suites.plan import Plan
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -58,7 +58,7 @@ def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
     from nrbench.api import changed
     from nrbench.running.guard import Limits
-    from nrbench.running.guarded import LIMITS, plan_run
+    from nrbench.running.plugin_children import LIMITS, plan_run
     from nrbench.suites.suite import load_suite
 
     axes = {key: arguments[key] for key in ("sample", "size", "seed", "replicates")}
@@ -98,7 +98,7 @@ def run_command(**arguments: Any) -> int:
     from nrbench.cli.summary import check_columns, left_out, print_summary, remove_stale_report, write_reports
     from nrbench.running.cluster import ClusterLost
     from nrbench.running.guard import Limits
-    from nrbench.running.progress import first_interrupt
+    from nrbench.running.pace import first_interrupt
     from nrbench.running.runner import Options, execute
     from nrbench.running.supervisor import print_notice
     from nrbench.runs.records import Run

@@ -82,7 +82,7 @@ def draw_deformed_lattice(image: Image, found: Deformation) -> Image:
     """Return the image with the cells of its lattice drawn where they lie."""
     import numpy as np
 
-    from nrbench.imaging.drawing import draw_lattice, draw_segments
+    from nrbench.imaging.overlays import draw_lattice, draw_segments
 
     if not found.bent:
         return draw_lattice(image, found.lattice)

@@ -108,7 +108,7 @@ def write_reports(
     broken
         Whether any report failed.
     """
-    from nrbench.running.guarded import LIMITS, write_guarded
+    from nrbench.running.plugin_children import LIMITS, write_guarded
 
     made_by = run.info.get("results_version")
     if made_by != RESULTS_VERSION:

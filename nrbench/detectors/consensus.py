@@ -43,8 +43,8 @@ from nrbench.detectors.frdft import Frdft
 from nrbench.detectors.gncc import Gncc
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image, crop_middle, shrink
-from nrbench.lattice.comparison import relate
 from nrbench.lattice.geometry import Lattice, Points, hermite_matrices
+from nrbench.lattice.relation import relate
 from nrbench.plugins.forms import Alternative, Detection, NoLatticeFound, Role, Surface
 
 TESTED = 256

@@ -123,6 +123,12 @@ class Dominance:
         Number of phase-randomized copies.
     false_alarms
         Probability that a phase-randomized copy is accepted as a lattice.
+
+    References
+    ----------
+    .. [1] Yanxi Liu, Robert T. Collins, Yanghai Tsin. "A Computational Model for Periodic Pattern Perception Based on
+           Frieze and Wallpaper Groups." IEEE Transactions on Pattern Analysis and Machine Intelligence
+           26(3):354-371, 2004. :DOI:`10.1109/TPAMI.2004.1262332`
     """
 
     prominence: float = 0.25

@@ -90,12 +90,17 @@ class Frdft:
         there is a lattice. A grating has no surplus evidence, even with one stray wave, nor do two waves without
         harmonics. Image and copies are analyzed by the same shorter search: 24 waves, in one pass, of the image's
         middle (256 px a side or ten periods).
-    tile
-        ``"all"``: the lattice on which all waves agree. ``"lowest"``: the upright rectangle of the lowest wave.
     surrogates
         Number of phase-randomized copies.
     false_alarms
         Probability at which noise is taken for a wave, and a phase-randomized copy for a lattice.
+    tile
+        ``"all"``: the lattice on which all waves agree. ``"lowest"``: the upright rectangle of the lowest wave.
+
+    References
+    ----------
+    .. [1] Alexander Nicoll, Jan Meseth, Gero Müller, Reinhard Klein. "Fractional Fourier Texture Masks: Guiding
+           Near-Regular Texture Synthesis." Computer Graphics Forum 24(3), 2005.
     """
 
     threshold: float = 0.0

@@ -24,7 +24,7 @@ from nrbench.detectors.autocorrelation.surrogates import crop_for_test, measure_
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
-from nrbench.imaging.fold import fold
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
 
@@ -92,6 +92,11 @@ class Gncc:
         Number of phase-randomized copies.
     false_alarms
         Probability that a phase-randomized copy is accepted as a lattice.
+
+    References
+    ----------
+    .. [1] Diego Lopez Recas, Anna Hilsmann, Peter Eisert. "Near-Regular Texture Synthesis by Random Sampling and Gap
+           Filling." Vision, Modeling, and Visualization (VMV 2011), The Eurographics Association, 2011.
     """
 
     alpha: float = 1.12

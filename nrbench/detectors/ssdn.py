@@ -17,8 +17,8 @@ from nrbench.detectors.autocorrelation.surrogates import crop_for_test, measure_
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import FLAT, Correlation, half_autocorrelation
-from nrbench.imaging.fold import Values, fold
-from nrbench.imaging.parabola import find_vertex
+from nrbench.imaging.mean_tile import Values, fold
+from nrbench.imaging.subpixel import find_vertex
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Curve, Detection, NoLatticeFound
 
@@ -85,6 +85,11 @@ class Ssdn:
         Number of phase-randomized copies.
     false_alarms
         Probability that a phase-randomized copy is accepted as a lattice.
+
+    References
+    ----------
+    .. [1] "Extraction of a Representative Tile from a Near-Periodic Texture." Université de Sherbrooke, Québec, Canada.
+           The text that was implemented has no date, authors or venue.
     """
 
     depth: float = 0.8

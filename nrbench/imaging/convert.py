@@ -116,7 +116,25 @@ def match_channels(image: Image, sample: Image) -> Image:
 
 
 def gray(image: Image) -> NDArray[np.float32]:
-    """Return the luma (ITU-R BT.601 weights) as float32 ``(H, W)``."""
+    """Return the luma (ITU-R BT.601 weights) as float32 ``(H, W)``.
+
+    Parameters
+    ----------
+    image
+        Float32 ``(H, W, C)`` in [0, 1]; C is 1 or 3.
+
+    Returns
+    -------
+    NDArray
+        Float32 ``(H, W)`` in [0, 1].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench import gray
+    >>> gray(np.ones((8, 8, 3), np.float32)).shape
+    (8, 8)
+    """
     if image.shape[2] == 1:
         return image[..., 0]
     return np.asarray(image @ np.array([0.299, 0.587, 0.114], np.float32), np.float32)

@@ -57,6 +57,16 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     BadInput
         If there is no such file, or it is no image, has transparent pixels or more than :data:`MOST_PIXELS`, or is
         smaller than ``smallest``.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from nrbench import read_image, texture, write_image
+    >>> path = Path(tempfile.mkdtemp()) / "brick.png"
+    >>> written = write_image(path, texture("brick", shape=(64, 96)).image)
+    >>> read_image(path).shape
+    (64, 96, 3)
     """
     where = f"picture {path}"
     with _opened(path, where) as picture:
@@ -188,6 +198,16 @@ def write_image(path: str | Path, image: Image) -> Path:
     ------
     BadInput
         If the name ends otherwise, or the folder is missing or cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from nrbench import read_image, texture, write_image
+    >>> path = Path(tempfile.mkdtemp()) / "brick.png"
+    >>> written = write_image(path, texture("brick", shape=(64, 96)).image)
+    >>> read_image(path).shape
+    (64, 96, 3)
     """
     target = Path(path)
     if target.suffix.lower() != ".png":

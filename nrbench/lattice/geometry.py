@@ -40,6 +40,15 @@ class Lattice:
     ------
     BadInput
         If a vector is zero, not finite, or parallel to the other.
+
+    Examples
+    --------
+    >>> from nrbench import Lattice
+    >>> weave = Lattice((30.0, 0.0), (15.0, 12.0))
+    >>> weave.area
+    360.0
+    >>> weave.kind
+    'rhombic'
     """
 
     t1: Vector
@@ -108,6 +117,11 @@ class Lattice:
         Of equally short vectors (to 1e-9 of their squares) the one with the smallest angle is chosen, measured from
         right (x) towards down (y). The angle of t1 is in [0, 180) degrees, and so is that of t2 unless the angle
         between them would be obtuse.
+
+        Returns
+        -------
+        Lattice
+            It has the same origin.
         """
         a, b = _break_ties(*shortest_pair(self.matrix))
         a, b = _make_acute(_point_down(a), _point_down(b))
@@ -118,6 +132,11 @@ class Lattice:
 
         Its points are the frequencies that a texture of this lattice can have. The dual of the dual is the lattice
         itself, with the origin at (0, 0). The dual of a supercell is finer than the dual of the lattice.
+
+        Returns
+        -------
+        Lattice
+            Its vectors are (x, y) in cycles per px.
         """
         return Lattice.from_basis(self._inverse.T)
 
@@ -134,6 +153,11 @@ class Lattice:
         tolerance
             Largest move of the tip of a reduced vector, as a fraction of its length. If the lattice can become both
             rectangular and rhombic, the class that needs the smaller move is returned.
+
+        Returns
+        -------
+        str
+            ``"square"``, ``"rectangular"``, ``"hexagonal"``, ``"rhombic"`` or ``"parallelogram"``.
         """
         a, b = self.reduced().matrix
         short, long = float(np.hypot(*a)), float(np.hypot(*b))
@@ -155,6 +179,11 @@ class Lattice:
         tolerance
             Largest distance, px, of either of its reduced vectors from the integer combination of this lattice's
             vectors that matches it (an integer matrix of determinant +-1).
+
+        Returns
+        -------
+        bool
+            Whether an integer matrix of determinant +-1 turns one basis into the other.
         """
         mine, theirs = self.reduced().matrix, other.reduced().matrix
         change = np.rint(theirs @ np.linalg.inv(mine))
@@ -162,11 +191,33 @@ class Lattice:
         return bool(abs(abs(np.linalg.det(change)) - 1) < 0.5 and error <= tolerance)
 
     def to_cell(self, xy: ArrayLike) -> Points:
-        """Return cell coordinates (u, v) of points (x, y), shape ``(..., 2)``: ``xy = origin + u t1 + v t2``."""
+        """Return cell coordinates (u, v) of points (x, y), shape ``(..., 2)``: ``xy = origin + u t1 + v t2``.
+
+        Parameters
+        ----------
+        xy
+            Points (x, y) px, shape ``(..., 2)``.
+
+        Returns
+        -------
+        Points
+            (u, v), shape ``(..., 2)``.
+        """
         return np.asarray((np.asarray(xy, np.float64) - self.origin) @ self._inverse)
 
     def from_cell(self, uv: ArrayLike) -> Points:
-        """Return points (x, y) of cell coordinates (u, v), shape ``(..., 2)``."""
+        """Return points (x, y) of cell coordinates (u, v), shape ``(..., 2)``.
+
+        Parameters
+        ----------
+        uv
+            Cell coordinates (u, v), shape ``(..., 2)``.
+
+        Returns
+        -------
+        Points
+            (x, y) px, shape ``(..., 2)``.
+        """
         return np.asarray(np.asarray(uv, np.float64) @ self.matrix + self.origin)
 
     def wrap(self, displacement: ArrayLike) -> Points:
@@ -175,6 +226,16 @@ class Lattice:
         The result, ``(..., 2)`` px, lies in the Voronoi cell. In a reduced basis the nearest lattice point is one of
         the four corners of the cell that holds the displacement. Of equally near representatives (to 1e-7 s) the
         rightmost is returned, then the lowest, so that the result depends on the lattice alone.
+
+        Parameters
+        ----------
+        displacement
+            (x, y) px, shape ``(..., 2)``.
+
+        Returns
+        -------
+        Points
+            (x, y) px, shape ``(..., 2)``.
         """
         d, basis = np.asarray(displacement, np.float64), self.reduced().matrix
         first, snap = np.floor(d @ np.linalg.inv(basis)), 1e-7 * np.hypot(*basis[0])
@@ -190,6 +251,18 @@ class Lattice:
         """Return all lattice points (x, y) within ``margin`` px of an image of ``shape``, as ``(n, 2)``.
 
         They are sorted by cell coordinates. Time grows with their number and does not depend on the basis.
+
+        Parameters
+        ----------
+        shape
+            (height, width) of the image, px.
+        margin
+            Largest distance of a point from the image, px.
+
+        Returns
+        -------
+        Points
+            (x, y) px, shape ``(n, 2)``.
         """
         height, width = shape
         low, high = -0.5 - margin, np.array([width, height]) - 0.5 + margin
@@ -200,6 +273,16 @@ class Lattice:
         """Return the integer cell coordinates (u, v) of all lattice points in a box, and of some just outside.
 
         ``int64 (n, 2)``, sorted; ``low`` and ``high`` are the box's corners (x, y), px.
+
+        Parameters
+        ----------
+        low, high
+            Corners (x, y) of the box, px.
+
+        Returns
+        -------
+        NDArray
+            ``int64 (n, 2)``, sorted.
         """
         basis = self.reduced().matrix
         change = np.rint(basis @ self._inverse).astype(np.int64)
@@ -207,7 +290,18 @@ class Lattice:
         return np.asarray(found[np.lexsort((found[:, 1], found[:, 0]))])
 
     def shifted(self, offset: ArrayLike) -> Lattice:
-        """Return the lattice moved by ``offset`` (x, y) px: the lattice of an image cropped at ``-offset``."""
+        """Return the lattice moved by ``offset`` (x, y) px: the lattice of an image cropped at ``-offset``.
+
+        Parameters
+        ----------
+        offset
+            (x, y) px.
+
+        Returns
+        -------
+        Lattice
+            It has the same vectors.
+        """
         return Lattice.from_basis(self.matrix, np.add(self.origin, offset))
 
     @property
@@ -216,19 +310,49 @@ class Lattice:
         return [*self.t1, *self.t2, *(self.origin if self.origin != (0.0, 0.0) else ())]
 
     def as_dict(self) -> dict[str, list[float]]:
-        """Return ``{"t1": [x, y], "t2": [x, y], "origin": [x, y]}``, ready for JSON."""
+        """Return ``{"t1": [x, y], "t2": [x, y], "origin": [x, y]}``, ready for JSON.
+
+        Returns
+        -------
+        dict
+            Lists of two numbers by name.
+        """
         return {"t1": list(self.t1), "t2": list(self.t2), "origin": list(self.origin)}
 
     @classmethod
     def from_basis(cls, basis: ArrayLike, origin: ArrayLike = (0.0, 0.0)) -> Lattice:
-        """Return a lattice from arrays: ``basis`` is ``(2, 2)``, rows t1 and t2 (x, y) px; ``origin`` (x, y) px."""
+        """Return a lattice from arrays: ``basis`` is ``(2, 2)``, rows t1 and t2 (x, y) px; ``origin`` (x, y) px.
+
+        Parameters
+        ----------
+        basis
+            ``(2, 2)``, rows t1 and t2, each (x, y) px.
+        origin
+            (x, y) px.
+
+        Returns
+        -------
+        Lattice
+            The lattice of these vectors.
+        """
         (x1, y1), (x2, y2) = np.asarray(basis, np.float64)
         x, y = np.asarray(origin, np.float64)
         return cls((x1, y1), (x2, y2), (x, y))
 
     @classmethod
     def from_dict(cls, mapping: dict[str, Any]) -> Lattice:
-        """Return the lattice of a mapping from :meth:`as_dict`."""
+        """Return the lattice of a mapping from :meth:`as_dict`.
+
+        Parameters
+        ----------
+        mapping
+            It has the keys ``t1`` and ``t2``, and may have ``origin``.
+
+        Returns
+        -------
+        Lattice
+            The lattice that the mapping was made of.
+        """
         return cls(mapping["t1"], mapping["t2"], mapping.get("origin", (0.0, 0.0)))
 
     @classmethod
@@ -236,6 +360,21 @@ class Lattice:
         """Return a lattice from ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``, the formats of the command line.
 
         (x, y) is the origin; without it, the origin is (0, 0).
+
+        Parameters
+        ----------
+        text
+            Numbers in px, joined by commas.
+
+        Returns
+        -------
+        Lattice
+            The lattice of these numbers.
+
+        Raises
+        ------
+        BadInput
+            If the text is not four or six numbers, or the lattice repeats in less than 2 px.
         """
         try:
             x1, y1, x2, y2, *origin = (float(part) for part in text.split(","))

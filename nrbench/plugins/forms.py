@@ -52,6 +52,13 @@ class Texture:
         The region of a photograph that the image was cropped from; None for models.
     draw_seed
         The number that decides the draw of a model; None for photographs. It is part of no hash and no key.
+
+    Examples
+    --------
+    >>> from nrbench import texture
+    >>> brick = texture("brick", shape=(64, 96))
+    >>> brick.kind, brick.displacement is None
+    ('I', True)
     """
 
     image: Image
@@ -105,6 +112,13 @@ class Surface:
         ``(n, 2)``: the candidates, (x, y) in samples from ``zero``.
     vectors
         ``(2, 2)``, rows (x, y) in samples from ``zero``: the chosen pair of vectors, or None.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench import Surface
+    >>> Surface(np.zeros((9, 9)), zero=(4, 4), peaks=np.array([[2.0, 0.0]])).zero
+    (4, 4)
     """
 
     values: NDArray[np.floating[Any]]
@@ -125,6 +139,14 @@ class Curve:
         The chosen values of x.
     label
         Label of the x axis, with the unit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench import Curve
+    >>> lags = np.arange(1.0, 9.0)
+    >>> Curve(lags, np.cos(lags), marks=(6.0,), label="lag (px)").marks
+    (6.0,)
     """
 
     x: NDArray[np.floating[Any]]
@@ -150,6 +172,12 @@ class Probabilities(NamedTuple):
         It contains that lattice, or is contained in it: a cell holds several tiles, or a share of one.
     none
         The image has another lattice or none.
+
+    Examples
+    --------
+    >>> from nrbench import Probabilities
+    >>> Probabilities(0.7, 0.2, 0.1).exact
+    0.7
     """
 
     exact: float
@@ -171,13 +199,19 @@ class Alternative:
     relation
         How the lattice relates to the chosen one, whose vectors are t1 and t2: ``"half along t1"``,
         ``"double along t2"``, ``"x 3 along t2"``, ``"supercell x 4"``, ``"subcell 1/2"``, ``"unrelated"``
-        (:class:`nrbench.lattice.comparison.BasisChange`).
+        (:class:`nrbench.lattice.relation.BasisChange`).
     evidence
         The rating by which the detector orders lattices; its docstring says which. None if it has none.
     role
         Whether this is the lattice of the structure or of the colors.
     has_origin
         Whether the origin of the lattice is known. If not, it is (0, 0) and means nothing.
+
+    Examples
+    --------
+    >>> from nrbench import Alternative, Lattice
+    >>> Alternative(Lattice((60, 0), (0, 24)), 0.1, "double along t1").lattice.area
+    1440.0
     """
 
     lattice: Lattice
@@ -209,6 +243,12 @@ class Detection:
         Whether this is the lattice of the structure or of the colors. If so, the other one is among ``alternatives``.
     has_origin
         Whether the detector found the origin of the lattice. If not, it is (0, 0) and means nothing.
+
+    Examples
+    --------
+    >>> from nrbench import Detection, Lattice
+    >>> Detection(Lattice((30, 0), (0, 24)), confidence=0.9).has_origin
+    False
     """
 
     lattice: Lattice
@@ -229,6 +269,16 @@ class NoLatticeFound(Exception):
         One sentence that says which test failed.
     best
         The best candidate that was rejected, or None.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench import NoLatticeFound, detect_lattice
+    >>> try:
+    ...     detect_lattice(np.zeros((64, 64)))
+    ... except NoLatticeFound as none:
+    ...     print(none.best)
+    None
     """
 
     def __init__(self, reason: str, best: Detection | None = None) -> None:
@@ -266,6 +316,12 @@ class Refused(Exception):
     ----------
     reason
         One sentence that says what is outside the domain.
+
+    Examples
+    --------
+    >>> from nrbench import Refused
+    >>> str(Refused("the sample is constant"))
+    'the sample is constant'
     """
 
     def __init__(self, reason: str) -> None:
@@ -298,6 +354,13 @@ class Task:
     recompose
         ``recompose(shape, k)`` returns the k-th draw whose elements are copies of elements of the sample; None unless
         the method declares ``reference = True`` and the dataset has a method ``recompose``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench import Task
+    >>> task = Task(np.ones((8, 8, 3), np.float32), (16, 16), None, np.random.default_rng(0))
+    >>> task.progress(0.5)
     """
 
     sample: Image
@@ -327,6 +390,13 @@ class Synthesis:
         Wall seconds of the detection of the lattice.
     note
         One sentence that the tables show beside the row, for example about a fallback.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench import Synthesis
+    >>> Synthesis(np.zeros((8, 8, 3), np.float32), note="the sample was used once").lattice is None
+    True
     """
 
     image: Image
@@ -351,6 +421,12 @@ class FoundLattice:
         Why there is none.
     confidence
         Confidence of the detector, in [0, 1]; None if no detector was used or it found no lattice.
+
+    Examples
+    --------
+    >>> from nrbench import FoundLattice
+    >>> FoundLattice(None, reason="the image has one color").lattice is None
+    True
     """
 
     lattice: Lattice | None
@@ -359,19 +435,57 @@ class FoundLattice:
     confidence: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return a mapping that can be written as JSON."""
+        """Return a mapping that can be written as JSON.
+
+        Returns
+        -------
+        dict
+            The fields by name.
+        """
         return {**vars(self), "lattice": self.lattice.as_dict() if self.lattice else None}
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> FoundLattice:
-        """Build the object from the mapping of :meth:`as_dict`; other keys are ignored."""
+        """Build the object from the mapping of :meth:`as_dict`; other keys are ignored.
+
+        Parameters
+        ----------
+        mapping
+            A mapping of :meth:`as_dict`.
+
+        Returns
+        -------
+        FoundLattice
+            The object that the mapping was made of.
+        """
         names = ("seconds", "reason", "confidence")
         lattice = Lattice.from_dict(mapping["lattice"]) if mapping.get("lattice") else None
         return cls(lattice, **{name: mapping[name] for name in names if name in mapping})
 
 
 def find_lattice(task: Task, detector: Detector) -> FoundLattice:
-    """Return the lattice of the task, or detect that of the sample if none was given."""
+    """Return the lattice of the task, or detect that of the sample if none was given.
+
+    Parameters
+    ----------
+    task
+        The input of the method.
+    detector
+        Called if the task has no lattice.
+
+    Returns
+    -------
+    FoundLattice
+        The lattice, or the reason why there is none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench import Lattice, NamedDetector, Task, find_lattice
+    >>> task = Task(np.ones((64, 64, 3), np.float32), (128, 128), Lattice((16, 0), (0, 12)), np.random.default_rng(0))
+    >>> find_lattice(task, NamedDetector("gncc")).lattice.t1[0]
+    16.0
+    """
     if task.lattice is not None:
         return FoundLattice(task.lattice)
     return timed_detection(detector, task.sample)
@@ -387,10 +501,25 @@ def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Latti
     without
         What the method cannot do without a lattice, for the message.
 
+    Returns
+    -------
+    lattice
+        In coordinates of the sample.
+    seconds
+        Wall seconds of the detection; 0 if the lattice was given.
+
     Raises
     ------
     Refused
         If no lattice was given or found.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench import Lattice, NamedDetector, Task, require_lattice
+    >>> task = Task(np.ones((64, 64, 3), np.float32), (128, 128), Lattice((16, 0), (0, 12)), np.random.default_rng(0))
+    >>> require_lattice(task, NamedDetector("gncc"), "there is no tile to repeat")[0].t1[0]
+    16.0
     """
     found = find_lattice(task, detector)
     if found.lattice is None:
@@ -440,8 +569,11 @@ class Synthesizer(Protocol):
         The kinds of texture on which a baseline is valid.
     ``always_shown``
         Parameters that the label of the method shows even at their defaults.
-    ``paper``, ``version``
-        BibTeX, and the version that is part of a cell's key.
+    ``paper``, ``version``, ``uses``
+        BibTeX; the version that is part of a cell's key, text or a number; and the names of the detectors that the
+        method calls with their default parameters, whose versions become part of the key.
+    ``fingerprint()``
+        A method that returns a hash of the files that it reads, for the key.
     ``presets``
         Named sets of parameters, as in ``presets: ClassVar[Mapping[str, Mapping[str, Any]]]``. ``preset=NAME`` among
         the parameters chooses one. The preset ``"paper"`` is the method as its paper describes it. Plugins of every
@@ -483,6 +615,14 @@ class Observation:
         cells ran at the same time.
     detected
         The answer of the detector that the lattice comes from; None if it comes from no detector.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench import Observation
+    >>> white = np.ones((8, 8, 1), np.float32)
+    >>> Observation(white, white).truth is None
+    True
     """
 
     sample: Image
@@ -502,7 +642,18 @@ class Observation:
     )
 
     def with_stream(self, rng: np.random.Generator) -> Observation:
-        """Return the same observation with the random stream of another metric. Shared results stay shared."""
+        """Return the same observation with the random stream of another metric. Shared results stay shared.
+
+        Parameters
+        ----------
+        rng
+            The random stream.
+
+        Returns
+        -------
+        Observation
+            A copy with this stream.
+        """
         observation = replace(self, rng=rng)
         object.__setattr__(observation, "_shared", self._shared)
         return observation
@@ -514,6 +665,11 @@ class Observation:
         ----------
         make
             A function of the observation. It must not use ``rng``, because any metric may be the first to call it.
+
+        Returns
+        -------
+        Any
+            What ``make`` returned.
 
         Examples
         --------
@@ -544,6 +700,12 @@ class Column:
         Lowest and highest possible value.
     better
         ``"higher"``, ``"lower"``, ``"one"`` (two-sided: nearest to 1), or ``"none"`` (no better way).
+
+    Examples
+    --------
+    >>> from nrbench import Column
+    >>> Column("Mean of all pixels of the output.").range
+    (0.0, 1.0)
     """
 
     meaning: str
@@ -566,6 +728,12 @@ class Score:
         Images for the report, by name.
     records
         Further results by name; JSON can hold them.
+
+    Examples
+    --------
+    >>> from nrbench import Score
+    >>> Score({"mean": 0.5, "contrast": None}, {"contrast": "the sample has one color"}).values["mean"]
+    0.5
     """
 
     values: Mapping[str, Value]
@@ -575,7 +743,20 @@ class Score:
 
     @classmethod
     def missing(cls, columns: Mapping[str, Column], reason: str) -> Score:
-        """Return a score with None in every column, all for the same reason."""
+        """Return a score with None in every column, all for the same reason.
+
+        Parameters
+        ----------
+        columns
+            The declared columns of the metric.
+        reason
+            One sentence: why there is no value.
+
+        Returns
+        -------
+        Score
+            Its values are None.
+        """
         return cls(dict.fromkeys(columns), dict.fromkeys(columns, reason))
 
 

@@ -247,6 +247,6 @@ def append_parameters(cls: type[Any], base: type[Any]) -> None:
     """
     if cls.__doc__ and base.__doc__:
         shared = inspect.cleandoc(base.__doc__).partition("Parameters\n----------\n")[2]
-        own = inspect.cleandoc(cls.__doc__)
-        heading = "" if "\nParameters\n" in own else "\nParameters\n----------\n"
-        cls.__doc__ = f"{own}\n{heading}{shared}\n"
+        own, heading, references = inspect.cleandoc(cls.__doc__).partition("\n\nReferences\n")
+        begin = "" if "\nParameters\n" in own else "\nParameters\n----------\n"
+        cls.__doc__ = f"{own}\n{begin}{shared}{heading}{references}\n"

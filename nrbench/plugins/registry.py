@@ -200,12 +200,35 @@ class NamedDetector:
     ----------
     spec
         ``name`` or ``name:param=value,...``.
+
+    Examples
+    --------
+    >>> from nrbench import NamedDetector, texture
+    >>> brick = texture("brick", shape=(96, 96))
+    >>> NamedDetector("gncc").detect(brick.image).lattice.is_equivalent(brick.lattice, tolerance=0.5)
+    True
     """
 
     spec: str
 
     def detect(self, image: Image) -> Detection:
-        """Return what the detector finds; see :class:`~nrbench.plugins.forms.Detector`."""
+        """Return what the detector finds; see :class:`~nrbench.plugins.forms.Detector`.
+
+        Parameters
+        ----------
+        image
+            The image.
+
+        Returns
+        -------
+        Detection
+            The lattice and its confidence.
+
+        Raises
+        ------
+        NoLatticeFound
+            If the detector finds none.
+        """
         name, parameters = parse_spec(self.spec)
         found: Detection = build("detectors", name, parameters).detect(image)
         return found

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, Protocol
 
 from threadpoolctl import threadpool_limits
@@ -78,7 +77,6 @@ class Threads:
 def executor(
     jobs: int,
     scheduler: str | None = None,
-    root: Path = Path(),
     worker_wait: float = 600.0,
     tell: Callable[[str], None] = print_notice,
 ) -> Iterator[Executor]:
@@ -90,8 +88,6 @@ def executor(
         Cells at the same time; 0 runs them in this process, without limits, for the debugger.
     scheduler
         Address of a Dask scheduler (``tcp://...``), whose workers run the cells.
-    root
-        The run directory. The workers of a cluster write into it if they see it.
     worker_wait
         Seconds that a cluster may be without a worker.
     tell
@@ -103,7 +99,7 @@ def executor(
         When the cluster cannot be reached, or ``distributed`` is not installed.
     """
     if scheduler is not None:
-        with connect(scheduler, root, worker_wait, tell) as cluster:
+        with connect(scheduler, worker_wait, tell) as cluster:
             yield cluster
     elif jobs == 0:
         limit_threads: Any = threadpool_limits

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import select
 import signal
 import sys
 import time
@@ -26,8 +27,6 @@ LONG_LOG, SHORT_LOG = 16 << 20, 1 << 20
 """Bytes of a log above which it is cut, and bytes that are kept of it."""
 _TYPES: Mapping[str, Any] = {**dict.fromkeys(("status", "message", "scored"), str), "peak_mib": int | float}
 """Types of some entries of a message, if they are there. A child may write anything else."""
-MARK = "NRBENCH_RUN"
-"""Environment variable that holds a mark of the process that started a worker; all that a worker starts inherits it."""
 
 
 class Message(Result, total=False):
@@ -85,7 +84,7 @@ class Ending:
     messages
         All messages of the child.
     status
-        ``ended``, ``timeout``, ``memory``, ``crash`` or ``abandoned`` (its result is no longer wanted).
+        ``ended``, ``timeout``, ``memory`` or ``crash``.
     message
         One sentence, empty for ``ended``.
     started
@@ -116,8 +115,6 @@ class Watch:
         Bytes that the idle worker holds (:func:`held_bytes`) that it was forked from; 0 for a fresh interpreter.
     log
         The file that the child writes its messages to; it is kept short.
-    wanted
-        Returns whether the result is still wanted: false once the run has ended.
 
     Attributes
     ----------
@@ -135,17 +132,16 @@ class Watch:
         limits: Limits,
         base: int = 0,
         log: Path | None = None,
-        wanted: Callable[[], bool] = lambda: True,
     ) -> None:
         self.pid, self.receive, self.ended, self.log = pid, receive, ended, log
-        self.limits, self.base, self.wanted = limits, base, wanted
+        self.limits, self.base = limits, base
         self.messages: list[Message] = []
         self.finished = False
         self.started = 0
         self._open = True
 
     def watch(self) -> tuple[str, str] | None:
-        """Wait until the child has finished its request or ends (None), or breaks a limit (status and message)."""
+        """Wait for the child. Return None when it finishes or ends, or (status, message) when it exceeds a limit."""
         limits, left, most = self.limits, set(self.limits.parts), self.limits.mib + self.limits.start_mib
         deadline = time.monotonic() + limits.start_seconds + limits.seconds
         starting = limits.start_seconds > 0
@@ -166,8 +162,6 @@ class Watch:
                 self.base, most = held_bytes(self.pid), limits.mib
             if now > deadline:
                 return "timeout", f"took longer than {limits.seconds:g} s; raise --timeout if it may"
-            if not self.wanted():
-                return "abandoned", "the run ended"
             if now > memory_check:
                 memory_check = now + MEMORY_TICK
                 own, started = held_by_family(self.pid)
@@ -223,7 +217,7 @@ def parse_message(line: str | bytes) -> Message | None:
 def held_by_family(pid: int) -> tuple[int, int]:
     """Return the bytes that a process holds, and those that all its descendants hold; 0 for one that has ended."""
     with contextlib.suppress(psutil.Error):
-        return held_bytes(pid), sum(held_bytes(one.pid) for one in psutil.Process(pid).children(recursive=True))
+        return held_bytes(pid), sum(held_bytes(child.pid) for child in psutil.Process(pid).children(recursive=True))
     return 0, 0
 
 
@@ -242,62 +236,79 @@ def held_bytes(pid: int) -> int:
     return 0
 
 
-def sweep(pid: int) -> None:
-    """Kill a process, its group and its descendants."""
-    with contextlib.suppress(psutil.Error):
-        for one in psutil.Process(pid).children(recursive=True):
-            with contextlib.suppress(psutil.Error):
-                one.kill()
-    if sys.platform != "win32":
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(pid, signal.SIGKILL)
-    with contextlib.suppress(psutil.Error):
-        psutil.Process(pid).kill()
+def kill_children(pid: int, spared: Collection[int] = ()) -> None:
+    """Kill all that a process started, in any session.
 
-
-def sweep_marked(mark: str) -> None:
-    """Kill every process whose environment carries a mark, whatever its parent and session (Linux)."""
-    if not sys.platform.startswith("linux"):
-        return
-    wanted = f"{MARK}={mark}".encode()
-    for folder in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):
-            if folder.name != str(os.getpid()) and wanted in (folder / "environ").read_bytes().split(b"\0"):
-                os.kill(int(folder.name), signal.SIGKILL)
-
-
-def adopt_orphans() -> None:
-    """Become the parent of orphaned descendants, so that :func:`sweep_orphans` finds them (Linux)."""
-    _prctl(36, 1)
-
-
-def sweep_orphans(spared: Collection[int] = ()) -> None:
-    """Kill and reap the children of the calling process: those that a finished job left running, in any session.
+    On Linux the process must be one that :func:`adopt_orphans` has prepared: what a killed child had started becomes
+    its child, and is killed next.
 
     Parameters
     ----------
+    pid
+        The process. If it is the calling one, its children are reaped.
     spared
         Process ids of children that stay.
     """
     for _ in range(1000):
-        children = [pid for pid in _children() if pid not in spared]
+        children = [each for each in _children(pid) if each not in spared]
         if not children:
             return
-        for pid in children:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.kill(pid, signal.SIGKILL)
-        for pid in children:
-            with contextlib.suppress(ChildProcessError):
-                os.waitpid(pid, 0)
+        for each in children:
+            with contextlib.suppress(psutil.Error):
+                psutil.Process(each).kill()
+            with contextlib.suppress(OSError):
+                if pid == os.getpid():
+                    os.waitpid(each, 0)
+        if pid != os.getpid():
+            time.sleep(0.001)  # until the process has reaped them, or ended
 
 
-def _children() -> list[int]:
-    pid = os.getpid()
+def _children(pid: int) -> list[int]:
+    """Return the children of a process; where they do not adopt orphans, also all that these have started."""
     try:
-        with open(f"/proc/{pid}/task/{pid}/children", encoding="ascii") as children:  # noqa: PTH123
-            return [int(child) for child in children.read().split()]
+        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()]
     except OSError:
-        return [child.pid for child in psutil.Process().children()]
+        with contextlib.suppress(psutil.Error):
+            return [child.pid for child in psutil.Process(pid).children(recursive=True)]
+    return []
+
+
+def adopt_orphans() -> None:
+    """Become the parent of orphaned descendants, so that :func:`kill_children` finds them (Linux)."""
+    _prctl(36, 1)
+
+
+def go_on_in_child(leash: int) -> None:
+    """Fork the calling process and go on in the child (Linux). The parent stays to kill what the child leaves behind.
+
+    The parent waits until the child has ended, or nobody holds the other end of a pipe any more, because the run was
+    killed. Then it kills all descendants, which it adopts, and ends. The child does the same if the parent is killed.
+
+    Parameters
+    ----------
+    leash
+        The end of the pipe that this process reads, a file descriptor.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    adopt_orphans()
+    child = os.fork()
+    if child == 0:
+        adopt_orphans()
+        signal.signal(signal.SIGTERM, _end_with_children)
+        _prctl(1, signal.SIGTERM)  # sent when the parent ends
+        return
+    poll = select.poll()
+    poll.register(os.pidfd_open(child), select.POLLIN)
+    poll.register(leash, 0)
+    while not poll.poll():
+        pass
+    _end_with_children()
+
+
+def _end_with_children(*_: Any) -> None:
+    kill_children(os.getpid())
+    os._exit(0)
 
 
 def explain_exit(code: int) -> str:
@@ -332,38 +343,8 @@ def _data_bytes() -> int:
 
 
 def die_with_parent() -> None:
-    """Let the kernel kill the calling process when the thread that started it ends (Linux)."""
+    """Let the kernel kill the calling process when the one that forked it ends (Linux)."""
     _prctl(1, signal.SIGKILL)
-
-
-def outlive_parent() -> None:
-    """Undo :func:`die_with_parent`."""
-    _prctl(1, 0)
-
-
-_MADV_COLLAPSE = 25
-"""Advice of madvise(2), from linux/mman.h: collapse a range of memory into huge pages now."""
-
-
-def collapse_pages() -> None:
-    """Put the memory of the calling process into huge pages (Linux from 6.1): a fork then takes half the time.
-
-    Older kernels refuse the request, which changes nothing.
-    """
-    if not sys.platform.startswith("linux"):
-        return
-    import ctypes
-
-    madvise, huge = ctypes.CDLL(None).madvise, 1 << 21
-    with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:  # noqa: PTH123
-        mapped = [line.split() for line in maps.readlines()]
-    for addresses, access, _, _, inode, *_ in mapped:
-        if access != "rw-p" or inode != "0":  # not private memory, or that of a file
-            continue
-        begin, end = (int(address, 16) for address in addresses.split("-"))
-        first, last = -(-begin // huge) * huge, end // huge * huge
-        if last > first:
-            madvise(ctypes.c_void_p(first), ctypes.c_size_t(last - first), _MADV_COLLAPSE)
 
 
 def _prctl(option: int, value: int) -> None:

@@ -11,7 +11,7 @@ import dataclasses
 import json
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
@@ -38,7 +38,7 @@ from nrbench.plugins.forms import (
     timed_detection,
 )
 from nrbench.running.guard import Message, cpu_seconds
-from nrbench.running.outputs import InvalidOutput, checked_synthesis, is_picture
+from nrbench.running.output_checks import InvalidOutput, checked_synthesis, is_picture
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder, Result, metric_key
 from nrbench.storage import read_arrays, read_json, write_arrays, write_json
@@ -247,12 +247,12 @@ def report(folder: Path, send: Send) -> None:
         send_error(error, send)
 
 
-def score(folder: Path, metrics: Iterable[str], send: Send) -> None:
+def score(folder: Path, send: Send, *metrics: str) -> None:
     """Score a cell by some metrics, and write one file for each; send ``{"scored": metric}`` after each.
 
     The score of a metric that raises is None in every column, with the error as the reason.
     """
-    where, metrics = CellFolder(folder), list(metrics)
+    where = CellFolder(folder)
     cell = _read_cell(where)
     named = [("datasets", cell.recipe.dataset), *(("metrics", metric) for metric in metrics)]
     observation = observe(where, cell, keep=all(_is_own(kind, name) for kind, name in named))

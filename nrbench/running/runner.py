@@ -17,9 +17,9 @@ from nrbench.errors import BadInput
 from nrbench.imaging.files import write_image
 from nrbench.plugins.forms import FoundLattice
 from nrbench.running.executors import Executor, executor
-from nrbench.running.outputs import InvalidOutput
+from nrbench.running.output_checks import InvalidOutput
+from nrbench.running.pace import Pace, Progress, Step
 from nrbench.running.phases import read_output
-from nrbench.running.progress import Pace, Progress, Step
 from nrbench.running.supervisor import Job, print_notice
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
@@ -59,6 +59,12 @@ class Options:
         Called with a sentence that the user should read: that kernels are compiled, that a cluster has no worker.
     stop
         Once this event is set no further cell is started; those that are running end, then the run is interrupted.
+
+    Examples
+    --------
+    >>> from nrbench import Options
+    >>> Options(jobs=2, timeout=60.0).memory
+    4096.0
     """
 
     jobs: int = 1
@@ -119,7 +125,7 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     options
         How to run it.
     progress
-        Called after each cell with a :class:`~nrbench.running.progress.Step`.
+        Called after each cell with a :class:`~nrbench.running.pace.Step`.
 
     Raises
     ------
@@ -139,7 +145,7 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
         directory.write_info(plan, options.argv, metrics)
         if options.reuse is not None:
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
-        with executor(options.jobs, options.scheduler, root, options.worker_wait, options.tell) as pool:
+        with executor(options.jobs, options.scheduler, options.worker_wait, options.tell) as pool:
             runner = _Runner(directory, options, metrics, pool)
             runner.run(runner.with_detected_lattices(plan.cells), progress)
     return Run(root)

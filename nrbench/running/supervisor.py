@@ -13,12 +13,11 @@ import sys
 import tempfile
 import threading
 import time
-import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from nrbench import plugins
 from nrbench.errors import describe_error, storage_fault
 from nrbench.running import guard
 from nrbench.running.guard import Message
-from nrbench.running.worker import Reply, Request, perform
+from nrbench.running.worker import GRACE, Reply, Request, perform, read_lines, start_worker
 from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import temporary_folder, working_folder
 
@@ -40,13 +39,10 @@ THREAD_VARIABLES = (
     "NUMBA_NUM_THREADS",
 )
 """Set to 1 in every worker, before numpy loads there."""
-GRACE = 10.0
-"""Seconds that a worker may take, beyond the limit it enforces itself, before it is killed."""
 ROOM = 4 << 20
 """Bytes that must find room on the disk of a run for it to go on after an error of a disk."""
 START = 900.0
-"""Seconds that a worker may take to start. A busy machine compiles all kernels for minutes. If the worker were stopped,
-fresh interpreters would compile them for each cell."""
+"""Seconds that a worker may take to start. A busy machine compiles all kernels for minutes."""
 COMPILING = "compiling kernels (once per machine, up to some minutes)"
 """The notice of a worker that compiles kernels."""
 
@@ -87,7 +83,7 @@ class Job:
     side_by_side: float = 0.0
     user_folder: str = dataclasses.field(default_factory=working_folder)
 
-    def request(self, phase: Literal["detect", "synthesize", "score"], metrics: tuple[str, ...] = ()) -> Request:
+    def request(self, phase: str, metrics: tuple[str, ...] = ()) -> Request:
         """Return the request of one phase of this job."""
         return Request(phase, self.folder, self.seconds, self.mib, metrics, self.user_folder)
 
@@ -200,24 +196,20 @@ class Closed(BaseException):
 class Supervisor:
     """Owns one warm worker, and replaces it when it dies.
 
-    Where forking is unsafe or absent, each request runs in a fresh interpreter, under the same limits but more slowly.
-
     Parameters
     ----------
     tell
         Called with a sentence when the start of the worker takes minutes, because kernels are compiled.
     forks
-        Whether requests may run in forked children; otherwise each one runs in a fresh interpreter.
+        Whether requests run in forked children where that is safe; otherwise each one runs in a fresh interpreter.
     """
 
     def __init__(self, tell: Callable[[str], None] = print_notice, *, forks: bool = True) -> None:
-        self._tell = tell
+        self._tell, self._forks = tell, forks
         self._plugins: list[str] = []
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader: threading.Thread | None = None
-        self._mark = uuid.uuid4().hex
-        self._forks = forks
         self._ended = False
         self._stack = contextlib.ExitStack()
         self._temporary: Path | None = None
@@ -230,22 +222,17 @@ class Supervisor:
         self._check_open()
         if self._worker is not None and self._plugins != plugins.files():
             self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
-        if self._forks and self._worker is None:
-            self._forks = self._start()
+        if self._worker is None:
+            self._start()
         request = dataclasses.replace(request, temporary=str(self._folder() / "tmp"))
         self._check_open()
-        if not self._forks:
-            reply = _run_in_fresh_interpreter(request, lambda: not self._ended)
-            self._check_open()
-            return reply
         assert self._worker is not None and self._worker.stdin is not None
         try:
             self._worker.stdin.write(request.to_json() + "\n")
             self._worker.stdin.flush()
         except OSError:
             return self._crash("the worker process had ended")
-        parts = max(1, len(request.metrics))
-        line = self._line(request.seconds * parts + GRACE)
+        line = self._line(request.seconds * max(1, len(request.metrics)) + 2 * GRACE)
         self._check_open()
         return Reply.from_json(line or "") or self._crash("the worker process died")
 
@@ -258,19 +245,16 @@ class Supervisor:
         if self._ended:
             raise Closed
 
-    def _start(self) -> bool:
-        """Start the worker; return whether it can fork."""
+    def _start(self) -> None:
+        """Start the worker, and wait until it is ready. If it does not start, the first request says so."""
         self._plugins = plugins.files()
-        self._worker = _start_process(subprocess.DEVNULL, self._mark, f"--folder={self._folder() / 'imports'}")
-        self._lines, self._reader = _read_lines(self._worker)
+        words = [f"--folder={self._folder() / 'imports'}", *([] if self._forks else ["--fresh"]), *self._plugins]
+        self._worker = start_worker(*words, stderr=subprocess.DEVNULL, env=worker_environment())
+        self._lines, self._reader = read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}
         if first.get("compiling"):
             self._tell(COMPILING)
-            first = guard.parse_message(self._line(START) or "") or {}
-        if not first.get("fork"):
-            self.close()
-            return False
-        return True
+            self._line(START)
 
     def _folder(self) -> Path:
         """Return the folder of temporary files, made when needed; :meth:`close` removes it."""
@@ -287,9 +271,9 @@ class Supervisor:
         """Kill the worker and all that it started."""
         worker, self._worker = self._worker, None  # two threads may close at the same time
         if worker is not None:
-            guard.sweep(worker.pid)
+            guard.kill_children(worker.pid)
+            worker.kill()
             worker.wait()
-            guard.sweep_marked(self._mark)
             for pipe in (worker.stdin, worker.stdout if self._drained() else None):
                 with contextlib.suppress(OSError):
                     pipe.close() if pipe else None
@@ -333,73 +317,6 @@ class InProcessRunner:
 def worker_environment() -> dict[str, str]:
     """Return the environment of a worker: one thread, and no imports from the working directory."""
     return {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "1"), "PYTHONSAFEPATH": "1", "MPLBACKEND": "Agg"}
-
-
-def _start_process(log: IO[bytes] | int, mark: str, *options: str) -> subprocess.Popen[str]:
-    program = "from nrbench.running.worker import main; main()"
-    return subprocess.Popen(
-        [sys.executable, "-c", program, *options, *plugins.files()],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=log,
-        text=True,
-        env={**worker_environment(), guard.MARK: mark},
-        start_new_session=True,
-    )
-
-
-def _read_lines(process: subprocess.Popen[str]) -> tuple[queue.Queue[str | None], threading.Thread]:
-    """Read the output of a process in a thread; return the queue of its lines (None at the end) and the thread."""
-    lines: queue.Queue[str | None] = queue.Queue()
-
-    def read(output: IO[str]) -> None:
-        with contextlib.suppress(ValueError, OSError):
-            for line in output:
-                lines.put(line)
-            output.close()
-        lines.put(None)
-
-    thread = threading.Thread(target=read, args=(process.stdout,), daemon=True)
-    thread.start()
-    return lines, thread
-
-
-def _run_in_fresh_interpreter(request: Request, wanted: Callable[[], bool]) -> Reply:
-    """Run one request in an interpreter of its own, and watch it from this process while the reply is wanted."""
-    mark = uuid.uuid4().hex
-    with request.log.open("ab") as log:
-        child = _start_process(log, mark, "--once")
-    lines, _ = _read_lines(child)
-    assert child.stdin is not None
-    with contextlib.suppress(OSError):
-        child.stdin.write(request.to_json() + "\n")
-        child.stdin.close()
-    limits = guard.Limits(request.seconds, request.mib, request.metrics, GRACE, 512)
-    watch = guard.Watch(
-        child.pid,
-        lambda seconds: _next_message(lines, seconds),
-        lambda: child.poll() is not None,
-        limits,
-        log=request.log,
-        wanted=wanted,
-    )
-    try:
-        broken = watch.watch()
-    finally:  # also at an interrupt
-        guard.sweep(child.pid)
-        code = child.wait()
-        guard.sweep_marked(mark)
-        request.tidy()
-    return Reply.of(watch.ending(broken, code))
-
-
-def _next_message(lines: queue.Queue[str | None], seconds: float) -> list[Message] | None:
-    try:
-        line = lines.get(timeout=seconds)
-    except queue.Empty:
-        return []
-    message = guard.parse_message(line) if line is not None else None
-    return None if line is None else [message] if message is not None else []
 
 
 _own = threading.local()

@@ -1,8 +1,8 @@
 """The worker process: it imports every plugin, loads every kernel, and then forks the children that run phases.
 
-The worker computes nothing itself and has a single thread, so that forking is safe. Each phase has a child of its own.
-The exception is scoring by the metrics of nrbench: one child, the scorer, scores many cells. After each reply the
-worker forks the child of the next phase, the spare, which waits for its request.
+The worker computes nothing itself and has a single thread, so that forking is safe. Where it is not, the worker imports
+no plugin, and each child is a fresh interpreter. Each phase has a child of its own. The exception is scoring by the
+metrics of nrbench: one forked child, the scorer, scores many cells.
 """
 
 from __future__ import annotations
@@ -10,37 +10,39 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
-import gc
 import importlib
 import json
 import os
+import queue
 import select
 import signal
 import stat
+import subprocess
 import sys
 import tempfile
 import threading
 import uuid
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import IO, Any, Literal, cast
+from typing import IO, Any, cast
 
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.jit import load_kernels
 from nrbench.plugins.parameters import prepare_conversion
-from nrbench.running import clauses, guard, phases
+from nrbench.running import guard, phases
 from nrbench.running.guard import Message
+from nrbench.running.phases import Send
 from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import leave_user_folder, read_json, remove_folder, working_folder
 
-PATIENCE = 0.02
-"""Seconds that a worker waits for the next request before it tidies up after the last one."""
 SCORER_ROOM = 256.0
 """MiB that the scorer may hold between two cells, beyond what the worker holds. Above it, a new one takes its place."""
+GRACE = 10.0
+"""Seconds that a fresh interpreter may take to start."""
 MESSAGES = 3
 """The file descriptor to which a child writes its messages."""
 DEFERRED = (
@@ -59,7 +61,7 @@ class Request:
     Parameters
     ----------
     phase
-        What to do; see :mod:`nrbench.running.phases`.
+        What to do: the name of a function of :mod:`nrbench.running.phases`, or the whole path of another function.
     folder
         The cell's folder.
     seconds, mib
@@ -73,7 +75,7 @@ class Request:
         the cell's folder: the path of a socket has 107 bytes at most, and that of a run may be longer.
     """
 
-    phase: Literal["render", "detect", "synthesize", "score", "report", "check"]
+    phase: str
     folder: str
     seconds: float
     mib: float
@@ -142,13 +144,13 @@ class Reply:
     result: Result
     scored: tuple[str, ...] = ()
 
-    def to_json(self) -> str:
-        """Return the reply as one line of JSON."""
-        return json.dumps({**self.result, "metrics": self.scored})
+    def as_dict(self) -> dict[str, Any]:
+        """Return the reply as a mapping that can be written as JSON."""
+        return {**self.result, "metrics": self.scored}
 
     @classmethod
     def from_json(cls, line: str) -> Reply | None:
-        """Read a reply from :meth:`to_json`; None for any other text."""
+        """Read a reply from the JSON of :meth:`as_dict`; None for any other text."""
         content: Any = guard.parse_message(line)
         if content is None or "status" not in content:
             return None
@@ -172,24 +174,15 @@ class Reply:
 
 def perform(request: Request, send: Callable[[Message], None]) -> None:
     """Run one phase in this process, sending messages."""
-    folder = Path(request.folder)
     before = guard.peak_bytes()
 
     def send_with_memory(message: Message) -> None:
-        send({**message, "peak_mib": max(0, guard.peak_bytes() - before) / guard.MIB})
+        peak = {"peak_mib": max(0, guard.peak_bytes() - before) / guard.MIB} if request.phase == "synthesize" else {}
+        send(cast("Message", {**message, **peak}))
 
-    if request.phase == "score":
-        phases.score(folder, request.metrics, send)
-    elif request.phase == "detect":
-        phases.detect(folder, send)
-    elif request.phase == "render":
-        phases.render(folder, send)
-    elif request.phase == "report":
-        phases.report(folder, send)
-    elif request.phase == "check":
-        clauses.check(folder, send)
-    else:
-        phases.synthesize(folder, send_with_memory)
+    module, _, name = request.phase.rpartition(".")
+    phase = getattr(importlib.import_module(module or phases.__name__), name)
+    phase(Path(request.folder), send_with_memory, *request.metrics)
 
 
 def warm(compiling: Callable[[], None]) -> None:
@@ -207,47 +200,6 @@ def warm(compiling: Callable[[], None]) -> None:
             if plugin.cls is not None:
                 prepare_conversion(plugin.cls)
     load_kernels(compiling)
-    gc.collect()
-    gc.freeze()  # a collection in a child would write into all objects of the worker, and so copy their memory
-    guard.collapse_pages()
-
-
-def _import_plugins(request: Request) -> None:
-    """Import the plugins that a request names, so that its limits do not count that, as in a forked child."""
-    content: Any = read_json(CellFolder(Path(request.folder)).cell_file) or {}
-    recipe = content.get("recipe")
-    named = [("datasets", recipe.get("dataset") if isinstance(recipe, dict) else None)]
-    if request.phase == "score":
-        named += [("metrics", metric) for metric in request.metrics]
-    else:
-        named += [("synthesizers", content.get("method")), ("detectors", content.get("detector"))]
-    for kind, name in named:
-        if isinstance(name, str):
-            with contextlib.suppress(BadInput):  # its phase says why it does not load
-                plugins.find(kind, name)
-
-
-def _add_files(files: Iterable[str]) -> None:
-    for file in files:
-        plugins.add_file(file)
-
-
-def _die_with_parent(out: int) -> None:
-    """Let the kernel kill this process when the thread that started it ends; leave if its process has ended already.
-
-    No signal handler of Python would do, because none runs while a kernel is compiled, which takes minutes.
-
-    Parameters
-    ----------
-    out
-        The pipe to the process that started this one.
-    """
-    guard.die_with_parent()
-    if sys.platform.startswith("linux"):
-        poll = select.poll()
-        poll.register(out, 0)
-        if poll.poll(0):  # nobody reads it any more
-            os._exit(0)
 
 
 def may_fork() -> bool:
@@ -257,140 +209,204 @@ def may_fork() -> bool:
     return threading.active_count() == 1 and len(list(Path("/proc/self/task").iterdir())) == 1
 
 
-def serve(requests: IO[str], reply: Callable[[str], None]) -> None:
-    """Read one request from each line, run it in a forked child, and reply, until the input ends."""
-    server = ForkServer()
-    try:
-        for line in requests:
-            reply(server.run(Request.from_json(line)).to_json())
-            server.prepare()
-            if not select.select([requests], [], [], PATIENCE)[0]:
-                server.tidy()
-    finally:  # also where nobody reads the reply any more
-        server.tidy()
-
-
-@dataclass(frozen=True)
-class Child:
-    """A forked child.
+class ForkedChild:
+    """A child of this process that calls a function, whose standard input is a pipe of requests, and leaves.
 
     Parameters
     ----------
-    pid
-        Its process id.
-    messages
-        The end of a pipe at which the child's messages arrive, a file descriptor.
-    requests
-        The end of a pipe to which its requests are written, a file descriptor.
+    run
+        The function.
     """
 
-    pid: int
-    messages: int
-    requests: int
+    def __init__(self, run: Callable[[], None]) -> None:
+        (self._messages, theirs), (requests, self._requests) = os.pipe(), os.pipe()
+        try:
+            self.pid = os.fork()
+            if self.pid == 0:
+                _run_forked(run, requests, theirs)
+        except OSError:
+            os.close(self._messages)
+            os.close(self._requests)
+            raise
+        finally:
+            os.close(theirs)
+            os.close(requests)
+        self.receive = _receiver(self._messages)
+
+    def send(self, request: Request) -> None:
+        """Send a request."""
+        with contextlib.suppress(OSError):  # it has just died
+            _write_line(self._requests, request.to_json())
 
     def has_ended(self) -> bool:
         """Return whether the process has ended."""
         return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
 
     def end(self, kill: bool) -> int:
-        """Wait for the end of the process, killed or not; return its exit code (negative: minus the signal).
-
-        What it has started is left to :func:`~nrbench.running.guard.sweep_orphans`.
-        """
+        """Wait for the end of the process, killed or not; return its exit code (negative: minus the signal)."""
         if kill:
             os.kill(self.pid, signal.SIGKILL)
         code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
-        os.close(self.messages)
-        os.close(self.requests)
+        os.close(self._messages)
+        os.close(self._requests)
         return code
 
 
-class ForkServer:
-    """Runs requests in forked children, one at a time, under their limits.
+class FreshChild:
+    """A new interpreter that runs a single request.
+
+    Parameters
+    ----------
+    log
+        The file that it writes its messages to.
+    files
+        Files of plugins.
+    folder
+        Its working directory at the start, from which relative paths to modules start.
+    """
+
+    def __init__(self, log: Path, files: Iterable[str], folder: str) -> None:
+        with log.open("ab") as opened:
+            self._process = start_worker("--once", *files, stderr=opened, cwd=folder)
+        self.pid = self._process.pid
+        self._lines, _ = read_lines(self._process)
+
+    def send(self, request: Request) -> None:
+        """Send the request."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):
+            self._process.stdin.write(request.to_json() + "\n")
+            self._process.stdin.close()
+
+    def receive(self, seconds: float) -> list[Message] | None:
+        """Wait for a message, see :data:`~nrbench.running.guard.Receive`."""
+        try:
+            line = self._lines.get(timeout=seconds)
+        except queue.Empty:
+            return []
+        message = guard.parse_message(line) if line is not None else None
+        return None if line is None else [message] if message is not None else []
+
+    def has_ended(self) -> bool:
+        """Return whether the process has ended."""
+        return self._process.poll() is not None
+
+    def end(self, kill: bool) -> int:
+        """Wait for the end of the process, killed with its group or not; return its exit code."""
+        if kill:
+            self._process.kill()
+        code = self._process.wait()
+        if sys.platform != "win32":
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self.pid, signal.SIGKILL)
+        return code
+
+
+def start_worker(*words: str, **options: Any) -> subprocess.Popen[str]:
+    """Start an interpreter that calls :func:`run_worker`.
+
+    Parameters
+    ----------
+    words
+        Its arguments.
+    options
+        More options of :class:`subprocess.Popen`.
+    """
+    program = "from nrbench.running.worker import run_worker; run_worker()"
+    options = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "start_new_session": True, **options}
+    started: subprocess.Popen[str] = subprocess.Popen([sys.executable, "-c", program, *words], **options)
+    return started
+
+
+def read_lines(process: subprocess.Popen[str]) -> tuple[queue.Queue[str | None], threading.Thread]:
+    """Read the output of a process in a thread; return the queue of its lines (None at the end) and the thread."""
+    lines: queue.Queue[str | None] = queue.Queue()
+
+    def read(output: IO[str]) -> None:
+        with contextlib.suppress(ValueError, OSError):
+            for line in output:
+                lines.put(line)
+            output.close()
+        lines.put(None)
+
+    thread = threading.Thread(target=read, args=(process.stdout,), daemon=True)
+    thread.start()
+    return lines, thread
+
+
+class ChildServer:
+    """Runs requests in children, one at a time, under their limits.
 
     A child that runs code of others, or whose costs are measured, ends with its request. The metrics of nrbench keep
     no state and start nothing, so one child, the scorer, scores many cells: a fork takes longer than many a score. It
     is replaced when it breaks a limit, dies, or has come to hold more than :data:`SCORER_ROOM`.
 
-    A fork takes milliseconds, and so does the end of a process. Neither delays a reply. The child of the next request,
-    the spare, is forked after a reply. It is like one that is forked later, because the server does not change. A child
-    says when its request is finished, and the server waits for its end while the scorer works, or before the next one.
-    Only temporary files that it left are removed before the reply.
+    A fork takes milliseconds, and so does the end of a process. Neither delays a reply: :meth:`recover` does both
+    between two requests.
+
+    Parameters
+    ----------
+    forks
+        Whether children are forked.
+    files
+        Files of plugins, for children that are fresh interpreters.
+    folder
+        The working directory of such children at the start.
     """
 
-    def __init__(self) -> None:
-        self._scorer: Child | None = None
-        self._spare: Child | None = None
-        self._finished: tuple[Child, Request] | None = None
+    def __init__(self, forks: bool, files: Iterable[str] = (), folder: str = "") -> None:
+        self._forks, self._files, self._folder = forks, files, folder
+        self._scorer: ForkedChild | None = None
+        self._next: ForkedChild | None = None
+        self._last: tuple[ForkedChild | FreshChild, Request] | None = None
 
     def run(self, request: Request) -> Reply:
         """Run one request; return how it ended."""
-        return self._score(request) if _is_own(request) else self._run_alone(request)
-
-    def prepare(self) -> None:
-        """Fork the child of the next request, if there is none yet."""
-        with contextlib.suppress(OSError):  # what the last request left running may take all that a fork needs
-            self._spare = self._spare or _fork(_run_one)
-
-    def tidy(self) -> None:
-        """End the child whose request is finished, kill what it left running, and remove its temporary files."""
-        finished, self._finished = self._finished, None
-        if finished is not None:
-            child, request = finished
-            child.end(kill=True)
-            self._remove_rests(request)
-
-    def _remove_rests(self, request: Request) -> None:
-        guard.sweep_orphans({child.pid for child in (self._scorer, self._spare) if child is not None})
-        request.tidy()
-
-    def _run_alone(self, request: Request) -> Reply:
-        self.tidy()
-        child = self._take_spare()
-        _send_request(child, request)
-        watch = _watch(child, request, guard.held_bytes(os.getpid()))
+        shared = self._forks and _is_own(request)
+        child = self._take_child(request, shared)
+        limits = guard.Limits(request.seconds, request.mib, request.metrics)
+        if not self._forks:
+            limits = dataclasses.replace(limits, start_seconds=GRACE, start_mib=512)
+        base = guard.held_bytes(child.pid) if self._forks else 0
+        child.send(request)
+        watch = guard.Watch(child.pid, child.receive, child.has_ended, limits, base, request.log)
         broken = watch.watch()
-        if watch.finished:
-            self._finished = child, request
-            if not request.left_nothing():  # the disk of the run may be full of it, and its removal may take long
-                self.tidy()
-            return Reply.of(watch.ending(None, 0))
-        reply = Reply.of(watch.ending(broken, child.end(kill=broken is not None)))
-        self._remove_rests(request)
-        return reply
+        if watch.finished and shared:
+            self._scorer = cast("ForkedChild", child)
+        elif watch.finished:
+            self._last = child, request
+        code = 0 if watch.finished else child.end(kill=broken is not None)
+        request.tidy()  # the disk of the run may be full of it
+        return Reply.of(watch.ending(broken, code))
 
-    def _take_spare(self) -> Child:
-        """Return the spare, or a new child if there is none or something has killed it."""
-        spare, self._spare = self._spare, None
-        if spare is not None and spare.has_ended():
-            spare.end(kill=False)
-            spare = None
-        return spare or _fork(_run_one)
+    def _take_child(self, request: Request, shared: bool) -> ForkedChild | FreshChild:
+        """Return a child that waits for a request."""
+        if not self._forks:
+            return FreshChild(request.log, self._files, self._folder)
+        waiting = self._scorer if shared else self._next
+        if shared:
+            self._scorer = None
+        else:
+            self._next = None
+        if waiting is not None and waiting.has_ended():  # something has killed it
+            waiting.end(kill=False)
+            waiting = None
+        return waiting or ForkedChild(_run_many if shared else _run_one)
 
-    def _score(self, request: Request) -> Reply:
-        child = self._scorer
-        if child is None or child.has_ended():
-            self._end_scorer()
-            self.tidy()  # what the last request left running may take all that a fork needs
-            child = self._scorer = _fork(_run_many)
-        base = guard.held_bytes(child.pid)
-        _send_request(child, request)
-        self.tidy()
-        watch = _watch(child, request, base)
-        broken = watch.watch()
-        if watch.finished:
-            if guard.held_bytes(child.pid) > guard.held_bytes(os.getpid()) + SCORER_ROOM * guard.MIB:
-                self._end_scorer()
-            return Reply.of(watch.ending(None, 0))
-        self._scorer = None
-        reply = Reply.of(watch.ending(broken, child.end(kill=broken is not None)))
-        self._remove_rests(request)
-        return reply
-
-    def _end_scorer(self) -> None:
-        child, self._scorer = self._scorer, None
-        if child is not None:
-            child.end(kill=True)
+    def recover(self) -> None:
+        """End the child of the last request, kill all that it started, and fork the child of the next one."""
+        last, self._last = self._last, None
+        if last is not None:
+            last[0].end(kill=True)
+        scorer = self._scorer
+        if scorer and guard.held_bytes(scorer.pid) > guard.held_bytes(os.getpid()) + SCORER_ROOM * guard.MIB:
+            self._scorer = None
+            scorer.end(kill=True)
+        guard.kill_children(os.getpid(), {child.pid for child in (self._scorer, self._next) if child is not None})
+        if last is not None:
+            last[1].tidy()
+        if self._forks:
+            self._next = self._next or ForkedChild(_run_one)
 
 
 def _is_own(request: Request) -> bool:
@@ -414,45 +430,21 @@ def _own_names(kind: str) -> set[str]:
     return {plugin.name for plugin in plugins.inventory(kind) if plugin.own and plugin.cls is not None}
 
 
-def _watch(child: Child, request: Request, base: int) -> guard.Watch:
-    limits, parent = guard.Limits(request.seconds, request.mib, request.metrics), os.getppid()
-    receive, log = _receiver(child.messages), request.log
-    return guard.Watch(child.pid, receive, child.has_ended, limits, base, log, lambda: os.getppid() == parent)
-
-
-def _send_request(child: Child, request: Request) -> None:
-    with contextlib.suppress(OSError):  # it has just died
-        _write_line(child.requests, request.to_json())
-
-
-def _fork(run: Callable[[], None]) -> Child:
-    """Fork a child that calls a function and leaves. Its standard input is the pipe of requests."""
-    (messages, theirs), (requests_end, requests) = os.pipe(), os.pipe()
-    parent = os.getpid()
+def _run_forked(run: Callable[[], None], requests: int, messages: int) -> None:
+    """Call a function in a forked child, and leave."""
+    code = 70
     try:
-        pid = os.fork()
-    except OSError:
-        for end in (messages, theirs, requests_end, requests):
-            os.close(end)
-        raise
-    if pid == 0:
-        code = 70
-        try:
-            os.setsid()
-            guard.die_with_parent()
-            if os.getppid() != parent:  # it has ended already
-                os._exit(code)
-            os.dup2(requests_end, 0)  # first, because its number may be that of the messages
-            os.dup2(theirs, MESSAGES)
-            os.closerange(MESSAGES + 1, 1 << 16)
-            signal.signal(signal.SIGINT, signal.SIG_DFL)
-            run()
-            code = 0
-        finally:
-            os._exit(code)
-    os.close(theirs)
-    os.close(requests_end)
-    return Child(pid, messages, requests)
+        os.setsid()
+        guard.die_with_parent()
+        os.dup2(requests, 0)  # first, because its number may be that of the messages
+        os.dup2(messages, MESSAGES)
+        os.closerange(MESSAGES + 1, 1 << 16)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        run()
+        code = 0
+    finally:
+        os._exit(code)
 
 
 def _run_one() -> None:
@@ -532,45 +524,75 @@ def _receiver(readable: int) -> guard.Receive:
     return receive
 
 
-def main() -> None:
-    """Serve the requests on standard input; with ``--once``, run a single one in this process, without forking.
+def run_worker() -> None:
+    """Serve the requests on standard input; with ``--once``, run a single one in this process.
 
     The other arguments are files of plugins. They are imported in the working directory of the request, or in the one
-    that ``--folder`` names.
+    that ``--folder`` names. With ``--fresh`` no child is forked.
 
-    The first line of output is ``{"fork": bool}``: whether this process can fork safely. Where kernels have to be
-    compiled, the line ``{"compiling": true}`` comes before it.
+    The first line of output is ``{"ready": true}``. Where kernels have to be compiled, the line
+    ``{"compiling": true}`` comes before it.
     """
     parser = argparse.ArgumentParser()
     parser.add_argument("--once", action="store_true")
+    parser.add_argument("--fresh", action="store_true")
     parser.add_argument("--folder", type=Path)
     parser.add_argument("files", nargs="*")
     options = parser.parse_args()
     out = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
 
-    def write(line: str) -> None:
-        out.write(line + "\n")
+    def write(content: Mapping[str, Any]) -> None:
+        out.write(json.dumps(content) + "\n")
 
-    _die_with_parent(out.fileno())
     if options.once:
-        request = Request.from_json(sys.stdin.readline())
-        try:
-            request.settle()
-            _add_files(options.files)
-            _import_plugins(request)
-            guard.confine(guard.Limits(request.seconds, request.mib))
-            write(json.dumps({"held": guard.held_bytes(os.getpid())}))
-            perform(request, lambda message: write(json.dumps(message)))
-        except BaseException as error:
-            phases.send_error(error, lambda message: write(json.dumps(message)))
-        sys.stderr.flush()
-        os._exit(0)
-    leave_user_folder(Path(working_folder()), options.folder)
-    _add_files(options.files)
-    guard.adopt_orphans()
-    if may_fork():
-        warm(lambda: write(json.dumps({"compiling": True})))
-    guard.outlive_parent()  # the end of its input ends it from here on, whatever thread of the parent uses it
-    write(json.dumps({"fork": may_fork()}))  # again, because a plugin may have started a thread
-    serve(sys.stdin, write)
+        _run_fresh(options.files, cast("Send", write))
+    guard.go_on_in_child(sys.stdin.fileno())
+    home, forks = working_folder(), may_fork() and not options.fresh
+    if forks:
+        leave_user_folder(Path(home), options.folder)
+        _add_files(options.files)
+        warm(lambda: write({"compiling": True}))
+        forks = may_fork()  # again, because a plugin may have started a thread
+    server = ChildServer(forks, options.files, home)
+    write({"ready": True})
+    server.recover()
+    for line in sys.stdin:
+        write(server.run(Request.from_json(line)).as_dict())
+        server.recover()
+
+
+def _run_fresh(files: Iterable[str], send: Send) -> None:
+    """Run the request on standard input in this process, and leave."""
+    request = Request.from_json(sys.stdin.readline())
+    try:
+        request.settle()
+        _add_files(files)
+        _import_plugins(request)
+        guard.confine(guard.Limits(request.seconds, request.mib))
+        send(cast("Message", {"held": guard.held_bytes(os.getpid())}))
+        perform(request, send)
+    except BaseException as error:
+        phases.send_error(error, send)
+    sys.stderr.flush()
+    os._exit(0)
+
+
+def _import_plugins(request: Request) -> None:
+    """Import the plugins that a request names, so that its limits do not count that, as in a forked child."""
+    content: Any = read_json(CellFolder(Path(request.folder)).cell_file) or {}
+    recipe = content.get("recipe")
+    named = [("datasets", recipe.get("dataset") if isinstance(recipe, dict) else None)]
+    if request.phase == "score":
+        named += [("metrics", metric) for metric in request.metrics]
+    else:
+        named += [("synthesizers", content.get("method")), ("detectors", content.get("detector"))]
+    for kind, name in named:
+        if isinstance(name, str):
+            with contextlib.suppress(BadInput):  # its phase says why it does not load
+                plugins.find(kind, name)
+
+
+def _add_files(files: Iterable[str]) -> None:
+    for file in files:
+        plugins.add_file(file)

@@ -51,6 +51,24 @@ class CellRecord:
         The metrics' pictures by ``metric.name``.
     records
         The metrics' further records by ``metric``.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from nrbench import Options, run
+    >>> folder = tempfile.mkdtemp()
+    >>> done = run(
+    ...     "core",
+    ...     methods="scatter",
+    ...     textures="brick-mild",
+    ...     size="64x64",
+    ...     out=folder,
+    ...     options=Options(jobs=0),
+    ...     metrics=["cost"],
+    ... )
+    >>> record = done.cells[0]
+    >>> record.status
+    'ok'
     """
 
     cell: Cell
@@ -216,6 +234,24 @@ class Run:
     ----------
     root
         The run directory.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from nrbench import Options, Run, run
+    >>> folder = tempfile.mkdtemp()
+    >>> _ = run(
+    ...     "core",
+    ...     methods="scatter",
+    ...     textures="brick-mild",
+    ...     size="64x64",
+    ...     out=folder,
+    ...     options=Options(jobs=0),
+    ...     metrics=["cost"],
+    ... )
+    >>> Run(Path(folder)).table()["status"].tolist()
+    ['ok']
     """
 
     root: Path
@@ -248,6 +284,11 @@ class Run:
         """Return every cell with how it ended, but without its scores. No metric is imported.
 
         The ``reasons`` hold only why metrics failed, by their names.
+
+        Returns
+        -------
+        list of CellRecord
+            One for each cell.
         """
         directory, keys = RunDirectory(self.root), self.info.get("metrics")
         if not isinstance(keys, dict) or any(Path(str(key)).name != key for key in keys.values()):
@@ -261,8 +302,13 @@ class Run:
         ----------
         make
             A function of the run.
-        arguments
+        *arguments
             Its further arguments.
+
+        Returns
+        -------
+        Any
+            What ``make`` returned.
         """
         known = vars(self).setdefault("_shared", {})
         if (make, arguments) not in known:
@@ -271,18 +317,36 @@ class Run:
         return found
 
     def table(self) -> pd.DataFrame:
-        """Return the tidy table: one row for each cell, one column for each score."""
+        """Return the tidy table: one row for each cell, one column for each score.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The columns :data:`HEAD`, then the scores by ``metric.column``.
+        """
         import pandas as pd
 
         rows = [_row(record, self.columns) for record in self.cells]
         return pd.DataFrame(rows, columns=list(rows[0]) if rows else [*HEAD, *self.columns])
 
     def comparison(self) -> pd.DataFrame:
-        """Return textures by methods: the verdict and the quality of each method on each texture."""
+        """Return textures by methods: the verdict and the quality of each method on each texture.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row for each texture.
+        """
         return self._tables()["comparison"].set_index("texture")
 
     def summary(self) -> pd.DataFrame:
-        """Return one row for each method: rank, counts, success rate and means, with 95 % intervals over textures."""
+        """Return one row for each method: rank, counts, success rate and means, with 95 % intervals over textures.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Its index is the method and the source of the lattice.
+        """
         return self._tables()["summary"].set_index(["method", "lattice_source"])
 
     def plot(self, width: float = 5.5) -> Plot:
@@ -292,6 +356,11 @@ class Run:
         ----------
         width
             Width in inches, from 3 to 12.
+
+        Returns
+        -------
+        Plot
+            A notebook shows it; its method ``save`` writes it.
 
         Examples
         --------

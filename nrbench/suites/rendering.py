@@ -16,8 +16,8 @@ from typing import Any
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.drawing import contact_sheet
 from nrbench.imaging.files import read_image, write_image
+from nrbench.imaging.overlays import contact_sheet
 from nrbench.plugins.forms import Texture
 from nrbench.plugins.parameters import parse_spec, size_text
 from nrbench.storage import write_aside, write_json

@@ -14,8 +14,8 @@ import numpy as np
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.drawing import contact_sheet, overview, zoom_panels
 from nrbench.imaging.files import list_pictures, read_image, write_image
+from nrbench.imaging.overlays import contact_sheet, draw_overview, zoom_panels
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Alternative, Detection, Detector, NoLatticeFound
 from nrbench.plugins.parameters import parse_spec
@@ -280,7 +280,7 @@ class Survey:
 
     def _add_to_page(self, finding: Finding, image: Image | None) -> None:
         """Draw a picture with its lattice and the candidates; write the page when it is full."""
-        panels = [_BLANK if image is None else overview(image, finding.lattice)]
+        panels = [_BLANK if image is None else draw_overview(image, finding.lattice)]
         captions = [_picture_caption(finding, image)]
         if image is not None and finding.candidates:
             drawn, texts = draw_candidates(image, finding.candidates)

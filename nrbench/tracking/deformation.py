@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold_kernels import spline_coefficients, spline_windows
 from nrbench.imaging.largest_box import largest_box
+from nrbench.imaging.mean_tile_kernels import spline_coefficients, spline_windows
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.growth import Knots
 from nrbench.tracking.homography import fit_homography, map_points

@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, shrink
-from nrbench.imaging.fold import Values, fold, interpolate
+from nrbench.imaging.mean_tile import Values, fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.growth import Knots, Start, grow_from, grow_on
 from nrbench.tracking.renumbering import renumber, similarity

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.fold import Tile, Values, sample_tile
+from nrbench.imaging.mean_tile import Tile, Values, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.growth_kernels import grow_knots, register
 from nrbench.tracking.tracker import cell_covariance

@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, subtract_color
-from nrbench.imaging.fold import Values, interpolate
+from nrbench.imaging.mean_tile import Values, interpolate
 from nrbench.lattice.geometry import Points
 from nrbench.tracking.growth import Window
 from nrbench.tracking.tracker import MeanTile, cell_covariance, correlation_surfaces, label_displacements

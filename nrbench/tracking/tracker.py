@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, subtract_color, sum_channels
-from nrbench.imaging.fold import Values, interpolate
+from nrbench.imaging.mean_tile import Values, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.unwrapping_kernels import grow
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import MIN_SIDE, Image, shrink
-from nrbench.lattice.comparison import lattice_error, relate
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.relation import lattice_error, relate
 from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
 from nrbench.tracking.deformation import LEAST_AMPLITUDE, Deformation
 from nrbench.tracking.following import follow_lattice, follow_on, merit, probe, score

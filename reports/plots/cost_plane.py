@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from ..statistics.comparison import Comparison, MethodSummary
 from ..statistics.verdicts import RANKING
 from .captions import choose_named, describe_unnamed, draw_captions
-from .figure_file import FAINT, GRAY, INK, SMALL, make_figure, render_figure
+from .figure_file import FAINT, GRAY, INK, SMALL, add_axes, make_figure, render_figure
 
 
 def has_cost(comparison: Comparison) -> bool:
@@ -25,45 +25,31 @@ def plot_cost(comparison: Comparison, kind: str = "svg", width: float = 5.5) -> 
 
 
 def _known(comparison: Comparison) -> list[MethodSummary]:
-    def complete(one: MethodSummary) -> bool:
-        return bool(RANKING in one.means and one.means[RANKING].value is not None and one.means["seconds"].value)
-
-    return [one for one in comparison.summaries if complete(one)]
+    scored = (one for one in comparison.summaries if RANKING in one.means)
+    return [one for one in scored if one.means[RANKING].value is not None and one.means["seconds"].value]
 
 
 def _figure(comparison: Comparison, width: float) -> Figure:
     methods = _known(comparison)
-    height = 72 * width * 0.62
-    figure = make_figure(width, height)
-    axes = figure.add_axes((46 / (72 * width), 40 / height, 1 - 196 / (72 * width), 1 - 52 / height))
-    x = np.array([float(one.means["seconds"].value or 1) for one in methods])
-    y = np.array([float(one.means[RANKING].value or 0) for one in methods])
+    figure = make_figure(width, 72 * width * 0.62)
+    axes = add_axes(figure, 46, 40, 150, 12)
+    places = np.array([(one.means["seconds"].value, one.means[RANKING].value) for one in methods], float)
     axes.set_xscale("log")
-    axes.set(ylim=(-0.03, 1.03), xlim=(x.min() / 2, x.max() * 2))
-    axes.set_xlabel("seconds for one output, mean over textures (better: left)")
+    axes.set(ylim=(-0.03, 1.03), xlim=(places[:, 0].min() / 2, places[:, 0].max() * 2))
+    axes.set_xlabel("seconds, mean over textures (better: left)")
     axes.set_ylabel("quality (better: up)")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.grid(True, color=FAINT, lw=0.5)
     axes.set_axisbelow(True)
-    named = choose_named([one.method.reference for one in methods])
-    for one, across, up, chosen in zip(methods, x, y, named, strict=True):
-        reference, ends = one.method.reference, one.means[RANKING].ends
-        if ends is not None and chosen:
-            axes.plot((across, across), ends, color=GRAY if reference else INK, lw=0.9, zorder=2)
-        axes.plot(
-            *(across, up),
-            marker="D" if reference else "o",
-            ms=5 if reference else 6.4 if chosen else 3,
-            mfc=FAINT if reference else INK,
-            mec=INK,
-            mew=0.8,
-            zorder=3,
-        )
-    places = np.flatnonzero(named)
-    points = axes.transData.transform(np.stack([x, y], 1))[places]
-    shown = [methods[i].method for i in places]
-    draw_captions(axes, points, [method.label for method in shown], [method.reference for method in shown])
-    if note := describe_unnamed(named):
-        figure.text(0.02, 3 / height, note, **SMALL)
+    references = [one.method.reference for one in methods]
+    named = choose_named(references)
+    for one, (x, y), chosen, reference in zip(methods, places, named, references, strict=True):
+        if (ends := one.means[RANKING].ends) is not None and chosen:
+            axes.plot((x, x), ends, color=GRAY if reference else INK, lw=0.9, zorder=2)
+        sign, size, fill = ("D", 5.0, FAINT) if reference else ("o", 6.4 if chosen else 3.0, INK)
+        axes.plot(x, y, marker=sign, ms=size, mfc=fill, mec=INK, mew=0.8, zorder=3)
+    shown = [methods[i].method for i in np.flatnonzero(named)]
+    draw_captions(axes, places[named], [one.label for one in shown], [one.reference for one in shown])
+    figure.text(0.02, 3 / (72 * width * 0.62), describe_unnamed(named), **SMALL)
     return figure

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import matplotlib
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -35,6 +36,19 @@ def make_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height / 72), dpi=72)
     FigureCanvasAgg(figure)
     return figure
+
+
+def add_axes(figure: Figure, left: float, bottom: float, right: float, top: float) -> Axes:
+    """Add axes to a figure and return them; the arguments are the margins to the edges of the figure, points."""
+    width, height = 72 * figure.get_size_inches()
+    return figure.add_axes((left / width, bottom / height, 1 - (left + right) / width, 1 - (bottom + top) / height))
+
+
+def open_frame(axes: Axes) -> None:
+    """Give axes short ticks, and a frame that is open at the top and at the right."""
+    axes.tick_params(length=3, width=0.7)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
 
 
 def render_figure(draw: Callable[[], Figure], kind: str) -> bytes:

@@ -18,7 +18,7 @@ from nrbench.runs.records import CellRecord
 
 from ..statistics.comparison import Comparison, Method, TextureRow
 from ..statistics.verdicts import MARKS, verdict
-from .figure_file import GRAY, INK, make_figure, render_figure
+from .figure_file import GRAY, INK, add_axes, make_figure, render_figure
 from .marks import DEFECTS, worst_place
 
 _INSET = 0.4
@@ -66,38 +66,29 @@ def _figure(
     width: float,
     insets: bool,
 ) -> Figure:
-    places = [list(comparison.methods).index(method) for method in methods]
-    left, gap, below, above = 4.0, 4.0, 13.0, 14.0
-    side = (72 * width - 2 * left - gap * len(methods)) / (len(methods) + 1)
+    side = 72 * width / (len(methods) + 1) - 4
     font = float(np.clip(side / 11, 4.0, 8.0))
-    lines = max(_wrap(method.label, side, font).count("\n") + 1 for method in methods)
-    above += 9.0 * (lines - 1)
-    height = above + (side + below) * len(rows)
-    figure = make_figure(width, height)
+    titles = [_wrap(name, side, font) for name in ("sample", *(method.label for method in methods))]
+    above = 4 + 1.2 * font * max(title.count("\n") + 1 for title in titles)
+    figure = make_figure(width, above + (side + 13.0) * len(rows))
     for i, row in enumerate(rows):
-        records = [_record(row, place, replicate) for place in places]
+        records = [_record(row, list(comparison.methods).index(method), replicate) for method in methods]
         outputs = [_read(one.folder / "output.png") if one and one.status == "ok" else None for one in records]
         samples = (_read(one.folder / "sample.png") for one in records if one)
         sample = next((picture for picture in samples if picture is not None), None)
         largest = max((picture.shape[1] for picture in outputs if picture is not None), default=0)
-        top = above + (side + below) * i
         for j, picture in enumerate([sample, *outputs]):
-            share = 1.0 if picture is None or not largest else min(1.0, picture.shape[1] / largest)
-            extent = side * share
-            x = left + (side + gap) * j + (side - extent) / 2
-            box = (x / (72 * width), 1 - (top + extent) / height, extent / (72 * width), extent / height)
-            axes = figure.add_axes(box)
-            _draw(axes, picture)
+            left, top = 2 + (side + 4) * j, above + (side + 13) * i
+            bottom = (side + 13) * (len(rows) - i) - side
+            axes = add_axes(figure, left, bottom, 72 * width - left - side, top)
+            _draw(axes, picture, largest)
             if j and picture is not None and insets and (one := records[j - 1]):
                 _draw_inset(axes, picture, one)
             under = _wrap(row.texture, side, font) if not j else _verdict_words(records[j - 1])
-            y = 1 - (top + extent + 2) / height
-            figure.text((x + extent / 2) / (72 * width), y, under, ha="center", va="top", fontsize=font, color=INK)
-    for j, name in enumerate(["sample", *(method.label for method in methods)]):
-        x = (left + (side + gap) * j + side / 2) / (72 * width)
-        style = "italic" if j and methods[j - 1].reference else "normal"
-        y = 1 - (above - 4) / height
-        figure.text(x, y, _wrap(name, side, font), ha="center", va="bottom", fontsize=font, style=style, color=INK)
+            axes.set_xlabel(under, fontsize=font, color=INK, labelpad=2)
+            if not i:
+                style = "italic" if j and methods[j - 1].reference else "normal"
+                axes.set_title(titles[j], fontsize=font, color=INK, pad=3, style=style)
     return figure
 
 
@@ -126,15 +117,20 @@ def _verdict_words(record: CellRecord | None) -> str:
     return MARKS[verdict(record)] + ("" if score is None else f" {float(score):.2f}")
 
 
-def _draw(axes: Axes, picture: Pixels | None) -> None:
+def _draw(axes: Axes, picture: Pixels | None, largest: int) -> None:
+    """Draw a picture in the scale in which ``largest`` px fill the axes, or a stroke if there is none."""
     axes.set(xticks=[], yticks=[])
-    for spine in axes.spines.values():
-        spine.set(color=GRAY, lw=0.4)
     if picture is None:
         axes.plot((0, 1), (0, 1), color=GRAY, lw=0.5)
         axes.set(xlim=(0, 1), ylim=(0, 1))
     else:
+        height, width = picture.shape[:2]
         axes.imshow(picture, interpolation="none")
+        margin = max(0.0, largest - width) / 2
+        axes.set_xlim(-0.5 - margin, width - 0.5 + margin)
+        axes.set_ylim(max(height, largest) - 0.5, -0.5)
+    for spine in axes.spines.values():
+        spine.set(color=GRAY, lw=0.4, visible=picture is None or picture.shape[1] >= largest)
 
 
 def _draw_inset(axes: Axes, picture: Pixels, record: CellRecord) -> None:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import fold
 from nrbench.imaging.largest_box import largest_box
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Detector, SourceMap, Synthesis, Synthesizer, Task, find_lattice
 from nrbench.tracking.deformation import LEAST_AMPLITUDE

@@ -232,7 +232,7 @@ class Candidates:
         return np.ascontiguousarray(place[others][tree.order])
 
 
-def find_candidates(layers: Layers, neighborhood: Neighborhood, rng: np.random.Generator) -> Candidates:
+def list_candidates(layers: Layers, neighborhood: Neighborhood, rng: np.random.Generator) -> Candidates:
     """Return the pixels of a sample whose neighborhoods lie inside, with random ranks.
 
     Raises

@@ -9,7 +9,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import Values, fold, sample_tile
+from nrbench.imaging.mean_tile import Values, fold, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
 
 TexelKind = Literal["quadrilateral", "hexagon"]

@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.fold import fold
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 
 TileKind = Literal["upright", "lattice", "rectangle", "cell"]

@@ -15,8 +15,8 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, to_bytes
-from nrbench.imaging.fold import fold
-from nrbench.imaging.parabola import find_vertex
+from nrbench.imaging.mean_tile import fold
+from nrbench.imaging.subpixel import find_vertex
 from nrbench.lattice.geometry import Lattice, Points
 
 from ..sampling.patches import Patches

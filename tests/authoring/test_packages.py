@@ -12,11 +12,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from nrbench import plugins
+from nrbench.authoring.conformance import check_plugin
 from nrbench.authoring.packages import KINDS, check_name, write_package
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
-from nrbench.running.conformance import check_plugin
-from nrbench.running.supervisor import InProcessRunner
 
 
 def call(*words: str) -> int:
@@ -33,7 +32,7 @@ def test_a_new_plugin_conforms(kind: str, tmp_path: Path) -> None:
     file = tmp_path / "my-own_1" / "my_own_1.py"
     try:
         plugins.add_file(file)
-        findings = list(check_plugin(KINDS[kind], "my-own_1", runner=InProcessRunner()))
+        findings = list(check_plugin(KINDS[kind], "my-own_1", here=True))
     finally:
         plugins.registry._files.pop(file.resolve(), None)
     assert [finding for finding in findings if finding.verdict == "fail"] == []

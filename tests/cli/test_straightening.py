@@ -16,9 +16,9 @@ from nrbench.cli.main import main
 from nrbench.cli.straightening import find_bent_lattice
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
-from nrbench.imaging.fold import interpolate
-from nrbench.lattice.comparison import relate
+from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.relation import relate
 from nrbench.tracking.deformation import Deformation
 from nrbench.tracking.homography import map_points
 

@@ -27,8 +27,8 @@ from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.frdft import Frdft
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize, shrink
-from nrbench.lattice.comparison import lattice_error, relate
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.relation import lattice_error, relate
 from nrbench.plugins.forms import Detection, NoLatticeFound, Probabilities
 
 

@@ -8,8 +8,8 @@ from nrbench.detectors.autocorrelation.pair_kernels import count_hits
 from nrbench.detectors.dominance import Dominance, dominance_radii
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
-from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Detector, NoLatticeFound, Surface
 
 PERIODIC = {"color": 0.0, "noise": 0.0}

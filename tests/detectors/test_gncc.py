@@ -18,8 +18,8 @@ from nrbench.detectors.gncc import Gncc, find_ridge, remove_stripes
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.correlation import half_autocorrelation
-from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
 
 FAMILIES = {"brick": (Brick, 17.3), "weave": (Weave, 31.7), "hexagon": (Hexagon, 11.9)}

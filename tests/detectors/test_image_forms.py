@@ -12,7 +12,7 @@ from scipy import ndimage
 from nrbench import detect_lattice, texture
 from nrbench.detectors.agreement.likeness import _blur, views
 from nrbench.imaging.convert import Image, quantize, to_bytes
-from nrbench.lattice.comparison import lattice_error
+from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Texture
 
 MODELS: dict[str, dict[str, Any]] = {

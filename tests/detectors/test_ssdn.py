@@ -9,8 +9,8 @@ from nrbench.detectors.autocorrelation.surrogates import SIDE, crop_for_test
 from nrbench.detectors.ssdn import Ssdn, find_period, shift_ssdn, ssdn
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
-from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Curve, Detector, NoLatticeFound
 
 PERIODIC = {"color": 0.0, "noise": 0.0}

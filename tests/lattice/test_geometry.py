@@ -8,8 +8,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
-from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice, hermite_matrices, integers_within, shortest_pair
+from nrbench.lattice.relation import lattice_error
 
 HEXAGONAL = Lattice((20.0, 0.0), (10.0, 10 * math.sqrt(3)))
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nrbench.lattice.comparison import lattice_error
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.relation import lattice_error
 from nrbench.metrics.regularity import Regularity
 from nrbench.metrics.verdict.reference import canonical_lattice, find_known_lattice
 from nrbench.plugins.forms import Observation, Texture

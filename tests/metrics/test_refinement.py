@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from nrbench.imaging.fold import Tile
+from nrbench.imaging.mean_tile import Tile
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.ncc.refinement import Cell, refine_displacements
 from nrbench.metrics.verdict.reference import Reference, reference_from_model

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.residual_tiles.dependence import sum_variance
 from nrbench.metrics.residual_tiles.distance import compare_sets, measure_distances

@@ -423,6 +423,21 @@ class Spawner:
 
 
 @dataclass(frozen=True)
+class Hermit:
+    """Start a process of another session, without an environment, whose parent has ended; and loop for ever."""
+
+    uses_lattice: ClassVar[bool] = False
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Write the id of the process, and loop."""
+        program = "import os, time\nif os.fork():\n    os._exit(0)\nprint('child', os.getpid(), flush=True)\n"
+        command = [sys.executable, "-c", program + "time.sleep(600)"]
+        subprocess.Popen(command, start_new_session=True, env={}).wait()
+        while True:
+            time.sleep(0.01)
+
+
+@dataclass(frozen=True)
 class Sleeper:
     """Start a process and sleep until a file exists; then end the process and answer well."""
 

@@ -12,7 +12,7 @@ import pytest
 from nrbench.plugins.forms import Column
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
-from nrbench.reports.plots.claim_plot import _claim_figure, plot_claim
+from nrbench.reports.plots.series_plot import _claim_figure, plot_claim
 from nrbench.reports.statistics.claims import ClaimResult, evaluate_claims
 from nrbench.runs.records import Run
 

@@ -9,15 +9,15 @@ import pytest
 from conformance import violations
 
 from nrbench import plugins
-from nrbench.running import conformance
+from nrbench.authoring import conformance
 
 
 @pytest.fixture(autouse=True, scope="module")
 def one_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Make the run of the clauses once."""
-    made = conformance._make_run(tmp_path_factory.mktemp("reports") / "run")
+    made = conformance.make_example_run(tmp_path_factory.mktemp("reports") / "run")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(conformance, "_make_run", lambda root: made)
+        patch.setattr(conformance, "make_example_run", lambda root: made)
         yield made
 
 

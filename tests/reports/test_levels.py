@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import PIL.Image
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
-from nrbench.reports.plots.level_plot import plot_levels, spread_labels
+from nrbench.reports.plots.series_plot import plot_levels
 from nrbench.reports.statistics.comparison import compare_methods
 from nrbench.reports.statistics.levels import (
     LevelPanel,
@@ -102,13 +100,3 @@ def test_the_plot_is_the_same_again(panel: LevelPanel) -> None:
         assert plot_levels([panel] * 3, "svg", width) == plot_levels([panel] * 3, "svg", width)
     pixels = np.asarray(PIL.Image.open(io.BytesIO(plot_levels([panel], "png"))).convert("RGB")).astype(int)
     assert np.ptp(pixels, axis=2).max() > 100
-
-
-@given(st.lists(st.floats(0, 1), min_size=1, max_size=12), st.floats(0.01, 0.2))
-def test_labels_are_spread(heights: list[float], distance: float) -> None:
-    """Labels are at least the distance apart, keep their order, and keep their mean."""
-    before = np.array(heights)
-    after = spread_labels(before, distance)
-    assert np.diff(np.sort(after)).min(initial=np.inf) >= distance - 1e-9
-    assert (np.diff(after[np.argsort(-before, kind="stable")]) < 0).all()
-    assert after.mean() == pytest.approx(before.mean())

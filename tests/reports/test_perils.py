@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,17 +11,14 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.reports.perils import PerilsPlane
-from nrbench.reports.plots.perils_plane import caption_text, overlap, place_captions, plot_perils_plane, wrap_caption
+from nrbench.reports.plots.perils_plane import caption_text, plot_perils_plane
 from nrbench.reports.statistics.comparison import (
     Comparison,
-    Method,
     PerilsPoint,
     compare_methods,
     perils_points,
     perils_table,
 )
-from nrbench.reports.statistics.estimates import Estimate
-from nrbench.reports.statistics.verdicts import BaselineValidity
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
@@ -108,38 +104,3 @@ def test_width_is_checked() -> None:
     """A width outside the range is an error that states the range."""
     with pytest.raises(BadInput, match="give 3 to 12 inches"):
         PerilsPlane(width=40)
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_captions_cover_nothing(seed: int) -> None:
-    """Fourteen captions of a crowd never cover each other, at most touch a point, and stay inside."""
-    rng = np.random.default_rng(seed)
-    anchors = np.array([280.0, 120.0]) + rng.uniform(-20, 20, (14, 2))
-    sizes = np.column_stack([rng.uniform(30, 90, 14), np.full(14, 10.0)])
-    points = np.concatenate([anchors - 3, anchors + 3], 1)
-    frame = np.array([0.0, 0.0, 320.0, 240.0])
-    boxes = place_captions(anchors, sizes, points, frame)
-    covered = overlap(boxes, boxes)
-    np.fill_diagonal(covered, 0)
-    assert covered.max() == 0
-    assert overlap(boxes, points).max() < 0.07
-    assert (boxes[:, :2] >= frame[:2] - 1e-6).all() and (boxes[:, 2:] <= frame[2:] + 1e-6).all()
-
-
-def test_captions_break_between_parameters() -> None:
-    """A long name is broken after a colon or comma, before sources, and never inside them."""
-    assert wrap_caption("lattice-only:block=12,overlap=4 (given, own)").splitlines() == [
-        "lattice-only:block=12,", "overlap=4 (given, own)",
-    ]  # fmt: skip
-
-
-def test_a_crowd_is_drawn_in_time() -> None:
-    """Twenty methods at one point are drawn, with captions far from the point."""
-    none = BaselineValidity(0, 0)
-    one = Estimate(0.98, 0.97, 0.99, 9, 9)
-    crowd = [
-        PerilsPoint(Method(f"m{i}", "own", False, {}), one, Estimate(0.4 + i / 1e4, 0.3, 0.5, 9, 9), none)
-        for i in range(20)
-    ]
-    assert len(plot_perils_plane(crowd, "svg")) > 10_000
-    assert math.isfinite(sum(point.randomness.value or 0 for point in crowd))

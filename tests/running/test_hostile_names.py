@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from nrbench import api
+from nrbench.authoring.plugin_checks import draw_wall
 from nrbench.cli.main import main
 from nrbench.imaging.files import write_image
-from nrbench.running.clauses import draw_texture_of_tiles
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
 from nrbench.truth import write_table
@@ -79,7 +79,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder.mkdir()
     lattice = dict(zip(("t1x", "t1y", "t2x", "t2y", "originx", "originy"), (16, 0, 0, 12, 3, 2), strict=True))
     for i, name in enumerate(NAMES):
-        image = draw_texture_of_tiles((60, 64), np.random.default_rng(i)).image
+        image = draw_wall((60, 64), np.random.default_rng(i)).image
         shutil.move(write_image(place / "plain.png", image), folder / f"{name}.png")
     rows = [{"file": f"{name}.png", **lattice} for name in NAMES]
     write_table(folder / "truth.csv", list(rows[0]), rows)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nrbench.running.outputs import is_picture
+from nrbench.running.output_checks import is_picture
 
 
 @pytest.mark.parametrize(

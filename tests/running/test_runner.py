@@ -22,7 +22,7 @@ from nrbench.api import changed, run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.running.executors import Threads
-from nrbench.running.progress import Step
+from nrbench.running.pace import Step
 from nrbench.running.runner import TICK, Options, _Runner
 from nrbench.running.supervisor import Job
 from nrbench.runs.records import Run

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import io
 import json
 import os
 import re
@@ -15,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -28,12 +28,12 @@ from nrbench import plugins
 from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.imaging.files import read_image, write_image
-from nrbench.running import guard, phases, runner, worker
-from nrbench.running.guarded import write_guarded
-from nrbench.running.progress import Step
+from nrbench.running import guard, phases, runner
+from nrbench.running.pace import Step
+from nrbench.running.plugin_children import write_guarded
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Job, Supervisor, perform_job
-from nrbench.running.worker import Reply, Request, _is_own
+from nrbench.running.worker import Request, _is_own
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.suite import Suite, validated_suite
 
@@ -73,6 +73,13 @@ def no_orphan(folder: Path) -> bool:
     (pid,) = re.findall(r"^child (\d+)$", (folder / "log.txt").read_text(errors="replace"), re.M)
     left = [psutil.Process(int(pid))] if psutil.pid_exists(int(pid)) else []
     return not psutil.wait_procs(left, timeout=5)[1]
+
+
+def server_of(supervisor: Supervisor) -> psutil.Process:
+    """Return the process of a worker that forks the children. Its parent only watches it."""
+    assert supervisor._worker is not None
+    (server,) = psutil.Process(supervisor._worker.pid).children()
+    return server
 
 
 def is_scorer(child: psutil.Process) -> bool:
@@ -227,27 +234,6 @@ def test_an_error_is_sent_where_the_log_has_no_room(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("traceback.print_exc", fail)
     phases.send_error(full, messages.append)
     assert messages == [{"status": "storage", "message": "No space left on device"}]
-
-
-def test_a_worker_tidies_up_after_a_reply_that_nobody_reads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A worker whose run has been killed kills what the last method left running, although its reply fails."""
-    calls: list[str] = []
-
-    class Server:
-        def run(self, request: Request) -> Reply:
-            calls.append("run")
-            return Reply({"status": "ok", "message": ""})
-
-        def tidy(self) -> None:
-            calls.append("tidy")
-
-    def reply(line: str) -> None:
-        raise BrokenPipeError
-
-    monkeypatch.setattr(worker, "ForkServer", Server)
-    with pytest.raises(BrokenPipeError):
-        worker.serve(io.StringIO(Request("synthesize", "cell", 1, 1).to_json()), reply)
-    assert calls == ["run", "tidy"]
 
 
 def test_a_long_log_keeps_its_end(tmp_path: Path) -> None:
@@ -461,9 +447,8 @@ def test_a_child_forked_ahead_is_like_any_other(supervisors: list[Supervisor], t
     supervisor, folder = supervisors[0], prepare(tmp_path / "cell", "tenant")
 
     def waiting() -> list[psutil.Process]:
-        assert supervisor._worker is not None
-        children = psutil.Process(supervisor._worker.pid).children()
-        return [one for one in children if one.status() == psutil.STATUS_SLEEPING and not is_scorer(one)]
+        children = server_of(supervisor).children()
+        return [child for child in children if child.status() == psutil.STATUS_SLEEPING and not is_scorer(child)]
 
     def spare() -> psutil.Process:
         wait_until(lambda: len(waiting()) == 1)
@@ -494,8 +479,9 @@ def test_a_child_that_only_claims_to_have_finished(supervisors: list[Supervisor]
 def test_the_worker_has_one_thread(supervisors: list[Supervisor]) -> None:
     """A warm worker, all plugins imported, has a single thread, so that it may fork."""
     for supervisor in supervisors:
-        assert supervisor._forks and supervisor._worker is not None
-        assert len(list(Path(f"/proc/{supervisor._worker.pid}/task").iterdir())) == 1
+        server = server_of(supervisor)
+        assert server.num_threads() == 1
+        wait_until(lambda server=server: bool(server.children()))
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="asks the kernel of Linux")
@@ -560,8 +546,7 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
             shutil.rmtree(record.folder / "scores", ignore_errors=True)
             reply = supervisor.run(Request("score", str(record.folder), seconds, 500, (metric,)))
             endings.append(reply.result["status"])
-        assert supervisor._worker is not None
-        children = psutil.Process(supervisor._worker.pid).children()
+        children = server_of(supervisor).children()
         return {child.pid for child in children if is_scorer(child)}, endings
 
     (first, endings), whole = scorers("cost"), [record.values["cost.peak_mib"] for record in cells]
@@ -630,21 +615,33 @@ def test_a_fresh_interpreter_imports_plugins_before_its_limits_hold(tmp_path: Pa
 
 
 @pytest.mark.usefixtures("faulty")
-def test_a_worker_that_dies_is_replaced(supervisors: list[Supervisor], tmp_path: Path) -> None:
+@pytest.mark.parametrize("who", ["server", "its parent", "both of them stopped"])
+def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor], tmp_path: Path) -> None:
     """After its worker is killed a supervisor reports one crash, then goes on with a new worker.
 
-    The scorer and the child that waits for the next request end with their worker.
+    All that the worker has started ends with it: the scorer, the child that waits, and a process that a method has
+    started in a session of its own, without the environment of the worker.
     """
     supervisor = supervisors[0]
     cell = run(small_suite(["oracle"]), out=tmp_path / "run", options=Options(jobs=0)).cells[0]
     request = Request("score", str(cell.folder), seconds=20, mib=500, metrics=("cost",))
     assert supervisor.run(request).scored == ("cost",)
-    assert supervisor._worker is not None
-    process = psutil.Process(supervisor._worker.pid)
-    wait_until(lambda: len(process.children()) == 2)
-    children = process.children()
-    supervisor._worker.kill()
-    supervisor._worker.wait()
-    assert not psutil.wait_procs(children, timeout=5)[1]
-    assert supervisor.run(request).result["status"] == "crash"
+    server = server_of(supervisor)
+    wait_until(lambda: len(server.children()) == 2)
+    folder = prepare(tmp_path / "cell", "hermit")
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(supervisor.run, Request("synthesize", str(folder), 20, 500))
+        wait_until(lambda: "child" in (folder / "log.txt").read_text() if (folder / "log.txt").exists() else False)
+        children = server.children(recursive=True)
+        keeper = psutil.Process(server.ppid())
+        if who == "both of them stopped":
+            keeper.suspend()
+            server.suspend()
+            supervisor.close()
+        else:
+            (server if who == "server" else keeper).kill()
+        assert running.result().result["status"] == "crash"
+    assert len(children) >= 3
+    assert not psutil.wait_procs([server, keeper, *children], timeout=5)[1]
+    assert no_orphan(folder)
     assert supervisor.run(request).scored == ("cost",)

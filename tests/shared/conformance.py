@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from nrbench.running.clauses import CLAUSES
-from nrbench.running.conformance import check_plugin
-from nrbench.running.supervisor import InProcessRunner
+from nrbench.authoring.conformance import check_plugin
+from nrbench.authoring.plugin_checks import CLAUSES
 
 ALWAYS = frozenset({"time", "processes"})
 """Clauses that are left out: one measures only, and one needs two interpreters."""
@@ -32,7 +31,7 @@ def violations(
         Clauses that may not apply.
     """
     clauses = [clause.name for clause in CLAUSES[kind] if clause.name not in {*ALWAYS, *left_out}]
-    findings = check_plugin(kind, name, parameters, runner=InProcessRunner(), only=clauses)
+    findings = check_plugin(kind, name, parameters, here=True, only=clauses)
     return [
         f"{finding.verdict} {finding.clause}: {finding.reason}"
         for finding in findings

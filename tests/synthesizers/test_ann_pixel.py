@@ -10,7 +10,7 @@ from synthesis_cases import noise, synthesize
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.plugins.forms import Refused
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.ann_pixel import AnnPixel
 
 

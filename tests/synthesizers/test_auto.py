@@ -12,7 +12,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.ann_pixel import AnnPixel
 from nrbench.synthesizers.auto import Auto, estimate_share
 from nrbench.synthesizers.rsgf import Rsgf

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from conformance import violations
 
 from nrbench import plugins
+from nrbench.authoring.plugin_checks import SynthesizerSubject
 from nrbench.imaging.files import write_image
-from nrbench.running.clauses import Method
 from nrbench.synthesizers.precomputed import name_for
 
 TILE = """
@@ -43,8 +42,8 @@ def test_a_program_conforms(tmp_path: Path) -> None:
 
 def test_pictures_conform(tmp_path: Path) -> None:
     """Outputs in a folder fulfil every clause by way of `precomputed`."""
-    subject: Any = Method("precomputed", {"directory": str(tmp_path)})
+    subject = SynthesizerSubject("precomputed", {"directory": str(tmp_path)})
     for seed, channels in ((0, 3), (5, 3), (0, 1)):
-        task = subject.task(seed, channels)
+        task = subject.make_input(seed, channels)
         write_image(tmp_path / name_for(task.sample, task.shape), task.sample[:1, :1].repeat(96, 0).repeat(112, 1))
     assert violations("synthesizers", "precomputed", {"directory": str(tmp_path)}, (), OPTIONAL) == []

@@ -16,7 +16,7 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.source import SourceUse
 from nrbench.plugins.forms import Observation, Refused, Synthesis, Task
 from nrbench.plugins.parameters import fields_by_call
-from nrbench.running.outputs import checked_synthesis, is_picture
+from nrbench.running.output_checks import checked_synthesis, is_picture
 from nrbench.spectra.harmonics import Harmonics
 from nrbench.synthesizers.ann_pixel import AnnPixel
 from nrbench.synthesizers.fftm_patch import FftmPatch

@@ -13,7 +13,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task, Texture
-from nrbench.running.outputs import check_source
+from nrbench.running.output_checks import check_source
 from nrbench.synthesizers.geometry.deformed_lattice import PARTS, DeformedLattice, find_deformed_lattice, knot_lattice
 from nrbench.synthesizers.geometry.straightening import StraightSample, explained_share, synthesize_straight
 from nrbench.synthesizers.geometry.vertex_field import Update, WaveSpectrum, neighbor_field, output_field

@@ -10,7 +10,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Observation, Refused, Task, Texture
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.graph_cuts import GraphCuts
 from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat
 from nrbench.synthesizers.patchwork.whole_patches import WholePatches

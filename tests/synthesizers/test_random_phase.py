@@ -4,7 +4,7 @@ import pytest
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.plugins.forms import Task
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.random_phase import RandomPhase, _periodic
 
 

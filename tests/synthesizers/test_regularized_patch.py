@@ -12,7 +12,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Observation, Refused, Texture
-from nrbench.running.outputs import check_source
+from nrbench.running.output_checks import check_source
 from nrbench.synthesizers.regularized_patch import RegularizedPatch
 
 

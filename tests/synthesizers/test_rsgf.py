@@ -15,7 +15,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detection, NoLatticeFound, Observation, Refused, Task
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.gap_filling.canvas import SeamMethod
 from nrbench.synthesizers.rsgf import Rsgf
 

@@ -4,7 +4,7 @@ import pytest
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import NoLatticeFound, Refused, Synthesis, Task
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.shuffle import Shuffle
 
 WHOLE = Lattice((20, 4), (-3, 16))

@@ -6,7 +6,7 @@ import pytest
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Synthesis, Task
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.baselines.voronoi_cell import half_extent
 from nrbench.synthesizers.supertile import Supertile, largest_supercell
 

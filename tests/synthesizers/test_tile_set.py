@@ -9,7 +9,7 @@ from synthesis_cases import FRACTIONAL, noise, synthesize
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Task
-from nrbench.running.outputs import checked_synthesis
+from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.tile_set import TileLaying, TileSet
 
 TILES = ["auto", "upright", "lattice", "rectangle", "cell"]

@@ -15,7 +15,7 @@ from nrbench.datasets_procedural.knit import Knit
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.fold import fold, interpolate
+from nrbench.imaging.mean_tile import fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.deformation import Deformation
 from nrbench.tracking.following import follow_lattice, follow_on, merit, probe

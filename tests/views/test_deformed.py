@@ -11,7 +11,7 @@ import pytest
 import nrbench
 from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.fold import interpolate
+from nrbench.imaging.mean_tile import interpolate
 from nrbench.plugins.forms import Detection, NoLatticeFound
 from nrbench.tracking.deformation import Deformation
 from nrbench.tracking.homography import map_points

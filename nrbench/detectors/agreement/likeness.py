@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, crop_middle, shrink
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
-from nrbench.imaging.fold import Values
+from nrbench.imaging.mean_tile import Values
 from nrbench.lattice.geometry import Points
 
 LIGHTING = 3

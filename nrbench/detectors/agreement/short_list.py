@@ -14,8 +14,8 @@ from nrbench.detectors.agreement.evidence import Evidence
 from nrbench.detectors.agreement.evidence_kernels import reduce_all
 from nrbench.detectors.agreement.search import SHORTEST, finer_bases, highest_added
 from nrbench.detectors.agreement.weights import CHOSEN, WEIGHTS
-from nrbench.lattice.comparison import count_cells
 from nrbench.lattice.geometry import Points, hermite_matrices
+from nrbench.lattice.relation import count_cells
 from nrbench.plugins.forms import Probabilities, Role
 
 NEIGHBORS = (2, 3, 4)

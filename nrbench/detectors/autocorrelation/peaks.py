@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nrbench.detectors.autocorrelation.peak_kernels import find_basins, follow_multiples, prominences
 from nrbench.imaging.correlation import Correlation
-from nrbench.imaging.parabola import find_vertex
+from nrbench.imaging.subpixel import find_vertex
 from nrbench.lattice.geometry import Points
 
 Lags = NDArray[np.int64]

@@ -27,7 +27,7 @@ def find_vertex(
 
     Examples
     --------
-    >>> from nrbench.imaging.parabola import find_vertex
+    >>> from nrbench.imaging.subpixel import find_vertex
     >>> [float(value) for value in find_vertex(0.0, 3.0, 2.0)]
     [0.25, 0.125]
     """

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.drawing import COLOR, contact_sheet, draw_lattice, overview, stack, zoom_panels
+from nrbench.imaging.overlays import COLOR, contact_sheet, draw_lattice, draw_overview, stack, zoom_panels
 from nrbench.lattice.geometry import Lattice
 
 
@@ -64,10 +64,12 @@ def test_a_coarse_candidate_widens_the_part() -> None:
 
 def test_the_whole_image_is_scaled() -> None:
     """A large image is shrunk and a small one enlarged; lines whose cells would be too small are left out."""
-    large = overview(np.full((500, 1000, 3), 0.5, np.float32), Lattice((100.0, 0.0), (0.0, 1000.0), (49.5, 600.0)), 200)
+    large = draw_overview(
+        np.full((500, 1000, 3), 0.5, np.float32), Lattice((100.0, 0.0), (0.0, 1000.0), (49.5, 600.0)), 200
+    )
     assert large.shape == (100, 200, 3) and np.abs(np.diff(line_columns(large)) - 20).max(initial=0) == 0
-    assert overview(np.full((30, 40, 1), 0.5, np.float32), None, 200).shape == (150, 200, 3)
-    fine = overview(np.full((1000, 1000, 3), 0.5, np.float32), Lattice((20.0, 0.0), (0.0, 20.0)), 200)
+    assert draw_overview(np.full((30, 40, 1), 0.5, np.float32), None, 200).shape == (150, 200, 3)
+    fine = draw_overview(np.full((1000, 1000, 3), 0.5, np.float32), Lattice((20.0, 0.0), (0.0, 20.0)), 200)
     np.testing.assert_allclose(fine, 0.5, atol=0.003)
 
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from nrbench.imaging.fold import cell_coordinates, cut_tiles, fold, interpolate
-from nrbench.imaging.fold_kernels import PAD, spline_coefficients, spline_windows
+from nrbench.imaging.mean_tile import cell_coordinates, cut_tiles, fold, interpolate
+from nrbench.imaging.mean_tile_kernels import PAD, spline_coefficients, spline_windows
 from nrbench.lattice.geometry import Lattice
 
 OBLIQUE = Lattice((17.3, 2.6), (-3.1, 14.8), (4.2, 1.7))

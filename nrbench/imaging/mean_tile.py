@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.fold_kernels import (
+from nrbench.imaging.mean_tile_kernels import (
     accumulate_pixels,
     interpolate_image,
     interpolate_tile,

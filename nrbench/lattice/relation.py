@@ -90,7 +90,7 @@ def lattice_error(
 
     Examples
     --------
-    >>> from nrbench.lattice.comparison import lattice_error
+    >>> from nrbench.lattice.relation import lattice_error
     >>> from nrbench.lattice.geometry import Lattice
     >>> lattice_error(Lattice((40.0, 0.0), (0.0, 12.0)), Lattice((20.0, 0.0), (0.0, 12.0)), (128, 128)).label
     'supercell 2'
@@ -171,7 +171,7 @@ def relate(lattice: Lattice, reference: Lattice, tolerance: float = 1.0, share: 
 
     Examples
     --------
-    >>> from nrbench.lattice.comparison import relate
+    >>> from nrbench.lattice.relation import relate
     >>> from nrbench.lattice.geometry import Lattice
     >>> wall = Lattice((40.0, 0.0), (0.0, 12.0))
     >>> relate(Lattice((20.0, 0.0), (0.0, 36.0)), wall).name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from nrbench.running.progress import Pace, Step
+from nrbench.running.pace import Pace, Step
 from nrbench.suites.cell import Cell, Recipe
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.lattice.comparison import lattice_error, relate
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.relation import lattice_error, relate
 
 TRUTH = Lattice((27.3, 0.0), (13.65, 12.2), (4.0, 1.0))
 SHAPE = (200, 300)

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from nrbench import plugins
+from nrbench.authoring import conformance
+from nrbench.authoring.conformance import Conformance, check_plugin
+from nrbench.authoring.plugin_checks import CLAUSES
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
-from nrbench.running.clauses import CLAUSES
-from nrbench.running.conformance import Finding, check_plugin, find_plugins
-from nrbench.running.supervisor import InProcessRunner
 
 VIOLATORS = Path(__file__).with_name("violators.py")
 SHARED = {
@@ -97,25 +97,23 @@ def violators() -> Iterator[None]:
 @pytest.fixture(autouse=True, scope="module")
 def one_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Make the run of the reports' clauses once."""
-    from nrbench.running import conformance
-
-    made = conformance._make_run(tmp_path_factory.mktemp("reports") / "run")
+    made = conformance.make_example_run(tmp_path_factory.mktemp("reports") / "run")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(conformance, "_make_run", lambda root: made)
+        patch.setattr(conformance, "make_example_run", lambda root: made)
         yield
 
 
 def failed(kind: str, name: str, how: str = "") -> dict[str, str]:
     """Return the reasons of the clauses that a plugin fails, checked in this process."""
     parameters = {"how": how} if how else {}
-    findings = check_plugin(kind, name, parameters, runner=InProcessRunner())
+    findings = check_plugin(kind, name, parameters, here=True)
     return {finding.clause: finding.reason for finding in findings if finding.verdict == "fail"}
 
 
 @pytest.mark.parametrize("kind", NAMES)
 def test_a_plugin_that_behaves_passes(kind: str) -> None:
     """Without a violation the plugins of these tests fail no clause, and every clause was checked."""
-    findings = list(check_plugin(kind, NAMES[kind], runner=InProcessRunner()))
+    findings = list(check_plugin(kind, NAMES[kind], here=True))
     assert [finding.clause for finding in findings] == [clause.name for clause in CLAUSES[kind]]
     assert [finding for finding in findings if finding.verdict == "fail"] == []
 
@@ -141,27 +139,30 @@ def test_an_error_names_the_line_of_the_plugin() -> None:
 
 def test_clauses_can_be_chosen() -> None:
     """A chosen clause is checked with those that it depends on; an unknown one names the nearest."""
-    chosen = check_plugin("synthesizers", "badmethod", runner=InProcessRunner(), only=["gray"])
+    chosen = check_plugin("synthesizers", "badmethod", here=True, only=["gray"])
     assert [finding.clause for finding in chosen] == ["output", "gray"]
     with pytest.raises(BadInput, match=r"clause 'grey' of methods is not known \(did you mean 'gray'"):
         list(check_plugin("synthesizers", "badmethod", only=["grey"]))
 
 
-def test_an_unknown_plugin_names_the_nearest() -> None:
+def test_an_unknown_plugin_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     """A misspelt name is answered with the one that was meant; a kind leaves out the others."""
-    with pytest.raises(BadInput, match=r"'badmethd' is not known \(did you mean 'badmethod'"):
-        find_plugins("badmethd")
-    assert find_plugins("badmethod") == [("synthesizers", "badmethod")]
-    with pytest.raises(BadInput, match="not known"):
-        find_plugins("badmethod", "metrics")
+    for words, message in (
+        (["badmethd"], "did you mean 'badmethod'"),
+        (["badmethod", "--kind", "metrics"], "not known"),
+    ):
+        with pytest.raises(SystemExit) as left:
+            main(["check", *words])
+        assert left.value.code == 2
+        assert message in capsys.readouterr().err
 
 
-def check(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Finding]]:
+def check(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Conformance]]:
     """Run ``nrbench check --json``; return the exit code and the findings."""
     with pytest.raises(SystemExit) as left:
         main(["check", *words.split(), "--json"])
     (one,) = json.loads(capsys.readouterr().out)["plugins"]
-    return int(left.value.code or 0), {item["clause"]: Finding(**item) for item in one["clauses"]}
+    return int(left.value.code or 0), {item["clause"]: Conformance(**item) for item in one["clauses"]}
 
 
 def test_a_crash_fails_one_clause(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.imaging.parabola import find_vertex
+from nrbench.imaging.subpixel import find_vertex
 
 
 @given(st.floats(-0.5, 0.5), st.floats(0.01, 100), st.floats(-10, 10))

@@ -50,10 +50,22 @@ def draw_lattice(image: Image, lattice: Lattice, color: tuple[float, float, floa
     color
         sRGB color of the lines, in [0, 1].
 
+    Returns
+    -------
+    Image
+        Float32 ``(H, W, 3)`` in [0, 1].
+
     Notes
     -----
     Each pixel is mixed with the color by its distance from the nearest line, which follows from its cell coordinates.
     The time depends on the image alone and not on the number of cells.
+
+    Examples
+    --------
+    >>> from nrbench import draw_lattice, texture
+    >>> brick = texture("brick", shape=(64, 96))
+    >>> draw_lattice(brick.image, brick.lattice).shape
+    (64, 96, 3)
     """
     canvas = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image.copy()
     basis = lattice.reduced()
@@ -142,7 +154,7 @@ def zoom_panels(image: Image, lattices: Sequence[Lattice], side: int = PANEL) ->
     return [draw_lattice(panel, _place(lattice, (left, top), factor)) for lattice in lattices]
 
 
-def overview(image: Image, lattice: Lattice | None, side: int = PANEL) -> Image:
+def draw_overview(image: Image, lattice: Lattice | None, side: int = PANEL) -> Image:
     """Return a whole image, scaled to ``side`` px, with a lattice drawn over it if its cells can be seen at this scale.
 
     Parameters

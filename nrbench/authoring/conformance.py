@@ -1,0 +1,191 @@
+"""Check a plugin against every clause of its form, each in a child process under limits (``nrbench check``)."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack, redirect_stderr
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from nrbench import plugins
+from nrbench.authoring import plugin_checks
+from nrbench.authoring.plugin_checks import CLAUSES, MARK, MARKUP, Clause
+from nrbench.errors import BadInput
+from nrbench.plugins.parameters import nearest
+from nrbench.running.guard import Limits
+from nrbench.running.runner import Options, execute
+from nrbench.running.supervisor import Supervisor
+from nrbench.running.worker import Request
+from nrbench.runs.store import CellFolder, Result
+from nrbench.storage import temporary_folder, write_json
+from nrbench.suites.plan import make_plan
+from nrbench.suites.suite import validated_suite
+
+LIMITS = Limits(120.0, 4096.0)
+"""The limits of one clause, where no others are given."""
+CHECK = f"{plugin_checks.__name__}.{plugin_checks.check.__name__}"
+"""The name of the phase that checks a clause."""
+
+Examine = Callable[[Clause, Path], Result]
+"""Checks a clause in a folder that holds ``cell.json``."""
+
+
+@dataclass(frozen=True)
+class Conformance:
+    """What a plugin does about one clause.
+
+    Parameters
+    ----------
+    clause, demand
+        The clause, and what it demands, in one sentence.
+    verdict
+        ``"pass"``, ``"fail"``, or ``"skip"`` if the clause does not apply or depends on one that failed.
+    reason
+        What was seen, in one line.
+    log
+        The end of what the plugin printed, and the traceback, if it failed.
+    """
+
+    clause: str
+    demand: str
+    verdict: Literal["pass", "fail", "skip"]
+    reason: str
+    log: str = ""
+
+
+def check_plugin(
+    kind: str,
+    name: str,
+    parameters: Mapping[str, Any] | None = None,
+    limits: Limits = LIMITS,
+    *,
+    here: bool = False,
+    only: Collection[str] = (),
+) -> Iterator[Conformance]:
+    """Check a plugin against every clause of its form.
+
+    Parameters
+    ----------
+    kind, name
+        The plugin.
+    parameters
+        Parameters that it is checked with, where they differ from its defaults.
+    limits
+        The limits of one clause.
+    here
+        Whether the clauses run in this process, for tests and debuggers; the clause that needs two interpreters is then
+        skipped. Otherwise each clause runs in a child process of its own.
+    only
+        Names of the clauses to check, with those that they depend on; empty: all.
+
+    Yields
+    ------
+    Conformance
+        What the plugin does about one clause.
+    Finding
+        The verdict on a clause, ``pass``, ``fail`` or ``skip``, and why.
+
+    Raises
+    ------
+    BadInput
+        If there is no such plugin or clause, it does not load, or its parameters are not valid.
+
+    Examples
+    --------
+    >>> from nrbench import check_plugin
+    >>> [(finding.clause, finding.verdict) for finding in check_plugin("synthesizers", "scatter", only=["docstring"])]
+    [('docstring', 'pass')]
+    """
+    plugins.build(kind, name, parameters or {})
+    clauses = _choose(kind, only)
+    with ExitStack() as stack:
+        place = stack.enter_context(temporary_folder())
+        run = make_example_run(place / "run") if kind == "reports" else ""
+        subject = {"kind": kind, "name": name, "parameters": dict(parameters or {}), "run": str(run)}
+        examine: Examine = _examine_here
+        if not here:
+            supervisors = [stack.enter_context(Supervisor(forks=forks)) for forks in (True, False)]
+            examine = _examiner(supervisors, limits)
+        missed: set[str] = set()
+        for clause in clauses:
+            folder = place / clause.name.replace(" ", "-")
+            write_json(folder / "cell.json", {**subject, "clause": clause.name})
+            if clause.after in missed:
+                result = Result(status="refused", message=f"depends on the clause {clause.after!r}")
+            else:
+                result = examine(clause, folder)
+            if result["status"] != "ok":
+                missed.add(clause.name)
+            yield _conformance(clause, result, folder)
+
+
+def _choose(kind: str, only: Collection[str]) -> list[Clause]:
+    """Return the clauses of these names and those that they depend on."""
+    known = {clause.name: clause for clause in CLAUSES[kind]}
+    wanted: set[str] = set()
+    for name in only or known:
+        if name not in known:
+            raise BadInput(f"clause {name!r} of {plugins.FORMS[kind].noun}s is not known{nearest(name, known)}")
+        while name and name not in wanted:
+            wanted.add(name)
+            name = known[name].after
+    return [clause for clause in CLAUSES[kind] if clause.name in wanted]
+
+
+def _examine_here(clause: Clause, folder: Path) -> Result:
+    """Check a clause in this process."""
+    if clause.twice:
+        return {"status": "refused", "message": "needs two interpreters"}
+    results: list[Any] = []
+    plugin_checks.check(folder, results.append)
+    return dict(results[-1])  # type: ignore[return-value]
+
+
+def _examiner(supervisors: list[Supervisor], limits: Limits) -> Examine:
+    """Return a function that checks a clause in a child process, or in two interpreters whose answers must be equal."""
+
+    def examine(clause: Clause, folder: Path) -> Result:
+        request = Request(CHECK, str(folder), limits.seconds, limits.mib)
+        first = supervisors[0].run(request).result
+        if not clause.twice or first["status"] != "ok":
+            return first
+        second = supervisors[1].run(request).result
+        if second["status"] == "ok" and second["message"] != first["message"]:
+            why = "another interpreter gave another answer (sets, hash() or ids of objects?)"
+            return {"status": "invalid", "message": why}
+        return {**second, "message": clause.demand} if second["status"] == "ok" else second
+
+    return examine
+
+
+def _conformance(clause: Clause, result: Result, folder: Path) -> Conformance:
+    status = result["status"]
+    reason = " ".join((result["message"] or "ended without an answer").split())
+    if status in ("ok", "refused"):
+        return Conformance(clause.name, clause.demand, "pass" if status == "ok" else "skip", reason)
+    if status in ("timeout", "memory", "crash"):
+        reason = f"{status}: {reason}"
+    return Conformance(clause.name, clause.demand, "fail", reason, CellFolder(folder).log_tail())
+
+
+def make_example_run(root: Path) -> Path:
+    """Make a small run for reports: two textures with awkward names, a method, a reference, and one that fails."""
+    texts = {"family": " ".join(sorted(set(MARKUP.values()))), "description": f"<script>{MARK} \\input{{{MARK}}}"}
+    names = (f"=1+{MARK} <script>{MARK}", f"{MARK} & 100% _of_ $x$ #1 \u202e")
+    suite = {
+        "name": f"check <script>{MARK}",
+        "sample": "48x48",
+        "size": "64x64",
+        "lattice": ["given"],
+        "methods": ["oracle", "tiling", "scatter", f"command:run=no-such-program-{MARK} {{sample}} {{output}}"],
+        "metrics": ["quality", "regularity", "cost"],
+        "texture": [
+            {"name": name, "dataset": "brick", "parameters": {"width": 20, "height": 10, "color": 0.2}, **texts}
+            for name in names
+        ],
+    }
+    with redirect_stderr(io.StringIO()):  # the traceback of the method that fails
+        execute(make_plan(validated_suite(suite, "check")), root, Options(jobs=0), lambda step: None)
+    return root

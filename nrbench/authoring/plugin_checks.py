@@ -1,0 +1,910 @@
+"""What a plugin of each kind must do: one function for each clause, which ``nrbench check`` and tests share.
+
+A clause is a function that receives a :class:`Subject`: the plugin, and small inputs on which it is tried. It returns
+what was seen, in a few words, or None. It raises :class:`Violated` or :class:`Skipped`. Its docstring says what a
+plugin must do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import inspect
+import json
+import math
+import os
+import random
+import re
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench import plugins
+from nrbench.errors import BadInput, describe_error
+from nrbench.imaging.convert import Image, quantize
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import (
+    Again,
+    Alternative,
+    Detection,
+    NoLatticeFound,
+    Observation,
+    Refused,
+    Score,
+    Shape,
+    Synthesis,
+    Task,
+    Texture,
+)
+from nrbench.running.output_checks import InvalidOutput, check_source, checked_synthesis
+from nrbench.running.phases import FAULTS, Send, score_observation, send_error, write_score
+from nrbench.runs.records import Run
+from nrbench.runs.store import CellFolder
+from nrbench.storage import read_json
+from nrbench.streams import stream
+from nrbench.suites.cell import Recipe
+from nrbench.suites.plan import draw_texture
+
+LATTICE = Lattice((16.0, 0.0), (0.0, 12.0), (3.0, 2.0))
+"""The lattice of the textures on which plugins are tried."""
+SAMPLE, OUTPUT, LARGE = (84, 100), (96, 112), (192, 224)
+"""Shapes of a sample, of an output, and of the output whose time is measured."""
+MARK = "nrbench-mark"
+MARKUP = {
+    **dict.fromkeys((".html", ".htm", ".svg", ".md"), f"<script>{MARK}"),
+    ".tex": f"\\input{{{MARK}",
+    ".csv": f"=1+{MARK}",
+}
+"""Text that names in the run of the reports' clauses contain, by the ending of the files in which it is markup. It must
+not stand there unchanged; in CSV not at the beginning of a field."""
+
+
+class Violated(Exception):
+    """The plugin does not do what a clause demands; the message says what it does instead."""
+
+
+class Skipped(Exception):
+    """A clause does not apply to the plugin; the message says why."""
+
+
+def demand(holds: Any, message: str) -> None:
+    """Raise :class:`Violated` with a message unless a condition holds."""
+    if not holds:
+        raise Violated(message)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A plugin that is checked. Subclasses know how a plugin of their kind is called.
+
+    Parameters
+    ----------
+    name, parameters
+        The plugin's name, and the parameters that differ from its defaults.
+    run
+        Directory of a finished run, for reports.
+    """
+
+    name: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    run: str = ""
+
+    kind: ClassVar[str] = ""
+    first: ClassVar[tuple[str, str]] = ("", "")
+    """The clause of a valid answer, on which most others depend, and what it demands."""
+
+    @cached_property
+    def plugin(self) -> Any:
+        """The instance of the plugin."""
+        return plugins.build(self.kind, self.name, self.parameters)
+
+    @property
+    def cls(self) -> type[Any]:
+        """The class of the plugin."""
+        return type(self.plugin)
+
+    make_input: ClassVar[Callable[..., Any]]
+    """Return an input of its own seed; further arguments depend on the kind."""
+    call: ClassVar[Callable[..., Any]]
+    """Return the plugin's answer to an input."""
+    describe: ClassVar[Callable[..., str]]
+    """Check the answer to an input; return it in a few words. Refused and errors of the plugin pass."""
+    timed: ClassVar[Callable[[Any], tuple[Callable[[], Any], int, str]]]
+    """Return the call that is timed, and the number and the name of the units that it works on."""
+
+    def answer(self, seed: int = 0) -> Any:
+        """Return the plugin's answer to the input of a seed."""
+        return self.call(self.make_input(seed))
+
+
+@dataclass(frozen=True)
+class Clause:
+    """One clause of a form.
+
+    Parameters
+    ----------
+    name
+        A word or two.
+    demand
+        What a plugin must do, in one sentence.
+    test
+        The function that checks it.
+    after
+        The clause that a plugin must fulfill for this one to make sense; empty if there is none.
+    twice
+        Whether ``test`` runs in two interpreters; it returns a hash, and both must be equal.
+    """
+
+    name: str
+    demand: str
+    test: Callable[[Any], str | None]
+    after: str = ""
+    twice: bool = False
+
+    def examine(self, subject: Subject) -> tuple[str, str]:
+        """Check the clause; return ``ok``, ``refused`` (it does not apply) or ``invalid`` (violated), and why."""
+        try:
+            return "ok", self.test(subject) or self.demand
+        except Skipped as skipped:
+            return "refused", str(skipped)
+        except Refused as refusal:
+            return "refused", f"refused: {refusal.reason}"
+        except Violated as violated:
+            return "invalid", str(violated)
+
+
+CLAUSES: dict[str, list[Clause]] = {kind: [] for kind in plugins.FORMS}
+"""The clauses of each kind, in the order in which they are tested."""
+_Test = TypeVar("_Test", bound=Callable[[Any], str | None])
+
+
+def clause(
+    name: str, *subjects: type[Subject], after: str | None = None, twice: bool = False
+) -> Callable[[_Test], _Test]:
+    """Declare a function as a clause.
+
+    Parameters
+    ----------
+    name
+        The name of the clause.
+    subjects
+        The kinds of plugins that it is for.
+    after, twice
+        See :class:`Clause`. By default a clause depends on that of a valid answer.
+    """
+
+    def declare(test: _Test) -> _Test:
+        for subject in subjects:
+            before = subject.first[0] if after is None else after
+            what = (test.__doc__ or "").partition("\n")[0].removeprefix("Check that ")
+            CLAUSES[subject.kind].append(Clause(name, what[:1].upper() + what[1:], test, before, twice))
+        return test
+
+    return declare
+
+
+def check(folder: Path, send: Send) -> None:
+    """Check the clause that ``cell.json`` names. This is a phase, see :mod:`nrbench.running.phases`.
+
+    Sends one message: a status of :meth:`Clause.examine`, or ``error``, with what was seen.
+    """
+    wanted = read_json(CellFolder(folder).cell_file) or {}
+    subject = SUBJECTS[wanted["kind"]](wanted["name"], wanted["parameters"], wanted["run"])
+    (chosen,) = (each for each in CLAUSES[wanted["kind"]] if each.name == wanted["clause"])
+    try:
+        status, message = chosen.examine(subject)
+        send({"status": status, "message": message})
+    except FAULTS as error:
+        send_error(error, send)
+
+
+# ---------------------------------------------------------------------------------------------------- the inputs
+
+
+def draw_wall(shape: Shape, rng: np.random.Generator, channels: int = 3) -> Texture:
+    """Return a wall of tiles on :data:`LATTICE`; each tile has a brightness of its own.
+
+    Parameters
+    ----------
+    shape
+        Height and width, px.
+    rng
+        The source of the brightness of the tiles and of a little noise.
+    channels
+        1 or 3.
+    """
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    cells = LATTICE.to_cell(np.stack([x, y], -1).reshape(-1, 2).astype(np.float64)).reshape(*shape, 2)
+    column, row = np.moveaxis(np.floor(cells).astype(np.int64), -1, 0)
+    column, row = column - column.min(), row - row.min()
+    tiles = column + row * (column.max() + 1)
+    factors = rng.normal(1.0, 0.1, int(tiles.max()) + 1)[tiles]
+    u, v = np.moveaxis(cells % 1, -1, 0)
+    relief = 0.5 + 0.2 * u - 0.15 * np.sin(2 * np.pi * u) * (1 - v)
+    color = np.array([0.9, 0.7, 0.5]) if channels == 3 else np.array([0.7])
+    ideal = np.where((u > 1 / 16) & (v > 1 / 12), relief, 0.15)[..., np.newaxis] * color
+    image = ideal * factors[..., np.newaxis] + rng.normal(0, 0.01, (*shape, 1))
+    return Texture(
+        quantize(np.asarray(image, np.float32)),
+        LATTICE,
+        (LATTICE,),
+        name="tiles",
+        family="tiles",
+        kind="I",
+        ideal=np.asarray(ideal, np.float32),
+        elements={"tile": np.unique(factors)},
+        regular_share=0.9,
+        draw_seed=0,
+    )
+
+
+def _draw_again(seed: int, channels: int, shape: Shape, k: int) -> Texture:
+    """Return a fresh draw, read-only as in a run."""
+    texture = draw_wall(shape, stream("check", seed, "again", k), channels)
+    freeze(texture)
+    return texture
+
+
+def _leaves(thing: Any) -> Iterator[Any]:
+    """Yield the values that an input or an answer is made of, and their names. Measured times are left out."""
+    if isinstance(thing, Mapping):
+        for key in sorted(thing, key=str):
+            yield str(key)
+            yield from _leaves(thing[key])
+    elif isinstance(thing, tuple | list):
+        for part in thing:
+            yield from _leaves(part)
+    elif dataclasses.is_dataclass(thing) and not isinstance(thing, type):
+        yield from _leaves({each.name: getattr(thing, each.name) for each in dataclasses.fields(thing) if each.init})
+    else:
+        yield thing
+
+
+def digest(answer: Any) -> str:
+    """Return a hash of an answer: arrays by their bytes, dataclasses and containers by their content."""
+    found = hashlib.blake2b(digest_size=12)
+    for part in _leaves(dataclasses.replace(answer, detection_seconds=0) if isinstance(answer, Synthesis) else answer):
+        if isinstance(part, np.ndarray):
+            found.update(f"{part.dtype}{part.shape}".encode() + np.ascontiguousarray(part).tobytes())
+        else:
+            found.update(repr(part).encode())
+    return found.hexdigest()
+
+
+def freeze(given: Any) -> None:
+    """Make all arrays of an input read-only."""
+    for part in _leaves(given):
+        if isinstance(part, np.ndarray):
+            part.setflags(write=False)
+
+
+# -------------------------------------------------------------------------------------- the plugins of each kind
+
+
+class SynthesizerSubject(Subject):
+    """A synthesizer."""
+
+    kind = "synthesizers"
+    first = ("output", "The output has the shape, the channels and the range of an image.")
+
+    @property
+    def uses_lattice(self) -> bool:
+        """Whether the method uses a lattice."""
+        return bool(getattr(self.plugin, "uses_lattice", True))
+
+    def make_input(self, seed: int = 0, channels: int = 3, **changes: Any) -> Task:
+        """Return a task; ``changes`` are fields of :class:`~nrbench.plugins.forms.Task`."""
+        fields: dict[str, Any] = {
+            "sample": draw_wall(SAMPLE, stream("check", seed), channels).image,
+            "lattice": LATTICE if self.uses_lattice else None,
+            "shape": OUTPUT,
+            "rng": stream("check", seed, "method"),
+            **changes,
+        }
+        if getattr(self.cls, "reference", False):
+            fields |= dict.fromkeys(("again", "recompose"), partial(_draw_again, seed, channels))
+        return Task(**fields)
+
+    def call(self, given: Task) -> Synthesis:
+        """Return the synthesis of a task."""
+        return cast("Synthesis", self.plugin.synthesize(given))
+
+    def describe(self, **changes: Any) -> str:
+        """Check all but the source map."""
+        task = self.make_input(**changes)
+        made = self.call(task)
+        try:
+            bare = dataclasses.replace(made, source=None) if isinstance(made, Synthesis) else made
+            height, width, channels = checked_synthesis(bare, task.sample, task.shape).image.shape
+        except InvalidOutput as invalid:
+            raise Violated(str(invalid)) from None
+        return f"{width}x{height} px, channels: {channels}, {_numbers(made.lattice)}"
+
+    def timed(self) -> tuple[Callable[[], Any], int, str]:
+        """Return a large synthesis."""
+        return lambda: self.describe(shape=LARGE), math.prod(LARGE), "pixel of the output"
+
+
+def _numbers(lattice: Lattice | None) -> str:
+    return f"lattice {','.join(f'{x:.4g}' for x in lattice.numbers[:4])}" if lattice else "no lattice"
+
+
+class DetectorSubject(Subject):
+    """A detector."""
+
+    kind = "detectors"
+    first = ("detection", "The detector returns a Detection or finds no lattice.")
+
+    def make_input(self, seed: int = 0, channels: int = 3, shape: Shape = OUTPUT, image: Image | None = None) -> Image:
+        """Return the image of a wall, or a copy of another one."""
+        return draw_wall(shape, stream("check", seed), channels).image if image is None else image.copy()
+
+    def call(self, given: Image) -> Detection | None:
+        """Return the detection in an image; None if there is none."""
+        try:
+            return cast("Detection", self.plugin.detect(given))
+        except NoLatticeFound as none:
+            demand(isinstance(none.reason, str) and none.reason, "raised NoLatticeFound without a reason")
+            return None
+
+    def describe(self, **changes: Any) -> str:
+        """Check the types and the confidence."""
+        found: Any = self.call(self.make_input(**changes))
+        if found is None:
+            return "no lattice"
+        demand(isinstance(found, Detection), f"returned {type(found).__name__} instead of a Detection")
+        demand(isinstance(found.lattice, Lattice), f"returned the lattice {found.lattice!r}; it must be a Lattice")
+        share = found.confidence
+        number = isinstance(share, int | float | np.number) and not isinstance(share, bool)
+        demand(number and 0 <= share <= 1, f"returned the confidence {share!r}; it must be a number in [0, 1]")
+        others = isinstance(found.alternatives, tuple) and all(isinstance(o, Alternative) for o in found.alternatives)
+        demand(others, "alternatives must be a tuple of Alternative")
+        return f"{_numbers(found.lattice)}, confidence {share:.2g}"
+
+    def timed(self) -> tuple[Callable[[], Any], int, str]:
+        """Return the detection in a large image."""
+        return lambda: self.describe(shape=LARGE), math.prod(LARGE), "pixel"
+
+
+class MetricSubject(Subject):
+    """A metric."""
+
+    kind = "metrics"
+    first = ("score", "Every declared column has a value, or None and a reason.")
+
+    def make_input(self, seed: int = 0, channels: int = 3, known: str = "model") -> Observation:
+        """Return a fresh draw as an output. ``known`` is ``"model"``, ``"lattice"`` or ``"nothing"``."""
+        sample = draw_wall(SAMPLE, stream("check", seed), channels)
+        again: Again | None = partial(_draw_again, seed, channels) if known == "model" else None
+        truths = {"model": sample, "lattice": Texture(sample.image, LATTICE, (LATTICE,))}
+        return Observation(
+            sample.image,
+            draw_wall(OUTPUT, stream("check", seed, "output"), channels).image,
+            truths.get(known),
+            lattice_given=LATTICE if known != "nothing" else None,
+            seconds=0.25 if known != "nothing" else None,
+            cost={"cpu_seconds": 0.25, "peak_mib": 1.0} if known != "nothing" else {},
+            again=again,
+        )
+
+    def call(self, given: Observation) -> Score:
+        """Return the score of an observation."""
+        return score_observation(given, self.name, self.parameters)
+
+    def values(self, **changes: Any) -> dict[str, Any]:
+        """Return the values of a checked score."""
+        try:
+            score = self.call(self.make_input(**changes))
+        except (TypeError, ValueError) as error:
+            raise Violated(describe_error(error)) from error
+        with tempfile.TemporaryDirectory(prefix="nrbench-") as folder:
+            write_score(CellFolder(Path(folder)), self.name, score)
+        return dict(score.values)
+
+    def describe(self, **changes: Any) -> str:
+        """Check that the score is complete, and that it can be written."""
+        values = self.values(**changes).values()
+        return f"{sum(value is not None for value in values)} of {len(values)} columns have a value"
+
+    def timed(self) -> tuple[Callable[[], Any], int, str]:
+        """Return the score of an output."""
+        return self.answer, math.prod(OUTPUT), "pixel of the output"
+
+
+class DatasetSubject(Subject):
+    """A dataset."""
+
+    kind = "datasets"
+    first = ("texture", "The texture has the shape, the channels and the range.")
+
+    def recipe(self, seed: int = 0, shape: Shape = SAMPLE) -> Recipe:
+        """Return the recipe of a draw."""
+        return Recipe(self.name, plugins.parameters_of(self.plugin), seed, "check", 0, shape)
+
+    def make_input(self, seed: int = 0, **changes: Any) -> tuple[Recipe, Texture]:
+        """Return a recipe, and its texture."""
+        recipe = self.recipe(seed, **changes)
+        return recipe, recipe.render()
+
+    def call(self, given: tuple[Recipe, Texture]) -> Any:
+        """Return the texture, and fresh draws of it."""
+        recipe, texture = given
+        recompose = recipe.recompose(texture)
+        return texture, recipe.again(texture)(SAMPLE, 0), recompose(SAMPLE, 0) if recompose else None
+
+    def valid(self, shape: Shape = SAMPLE) -> Texture:
+        """Return a checked texture."""
+        try:
+            return draw_texture(self.recipe(shape=shape), shape)[0]
+        except BadInput as error:
+            raise Violated(str(error)) from None
+
+    def describe(self, **changes: Any) -> str:
+        """Check the shape, the channels and the range."""
+        texture = self.valid(**changes)
+        height, width, channels = texture.image.shape
+        return f"{width}x{height} px, channels: {channels}, {_numbers(texture.lattice)}"
+
+    def timed(self) -> tuple[Callable[[], Any], int, str]:
+        """Return the drawing of a large texture."""
+        return lambda: self.valid(LARGE), math.prod(LARGE), "pixel"
+
+
+class ReportSubject(Subject):
+    """A report."""
+
+    kind = "reports"
+    first = ("files", "The report returns the paths of the files that it wrote.")
+
+    def make_input(self, seed: int = 0, **changes: Any) -> Path:
+        """Return the directory of the run."""
+        return Path(self.run)
+
+    def call(self, given: Path) -> dict[str, bytes]:
+        """Return the files of the report by name, or by their whole path if they lie outside its folder."""
+        with tempfile.TemporaryDirectory(prefix="check-", dir=given) as place:
+            folder = Path(place, "report").resolve()
+            folder.mkdir()
+            paths = self.plugin.write(Run(given), folder)
+            listed = not isinstance(paths, str) and hasattr(paths, "__iter__")
+            demand(listed, f"write returned {type(paths).__name__}; return the paths of the files")
+            files = {}
+            for path in paths:
+                demand(isinstance(path, str | Path), f"write returned {path!r}; return the paths of the files")
+                file = Path(path).resolve()
+                demand(file.is_file(), f"write returned {path}, but there is no such file")
+                files[str(file.relative_to(folder) if file.is_relative_to(folder) else file)] = file.read_bytes()
+        return files
+
+    def describe(self, **changes: Any) -> str:
+        """Check that there are files."""
+        files = self.answer()
+        demand(files, "wrote no file, or did not return its path")
+        return ", ".join(f"{name} ({len(content) / 1024:.1f} KiB)" for name, content in list(files.items())[:3])
+
+    def timed(self) -> tuple[Callable[[], Any], int, str]:
+        """Return the writing of the report."""
+        return self.answer, len(Run(Path(self.run)).cells), "cell"
+
+
+SUBJECTS: Mapping[str, type[Subject]] = {
+    subject.kind: subject
+    for subject in (SynthesizerSubject, DetectorSubject, MetricSubject, DatasetSubject, ReportSubject)
+}
+_ALL = tuple(SUBJECTS.values())
+
+
+# ------------------------------------------------------------------------------- clauses of plugins of all kinds
+
+
+@clause("parameters", *_ALL, after="")
+def parameters_survive(subject: Subject) -> str:
+    """Check that parameters survive JSON and text."""
+    known = plugins.parameters_of(subject.plugin)
+    try:
+        back = json.loads(json.dumps(known, allow_nan=False))
+        again = plugins.parameters_of(plugins.build(subject.kind, subject.name, back))
+    except (TypeError, ValueError) as error:
+        raise Violated(f"do not survive JSON: {error}") from None
+    demand(again == known, f"read back from JSON as {again}")
+    for name, value in known.items():
+        text = _as_text(value)
+        if text is not None:
+            given = {**known, name: text}
+            try:
+                found = plugins.parameters_of(plugins.build(subject.kind, subject.name, given))[name]
+            except BadInput as error:
+                raise Violated(f"{name}={text} is refused as text: {error}") from None
+            demand(found == value, f"{name}={text} is read as {found!r} instead of {value!r}")
+    return f"{len(known)} parameter{'s' * (len(known) != 1)} survive JSON and text"
+
+
+def _as_text(value: Any) -> str | None:
+    """Return a value as a command line has it; None for one that it cannot have: empty or nested lists."""
+    if isinstance(value, list):
+        parts = [_as_text(part) for part in value if not isinstance(part, list)]
+        return ",".join(map(str, parts)) if parts and len(parts) == len(value) else None
+    return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+@clause("docstring", *_ALL, after="")
+def docstring_describes_parameters(subject: Subject) -> str:
+    """Check that the docstring describes every parameter."""
+    page = inspect.getdoc(subject.cls) or ""
+    section = re.split(r"(?m)^Parameters\n-+\n", page, maxsplit=1)[1:]
+    entries = re.split(r"(?m)^\w[\w ]*\n-+\n", section[0], maxsplit=1)[0] if section else ""
+    described = set(re.findall(r"\w+", " ".join(re.findall(r"(?m)^\w+(?:, \w+)*(?= *:|$)", entries))))
+    missing = [item.name for item in dataclasses.fields(subject.cls) if item.name not in described]
+    demand(not missing, f"does not describe {', '.join(missing)}; add a section `Parameters` in NumPy style")
+    return page.partition("\n")[0]
+
+
+@clause("paper", *_ALL, after="")
+def paper_is_bibtex(subject: Subject) -> str:
+    """Check that the paper, if there is one, is a BibTeX entry."""
+    text = inspect.cleandoc(str(getattr(subject.cls, "paper", "")))
+    if not text:
+        raise Skipped("declares no paper; if there is one, set `paper: ClassVar[str]` to its BibTeX entry")
+    found = re.match(r"@\w+\s*\{\s*([^\s,{}]+)\s*,", text)
+    if found is None:
+        raise Violated(f"{text[:40]!r} is no BibTeX entry; begin with @article{{key,")
+    demand(text.count("{") == text.count("}"), "the braces of the BibTeX entry do not match")
+    return found[1]
+
+
+for _subject in _ALL:
+    CLAUSES[_subject.kind].append(Clause(*_subject.first, lambda subject: subject.describe()))
+
+
+@clause("determinism", *_ALL)
+def answers_are_repeated(subject: Subject) -> str:
+    """Check that the same input gives the same bytes."""
+    first = hash_seeded(subject)
+    hash_seeded(subject, 5)
+    demand(hash_seeded(subject) == first, "the same input gave another answer the second time")
+    return "same input, same bytes, also after another input"
+
+
+@clause("processes", *_ALL, after="determinism", twice=True)
+def hash_seeded(subject: Subject, seed: int = 0) -> str:
+    """Check that two interpreters give the same bytes."""
+    np.random.seed(1)  # noqa: NPY002
+    random.seed(1)  # only other randomness makes a difference
+    return digest(subject.answer(seed))
+
+
+@clause("randomness", *_ALL)
+def global_generators_stay(subject: Subject) -> None:
+    """Check that all randomness comes from the generator that is passed in."""
+    np.random.seed(1)  # noqa: NPY002
+    random.seed(1)
+    before = _states()
+    subject.answer()
+    changed = [name for name, state in _states().items() if state != before[name]]
+    demand(not changed, f"draws from, or seeds, {' and '.join(changed)}; draw from the generator that is passed in")
+
+
+def _states() -> dict[str, Any]:
+    kind, words, *rest = cast("tuple[Any, ...]", np.random.get_state())  # noqa: NPY002
+    return {"np.random": (kind, words.tobytes(), *rest), "random": random.getstate()}
+
+
+@clause("side effects", *_ALL)
+def surroundings_stay(subject: Subject) -> None:
+    """Check that nothing outside of the plugin changes."""
+    subject.answer()  # imports and caches of the first call are no side effects
+    before, threads = _surroundings(subject), set(threading.enumerate())
+    subject.answer()
+    after = _surroundings(subject)
+    changed = [name for name in before if before[name] != after[name]]
+    demand(not changed, f"changes {' and '.join(changed)}")
+    demand(set(threading.enumerate()) <= threads, "leaves a thread running")
+
+
+def _surroundings(subject: Subject) -> dict[str, Any]:
+    return {
+        "its own parameters": plugins.parameters_of(subject.plugin),
+        "the working directory": Path.cwd(),
+        "files of the working directory": _listed(Path.cwd().glob("*")),
+        "environment variables": dict(os.environ),
+        "numpy's handling of errors (np.seterr)": np.geterr(),
+        "sys.path": list(sys.path),
+    }
+
+
+def _listed(files: Iterator[Path]) -> dict[str, tuple[int, int]]:
+    """Return the times and the sizes of files by their paths."""
+    return {str(file): (file.stat().st_mtime_ns, file.stat().st_size) for file in files if file.exists()}
+
+
+@clause("read-only", SynthesizerSubject, DetectorSubject, MetricSubject, DatasetSubject)
+def input_stays(subject: Subject) -> None:
+    """Check that the input is not changed."""
+    given = subject.make_input()
+    freeze(given)
+    try:
+        subject.call(given)
+    except ValueError as error:
+        if "read-only" not in str(error):
+            raise
+        raise Violated(f"writes into its input: {describe_error(error)}; copy the array first") from None
+
+
+@clause("gray", SynthesizerSubject, DetectorSubject, MetricSubject)
+def gray_images_work(subject: Subject) -> str:
+    """Check that images of one channel work."""
+    return subject.describe(channels=1)
+
+
+def describe_cases(subject: Subject, cases: Mapping[str, Mapping[str, Any]], instead: str) -> str:
+    """Check the answers to odd inputs; each is valid, or refused with a reason.
+
+    Parameters
+    ----------
+    subject
+        The plugin.
+    cases
+        The changes of each input, by its name.
+    instead
+        What the plugin should do instead of raising an error of another kind.
+    """
+    refused = 0
+    for name, changes in cases.items():
+        try:
+            subject.describe(**changes)
+        except Refused as refusal:
+            demand(isinstance(refusal.reason, str) and refusal.reason, f"{name}: refused without a reason")
+            refused += 1
+        except Violated as violated:
+            raise Violated(f"{name}: {violated}") from None
+        except FAULTS as error:
+            raise Violated(f"{name}: raised {describe_error(error)}; {instead} instead") from error
+    return f"{len(cases)} odd inputs: {refused} refused, {len(cases) - refused} valid"
+
+
+# -------------------------------------------------------------------------------------------------- synthesizers
+
+
+@clause("own lattice", SynthesizerSubject)
+def lattice_is_found(method: SynthesizerSubject) -> str:
+    """Check that without a given lattice the method finds it or refuses."""
+    if not method.uses_lattice:
+        raise Skipped("uses no lattice")
+    return method.describe(lattice=None)
+
+
+@clause("source map", SynthesizerSubject, after="read-only")
+def source_map_is_true(method: SynthesizerSubject) -> str:
+    """Check that pixels that the source map calls copies equal their sources."""
+    task = method.make_input()
+    made = method.call(task)
+    if made.source is None:
+        raise Skipped("gives no source map")
+    source = np.asarray(made.source, np.float32)
+    try:
+        check_source(source, quantize(np.asarray(made.image, np.float32)), task.sample)
+    except InvalidOutput as invalid:
+        raise Violated(str(invalid)) from None
+    return f"{np.mean(source[..., 2] > 1 - 1e-6):.0%} of the pixels are copies, all equal to their sources"
+
+
+@clause("refusals", SynthesizerSubject)
+def odd_inputs_are_refused(method: SynthesizerSubject) -> str:
+    """Check that an input that the method cannot use is refused."""
+    wall, noise = draw_wall(SAMPLE, stream("check", 0)).image, stream("check", "noise").random((*SAMPLE, 3), np.float32)
+    cases: dict[str, dict[str, Any]] = {
+        "a sample of 8x8 px": {"sample": wall[:8, :8]},
+        "a sample of one color": {"sample": np.full_like(wall, 0.5)},
+        "a strip of 8 px": {"sample": wall[:8]},
+        "an output smaller than the sample": {"shape": (24, 20)},
+        "an output of one pixel": {"shape": (1, 1)},
+    }
+    if method.uses_lattice:
+        cases["noise, and no lattice given"] = {"sample": quantize(noise), "lattice": None}
+        cases["a lattice larger than the sample"] = {"lattice": Lattice((200.0, 0.0), (0.0, 150.0))}
+    return describe_cases(method, cases, "raise Refused")
+
+
+@clause("progress", SynthesizerSubject)
+def progress_rises(method: SynthesizerSubject) -> str:
+    """Check that the reported fractions rise from 0 to 1."""
+    seen: list[float] = []
+    method.call(method.make_input(progress=seen.append))
+    if not seen:
+        raise Skipped("reports no progress")
+    inside = all(isinstance(x, int | float | np.number) and 0 <= x <= 1 for x in seen)
+    demand(inside, f"reports {seen[:5]}; pass fractions in [0, 1]")
+    demand(seen == sorted(seen), "the fraction goes back; it must not fall")
+    return f"{len(seen)} reports, the last one {seen[-1]:.2g}"
+
+
+# ----------------------------------------------------------------------------------------------------- detectors
+
+
+@clause("no guess", DetectorSubject)
+def one_color_has_no_lattice(detector: DetectorSubject) -> None:
+    """Check that an image of one color has no lattice."""
+    found = detector.describe(image=np.full((*OUTPUT, 3), 0.5, np.float32))
+    demand(found == "no lattice", f"found {found} in an image of one color; raise NoLatticeFound")
+
+
+@clause("odd images", DetectorSubject, after="no guess")
+def odd_images_raise_nothing(detector: DetectorSubject) -> str:
+    """Check that small images and noise raise no error."""
+    wall = detector.make_input()
+    noise = quantize(stream("check", "noise").random(wall.shape, np.float32))
+    images = {"8x8 px": wall[:8, :8], "a strip of 8 px": wall[:8], "noise": noise, "two values": np.rint(noise)}
+    return describe_cases(detector, {name: {"image": image} for name, image in images.items()}, "raise NoLatticeFound")
+
+
+# ------------------------------------------------------------------------------------------------------- metrics
+
+
+@clause("little known", MetricSubject)
+def little_is_known(metric: MetricSubject) -> str:
+    """Check that without a model or a lattice there are values or reasons."""
+    cases = {"no model, as of a photograph": "lattice", "nothing known of the texture": "nothing"}
+    changes = {name: {"known": known} for name, known in cases.items()}
+    return describe_cases(metric, changes, "give None and a reason")
+
+
+@clause("range", MetricSubject, after="little known")
+def values_are_in_range(metric: MetricSubject) -> None:
+    """Check that the values are in the declared ranges."""
+    for known in ("model", "lattice"):
+        for name, value in metric.values(known=known).items():
+            low, high = metric.cls.columns[name].range
+            demand(value is None or low <= value <= high, f"{name} is {value}, outside its range {low} to {high}")
+
+
+# ------------------------------------------------------------------------------------------------------ datasets
+
+
+@clause("shapes", DatasetSubject)
+def odd_shapes_are_drawn(model: DatasetSubject) -> None:
+    """Check that strips and odd sizes can be drawn."""
+    for shape in ((8, 40), (40, 8), (101, 97)):
+        drawn = model.valid(shape).image.shape
+        demand(max(drawn[:2]) <= max(shape), f"a texture of {shape} has shape {drawn}")
+
+
+@clause("truth", DatasetSubject)
+def truth_fits(model: DatasetSubject) -> str | None:
+    """Check that the truth fits the image: shapes, ranges, and the lattice."""
+    texture = model.recipe().render()
+    shape, ideal, moved = texture.image.shape, texture.ideal, texture.displacement
+    demand(ideal is None or ideal.shape == shape, f"ideal has another shape than the image, {shape}")
+    demand(ideal is None or (ideal.min() >= 0 and ideal.max() <= 1), "ideal has values outside [0, 1]")
+    fits = moved is None or moved.shape == (*shape[:2], 2)
+    demand(fits, f"displacement must have the shape {(*shape[:2], 2)}")
+    for name, values in texture.elements.items():
+        arrays = isinstance(values, np.ndarray) and values.ndim >= 1
+        demand(arrays, f"elements[{name!r}] must be an array whose first axis counts elements")
+    listed = texture.lattice in texture.lattices or not (texture.lattice and texture.lattices)
+    demand(listed, "lattices does not contain lattice; put it first")
+    if texture.lattice is None or ideal is None:
+        return None
+    error = _repetition_error(np.asarray(ideal, np.float64), texture.lattice)
+    demand(error < 0.5, f"the ideal image does not repeat by the lattice: {error:.2f} of its variance differs")
+    return f"the ideal image repeats by the lattice ({error:.1%} of its variance differs)"
+
+
+def _repetition_error(ideal: NDArray[np.float64], lattice: Lattice) -> float:
+    """Return the mean squared difference to copies shifted by the vectors, over twice the variance; 0 if too small.
+
+    The shifted copy is interpolated linearly, so edges differ a little.
+    """
+    from scipy import ndimage
+
+    reduced, errors = lattice.reduced(), [0.0]
+    for x, y in (reduced.t1, reduced.t2):
+        moved = ndimage.shift(ideal, (-y, -x, 0), order=1, cval=np.nan)
+        squares = np.square(moved - ideal)[np.isfinite(moved)]
+        if squares.size >= 64 * ideal.shape[2]:
+            errors.append(float(squares.mean()) * ideal.shape[2])
+    return max(errors) / (2 * max(float(ideal.var((0, 1)).sum()), 1e-9))
+
+
+@clause("fresh draws", DatasetSubject)
+def fresh_draws_fit(model: DatasetSubject) -> None:
+    """Check that fresh draws have the same lattice and origin."""
+    texture = model.valid()
+    draws = [model.recipe().again(texture)(OUTPUT, k) for k in (0, 1)]
+    if draws[0] is None:
+        raise Skipped("gives no fresh draws; the oracle refuses the texture")
+    for drawn in draws:
+        _check_draw(drawn, texture)
+        known, lattice = texture.lattice, cast("Texture", drawn).lattice
+        if known is not None and texture.region is None:
+            same = lattice is not None and lattice.is_equivalent(known)
+            demand(same, f"a draw has another lattice: {lattice} after {known}")
+            away = np.hypot(*known.wrap(np.subtract(cast("Lattice", lattice).origin, known.origin)))
+            demand(away < 1e-6, f"a draw has another origin: {cast('Lattice', lattice).origin} after {known.origin}")
+
+
+def _check_draw(drawn: object, texture: Texture) -> None:
+    if not isinstance(drawn, Texture):
+        raise Violated(f"returned {type(drawn).__name__} instead of a Texture")
+    wanted = (*OUTPUT, texture.image.shape[2])
+    demand(drawn.image.shape == wanted, f"a draw of {wanted} has the shape {drawn.image.shape}")
+    demand(np.isfinite(drawn.image).all(), "a draw has NaN or infinity")
+
+
+@clause("recomposition", DatasetSubject)
+def recomposition_fits(model: DatasetSubject) -> None:
+    """Check that draws of copied elements have the requested shape."""
+    texture = model.valid()
+    recompose = model.recipe().recompose(texture)
+    if recompose is None:
+        raise Skipped("has no method recompose; the reference `copier` refuses the texture")
+    _check_draw(recompose(OUTPUT, 0), texture)
+
+
+# ------------------------------------------------------------------------------------------------------- reports
+
+
+@clause("inside", ReportSubject)
+def files_lie_inside(report: ReportSubject) -> None:
+    """Check that all files lie in the folder that is passed."""
+    root = Path(report.run)
+    before = _listed(path for path in root.rglob("*") if path.is_file())
+    outside = [name for name in report.answer() if Path(name).is_absolute()]
+    demand(not outside, f"wrote {', '.join(outside)}; write into the folder that is passed")
+    after = _listed(path for path in root.rglob("*") if path.is_file())
+    demand(after == before, "changes other files of the run; write into the folder that is passed")
+
+
+@clause("no results", ReportSubject)
+def empty_run_is_reported(report: ReportSubject) -> None:
+    """Check that a run without results can be reported."""
+    with tempfile.TemporaryDirectory(prefix="nrbench-") as place:
+        Path(place, "cells").mkdir()
+        Path(place, "run.json").write_bytes(Path(report.run, "run.json").read_bytes())
+        report.call(Path(place))
+
+
+@clause("markup", ReportSubject)
+def names_are_escaped(report: ReportSubject) -> None:
+    """Check that names and messages are escaped."""
+    files = {name: content for name, content in report.answer().items() if Path(name).suffix.lower() in MARKUP}
+    if not files:
+        raise Skipped(f"writes no {', '.join(MARKUP)}")
+    for name, content in files.items():
+        active = MARKUP[Path(name).suffix.lower()]
+        pattern = rf'(?m)(^|,)"?{re.escape(active)}' if active.startswith("=") else re.escape(active)
+        unchanged = re.search(pattern, content.decode("utf-8", "replace"))
+        demand(not unchanged, f"{name} contains {active!r} of a name unchanged; escape names and messages")
+
+
+@clause("terminal", ReportSubject)
+def terminal_report_is_text(report: ReportSubject) -> str:
+    """Check that a report for the terminal returns text."""
+    if not getattr(report.cls, "terminal", False):
+        raise Skipped("is not printed after a run; set `terminal: ClassVar[bool] = True` if it is to be")
+    try:
+        made = plugins.build("reports", report.name, {**report.parameters, "width": 80})
+    except BadInput as error:
+        raise Violated(f"{error}; a report for the terminal has a parameter `width`") from None
+    text = made.render(Run(Path(report.run)))
+    demand(isinstance(text, str), f"render returned {type(text).__name__} instead of text")
+    return f"{len(text.splitlines())} lines"
+
+
+@clause("time", *_ALL)
+def time_is_measured(subject: Subject) -> str:
+    """Check that the time is measured."""
+    call, count, unit = subject.timed()
+    call()
+    start = time.perf_counter()
+    call()
+    seconds = time.perf_counter() - start
+    return f"{seconds / count * 1e6:.3g} µs a {unit} ({seconds * 1e3:.3g} ms)"
