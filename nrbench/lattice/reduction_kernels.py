@@ -8,10 +8,18 @@ from nrbench.jit import Float64x3, kernel
 
 
 @kernel
-def reduce_bases(bases: Float64x3) -> Float64x3:
-    """Return the reduced bases of many lattices, ``(n, 2, 2)``, as :meth:`nrbench.lattice.geometry.Lattice.reduced`.
+def reduce_bases(bases: Float64x3, acute: bool) -> Float64x3:
+    """Return the reduced bases of many lattices, ``(n, 2, 2)``.
 
     If the vectors of a basis are parallel, one of the returned vectors is 0, or as short as rounding errors.
+
+    Parameters
+    ----------
+    bases
+        ``(n, 2, 2)``, rows (x, y) of each basis.
+    acute
+        Whether the vectors point to the right and make no obtuse angle, as those of
+        :meth:`nrbench.lattice.geometry.Lattice.reduced`.
     """
     out = np.zeros_like(bases)
     for i in range(bases.shape[0]):
@@ -25,12 +33,12 @@ def reduce_bases(bases: Float64x3) -> Float64x3:
             if bx * bx + by * by >= square * (1 - 1e-12):
                 break
             ax, ay, bx, by = bx, by, ax, ay
-        if ax < 0 or (ax == 0 and ay <= 0):
+        if acute and (ax < 0 or (ax == 0 and ay <= 0)):
             ax, ay = -ax, -ay
-        if bx < 0 or (bx == 0 and by <= 0):
+        if acute and (bx < 0 or (bx == 0 and by <= 0)):
             bx, by = -bx, -by
         dot = ax * bx + ay * by
-        if dot < 0 and abs(dot) >= 1e-9 * (ax * ax + ay * ay):
+        if acute and dot < 0 and abs(dot) >= 1e-9 * (ax * ax + ay * ay):
             bx, by = -bx, -by
         out[i, 0, 0], out[i, 0, 1], out[i, 1, 0], out[i, 1, 1] = ax, ay, bx, by
     return out
