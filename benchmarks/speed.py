@@ -71,11 +71,11 @@ from nrbench.streams import stream
 
 PAPER = "rsgf:seam=blend,subpixel=false,tolerance=3,candidate_fraction=0,prefer_unused=false"
 METHODS = (
-    *("rsgf", "rsgf:seam=dynamic", "rsgf:seam=blend", "rsgf:subpixel=false", "rsgf:deform=1.5"),
+    *("rsgf", "rsgf:seam=blend", "rsgf:subpixel=false"),
     *(PAPER, f"{PAPER},match=ncc"),
-    *("tile-set", "tile-set:registration=0", "tile-set:parts=4", "tile-set:tile=upright", "tile-set:symmetry=true"),
+    *("tile-set", "tile-set:registration=0", "tile-set:parts=4", "tile-set:tile=upright"),
     *("tile-set:cells=2", "tile-set:margin=0", "tile-set:stitch=dynamic"),
-    *("representative-tile", "tiling", "tiling:tile=mean", "supertile", "shuffle", "scatter"),
+    *("representative-tile", "tiling", "supertile", "shuffle", "scatter"),
     *("fftm-pixel", "fftm-patch", "ann-pixel"),
     *("quilting", "quilting:block=24", "patch-based", "patch-based:search=kdtree", "patch-based:patch=24"),
     *("regularized-patch", "regularized-patch:texel=quadrilateral"),

@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, interlace
-from .modelling.model import Model, Vectors, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
+from .modelling.pattern import Field, Pattern, interlace
 
 _STAKE = (0.42, 0.32, 0.24)
 _STRAND = (0.62, 0.51, 0.34)
@@ -41,9 +41,9 @@ class Basket(Model):
     gap: float = 1.6
     draft: Literal["single", "double"] = "single"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_choice(self, "draft", _DRAFTS)
+    breadth = "strand"
+
+    def _check_parameters(self) -> None:
         check_sizes(self, gap=1, stake=self.gap + 2, strand=self.gap + 2)
 
     @property
@@ -52,13 +52,7 @@ class Basket(Model):
         (a, b), (c, d) = _DRAFTS[self.draft][1]
         return (a * self.stake, b * self.strand), (c * self.stake, d * self.strand)
 
-    @property
-    def element_size(self) -> float:
-        """The breadth of a strand."""
-        return self.strand
-
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return strands and stakes on the dark inside; the origin is a crossing where the stake lies above."""
         stake, strand = interlace(x, y, (self.stake, self.strand), self.gap, _DRAFTS[self.draft][0], depth=0.35)
-        stakes = Layer("stake", (stake.index,), stake.coverage, _STAKE, stake.shade)
-        return Pattern(_INSIDE, (stakes, Layer("strand", (strand.index,), strand.coverage, _STRAND, strand.shade)))
+        return Pattern(_INSIDE, (stake.layer("stake", _STAKE), strand.layer("strand", _STRAND)))

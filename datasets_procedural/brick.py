@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, box, boxes, coverage, nearest, rim
-from .modelling.model import Model, Vectors, check, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_sizes, require
+from .modelling.pattern import Field, Layer, Pattern, box, boxes, coverage, rim, split_period
 
 _CLAY = (0.55, 0.38, 0.32)
 _MORTAR = (0.75, 0.72, 0.67)
@@ -39,13 +39,14 @@ class Brick(Model):
     bond: Literal["running", "stack", "english", "flemish"] = "running"
     small_every: int = 0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_choice(self, "bond", _SHIFTS)
+    breadth = "height"
+
+    def _check_parameters(self) -> None:
         check_sizes(self, joint=1, width=(self.joint + 2) * (1 + self._halves), height=self.joint + 2)
         every = self.small_every
-        check(every == 0 or 2 <= every <= 100, f"small_every is {every}; give a number of courses from 2 to 100, or 0")
-        check(not (every and self.bond == "english"), "small_every is for bonds other than English; leave it at 0")
+        known = every in (0, *range(2, 101))
+        require(known, f"small_every is {every}; give a number of courses from 2 to 100, or 0")
+        require(not (every and self.bond == "english"), "small_every is for bonds other than English; leave it at 0")
 
     @property
     def _halves(self) -> bool:
@@ -62,14 +63,9 @@ class Brick(Model):
         along = self.width * (1.5 if self.bond == "flemish" else 1.0)
         return (along, 0.0), (self._courses * _SHIFTS[self.bond] * self.width % along, self._courses * self.height)
 
-    @property
-    def element_size(self) -> float:
-        """The height of a brick."""
-        return self.height
-
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return bricks on mortar; the origin is the middle of a brick."""
-        j, across = nearest(y, self.height)
+        j, across = split_period(y, self.height)
         x = x - j * (_SHIFTS[self.bond] * self.width)
         widths = (self.width, self.width / 2) if self.bond == "flemish" else (self.width,)
         i, along, width = boxes(x, widths)

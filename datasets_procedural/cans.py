@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, capsule, cells, coverage, disc, honeycomb, mix
-from .modelling.model import Model, Vectors, check_choice, check_sizes
+from .modelling.model import Model, Vectors
+from .modelling.pattern import Field, Layer, Pattern, capsule, cells, coverage, disc, honeycomb, mix
 
 _LID = (0.46, 0.46, 0.45)
 _TAB = (0.44, 0.44, 0.46)
@@ -32,10 +32,7 @@ class Cans(Model):
     period: float = 28.3
     packing: Literal["hexagonal", "square"] = "hexagonal"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_choice(self, "packing", ("hexagonal", "square"))
-        check_sizes(self, period=12)
+    least_sizes = {"period": 12}
 
     @property
     def vectors(self) -> Vectors:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, hats
-from .modelling.model import Model, Vectors, check, check_sizes
+from .modelling.model import RectangularModel, check_sizes, require
+from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, hats
 
 _HOLE = (0.25, 0.24, 0.26)
 _PAPER = (0.62, 0.58, 0.47)
 
 
 @dataclass(frozen=True)
-class Card(Model):
+class Card(RectangularModel):
     """A punched card: columns of tall holes. Elements: hole, and the paper around each hole.
 
     Parameters
@@ -27,15 +27,9 @@ class Card(Model):
     height: float = 27.4
     hole: float = 0.42
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_parameters(self) -> None:
         check_sizes(self, width=6, height=6)
-        check(0.2 <= self.hole <= 0.8, f"hole is {self.hole}; give a share of the width from 0.2 to 0.8")
-
-    @property
-    def vectors(self) -> Vectors:
-        """The vectors along and across the rows."""
-        return (self.width, 0.0), (0.0, self.height)
+        require(0.2 <= self.hole <= 0.8, f"hole is {self.hole}; give a share of the width from 0.2 to 0.8")
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return holes in paper; the origin is the middle of a hole."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, rim
-from .modelling.model import Model, Vectors, check, check_sizes
+from .modelling.model import Model, Vectors, check_sizes, require
+from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, rim
 
 _COLORS = np.array([(0.50, 0.20, 0.22), (0.20, 0.23, 0.36), (0.60, 0.50, 0.34), (0.34, 0.39, 0.28)])
 _WARP = (0.25, 0.20, 0.19)
@@ -29,21 +29,17 @@ class Carpet(Model):
     knot: float = 3.7
     knots: int = 12
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    breadth = "knot"
+
+    def _check_parameters(self) -> None:
         check_sizes(self, knot=3)
-        check(self.knots in range(6, 41, 2), f"knots is {self.knots}; give an even number from 6 to 40")
+        require(self.knots in range(6, 41, 2), f"knots is {self.knots}; give an even number from 6 to 40")
 
     @property
     def vectors(self) -> Vectors:
         """The vectors to the next medallion along the row, and in the next row."""
         side = self.knots * self.knot
         return (side, 0.0), (side / 2, side)
-
-    @property
-    def element_size(self) -> float:
-        """The breadth of a knot."""
-        return self.knot
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return knots; the origin is the middle of a medallion."""

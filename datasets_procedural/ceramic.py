@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, bevel, box, cells, coverage, mix
 from .modelling.model import SquareModel, check_sizes
+from .modelling.pattern import Field, Layer, Pattern, bevel, box, cells, coverage, mix
 
 _GLAZE = (0.55, 0.55, 0.52)
 _BLUE = (0.25, 0.33, 0.52)
@@ -30,8 +30,7 @@ class Ceramic(SquareModel):
     period: float = 29.3
     joint: float = 2.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_parameters(self) -> None:
         check_sizes(self, joint=1, period=6 * self.joint)
 
     def pattern(self, x: Field, y: Field) -> Pattern:

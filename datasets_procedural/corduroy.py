@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, coverage, nearest, round_profile, stripe
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import RectangularModel
+from .modelling.pattern import Field, Layer, Pattern, coverage, round_profile, split_period, stripe
 
 _PILE = (0.52, 0.41, 0.28)
 _GROUND = (0.28, 0.22, 0.18)
 
 
 @dataclass(frozen=True)
-class Corduroy(Model):
+class Corduroy(RectangularModel):
     """Corduroy: upright cords of pile, tufted along their length. Element: tuft.
 
     Parameters
@@ -28,24 +28,14 @@ class Corduroy(Model):
     width: float = 14.3
     tuft: float = 5.9
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_sizes(self, width=5, tuft=3)
-
-    @property
-    def vectors(self) -> Vectors:
-        """The vectors to the next cord, and along it."""
-        return (self.width, 0.0), (0.0, self.tuft)
-
-    @property
-    def element_size(self) -> float:
-        """The breadth of a tuft."""
-        return self.tuft
+    sides = ("width", "tuft")
+    least_sizes = {"width": 5, "tuft": 3}
+    breadth = "tuft"
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return tufts in cords; the origin is the middle of one."""
-        i, right = nearest(x, self.width)
-        k, along = nearest(y + 0.35 * np.abs(right), self.tuft)
+        i, right = split_period(x, self.width)
+        k, along = split_period(y + 0.35 * np.abs(right), self.tuft)
         cord = coverage(stripe(right, 0.78 * self.width))
         shade = round_profile(right, 0.8 * self.width, 0.4) * (0.86 + 0.14 * np.cos(2 * np.pi * along / self.tuft))
         return Pattern(_GROUND, (Layer("tuft", (i, k), cord, _PILE, shade),))

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, disc, mix, nearest
 from .modelling.model import SquareModel, check_sizes
+from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, disc, mix, split_period
 
 _BISCUIT = (0.62, 0.52, 0.36)
 _BAKED = (0.52, 0.36, 0.22)
@@ -29,8 +29,7 @@ class Cracker(SquareModel):
     period: float = 33.7
     gap: float = 2.4
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_parameters(self) -> None:
         check_sizes(self, gap=1, period=16 + self.gap)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
@@ -40,7 +39,7 @@ class Cracker(SquareModel):
         wavy = 0.02 * self.period * (np.cos(number * right) + np.cos(number * down) - 2)
         distance = box(right, down, side, side, radius=0.12 * side) - wavy
         holes = [np.clip(part, -1.4 * side / 4, 1.4 * side / 4) for part in (right, down)]
-        (_, aside), (_, below) = (nearest(part, side / 4) for part in holes)
+        (_, aside), (_, below) = (split_period(part, side / 4) for part in holes)
         beyond = np.hypot(right - holes[0], down - holes[1])
         hole = coverage(disc(np.hypot(aside, beyond), below, 0.075 * side))
         blister = 0.5 + 0.5 * np.cos(2 * np.pi * 4 * right / side) * np.cos(2 * np.pi * 4 * down / side)

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from .modelling.drawing import Field, Index, Layer, Local, Pattern, coverage, hexagon, honeycomb, rim, round_profile
-from .modelling.model import Model, Vectors, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
+from .modelling.pattern import Field, Index, Layer, Local, Pattern, coverage, hexagon, honeycomb, rim, round_profile
 
 _GLAZE = (0.32, 0.46, 0.52)
 _GROUT = (0.78, 0.77, 0.73)
@@ -37,9 +37,7 @@ class Hexagon(Model):
     joint: float = 2.4
     style: Literal["tiles", "net"] = "tiles"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_choice(self, "style", ("tiles", "net"))
+    def _check_parameters(self) -> None:
         check_sizes(self, joint=1, period=self.joint + 2)
 
     @property

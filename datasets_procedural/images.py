@@ -20,7 +20,7 @@ from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Region, Shape, Texture
 from nrbench.truth import TruthTable
 
-from .modelling.model import check
+from .modelling.model import require
 
 _ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
 """The keys of a suite's row that are read from ``truth.json``."""
@@ -76,11 +76,10 @@ class Images:
         BadInput
             When the picture cannot be read, or ``shape`` is empty.
         """
-        check(min(shape) >= 1, f"shape {shape[1]}x{shape[0]} px has no pixels; give at least 1 a side")
+        require(min(shape) >= 1, f"shape {shape[1]}x{shape[0]} px has no pixels; give at least 1 a side")
         image = self._read()
-        height, width = (min(wanted, side) for wanted, side in zip(shape, image.shape, strict=False))
-        x0, y0 = _region_corner(image.shape[:2], (height, width), rng)
-        return self._cut(image, (x0, y0, x0 + width, y0 + height))
+        shape = min(shape[0], image.shape[0]), min(shape[1], image.shape[1])
+        return self._cut(image, _region_corner(image.shape[:2], shape, rng), shape)
 
     def again(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture | None:
         """Return a random region of exactly ``shape`` that does not touch ``texture.region``; None if none fits."""
@@ -88,10 +87,7 @@ class Images:
         if texture.region is None:
             raise BadInput(f"picture {self.path}: the texture has no region; pass one that render returned")
         corner = _free_corner(image.shape[:2], shape, texture.region, rng)
-        if corner is None:
-            return None
-        x0, y0 = corner
-        return self._cut(image, (x0, y0, x0 + shape[1], y0 + shape[0]))
+        return None if corner is None else self._cut(image, corner, shape)
 
     @staticmethod
     def directory_rows(directory: str | Path) -> list[dict[str, Any]]:
@@ -134,17 +130,11 @@ class Images:
         origin = (self.origin[0] - region[0], self.origin[1] - region[1])
         return None if self.t1 is None or self.t2 is None else Lattice(self.t1, self.t2, origin)
 
-    def _cut(self, image: Image, region: Region) -> Texture:
-        x0, y0, x1, y1 = region
-        lattice = self._lattice(region)
-        return Texture(
-            image=image[y0:y1, x0:x1].copy(),
-            lattice=lattice,
-            lattices=() if lattice is None else (lattice,),
-            name=Path(self.path).stem,
-            family="picture",
-            region=region,
-        )
+    def _cut(self, image: Image, corner: tuple[int, int], shape: Shape) -> Texture:
+        x0, y0, x1, y1 = region = (*corner, corner[0] + shape[1], corner[1] + shape[0])
+        lattice, name = self._lattice(region), Path(self.path).stem
+        lattices = () if lattice is None else (lattice,)
+        return Texture(image[y0:y1, x0:x1].copy(), lattice, lattices, name, family="picture", region=region)
 
 
 def plan_sizes(picture: Shape, lattice: Lattice | None = None) -> tuple[Shape, Shape]:
@@ -175,7 +165,8 @@ def plan_sizes(picture: Shape, lattice: Lattice | None = None) -> tuple[Shape, S
     ((512, 512), (1024, 1024))
     """
     sides = np.array(picture)
-    tile = np.array(_tile_extent(lattice)) if lattice is not None else np.zeros(2)
+    # Height and width of an upright box about as large as one cell: sqrt(t1^2 + t2^2) along each axis.
+    tile = np.zeros(2) if lattice is None else np.sqrt((lattice.canonical().matrix ** 2).sum(0))[::-1]
     least = SAMPLE_TILES * tile if lattice is not None else np.full(2, SAMPLE_SIDE)
     wanted = np.ceil(OUTPUT_TILES * tile)
     most = np.maximum(_LARGEST, np.ceil(_LARGEST_TILES * tile))
@@ -188,12 +179,6 @@ def plan_sizes(picture: Shape, lattice: Lattice | None = None) -> tuple[Shape, S
     sample = max(samples, key=lambda one: float((one / np.maximum(tile, 1)).min()), default=sides)
     output = np.minimum(np.maximum(OUTPUT_SCALE * sample, wanted), _LARGEST_OUTPUT)
     return (int(sample[0]), int(sample[1])), (int(output[0]), int(output[1]))
-
-
-def _tile_extent(lattice: Lattice) -> tuple[float, float]:
-    """Return height and width, px, of an upright box about as large as one cell: sqrt(t1^2 + t2^2) along each axis."""
-    width, height = np.sqrt((lattice.canonical().matrix ** 2).sum(0))
-    return float(height), float(width)
 
 
 def _row_sizes(path: Path, truth: Mapping[str, Any], rendered: Mapping[str, Any]) -> dict[str, str]:

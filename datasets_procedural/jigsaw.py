@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .modelling.drawing import Field, Layer, Pattern, coverage, disc, nearest, rim
-from .modelling.model import Model, Vectors, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
+from .modelling.pattern import Field, Layer, Pattern, coverage, disc, rim, split_period
 
 _CARD = (0.52, 0.50, 0.39)
 _TABLE = (0.24, 0.22, 0.20)
@@ -35,9 +35,7 @@ class Jigsaw(Model):
     gap: float = 1.6
     tabs: Literal["alternate", "same"] = "alternate"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_choice(self, "tabs", ("alternate", "same"))
+    def _check_parameters(self) -> None:
         check_sizes(self, gap=1, width=8 * self.gap, height=8 * self.gap)
 
     @property
@@ -49,9 +47,9 @@ class Jigsaw(Model):
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return pieces on a dark table; the origin is the middle of a piece with tabs on its left and right."""
-        (i, right), (j, down) = nearest(x, self.width), nearest(y, self.height)
-        after_i, aside = nearest(x - self.width / 2, self.width)
-        after_j, below = nearest(y - self.height / 2, self.height)
+        (i, right), (j, down) = split_period(x, self.width), split_period(y, self.height)
+        after_i, aside = split_period(x - self.width / 2, self.width)
+        after_j, below = split_period(y - self.height / 2, self.height)
         turn = 1 if self.tabs == "same" else -1
         tab = 0.27 * min(self.width, self.height)
         across = _seam(aside, down, turn ** ((after_i + j) % 2), tab)

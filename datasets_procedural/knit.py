@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, capsule, coverage, nearest, round_profile
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import RectangularModel
+from .modelling.pattern import Field, Layer, Pattern, capsule, coverage, round_profile, split_period
 
 _WOOL = (0.55, 0.31, 0.33)
 _SHADOW = (0.25, 0.18, 0.18)
 
 
 @dataclass(frozen=True)
-class Knit(Model):
+class Knit(RectangularModel):
     """Knitted cloth in stocking stitch: columns of stitches like a V. Element: stitch.
 
     Parameters
@@ -26,20 +26,13 @@ class Knit(Model):
     width: float = 17.3
     height: float = 13.1
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_sizes(self, width=6, height=5)
-
-    @property
-    def vectors(self) -> Vectors:
-        """The vectors along a row, and to the next one."""
-        return (self.width, 0.0), (0.0, self.height)
+    least_sizes = {"width": 6, "height": 5}
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return stitches on a shadow; the origin is the tip of a V."""
-        i, right = nearest(x, self.width)
+        i, right = split_period(x, self.width)
         aside = np.abs(right) - self.width / 4
-        j, down = nearest(y + 1.1 * self.height / self.width * 2 * aside, self.height)
+        j, down = split_period(y + 1.1 * self.height / self.width * 2 * aside, self.height)
         distance = capsule(aside, down * 0.9, 0.52 * self.width, 0.84 * self.height * 0.9)
         strand = 0.88 + 0.12 * np.cos(2 * np.pi * (aside / self.width * 4 + down / self.height))
         shade = strand * round_profile(down, self.height, 0.4)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, capsule, coverage, nearest, round_profile, stripe
 from .modelling.model import Model, Vectors, check_sizes
+from .modelling.pattern import Field, Layer, Pattern, capsule, coverage, round_profile, split_period, stripe
 
 _ROPE = (0.60, 0.52, 0.38)
 _KNOT = (0.56, 0.44, 0.30)
@@ -32,19 +32,15 @@ class Mat(Model):
     height: float = 17.3
     rope: float = 8.3
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    breadth = "rope"
+
+    def _check_parameters(self) -> None:
         check_sizes(self, rope=3, width=2 * self.rope, height=self.rope)
 
     @property
     def vectors(self) -> Vectors:
         """The vectors from a knot to the next ones, on the next rope."""
         return (self.width, self.height), (self.width, -self.height)
-
-    @property
-    def element_size(self) -> float:
-        """The breadth of a rope."""
-        return self.rope
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return ropes and knots on a floor; the origin lies on a rope."""
@@ -53,8 +49,8 @@ class Mat(Model):
         swing = np.where(i % 2 == 0, 0.5, -0.5) * (self.width - 0.7 * self.rope)
         slope = swing * number * np.cos(number * y)
         aside = (x - i * self.width - swing * np.sin(number * y)) / np.hypot(1, slope)
-        across, right = nearest(x - self.width / 2, self.width)
-        along, down = nearest(y - np.where(across % 2 == 0, 0.5, 1.5) * self.height, 2 * self.height)
+        across, right = split_period(x - self.width / 2, self.width)
+        along, down = split_period(y - np.where(across % 2 == 0, 0.5, 1.5) * self.height, 2 * self.height)
         distance = capsule(right, down, 1.75 * self.rope, 1.05 * self.rope)
         knot = coverage(distance)
         twist = 0.82 + 0.18 * np.cos(8 * number * y + 5 * aside / self.rope)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Index, Layer, Pattern, coverage, rim
-from .modelling.model import SquareModel, check, check_sizes
+from .modelling.model import SquareModel, check_sizes, require
+from .modelling.pattern import Field, Index, Layer, Pattern, coverage, rim
 from .modelling.random_fields import role_seed, uniform
 
 _COLORS = np.array([(0.58, 0.39, 0.25), (0.60, 0.56, 0.47), (0.26, 0.39, 0.47), (0.52, 0.25, 0.23)])
@@ -33,9 +33,8 @@ class Mosaic(SquareModel):
     stones: int = 6
     joint: float = 1.4
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check(3 <= self.stones <= 12, f"stones is {self.stones}; give a number from 3 to 12")
+    def _check_parameters(self) -> None:
+        require(3 <= self.stones <= 12, f"stones is {self.stones}; give a number from 3 to 12")
         check_sizes(self, joint=1, period=3 * self.joint * self.stones)
 
     @property
@@ -48,31 +47,26 @@ class Mosaic(SquareModel):
         u, v = x / self.element_size, y / self.element_size
         i, j = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
         offsets = self._offsets(i, j, u - i, v - j)
-        squares = [dx**2 + dy**2 for dx, dy in offsets]
-        mine, first = squares[0], np.zeros(u.shape, np.int64)
-        for k, square in enumerate(squares[1:], 1):
-            first = np.where(square < mine, k, first)
-            mine = np.minimum(mine, square)
-        own = [np.choose(first, part) for part in zip(*offsets, strict=True)]
-        seam = np.full(u.shape, np.inf)
-        for square, (dx, dy) in zip(squares, offsets, strict=True):
-            apart = np.sqrt((dx - own[0]) ** 2 + (dy - own[1]) ** 2)
-            seam = np.where(apart > 1e-6, np.minimum(seam, (square - mine) / np.maximum(2 * apart, 1e-6)), seam)
+        squares = (offsets**2).sum(1)
+        first, mine = squares.argmin(0), squares.min(0)
+        own = np.take_along_axis(offsets, first[np.newaxis, np.newaxis], 0)
+        apart = np.sqrt(((offsets - own) ** 2).sum(1))
+        seam = np.where(apart > 1e-6, (squares - mine) / np.maximum(2 * apart, 1e-6), np.inf).min(0)
         index = i + np.array(_NEAR)[first, 0], j + np.array(_NEAR)[first, 1]
         distance = self.joint / 2 - seam * self.element_size
         color = _COLORS[self._ring(*index)]
         return Pattern(_GROUT, (Layer("stone", index, coverage(distance), color, rim(distance, 0.15, 1.0)),))
 
-    def _offsets(self, i: Index, j: Index, du: Field, dv: Field) -> list[tuple[Field, Field]]:
-        """Return the vectors, in stones, from each point to the middles of the nine stones nearby."""
+    def _offsets(self, i: Index, j: Index, du: Field, dv: Field) -> Field:
+        """Return the vectors, in stones, from each point to the middles of the nine stones nearby, ``(9, 2, ...)``."""
         n = self.stones
         uneven = 0.16 * uniform(role_seed(n, "stones"), *np.indices((2, n, n)))
         place = (i % n) * n + j % n
         offsets = []
         for a, b in _NEAR:
             dx, dy = np.roll(uneven, (-a, -b), (1, 2)).reshape(2, -1)
-            offsets.append(((dx + a).take(place) - du, (dy + b).take(place) - dv))
-        return offsets
+            offsets.append(np.stack([(dx + a).take(place) - du, (dy + b).take(place) - dv]))
+        return np.stack(offsets)
 
     def _ring(self, i: Index, j: Index) -> Index:
         n = self.stones

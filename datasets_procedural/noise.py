@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from nrbench.plugins.forms import Shape, Texture
 
-from .modelling.drawing import hue_rotation
-from .modelling.model import check, check_choice, check_degrees, check_shape, check_sizes
+from .modelling.model import check_choices, check_degrees, check_shape, check_sizes, require
+from .modelling.pattern import hue_rotation
 from .modelling.random_fields import hash_bits, role_seed
 
 _MEAN = np.array([0.50, 0.46, 0.40])
 _TINTS = np.array([(1.0, 0.94, 0.86), (0.5, 0.0, -0.6)]) / 1.1
-_SPECTRA = ("white", "pink", "brown", "blobs", "grass")
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,9 @@ class Noise:
     version: ClassVar[str] = "1"
 
     def __post_init__(self) -> None:
-        check_choice(self, "spectrum", _SPECTRA)
+        check_choices(self)
         check_sizes(self, scale=3)
-        check(0 <= self.contrast <= 0.3, f"contrast is {self.contrast}; give a standard deviation from 0 to 0.3")
+        require(0 <= self.contrast <= 0.3, f"contrast is {self.contrast}; give a standard deviation from 0 to 0.3")
         check_degrees(self, "rotation", "hue")
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, hexagon, honeycomb
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
+from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, hexagon, honeycomb
 
 _SQUARE = (0.60, 0.49, 0.25)
 _HEXAGON = (0.30, 0.39, 0.49)
@@ -31,9 +31,7 @@ class Overlap(Model):
 
     period: float = 37.3
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_sizes(self, period=14)
+    least_sizes = {"period": 14}
 
     @property
     def vectors(self) -> Vectors:

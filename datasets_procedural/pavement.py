@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, lozenge, rim
-from .modelling.model import Model, Vectors, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
+from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, lozenge, rim
 
 _STONE = (0.54, 0.50, 0.46)
 _SMALL = (0.41, 0.36, 0.36)
@@ -39,9 +39,9 @@ class Pavement(Model):
     joint: float = 1.8
     style: Literal["herringbone", "basket", "octagon"] = "octagon"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_choice(self, "style", _LATTICES)
+    breadth = "width"
+
+    def _check_parameters(self) -> None:
         check_sizes(self, joint=1, width=2 * self.joint + 2)
 
     @property
@@ -49,11 +49,6 @@ class Pavement(Model):
         """The vectors to the next stones of the same orientation."""
         (a, b), (c, d) = _LATTICES[self.style]
         return (a * self.width, b * self.width), (c * self.width, d * self.width)
-
-    @property
-    def element_size(self) -> float:
-        """The breadth of a stone."""
-        return self.width
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return stones on sand."""
@@ -82,10 +77,5 @@ class Pavement(Model):
         corner, (aside, below) = cells(x - self.width, y - self.width, period, period)
         tip = 0.58 * period - math.sqrt(2) * self.joint
         small = lozenge(aside, below, tip, tip)
-        return Pattern(
-            _SAND,
-            (
-                Layer("stone", index, coverage(stone), _STONE, rim(stone, 0.2, 1.5)),
-                Layer("small stone", corner, coverage(small), _SMALL, rim(small, 0.2, 1.5)),
-            ),
-        )
+        stones = Layer("stone", index, coverage(stone), _STONE, rim(stone, 0.2, 1.5))
+        return Pattern(_SAND, (stones, Layer("small stone", corner, coverage(small), _SMALL, rim(small, 0.2, 1.5))))

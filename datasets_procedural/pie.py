@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, interlace, mix
 from .modelling.model import Model, Vectors, check_sizes
+from .modelling.pattern import Field, Pattern, interlace, mix
 
 _CRUST = (0.62, 0.49, 0.31)
 _BROWN = (0.50, 0.34, 0.22)
@@ -30,8 +30,7 @@ class Pie(Model):
     period: float = 20.3
     strip: float = 12.1
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_parameters(self) -> None:
         check_sizes(self, strip=4, period=self.strip + 1)
 
     @property
@@ -45,5 +44,5 @@ class Pie(Model):
         layers = []
         for name, strip in zip(("upright", "level"), strips, strict=True):
             baked = mix(np.exp(np.minimum(strip.distance, 0) / (0.14 * self.strip)), _CRUST, _BROWN)
-            layers.append(Layer(name, (strip.index,), strip.coverage, baked, strip.shade))
+            layers.append(strip.layer(name, baked))
         return Pattern(_FILLING, tuple(layers))

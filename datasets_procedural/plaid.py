@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, boxes, coverage, stripe
-from .modelling.model import SquareModel, check_sizes
+from .modelling.model import SquareModel
+from .modelling.pattern import Field, Layer, Pattern, boxes, coverage, stripe
 
 _COLORS = np.array([(0.54, 0.20, 0.22), (0.18, 0.23, 0.31), (0.20, 0.34, 0.26), (0.62, 0.57, 0.31)])
 _SETT = (0.42, 0.08, 0.26, 0.08, 0.16)
@@ -27,9 +27,7 @@ class Plaid(SquareModel):
 
     period: float = 36.1
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_sizes(self, period=12)
+    least_sizes = {"period": 12}
 
     @property
     def element_size(self) -> float:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, bevel, cells, coverage, hats, lozenge, rotate
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
+from .modelling.pattern import Field, Layer, Pattern, bevel, cells, coverage, hats, lozenge, rotate
 
 _STEEL = (0.49, 0.50, 0.52)
 
@@ -24,9 +24,7 @@ class Plate(Model):
 
     period: float = 19.7
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_sizes(self, period=8)
+    least_sizes = {"period": 8}
 
     @property
     def vectors(self) -> Vectors:

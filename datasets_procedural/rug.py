@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, cells, coverage, round_profile, stripe
-from .modelling.model import Model, Vectors, check, check_sizes
+from .modelling.model import Model, Vectors, check_sizes, require
+from .modelling.pattern import Field, Layer, Pattern, cells, coverage, round_profile, stripe
 
 _COLORS = np.array([(0.57, 0.26, 0.22), (0.62, 0.54, 0.41), (0.23, 0.30, 0.39), (0.58, 0.42, 0.22)])
 _STEPS = np.array([3, 1, 0, 0, 2, 2, 0])
@@ -33,10 +33,9 @@ class Rug(Model):
     step: float = 5.3
     steps: int = 8
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_parameters(self) -> None:
         check_sizes(self, yarn=2.5, step=3)
-        check(4 <= self.steps <= 20, f"steps is {self.steps}; give a number from 4 to 20")
+        require(4 <= self.steps <= 20, f"steps is {self.steps}; give a number from 4 to 20")
 
     @property
     def vectors(self) -> Vectors:

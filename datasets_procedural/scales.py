@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Index, Layer, Pattern, coverage, disc, rim
 from .modelling.model import Model, Vectors, check_sizes
+from .modelling.pattern import Field, Index, Layer, Pattern, coverage, disc, rim
 
 _SCALE = (0.39, 0.52, 0.54)
 _GAP = (0.22, 0.25, 0.28)
@@ -28,8 +28,7 @@ class Scales(Model):
     width: float = 26.9
     gap: float = 1.8
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_parameters(self) -> None:
         check_sizes(self, gap=1, width=6 * self.gap)
 
     @property
@@ -47,9 +46,8 @@ class Scales(Model):
         shade = 1 - 0.45 * np.exp(-np.maximum(above[1], 0) / (0.12 * self.width)) * ~over
         ribs = 1 + 0.12 * np.cos(2 * np.pi * distance / (0.17 * self.width))
         index = i, np.where(over, row, row + 1)
-        return Pattern(
-            _GAP, (Layer("scale", index, coverage(seam), _SCALE, 0.85 * shade * ribs * rim(seam, 0.2, 1.0)),)
-        )
+        shade = 0.85 * shade * ribs * rim(seam, 0.2, 1.0)
+        return Pattern(_GAP, (Layer("scale", index, coverage(seam), _SCALE, shade),))
 
     def _scale(self, x: Field, y: Field, row: Index) -> tuple[Index, Field]:
         """Return the nearest scale of a row, and the distance to its disc."""

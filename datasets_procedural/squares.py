@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage
-from .modelling.model import SquareModel, check_sizes
+from .modelling.model import SquareModel
+from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage
 
 _OUTER = (0.56, 0.30, 0.26)
 _MIDDLE = (0.60, 0.55, 0.44)
@@ -25,9 +25,7 @@ class Squares(SquareModel):
 
     period: float = 27.7
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_sizes(self, period=12)
+    least_sizes = {"period": 12}
 
     @property
     def element_size(self) -> float:
@@ -37,14 +35,7 @@ class Squares(SquareModel):
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return squares on a ground; the origin is the middle of three nested ones."""
         index, (right, down) = cells(x, y, self.period, self.period)
-        outer, middle, inner = (
-            coverage(box(right, down, p * self.period, p * self.period)) for p in (0.84, 0.56, 0.28)
-        )
-        return Pattern(
-            _GROUND,
-            (
-                Layer("outer", index, outer - middle, _OUTER),
-                Layer("middle", index, middle - inner, _MIDDLE),
-                Layer("inner", index, inner, _INNER),
-            ),
-        )
+        sides = (share * self.period for share in (0.84, 0.56, 0.28))
+        outer, middle, inner = (coverage(box(right, down, side, side)) for side in sides)
+        frames = Layer("outer", index, outer - middle, _OUTER), Layer("middle", index, middle - inner, _MIDDLE)
+        return Pattern(_GROUND, (*frames, Layer("inner", index, inner, _INNER)))

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, coverage, disc, mix, rows
-from .modelling.model import Model, Vectors, check, check_sizes
+from .modelling.model import Model, Vectors, check_sizes, require
+from .modelling.pattern import Field, Layer, Pattern, coverage, disc, mix, rows
 
 _LIGHT = (0.60, 0.55, 0.46)
 _DARK = (0.44, 0.25, 0.31)
@@ -29,10 +29,9 @@ class Swirl(Model):
     period: float = 30.7
     arms: int = 3
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_parameters(self) -> None:
         check_sizes(self, period=12)
-        check(1 <= self.arms <= 6, f"arms is {self.arms}; give a number from 1 to 6")
+        require(1 <= self.arms <= 6, f"arms is {self.arms}; give a number from 1 to 6")
 
     @property
     def vectors(self) -> Vectors:

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, coverage, nearest, round_profile, stripe
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import RectangularModel
+from .modelling.pattern import Field, Layer, Pattern, coverage, round_profile, split_period, stripe
 
 _COLORS = np.array([(0.62, 0.62, 0.61), (0.58, 0.23, 0.25), (0.62, 0.62, 0.61), (0.23, 0.47, 0.50)])
 _GAP = (0.28, 0.30, 0.33)
 
 
 @dataclass(frozen=True)
-class Toothpaste(Model):
+class Toothpaste(RectangularModel):
     """Toothpaste in strands side by side: white, red, white and green stripes wind around each strand. Element: stripe.
 
     Parameters
@@ -28,14 +28,8 @@ class Toothpaste(Model):
     width: float = 19.3
     turn: float = 37.9
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_sizes(self, width=6, turn=12)
-
-    @property
-    def vectors(self) -> Vectors:
-        """The vectors to the next strand, and along it."""
-        return (self.width, 0.0), (0.0, self.turn)
+    sides = ("width", "turn")
+    least_sizes = {"width": 6, "turn": 12}
 
     @property
     def element_size(self) -> float:
@@ -44,9 +38,9 @@ class Toothpaste(Model):
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return stripes on a dark gap; the origin is the middle of a white stripe."""
-        i, right = nearest(x, self.width)
+        i, right = split_period(x, self.width)
         around = np.arcsin(np.clip(2 * right / self.width, -1, 1)) / np.pi
-        k, along = nearest(y - 0.5 * self.turn * around, self.turn / 4)
+        k, along = split_period(y - 0.5 * self.turn * around, self.turn / 4)
         strand = coverage(stripe(right, self.width - 1.5)) * coverage(stripe(along, self.turn / 4 - 0.3))
         shade = round_profile(right, self.width, 0.4)
         return Pattern(_GAP, (Layer("stripe", (i, k), strand, _COLORS[k % 4], shade),))

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from nrbench.lattice.geometry import Lattice
 
-from .modelling.drawing import Field, Layer, Pattern, hats, mix
-from .modelling.model import Model, Vectors, check, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_sizes, require
+from .modelling.pattern import Field, Layer, Pattern, hats, mix
 from .modelling.random_fields import role_seed, uniform, unit
 
 _PAPER = (0.62, 0.60, 0.54)
@@ -30,9 +30,6 @@ GROUPS: tuple[Group, ...] = get_args(Group)
 HEXAGONAL = ("p3", "p3m1", "p31m", "p6", "p6m")
 Operation = tuple[int, int, int, int, float, float]
 """(a, b, c, d, e, f): the cell coordinates (u, v) go to (a u + b v + e, c u + d v + f)."""
-
-_BLOCK = 4096
-"""Number of points whose waves are added at a time. Their data stay in the processor's cache."""
 
 _TWO: Operation = (-1, 0, 0, -1, 0, 0)
 _THREE: Operation = (0, -1, 1, -1, 0, 0)
@@ -86,12 +83,11 @@ class Wallpaper(Model):
     slant: float = 0.0
     motif: int = 0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_choice(self, "group", GROUPS)
+    def _check_parameters(self) -> None:
         check_sizes(self, width=8, height=8)
-        check(abs(self.slant) <= 45, f"slant is {self.slant}; give degrees from -45 to 45")
-        check(not self.slant or self.group in ("p1", "p2"), f"slant is for groups p1 and p2, not {self.group}; give 0")
+        require(abs(self.slant) <= 45, f"slant is {self.slant}; give degrees from -45 to 45")
+        slanted = self.slant and self.group not in ("p1", "p2")
+        require(not slanted, f"slant is for groups p1 and p2, not {self.group}; give 0")
 
     @property
     def vectors(self) -> Vectors:
@@ -153,21 +149,13 @@ class Motif:
 
     def __call__(self, u: Field, v: Field) -> Field:
         """Return the functions' values, ``(count, ...)``."""
-        u, v = np.broadcast_arrays(u, v)
-        total = np.zeros((self.terms.shape[1], u.size))
-        for start in range(0, u.size, _BLOCK):
-            block = slice(start, start + _BLOCK)
-            self._add(total[:, block], u.reshape(-1)[block], v.reshape(-1)[block])
-        return total.reshape(-1, *u.shape)
-
-    def _add(self, total: Field, u: Field, v: Field) -> None:
-        """Add the functions' values at the points (u, v), ``(n,)``, to ``(count, n)``."""
-        along, across = (_powers(part, int(np.abs(self.orders).max())) for part in (u, v))
+        along, across = (_powers(part, int(np.abs(self.orders).max())) for part in np.broadcast_arrays(u, v))
+        total = np.zeros((self.terms.shape[1], *along[0].shape))
         for (k, m), terms in zip(self.orders, self.terms, strict=True):
             wave = along[k] * across[m]
-            real, imag = wave.real.copy(), wave.imag.copy()
             for sum_, term in zip(total, terms, strict=True):
-                sum_ += term.real * real - term.imag * imag
+                sum_ += term.real * wave.real - term.imag * wave.imag
+        return total
 
 
 def _powers(u: Field, most: int) -> dict[int, NDArray[np.complex128]]:

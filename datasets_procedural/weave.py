@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, interlace
-from .modelling.model import Model, Vectors, check_choice, check_sizes
+from .modelling.model import Model, Vectors, check_sizes
+from .modelling.pattern import Field, Pattern, interlace
 
 _WARP = (0.34, 0.37, 0.45)
 _WEFT = (0.65, 0.61, 0.53)
@@ -46,9 +46,7 @@ class Weave(Model):
     gap: float = 1.5
     draft: Literal["plain", "twill", "basket", "herringbone"] = "plain"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_choice(self, "draft", _DRAFTS)
+    def _check_parameters(self) -> None:
         check_sizes(self, gap=1, warp=self.gap + 2, weft=self.gap + 2)
 
     @property
@@ -65,8 +63,4 @@ class Weave(Model):
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return threads on a dark gap; the origin is a crossing where the warp lies above."""
         warp, weft = interlace(x, y, (self.warp, self.weft), self.gap, _DRAFTS[self.draft][0])
-        threads = (
-            Layer("warp", (warp.index,), warp.coverage, _WARP, warp.shade),
-            Layer("weft", (weft.index,), weft.coverage, _WEFT, weft.shade),
-        )
-        return Pattern(_GAP, threads)
+        return Pattern(_GAP, (warp.layer("warp", _WARP), weft.layer("weft", _WEFT)))

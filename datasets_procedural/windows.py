@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.drawing import Field, Layer, Pattern, box, cells, coverage, nearest
-from .modelling.model import Model, Vectors, check, check_sizes
+from .modelling.model import RectangularModel, check_sizes, require
+from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, split_period
 
 _WALL = (0.60, 0.54, 0.46)
 _FRAME = (0.62, 0.62, 0.60)
@@ -16,7 +16,7 @@ _GLASS = (0.31, 0.37, 0.44)
 
 
 @dataclass(frozen=True)
-class Windows(Model):
+class Windows(RectangularModel):
     """Windows in the front of a house, with sills. Elements: frame (with its sill), pane.
 
     Parameters
@@ -35,17 +35,11 @@ class Windows(Model):
     lines: int = 3
     wall: float = 0.35
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check(0.05 <= self.wall <= 0.7, f"wall is {self.wall}; give a share from 0.05 to 0.7")
+    def _check_parameters(self) -> None:
+        require(0.05 <= self.wall <= 0.7, f"wall is {self.wall}; give a share from 0.05 to 0.7")
         for name in ("columns", "lines"):
-            check(1 <= getattr(self, name) <= 4, f"{name} is {getattr(self, name)}; give a number from 1 to 4")
+            require(1 <= getattr(self, name) <= 4, f"{name} is {getattr(self, name)}; give a number from 1 to 4")
         check_sizes(self, width=5 * self.columns / (1 - self.wall), height=5 * self.lines / (1 - self.wall))
-
-    @property
-    def vectors(self) -> Vectors:
-        """The vectors along a floor, and to the next one."""
-        return (self.width, 0.0), (0.0, self.height)
 
     @property
     def element_size(self) -> float:
@@ -56,17 +50,12 @@ class Windows(Model):
         """Return windows in a wall; the origin is the middle of a window."""
         (i, j), (right, down) = cells(x, y, self.width, self.height)
         width, height = (1 - self.wall) * self.width, (1 - self.wall) * self.height
-        column, aside = nearest(right - width / self.columns * (self.columns - 1) / 2, width / self.columns)
-        line, below = nearest(down - height / self.lines * (self.lines - 1) / 2, height / self.lines)
+        column, aside = split_period(right - width / self.columns * (self.columns - 1) / 2, width / self.columns)
+        line, below = split_period(down - height / self.lines * (self.lines - 1) / 2, height / self.lines)
         window = coverage(box(right, down, width, height))
         pane = window * coverage(box(aside, below, width / self.columns - 2, height / self.lines - 2))
         sill = coverage(box(right, down - height / 2 - 1.2, 1.15 * width, 2.4)) * (1 - window)
         gleam = 1 + 0.25 * np.clip((right - 1.5 * down) / self.height, -1, 1)
-        return Pattern(
-            _WALL,
-            (
-                Layer("pane", (self.columns * i + column, self.lines * j + line), pane, _GLASS, gleam),
-                Layer("frame", (i, j), window - pane, _FRAME),
-                Layer("sill", (i, j), sill, _SILL),
-            ),
-        )
+        glass = Layer("pane", (self.columns * i + column, self.lines * j + line), pane, _GLASS, gleam)
+        frame = Layer("frame", (i, j), window - pane, _FRAME)
+        return Pattern(_WALL, (glass, frame, Layer("sill", (i, j), sill, _SILL)))

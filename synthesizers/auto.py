@@ -24,9 +24,9 @@ class Auto:
 
     The paper suggests a classifier F of texture regularity: above a threshold its own method is used, otherwise a
     method that compares local neighborhoods. It leaves F and the threshold open. Here F is the estimated regular share
-    of the sample on its lattice (:func:`estimate_share`), and 0 if there is no lattice or the sample shows less than
-    two of its periods. The lattice is the given one, or that of the detector ``consensus``, which rejects lattices that
-    chance explains. The note says F and the method that was picked.
+    of the sample on its lattice (:func:`estimate_regular_share`), and 0 if there is no lattice or the sample shows less
+    than two of its periods. The lattice is the given one, or that of the detector ``consensus``, which rejects lattices
+    that chance explains. The note says F and the method that was picked.
 
     The threshold was set on walls and cloths, where lattices that are found exactly have F of 0.13 and more (color 1,
     noise 0.25), and on noise, which has no lattice. On hexagons of the same departures F is 0.11 and more.
@@ -75,7 +75,7 @@ class Auto:
             If the method that is picked refuses the sample.
         """
         found = find_lattice(task, NamedDetector(self.finder))
-        share = estimate_share(task.sample, found.lattice) if found.lattice else 0.0
+        share = estimate_regular_share(task.sample, found.lattice) if found.lattice else 0.0
         near_regular = found.lattice is not None and share >= self.threshold
         name: str = self.regular if near_regular else self.other
         method = self._regular_method() if near_regular else self._other_method()
@@ -95,7 +95,7 @@ class Auto:
         return AnnPixel()
 
 
-def estimate_share(sample: Image, lattice: Lattice) -> float:
+def estimate_regular_share(sample: Image, lattice: Lattice) -> float:
     """Return the share of a sample's variance that repeats on a lattice, in [0, 1]: an estimate of its regular share.
 
     The mean tile of n cells explains 1/n of any variance; the estimate corrects for this. It is 0 if the sample shows

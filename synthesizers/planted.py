@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -14,7 +12,7 @@ from nrbench.imaging.convert import MIN_SIDE
 from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.plugins.parameters import nearest
 
-from .defects import plant
+from .defects.plant import DEFECTS, FIRST_DRAW, PlantedImage, Site
 
 
 @dataclass(frozen=True)
@@ -113,10 +111,10 @@ class Planted:
             size above 0 covers no pixel: it is less than a pixel, or has no room in the output.
         """
         # All draws share one lattice: the smallest draw gives it.
-        first = task.again((MIN_SIDE, MIN_SIDE), plant.FIRST_DRAW) if task.again is not None else None
+        first = task.again((MIN_SIDE, MIN_SIDE), FIRST_DRAW) if task.again is not None else None
         if task.again is None or first is None:
             raise Refused("planted: this texture has no fresh draws")
-        site = plant.Site(task.shape, first.lattice, self.size, task.rng, task.again)
+        site = Site(task.shape, first.lattice, self.size, task.rng, task.again)
         planted = DEFECTS[self.kind](site)
         if self.size > 0 and self.kind != "none" and not planted.mask.any():
             height, width = task.shape
@@ -129,36 +127,9 @@ class Planted:
         return Synthesis(planted.image, extras=extras, note=f"planted {self.kind}{_amount(site, planted)}")
 
 
-def _amount(site: plant.Site, planted: plant.PlantedImage) -> str:
+def _amount(site: Site, planted: PlantedImage) -> str:
     """Return the actual size of the defect, for the note: its own words, or the largest displacement."""
     if planted.amount or site.known is None:
         return f" of {planted.amount}" if planted.amount else ""
     distance = float(np.sqrt((planted.displacement**2).sum(-1)).max())
     return f" of {distance / site.lattice.s:.3f} s ({distance:.1f} px)"
-
-
-DEFECTS: Mapping[str, plant.Defect] = MappingProxyType(
-    {
-        "none": plant.none,
-        "phase-step": plant.phase_step,
-        "slipped-course": plant.slipped_course,
-        "dropped-row": plant.dropped_row,
-        "doubled-row": plant.doubled_row,
-        "displaced-tile": plant.displaced_tile,
-        "missing-tile": plant.missing_tile,
-        "doubled-tile": plant.doubled_tile,
-        "warp": plant.warp,
-        "stretch": plant.stretch,
-        "off-lattice": plant.off_lattice,
-        "blurred-band": plant.blurred_band,
-        "blur": plant.blur,
-        "contrast": plant.contrast,
-        "noise": plant.noise,
-        "seam": plant.seam,
-        "color-mean": plant.color_mean,
-        "two-tone": plant.two_tone,
-        "over-regular": plant.over_regular,
-        "verbatim": plant.verbatim,
-    }
-)
-"""The defects by name; a new defect is one more entry."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from nrbench.plugins.forms import Refused, SourceMap, Synthesis, Task, require_l
 from nrbench.plugins.registry import NamedDetector
 
 from .rectangular_tiles.tile_frame import TileFrame, find_tile_frame
-from .rectangular_tiles.wang_tiles import Cutter, WangTiles, edge_colors, make_wang_tiles
 from .sampling.patches import Patches, resample
 
 Values = NDArray[np.float32]
@@ -30,13 +29,10 @@ Mask = NDArray[np.bool_]
 Size = tuple[int, int]
 """(h, w): rows and columns of a tile."""
 
-_SEARCH_SHARE = 0.4
+_SEARCH_SHARE: Final = 0.4
 """Progress when the tile is chosen."""
-
-MOST = 1e6
+MAX_WEIGHT: Final = 1e6
 """Largest weight: beyond it the other term has no effect."""
-MOST_TILES = 1000
-"""Largest number of Wang tiles: an output shows fewer."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +40,10 @@ class RepresentativeTile:
     """The tile whose repetition best reconstructs the sample and whose borders match: periodic output, small and fast.
 
     The period gives the tile's size in whole pixels, to which the sample is scaled down (section 3). The tile is the
-    one with the least S = alpha h + beta SSDN over all places in the scaled sample (equation 6): h, the continuity,
-    compares its first row and column with its last (equation 5); SSDN, the resemblance, compares the sample with the
-    repetition of the tile (section 4.2). The paper rates only the share ``p`` of places with the least h; here integral
-    images rate every place exactly.
+    one with the least S = alpha h + SSDN over all places in the scaled sample (equation 6 with beta = 1, as in all
+    figures of the paper): h, the continuity, compares its first row and column with its last (equation 5); SSDN, the
+    resemblance, compares the sample with the repetition of the tile (section 4.2). The paper rates only a share p of
+    the places, those with the least h; here integral images rate every place exactly.
 
     The tile is the paper's, of whole pixels (``extras["tile"]``, a PNG beside a picture). The paper repeats these
     pixels, so that a period of 21.37 px becomes 21. Here every output pixel shows the point of the tile that is
@@ -58,43 +54,33 @@ class RepresentativeTile:
     cells if necessary; its sides may miss lattice vectors by ``tolerance``. Without a given lattice the detector
     ``ssdn`` finds the period along the sample's axes, as in the paper.
 
-    The output is periodic: it keeps regularity and loses randomness, as the paper says. ``tiles`` keeps some of it by
-    Wang tiles, the paper's future work (:func:`~nrbench.synthesizers.rectangular_tiles.wang_tiles.make_wang_tiles`).
+    The output is periodic: it keeps regularity and loses randomness, as the paper says.
 
     ``preset=paper`` repeats the pixels of the tile, with the period x_n / n scaled down to whole pixels (section 3; in
-    section 5 the paper does without, where periods are hundreds of pixels long). Its weights and its share p are those
-    of figure 5. The share of figure 7, 0.0001, leaves a single place in a sample of 128 x 128 px, and then resemblance
-    and weights have no effect.
+    section 5 the paper does without, where periods are hundreds of pixels long). Its weight alpha and its share p are
+    those of figure 5. The share of figure 7, 0.0001, leaves a single place in a sample of 128 x 128 px, and then
+    resemblance and alpha have no effect.
 
-    Extras: ``tile``, or ``tile-01`` ... of a set with their ``edges`` (north, east, south, west colors); ``frame``,
-    ``(3, 2)``: the tile's first pixel (x, y) in the sample, and the steps (x, y) in the sample of one pixel along its
-    rows and columns, of lengths r (equation 4); ``best``, ``(m, 5)``: x, y in the scaled sample, h, SSDN and S of the m
-    best tiles; ``best-01`` ... their images, if m > 1.
+    Extras: ``tile``; ``frame``, ``(3, 2)``: the tile's first pixel (x, y) in the sample, and the steps (x, y) in the
+    sample of one pixel along its rows and columns, of lengths r (equation 4); ``best``, ``(best_tiles, 5)``: x, y in
+    the scaled sample, h, SSDN and S of the best tiles; ``best-01`` ... their images, if there are several.
 
     Parameters
     ----------
-    alpha, beta
-        Weights of continuity and resemblance, 0 to 1e6, not both 0 (the paper: alpha 1, 30 or 0, beta 1).
-    p
-        Share in (0, 1] of the places, those of least h, that are rated (the paper: 0.0001 to 0.02). None: all.
-    m
-        The tile is drawn uniformly from the m best, 1 to 99 (the paper lets the user choose one); 1: the best.
+    continuity_weight
+        alpha, the weight of continuity beside that of resemblance, which is 1: 0 to 1e6 (the paper: 1, 30 or 0).
+    rated_share
+        p, the share in (0, 1] of the places, those of least h, that are rated (the paper: 0.0001 to 0.02). None: all.
+    best_tiles
+        The tile is drawn uniformly from so many best ones, 1 to 99 (the paper lets the user choose one of m).
     rescale
         True: the output has the sample's period. False: it repeats the tile's pixels, with the tile's period.
-    scale_down
-        True: shrink periods to whole pixels (equation 4). False: keep the sample's scale, and cut the fraction of a
-        pixel off the tile.
-    period
-        How ``ssdn`` measures the period where no lattice is given. ``"fitted"``: fitted to all minima, sub-pixel, and
-        refused if it may be due to chance. ``"last"``: x_n / n, the last minimum over its number (equation 3), never
-        refused.
-    depth
-        Share in (0, 1] of the greatest depth that the minima of a period must reach, as in ``ssdn``; where no lattice
-        is given.
+    finder
+        Detector that finds the period where no lattice is given. ``"ssdn:primitive=false"``: fitted to all minima,
+        sub-pixel, and refused if it may be due to chance. ``"ssdn:preset=paper"``: x_n / n, the last minimum over its
+        number (equation 3), never refused.
     tolerance
         Largest distance of a side of the tile from a lattice vector, in shares of s, in [0, 0.5).
-    tiles
-        1, or the number of Wang tiles: 4, or 6 to 1000.
 
     References
     ----------
@@ -102,31 +88,23 @@ class RepresentativeTile:
            The text that was implemented has no date, authors or venue.
     """
 
-    alpha: float = 1.0
-    beta: float = 1.0
-    p: float | None = None
-    m: int = 1
+    continuity_weight: float = 1.0
+    rated_share: float | None = None
+    best_tiles: int = 1
     rescale: bool = True
-    scale_down: bool = True
-    period: Literal["fitted", "last"] = "fitted"
-    depth: float = Ssdn.depth
+    finder: Literal["ssdn:primitive=false", "ssdn:preset=paper"] = "ssdn:primitive=false"
     tolerance: float = 0.1
-    tiles: int = 1
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
-            "alpha": 30.0,
-            "beta": 1.0,
-            "p": 0.01,
-            "m": 1,
+            "continuity_weight": 30.0,
+            "rated_share": 0.01,
+            "best_tiles": 1,
             "rescale": False,
-            "scale_down": True,
-            "period": "last",
-            "depth": 0.8,
-            "tiles": 1,
+            "finder": "ssdn:preset=paper",
         }
     }
     patch_shape: ClassVar[str] = "rectangular tile from the period"
@@ -135,20 +113,11 @@ class RepresentativeTile:
     paper: ClassVar[str] = Ssdn.paper
 
     def __post_init__(self) -> None:
-        weights = min(self.alpha, self.beta) >= 0 and 0 < self.alpha + self.beta <= MOST
-        _check(weights, f"alpha {self.alpha}, beta {self.beta}; choose weights from 0 to {MOST:g}, not both 0")
-        _check(self.p is None or 0 < self.p <= 1, f"p {self.p}; choose a share above 0, at most 1, or leave it out")
-        _check(1 <= self.m <= 99, f"m {self.m}; choose from 1 (the best tile) to 99")
-        _check(0 < self.depth <= 1, f"depth {self.depth}; choose a share above 0, at most 1")
+        weight, share = self.continuity_weight, self.rated_share
+        _check(0 <= weight <= MAX_WEIGHT, f"continuity_weight {weight}; choose from 0 to {MAX_WEIGHT:g}")
+        _check(share is None or 0 < share <= 1, f"rated_share {share}; choose above 0, at most 1, or leave it out")
+        _check(1 <= self.best_tiles <= 99, f"best_tiles {self.best_tiles}; choose from 1 (the best tile) to 99")
         _check(0 <= self.tolerance < 0.5, f"tolerance {self.tolerance}; choose a share of s from 0 to below 0.5")
-        possible = self.tiles == 1 or (1 < self.tiles <= MOST_TILES and edge_colors(self.tiles) is not None)
-        _check(possible, f"tiles {self.tiles}; choose 1, 4, or 6 to {MOST_TILES}")
-
-    @property
-    def finder(self) -> str:
-        """The detector that finds the period if no lattice is given."""
-        last = ",subpixel=false,reject=none" if self.period == "last" else ""
-        return f"ssdn:depth={self.depth!r},primitive=false{last}"
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`RepresentativeTile`.
@@ -161,41 +130,35 @@ class RepresentativeTile:
             When no lattice is found, or the sample shows less than two periods or holds no rectangular tile.
         """
         lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there is no period to cut a tile by")
-        frame = find_tile_frame(lattice, task.sample.shape, self.tolerance, self.scale_down)
+        frame = find_tile_frame(lattice, task.sample.shape, self.tolerance)
         patches = Patches(task.sample)
         image, known = frame.scale_sample(task.sample, patches)
-        best = self._best(image, known, frame)
+        best = self._find_best(image, known, frame)
         chosen = best[task.rng.integers(len(best))] if len(best) > 1 else best[0]
         place = (int(chosen[0]), int(chosen[1]))
         task.progress(_SEARCH_SHARE)
-        if self.tiles > 1:
-            cutter = Cutter(patches, task.sample.shape, frame, lattice, task.rng)
-            tiles = make_wang_tiles(cutter, place, self.tiles)
-            extras = tiles.pictures(patches, frame)
-        else:
-            tiles, extras = WangTiles.single(frame, place), {"tile": _cut(image, frame, place)}
         rest = replace(task, progress=lambda done: task.progress(_SEARCH_SHARE + (1 - _SEARCH_SHARE) * done))
-        output, source = lay_tiles(rest, frame, tiles, self.rescale, patches)
+        output, source = repeat_tile(rest, frame, place, self.rescale, patches)
         corner = frame.to_sample(np.array(place, np.float64))
-        extras |= {"frame": np.vstack([corner, frame.steps]), "best": best}
+        extras = {"tile": _cut(image, frame, place), "frame": np.vstack([corner, frame.steps]), "best": best}
         if len(best) > 1:
             places = best[:, :2].astype(int).tolist()
             extras |= {f"best-{number:02d}": _cut(image, frame, (x, y)) for number, (x, y) in enumerate(places, 1)}
         note = f"a tile holds {frame.cells} cells" if frame.cells > 1 else ""
         return Synthesis(output, lattice, source, extras, seconds, note)
 
-    def _best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
+    def _find_best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
         """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S (section 4). Of equal places the first comes first."""
         smooth, alike = continuity(image, frame.size), resemblance(image, frame.size, known)
         allowed = np.isfinite(alike)
         if not allowed.any():
             size = f"{frame.size[1]}x{frame.size[0]} px"
             raise Refused(f"turned as the lattice is, a tile of {size} is larger than the sample")
-        if self.p is not None:
-            allowed = preselect(np.where(allowed, smooth, np.inf), self.p * float(allowed.sum()))
+        if self.rated_share is not None:
+            allowed = preselect(np.where(allowed, smooth, np.inf), self.rated_share * float(allowed.sum()))
         rating = np.full(alike.shape, np.inf)
-        rating[allowed] = np.round(self.alpha * smooth[allowed] + self.beta * alike[allowed], 12)
-        order = _least(rating, min(self.m, int(allowed.sum())))
+        rating[allowed] = np.round(self.continuity_weight * smooth[allowed] + alike[allowed], 12)
+        order = _least(rating, min(self.best_tiles, int(allowed.sum())))
         y, x = np.unravel_index(order, rating.shape)
         return np.stack([x, y, smooth[y, x], alike[y, x], rating[y, x]], -1).astype(np.float64)
 
@@ -277,8 +240,8 @@ def continuity(image: Values, size: Size) -> Costs:
     return np.asarray(np.maximum(total, 0) / (2 * (columns + rows - 1)))
 
 
-def _squares(one: Values, other: Values) -> NDArray[np.float64]:
-    difference = np.subtract(one, other, dtype=np.float64)
+def _squares(first: Values, last: Values) -> NDArray[np.float64]:
+    difference = np.subtract(first, last, dtype=np.float64)
     return np.asarray(np.einsum("ijk,ijk->ij", difference, difference))
 
 
@@ -295,52 +258,36 @@ def _spread(classes: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.
     return np.asarray(wide[np.arange(shape[0]) % classes.shape[0]])
 
 
-def lay_tiles(
-    task: Task, frame: TileFrame, tiles: WangTiles, rescale: bool, patches: Patches
+def repeat_tile(
+    task: Task, frame: TileFrame, place: tuple[int, int], rescale: bool, patches: Patches
 ) -> tuple[Image, SourceMap]:
-    """Return the output, tiles side by side, and its source map.
+    """Return the output, one tile side by side, and its source map.
 
-    The output continues the sample's phase: the place in the sample that a tile's first pixel is equivalent to shows a
-    tile's first pixel in the output.
+    The output continues the sample's phase: the place in the sample where the tile's first pixel lies shows the tile's
+    first pixel in the output.
 
     Parameters
     ----------
     task
-        The sample, the output's shape, and the stream that draws the tiles.
+        The sample and the output's shape.
     frame
-        The tiles' size, and where their pixels lie in the sample.
-    tiles
-        One tile, or a set that is laid by the colors of its edges.
+        The tile's size, and where its pixels lie in the sample.
+    place
+        (x, y) of the tile's first pixel in the scaled sample.
     rescale
         True: the output has the sample's periods. False: it has those of the tile in whole pixels.
     patches
         Of the sample.
     """
-    rows, columns = frame.size
-    corner = np.array(tiles.corner, np.float64)
+    size = np.array(frame.size[::-1])
+    corner, steps = np.array(place, np.float64), np.eye(2)
     if rescale:
-        corner, steps = frame.to_sample(corner), frame.periods / np.array([[columns], [rows]])
-    else:
-        steps = np.eye(2)
-
-    def split(pixels: Points) -> tuple[NDArray[np.int64], NDArray[np.int64], Points]:
-        """Return the number (x, y) of each output pixel's tile, the nearest pixel in it, and the rest."""
-        at = (pixels - corner) @ np.linalg.inv(steps)
-        nearest = np.floor(at + 0.5).astype(np.int64)
-        numbers, inside = np.divmod(nearest, np.array([columns, rows]))
-        return numbers, inside, at - nearest
-
-    height, width = task.shape
-    ends = split(np.array([[x, y] for x in (0, width - 1) for y in (0, height - 1)], np.float64))[0]
-    low = ends.min(0)
-    across, down = ends.max(0) - low + 1
-    layout = tiles.lay_out((int(down), int(across)), task.rng)
+        corner, steps = frame.to_sample(corner), frame.periods / size[:, np.newaxis]
 
     def points(pixels: Points) -> Points:
-        numbers, inside, rest = split(pixels)
-        column, row = np.moveaxis(numbers - low, -1, 0)
-        x, y = np.moveaxis(inside, -1, 0)
-        return frame.to_sample(tiles.sources[layout[row, column], y, x] + rest)
+        at = (pixels - corner) @ np.linalg.inv(steps)
+        nearest = np.floor(at + 0.5)
+        return frame.to_sample(place + nearest % size + (at - nearest))
 
     return resample(task, points, patches)
 

@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from nrbench.detectors.gncc import Gncc
@@ -20,20 +19,17 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import FoundLattice, Refused, Synthesis, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .gap_filling.blocks import BlockGrid, check_border
-from .gap_filling.canvas import BlockCanvas, Map, SeamMethod
-from .gap_filling.matching import FrameMatcher, Match, align_patch, fit_deformation
+from .gap_filling.blocks import Block, BlockGrid, check_border
+from .gap_filling.canvas import BlockCanvas, SeamMethod
+from .gap_filling.matching import FrameMatcher, Match, align_patch
 from .geometry.straightening import Geometry, straighten_first
 from .sampling.equal_places import EqualPlaces, Pixels, SearchShape, nearby_pixels, nearest_pixels
 from .sampling.patches import Patches, round_places
-from .seams.minimum_cut import Mask
 
 Search = Literal["lattice", "everywhere", "stochastic"]
 Finder = Literal["consensus", "gncc", "gncc:preset=paper"]
 TOLERANCE: Final = 0.07
 """Default tolerance over s, along x and along y: both together are less than a tenth of s."""
-MAX_DEFORM: Final = 3.0
-"""px; a patch deformed more would show other elements than those that were matched."""
 REMEMBERED: Final = 64
 """Number of the latest patches that :class:`PlaceSampler` avoids. A draw costs the same however large the output is."""
 _STOCHASTIC_TRIALS = 16
@@ -89,11 +85,7 @@ class Rsgf:
         tolerance, to where it agrees best with its border. False: whole pixels, off by at most half a pixel.
     seam
         How the patch of a gap is joined. ``"graphcut"``: along the least visible closed seam, which may run up to half
-        a block inside the neighbors. ``"dynamic"``: in the same region along the least visible seam of each side.
-        ``"blend"``: by linear blending over the border.
-    deform
-        Largest deformation of a gap's patch in px, 0 (none) to 3: a smooth field, fitted to what the patch overlaps,
-        that fades to zero in the middle of the gap.
+        a block inside the neighbors. ``"blend"``: by linear blending over the border.
     candidate_fraction
         Fraction of the equal places, best first, from which a gap's patch is drawn, for ``search="lattice"``. 0: only
         the best place (the paper). 1: all places, each with its best match nearby. None: one half.
@@ -121,7 +113,6 @@ class Rsgf:
     tolerance: float | None = None
     subpixel: bool = True
     seam: SeamMethod = "graphcut"
-    deform: float = 0.0
     candidate_fraction: float | None = None
     prefer_unused: bool = True
     finder: Finder = "consensus"
@@ -140,7 +131,6 @@ class Rsgf:
             "tolerance": 3.0,
             "subpixel": False,
             "seam": "blend",
-            "deform": 0.0,
             "candidate_fraction": 0.0,
             "prefer_unused": False,
             "finder": "gncc:preset=paper",
@@ -164,8 +154,6 @@ class Rsgf:
                     f"{name} {value} has no effect with search {self.search!r}; "
                     f"choose search 'lattice', or leave {name} out"
                 )
-        if not 0 <= self.deform <= MAX_DEFORM:
-            raise BadInput(f"deform {self.deform}; choose from 0 to {MAX_DEFORM:g} px")
         if self.geometry == "straighten" and self.search == "stochastic":
             raise BadInput("geometry 'straighten' needs a lattice, which search 'stochastic' does not use; drop one")
 
@@ -226,47 +214,47 @@ class GapFiller:
 
     def place_blocks(self) -> None:
         """Section 4.1: fill every second block with a random patch from the places equal to it."""
-        for row, column in self.grid.placed():
-            self.canvas.place_block(row, column, self._draw_place(row, column) + self.grid.border)
+        for block in self.grid.placed():
+            self.canvas.place_block(block, self._draw_place(block) + self.grid.border)
         self.canvas.extend_placed()
 
     def fill_gaps(self) -> None:
         """Section 4.2: fill the gaps with the patches that agree best with the borders around."""
         gaps = list(self.grid.gaps())
-        for done, (row, column) in enumerate(gaps):
-            place, equal = self._match_border(row, column)
+        for done, gap in enumerate(gaps):
+            place, equal = self._match_border(gap)
             if self.method.subpixel:
-                place = self._refine_place(row, column, place, equal)
-            self.canvas.fill_gap(row, column, place, self._deformation(row, column, place))
+                place = self._refine_place(gap, place, equal)
+            self.canvas.fill_gap(gap, place)
             self.task.progress((done + 1) / len(gaps))
 
-    def _draw_place(self, row: int, column: int) -> Points:
+    def _draw_place(self, block: Block) -> Points:
         """Draw the (x, y) of a block with its borders; without a lattice from anywhere."""
         shape = self.grid.search_shape(self.task.sample.shape)
         if self.lattice is None:
             trials = _STOCHASTIC_TRIALS if self.method.prefer_unused else 1
             return self.sampler.draw(self.task.rng.integers(shape[::-1], size=(trials, 2)))
         border = self.grid.border
-        equal = self._block_places.find_places(self._corner(row, column) - border)
+        equal = self._block_places.find_places(block.corner - border)
         candidates: NDArray[Any] = (
             _places_inside(round_places(equal), shape) if self.method.subpixel else nearest_pixels(equal, shape)
         )
-        self._require_candidates(candidates, row, column, self.grid.block + 2 * border)
+        self._require_candidates(candidates, block, self.grid.size + 2 * border)
         return self.sampler.draw(candidates + border) - border
 
-    def _match_border(self, row: int, column: int) -> tuple[Points, Points | None]:
+    def _match_border(self, gap: Block) -> tuple[Points, Points | None]:
         """Return the whole-pixel (x, y) of a patch that agrees well with the border of a gap.
 
         Also return the nearest place that the lattice makes equal to the gap's, if the search uses the lattice.
         """
-        hole = self.grid.border_of(row, column).hole
-        template = np.rint(self.canvas.image[self.canvas.window(row, column)] * 255).astype(np.float32)
+        hole = gap.border.hole
+        template = np.rint(self.canvas.image[gap.window()] * 255).astype(np.float32)
         if self.lattice is None or self.method.search != "lattice":
             ratings = self.matcher.rate_everywhere(template, hole)
             return self.sampler.draw(np.argwhere(ratings == ratings.max())[:, ::-1]), None
-        equal = self._keep_off_edge(self._gap_places.find_places(self._corner(row, column)))
+        equal = self._keep_off_edge(self._gap_places.find_places(gap.corner))
         candidates = nearby_pixels(equal, self._gap_places.margin, self.matcher.search_shape)
-        self._require_candidates(candidates, row, column, self.grid.block)
+        self._require_candidates(candidates, gap, self.grid.size)
         ratings = self.matcher.rate(template, hole, candidates)
         best = self.sampler.draw(self._best_candidates(candidates, ratings, equal))
         return best, np.asarray(equal[np.abs(equal - best).max(1).argmin()])
@@ -287,38 +275,22 @@ class GapFiller:
         inner = equal[((equal >= low) & (equal <= high)).all(1)]
         return inner if len(inner) > 1 and self.method.seam != "blend" else equal
 
-    def _refine_place(self, row: int, column: int, best: Points, equal: Points | None) -> Points:
+    def _refine_place(self, gap: Block, best: Points, equal: Points | None) -> Points:
         """Return the real-valued place nearby at which the patch agrees best with the border, within the tolerance.
 
         The search starts from the equal place if that is less than a pixel away.
         """
-        block, last = self.grid.block, np.array(self.matcher.search_shape[::-1]) - 0.5
-        box, tolerance = (0, block, 0, block), self.tolerance
-        weight = self.canvas.overlap_mask(row, column, box).astype(np.float64)
-        old = self.canvas.image[self.canvas.window(row, column)]
+        last = np.array(self.matcher.search_shape[::-1]) - 0.5
+        weight = self.canvas.border_mask(gap).astype(np.float64)
 
         def cut(place: Points) -> Image:
-            return self.canvas.cut_patch(np.clip(place, -0.5, last), box)[0]
+            return self.canvas.cut_patch(np.clip(place, -0.5, last), gap.box)[0]
 
         start = equal if equal is not None and np.abs(equal - best).max() < 1 else best
-        place = align_patch(cut, start, old, weight, steps=1)
+        place = align_patch(cut, start, self.canvas.image[gap.window()], weight)
         if equal is not None:
-            place = equal + np.clip(place - equal, -tolerance, tolerance)
+            place = equal + np.clip(place - equal, -self.tolerance, self.tolerance)
         return np.asarray(np.clip(round_places(place), -0.5, last))
-
-    def _deformation(self, row: int, column: int, place: Points) -> Map | None:
-        if not self.method.deform:
-            return None
-        canvas = self.canvas
-        box = canvas.patch_box(row, column, place)
-        overlap = canvas.overlap_mask(row, column, box)
-        return fit_deformation(
-            lambda field: canvas.cut_patch(place, box, field)[0],
-            canvas.image[canvas.window(row, column, box)],
-            overlap.astype(np.float64),
-            _fade(overlap, self.grid.border),
-            self.method.deform,
-        )
 
     @cached_property
     def _reduced(self) -> Lattice:
@@ -335,14 +307,11 @@ class GapFiller:
         assert self.lattice is not None
         return EqualPlaces(self.lattice, self.matcher.search_shape, max(self.tolerance, 0.5))
 
-    def _corner(self, row: int, column: int) -> Points:
-        return np.array([column, row], np.float64) * self.grid.block
-
-    def _require_candidates(self, candidates: NDArray[Any], row: int, column: int, side: int) -> None:
+    def _require_candidates(self, candidates: NDArray[Any], block: Block, side: int) -> None:
         if len(candidates):
             return
         height, width, _ = self.task.sample.shape
-        x, y = (int(value) for value in self._corner(row, column))
+        x, y = (int(value) for value in block.corner)
         raise Refused(
             f"the {width}x{height} px sample has no complete patch of {side}x{side} px that the lattice makes equal to "
             f"the output's at ({x}, {y}): the tile is too large for the sample; choose a smaller block"
@@ -354,11 +323,6 @@ def _places_inside(places: Points, shape: SearchShape) -> Points:
     last = np.array(shape[::-1]) - 1
     inside = ((places >= 0) & (places <= last)).all(1)
     return places[inside] if inside.any() else np.clip(places, 0, last)
-
-
-def _fade(overlap: Mask, border: int) -> Map:
-    """Return the share of the displacement that a pixel takes: 0 in the hole, 1 at a border's width from it."""
-    return np.asarray(np.minimum(scipy.ndimage.distance_transform_edt(overlap) / border, 1.0))
 
 
 class PlaceSampler:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -11,11 +12,10 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.mean_tile import fold, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
-from nrbench.plugins.registry import NamedDetector
+from nrbench.plugins.forms import Refused, Task
 
+from .baselines.lattice_baseline import LatticeBaseline
 from .baselines.voronoi_cell import OFFSET, edge_points, half_extent, whole_cell_centers
-from .sampling.patches import resample
 
 _STEPS = 24
 """Number of places of the cell, along each vector, that are tried for the cuts."""
@@ -26,7 +26,7 @@ _BLUR = 0.15
 
 
 @dataclass(frozen=True)
-class Shuffle:
+class Shuffle(LatticeBaseline):
     """Random tiles of the sample edge to edge: keeps lattice, variation and colors, but breaks the elements.
 
     A tile is a Voronoi cell of the lattice. Its edges run where the sample varies most from tile to tile: through the
@@ -38,33 +38,21 @@ class Shuffle:
     ``gncc``.
     """
 
-    reference: ClassVar[bool] = True
-    uses_lattice: ClassVar[bool] = True
-    finder: ClassVar[str] = "gncc"
-    right_on: ClassVar[frozenset[Kind]] = frozenset({"0"})
     version: ClassVar[str] = "1"
 
-    def synthesize(self, task: Task) -> Synthesis:
-        """Return the synthesis.
-
-        Raises
-        ------
-        Refused
-            When no lattice is found, or the sample does not hold a whole tile.
-        """
-        lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no tiles to shuffle")
+    def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:
+        """Return the point of the sample that each output pixel shows."""
         whole_cell_centers(lattice, task.sample.shape)
         middle, places = _place_cuts(task, lattice.reduced())
         tiles = Lattice(lattice.t1, lattice.t2, (float(middle[0]), float(middle[1]))).reduced()
         low, chosen = _draw_tiles(task, tiles, len(places))
 
-        def points(pixels: Points) -> Points:
+        def locate(pixels: Points) -> Points:
             away = tiles.wrap(pixels - middle)
             u, v = np.moveaxis(np.rint(tiles.to_cell(pixels - away)).astype(np.intp) - low, -1, 0)
             return np.asarray(places[chosen[u, v]] + away)
 
-        image, source = resample(task, points)
-        return Synthesis(image, lattice, source, detection_seconds=seconds)
+        return locate, ""
 
 
 def _draw_tiles(task: Task, tiles: Lattice, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

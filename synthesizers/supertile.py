@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
-from nrbench.plugins.registry import NamedDetector
+from nrbench.plugins.forms import Refused, Task
 
+from .baselines.lattice_baseline import LatticeBaseline
 from .baselines.voronoi_cell import half_extent, half_extents
-from .sampling.patches import resample
 
 _CANDIDATES = 300
 """Number of lattice vectors tried for each side of the crop: those nearest to the sample's sides."""
 
 
 @dataclass(frozen=True)
-class Supertile:
+class Supertile(LatticeBaseline):
     """The largest crop of the sample that the lattice can repeat: keeps lattice and variation, but repeats the crop.
 
     The crop is a Voronoi cell of the largest supercell (two vectors of the lattice) that fits the sample around its
@@ -32,26 +32,13 @@ class Supertile:
     ``gncc``. The note gives the number of tiles in the crop.
     """
 
-    reference: ClassVar[bool] = True
-    uses_lattice: ClassVar[bool] = True
-    finder: ClassVar[str] = "gncc"
-    right_on: ClassVar[frozenset[Kind]] = frozenset({"0"})
     version: ClassVar[str] = "1"
 
-    def synthesize(self, task: Task) -> Synthesis:
-        """Return the synthesis.
-
-        Raises
-        ------
-        Refused
-            When no lattice is found, or the sample does not hold a whole tile.
-        """
-        lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there is nothing to repeat")
+    def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:
+        """Return the point of the sample that each output pixel shows, and the number of tiles in the crop."""
         cell = largest_supercell(lattice, task.sample.shape)
         middle = (np.array(task.sample.shape[1::-1]) - 1) / 2
-        image, source = resample(task, lambda pixels: middle + cell.wrap(pixels - middle))
-        count = round(cell.area / lattice.area)
-        return Synthesis(image, lattice, source, detection_seconds=seconds, note=f"repeats {count} tiles")
+        return lambda pixels: middle + cell.wrap(pixels - middle), f"repeats {round(cell.area / lattice.area)} tiles"
 
 
 def largest_supercell(lattice: Lattice, shape: tuple[int, ...]) -> Lattice:

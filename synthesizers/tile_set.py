@@ -17,9 +17,10 @@ from nrbench.plugins.registry import NamedDetector
 
 from .geometry.straightening import Geometry, straighten_first
 from .sampling.two_periods import require_two_periods
-from .tile_laying.tile_canvas import Stitch, TileCanvas
+from .tile_laying.stitch_kernels import FEATHER
+from .tile_laying.tile_canvas import TileCanvas
 from .tile_laying.tile_shape import AnchorKind, ElementWeights, TileKind, TileShape, anchor_lattice, tile_shape
-from .tile_laying.tile_stock import Difference, Tiles, TileStock, shift_images, symmetric_copies, untransformed
+from .tile_laying.tile_stock import OverlapMeasure, ShiftedImages, TilePlaces, TileStock
 
 FINE_PARTS: Final = 4
 """Default parts of a pixel at which tiles are placed if whole pixels are too coarse."""
@@ -31,8 +32,6 @@ ELONGATED: Final = 2.0
 """If a rectangular cell is this many times as long as wide, automatic tiles are two cells wide."""
 MARGIN: Final = 2.0
 """px by which tiles are longer at each end for exact cuts, so that seams can run around elements."""
-FEATHER: Final = 3.0
-"""px; default ramp where seams conflict, and the most that registration, feather and margin may be if s is shorter."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ class TileSet:
         joins better.
     threshold
         A fixed threshold instead (the paper), in gray levels of 255, channels added.
-    difference
+    overlap_measure
         What is compared with the threshold: the ``"mean"`` over the pixels of the overlap, or their ``"sum"`` (the
         paper).
     registration
@@ -102,25 +101,15 @@ class TileSet:
         18 to 21 px, then has a PSNR of 31 to 34 dB, and of 43 to 46 dB with ``parts=4, registration=0``. Without effect
         if both vectors are whole pixels.
     stitch
-        ``"graphcut"``: the exact minimum cut; slope and feather have no effect. ``"dynamic"``: two seams by dynamic
-        programming, blended where they conflict (the paper).
-    slope
-        Largest number of px by which a seam moves aside from one row to the next, 1 to 64 (Efros and Freeman: 1). More
-        lets it follow joints. For ``stitch=dynamic``.
-    feather
-        Width in px, at most s, of the ramp where the two seams conflict; 0 cuts. For ``stitch=dynamic``.
+        ``"graphcut"``: the exact minimum cut. The cost of a seam is multiplied by how much the elements of the sample
+        vary from tile to tile at this place of the cell, which leads seams along joints: differences alone do not show
+        the joint between two elements of like color. ``"dynamic"``: two seams by dynamic programming, blended where
+        they conflict (the paper).
     anchor
         ``"elements"``: where tiles differ most, so that a tile shows an element whole and seams can follow joints.
         ``"quiet"``: where the gradient energy of the mean tile, summed along the borders of all minimum tiles, is least
         (the paper's low-frequency regions). ``"given"``: at the lattice's origin. The first two choose among the places
         that leave each set enough tiles.
-    follow
-        Whether seams are led along the joints of elements: the cost of a seam is multiplied by how much the elements of
-        the sample vary from tile to tile at this place of the cell. Differences alone do not show the joint between two
-        elements of like color. For ``stitch=graphcut``; the paper's seams are led by differences alone.
-    symmetry
-        Also use the tiles of the sample mirrored or turned, if that does not change its mean tile (section 4.4). Copies
-        turned by multiples of 60 degrees are interpolated by splines of order 5.
     geometry
         ``"straighten"``: if the geometry of the sample departs from the lattice, the sample is straightened first and
         the output deformed again, as the sample is (:func:`~.geometry.straightening.straighten_first`). ``"as-is"``:
@@ -137,15 +126,11 @@ class TileSet:
     margin: float | None = None
     quantile: float = 0.75
     threshold: float | None = None
-    difference: Difference = "mean"
+    overlap_measure: OverlapMeasure = "mean"
     registration: float | None = None
     parts: int | None = None
-    stitch: Stitch = "graphcut"
-    slope: int = 4
-    feather: float = FEATHER
+    stitch: Literal["dynamic", "graphcut"] = "graphcut"
     anchor: AnchorKind | Literal["given"] = "elements"
-    follow: bool = True
-    symmetry: bool = False
     geometry: Geometry = "as-is"
 
     reference: ClassVar[bool] = False
@@ -158,15 +143,11 @@ class TileSet:
             "cells": 1,
             "margin": 0.0,
             "quantile": 0.75,
-            "difference": "sum",
+            "overlap_measure": "sum",
             "registration": 1.0,
             "parts": 1,
             "stitch": "dynamic",
-            "slope": 1,
-            "feather": FEATHER,
             "anchor": "given",
-            "follow": False,
-            "symmetry": False,
         }
     }
     patch_shape: ClassVar[str] = "tile shape/size from translational symmetry analysis"
@@ -187,11 +168,11 @@ class TileSet:
             raise BadInput(f"quantile {self.quantile}; choose from 0 to 1")
         if self.threshold is not None and not self.threshold >= 0:
             raise BadInput(f"threshold {self.threshold}; choose 0 or more")
-        for name in ("registration", "feather", "margin"):
+        for name in ("registration", "margin"):
             value = getattr(self, name)
             if value is not None and not 0 <= value < np.inf:
                 raise BadInput(f"{name} {value}; choose 0 or more px, at most s")
-        for name, most in (("cells", 64), ("parts", 16), ("slope", 64)):
+        for name, most in (("cells", 64), ("parts", 16)):
             value = getattr(self, name)
             if value is not None and not 1 <= value <= most:
                 raise BadInput(f"{name} {value}; choose from 1 to {most}")
@@ -203,7 +184,7 @@ class TileSet:
         ------
         Refused
             If no lattice is found, if the sample does not show two periods, or not a complete tile of each set and two
-            of one, or if registration, feather or margin is larger than s.
+            of one, or if registration or margin is larger than s.
         """
         if self.geometry == "straighten":
             return straighten_first(replace(self, geometry="as-is"), task, NamedDetector(self.finder))
@@ -218,7 +199,7 @@ class TileSet:
 
     def _require_within_s(self, s: float) -> None:
         most = max(s, FEATHER)
-        for name in ("registration", "feather", "margin"):
+        for name in ("registration", "margin"):
             value = getattr(self, name) or 0.0
             if value > most:
                 raise Refused(f"{name} {value:g} px reaches farther than s, {s:.1f} px; choose at most {most:.1f}")
@@ -240,25 +221,20 @@ class TileLaying:
     def __init__(self, method: TileSet, task: Task, lattice: Lattice) -> None:
         self.method, self.task = method, task
         self.tile, self.lattice = _fit_tile(method, task, lattice)
-        find_copies = symmetric_copies if method.symmetry else untransformed
-        self.copies = find_copies(task.sample, self.lattice)
         parts = method.parts or (1 if lattice.s >= COARSE else FINE_PARTS)
         if np.abs(lattice.matrix - np.rint(lattice.matrix)).max() < 1e-6:
             parts = 1
-        images = shift_images([copy.image for copy in self.copies], parts)
         self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
-        self.stock = TileStock(self.tile, images, tuple(self.copies), self.radius)
+        self.stock = TileStock(self.tile, ShiftedImages.of(task.sample, parts), self.lattice)
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
-        weights = ElementWeights.of(task.sample, self.lattice) if method.follow else None
-        self.canvas = TileCanvas(
-            task.shape, self.stock, self.copies, method.slope, method.feather, method.stitch, weights
-        )
+        weights = ElementWeights.of(task.sample, self.lattice) if method.stitch == "graphcut" else None
+        self.canvas = TileCanvas(task.shape, self.stock, weights)
 
     def lay_tiles(self) -> None:
         """Lay every tile that touches the output, row by row (step 2)."""
         threshold = self.method.threshold
         if threshold is None:
-            threshold = self.stock.estimate_threshold(self.method.quantile, self.method.difference)
+            threshold = self.stock.estimate_threshold(self.method.quantile, self.method.overlap_measure)
         numbers = self.tile_numbers()
         places = self.lattice.origin + numbers @ self.tile.steps
         for done, ((i, j), place) in enumerate(zip(numbers.tolist(), places, strict=True)):
@@ -290,20 +266,19 @@ class TileLaying:
     def lay_tile(self, i: int, j: int, place: Points, threshold: float) -> None:
         """Draw a tile of the set at step i in the row and row j, and lay it at a place (steps 3 to 6)."""
         pixel = np.floor(place + 0.5)
-        copies, middles = self.sets[i % 2, j % 2]
-        tiles = self.stock.cut(copies, middles + (pixel - place))
+        tiles = self.stock.cut(self.sets[i % 2, j % 2] + (pixel - place))
         left, top = (pixel.astype(int) + self.canvas.margin).tolist()
         overlap = self.canvas.overlap(left, top)
         if not len(overlap.values):
             self.canvas.lay(left, top, self.draw(tiles, np.arange(len(tiles.row))))
             return
         differences = self.stock.differences(overlap, tiles)
-        size = len(overlap.values) if self.method.difference == "mean" else 1
+        size = len(overlap.values) if self.method.overlap_measure == "mean" else 1
         candidates = np.flatnonzero(differences <= max(threshold * size, int(differences.min())))
         drawn = self.draw(tiles, candidates)
         self.canvas.lay(left, top, self.stock.register(overlap, drawn, self.radius) if self.radius else drawn)
 
-    def draw(self, tiles: Tiles, candidates: NDArray[np.int64]) -> Tiles:
+    def draw(self, tiles: TilePlaces, candidates: NDArray[np.int64]) -> TilePlaces:
         """Return one of the candidates at random."""
         return tiles.take(candidates[self.task.rng.integers(len(candidates)), np.newaxis])
 

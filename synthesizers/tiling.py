@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -12,19 +13,15 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Kind, Synthesis, Task, require_lattice
-from nrbench.plugins.registry import NamedDetector
+from nrbench.plugins.forms import Task
 
+from .baselines.lattice_baseline import LatticeBaseline
 from .baselines.voronoi_cell import OFFSET, half_extent, whole_cell_centers
-from .sampling.equal_places import EqualPlaces, pixel_grid
-from .sampling.patches import Patches, resample, round_places
-
-_MARGIN = 8
-"""px of the mean image around its tile, so that splines in the tile do not depend on the image's end."""
+from .sampling.equal_places import pixel_grid
 
 
 @dataclass(frozen=True)
-class Tiling:
+class Tiling(LatticeBaseline):
     """One tile of the sample, repeated on the lattice: keeps the lattice, loses all randomness.
 
     The tile is a Voronoi cell of the lattice, the shape with short seams, and lies entirely within the sample. Every
@@ -39,77 +36,19 @@ class Tiling:
     ----------
     tile
         ``"typical"``: the tile nearest to the mean of all tiles (least mean squared difference), the best single tile;
-        ``"random"``: drawn uniformly; ``"mean"``: the mean of all tiles, each shifted by the real-valued lattice and
-        interpolated by the same spline, so that only variation is blurred; no pixel is a copy.
+        ``"random"``: drawn uniformly.
     """
 
-    tile: Literal["typical", "random", "mean"] = "typical"
+    tile: Literal["typical", "random"] = "typical"
 
-    reference: ClassVar[bool] = True
-    uses_lattice: ClassVar[bool] = True
-    finder: ClassVar[str] = "gncc"
-    right_on: ClassVar[frozenset[Kind]] = frozenset({"0"})
     version: ClassVar[str] = "2"
 
-    def synthesize(self, task: Task) -> Synthesis:
-        """Return the synthesis.
-
-        The source map's weight is 1 where a pixel was copied, else the bilinear weight of the nearest pixel. The mean
-        tile has no source map.
-
-        Raises
-        ------
-        Refused
-            When no lattice is found, or the sample does not hold a whole tile.
-        """
-        lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there is no tile to repeat")
+    def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:
+        """Return the point of the tile that each output pixel shows."""
         centers = whole_cell_centers(lattice, task.sample.shape)
-        if self.tile == "mean":
-            return Synthesis(_repeat_mean(task, lattice), lattice, detection_seconds=seconds)
         typical = self.tile == "typical"
-        center = _typical_center(task.sample, lattice, centers) if typical else task.rng.choice(centers)
-        middle = center + OFFSET
-        image, source = resample(task, lambda pixels: middle + lattice.wrap(pixels - middle))
-        return Synthesis(image, lattice, source, detection_seconds=seconds)
-
-
-def _repeat_mean(task: Task, lattice: Lattice) -> Image:
-    """Return the mean tile, repeated in the sample's phase."""
-    center = np.array(task.sample.shape[1::-1]) // 2
-    around = np.ceil(half_extent(lattice)).astype(int) + _MARGIN
-    corner = center - around
-    mean = _mean_window(task.sample, lattice, corner, (int(2 * around[1] + 1), int(2 * around[0] + 1)))
-    middle = center + OFFSET
-    image, _ = resample(replace(task, sample=mean), lambda pixels: middle - corner + lattice.wrap(pixels - middle))
-    return image
-
-
-def _mean_window(sample: Image, lattice: Lattice, corner: Points, shape: tuple[int, int]) -> Image:
-    """Return a part of the periodic image that is the mean of the sample over its lattice.
-
-    Each pixel is the mean over all equivalent places of the sample, interpolated by splines.
-
-    Parameters
-    ----------
-    sample
-        ``(H, W, C)``; holds a whole tile.
-    lattice
-        Its origin does not matter.
-    corner, shape
-        The part's first pixel (x, y) in the sample, which may lie outside, and the part's height and width.
-    """
-    total, count = np.zeros((*shape, sample.shape[2])), np.zeros(shape)
-    size, last = np.array(shape[::-1]), np.array(sample.shape[1::-1]) - 0.5
-    room = sample.shape[0] + shape[0] - 1, sample.shape[1] + shape[1] - 1
-    patches = Patches(sample)
-    for place in round_places(EqualPlaces(lattice, room).find_places(corner + size - 1) - size + 1):
-        left, top = np.maximum(np.ceil(-0.5 - place), 0).astype(int)
-        right, bottom = np.minimum(np.floor(last - place).astype(int) + 1, size)
-        if left < right and top < bottom:
-            part = np.s_[top:bottom, left:right]
-            total[part] += patches.cut_patch(place + np.array([left, top]), (bottom - top, right - left))[0]
-            count[part] += 1
-    return np.asarray(total / np.maximum(count, 1)[..., np.newaxis], np.float32)
+        middle = (_typical_center(task.sample, lattice, centers) if typical else task.rng.choice(centers)) + OFFSET
+        return lambda pixels: middle + lattice.wrap(pixels - middle), ""
 
 
 def _typical_center(sample: Image, lattice: Lattice, centers: Points) -> Points:

@@ -20,9 +20,9 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape
 
-from .drawing import Displacement, Field, Layer, Pattern
+from .pattern import Displacement, Field, Layer, Pattern
 from .random_fields import WAVES, factor_variance, factors, grain, role_seed, uniform, unit, waves
-from .recomposition import Origin, OwnDraw, Reader
+from .recomposition import Draw, Reader
 
 _INDEPENDENT = 0.27
 """Largest standard deviation of the independent jitter of small elements, as a share of their breadth."""
@@ -102,7 +102,7 @@ class Departures:
         size = self.element_size
         return min(max(0.25 * self.s * self.jitter, 0.1 * size), 0.3 * size)
 
-    def displacement(self, around: Pattern, shape: Shape, seed: int, origin: Origin | None = None) -> Displacement:
+    def displacement(self, around: Pattern, shape: Shape, seed: int, numbers: Draw) -> Displacement:
         """Return the displacement (x, y) px of the content at each pixel, ``(H, W, 2)``.
 
         Parameters
@@ -112,14 +112,14 @@ class Departures:
             shared waves. The space between two elements is stretched.
         shape, seed
             Shape (height, width) of the picture, and seed of the draw.
-        origin
-            The draw whose random numbers the elements take. None: this draw.
+        numbers
+            The draw whose random numbers the elements take.
         """
         moved = np.zeros((*shape, 2))
         if self.bend:
             moved += self._waves("bend", 0.25 * self.s * self.bend, 5 * self.s, shape, seed)
         if self.jitter:
-            moved += self._jitter(around, origin or OwnDraw(seed))
+            moved += self._jitter(around, numbers)
         if self._shared:
             moved += self._shared_jitter(shape, seed)
         return moved
@@ -131,18 +131,18 @@ class Departures:
         """Return the displacement that neighbors share. Its waves are so long that the picture does not fold over."""
         return self._waves("drift", self._shared, _STRETCH * self._shared, shape, seed)
 
-    def _jitter(self, around: Pattern, origin: Origin) -> Displacement:
+    def _jitter(self, around: Pattern, numbers: Draw) -> Displacement:
         """Return the displacement of the element at each pixel, smoothed across the seams by a Gaussian."""
         weight = self._smooth(around.coverage() + 1e-3)
-        moves = [self._moves(layer, number, origin) for number, layer in enumerate(around.layers)]
+        moves = [self._moves(layer, number, numbers) for number, layer in enumerate(around.layers)]
         inside = slice(self.margin, -self.margin)
         fields = (reduce(np.add, axis) for axis in zip(*moves, strict=True))
         return np.stack([(self._smooth(field) / weight)[inside, inside] for field in fields], -1)
 
-    def _moves(self, layer: Layer, number: int, origin: Origin) -> list[Field]:
+    def _moves(self, layer: Layer, number: int, numbers: Draw) -> list[Field]:
         """Return the independent displacement of each element along x and y, times its coverage, at each point."""
         census = layer.census()
-        table = self._move_table(layer.name, origin.elements(number, census.index), origin.seed)
+        table = self._move_table(layer.name, numbers.elements(number, census.index), numbers.seed)
         return [layer.coverage * column.take(census.row) for column in np.ascontiguousarray(table.T)]
 
     def _move_table(self, name: str, index: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
@@ -157,22 +157,20 @@ class Departures:
             )
         )
 
-    def paint(self, pattern: Pattern, seed: int, origin: Origin | None = None) -> tuple[Image, Elements]:
+    def paint(self, pattern: Pattern, seed: int, numbers: Draw) -> tuple[Image, Elements]:
         """Return the image, not yet clipped, and the elements in it with their departures.
 
         Parameters
         ----------
         pattern, seed
             The displaced pattern, and the seed of the draw.
-        origin
-            The draw whose random numbers the elements and the pixels take. None: this draw. The light is always that of
-            this draw.
+        numbers
+            The draw whose random numbers the elements and the pixels take. The light is always that of ``seed``.
         """
-        origin = origin or OwnDraw(seed)
-        read = origin.reader(pattern) if self.noise or self.damage else None
+        read = numbers.reader(pattern) if self.noise or self.damage else None
         elements: Elements = {}
         layers, tables = [], []
-        for layer, factor, truth in self._depart(pattern, seed, origin, read):
+        for layer, factor, truth in self._depart(pattern, seed, numbers, read):
             layers.append(layer)
             tables.append(factor)
             for name, rows in truth.items():
@@ -187,31 +185,31 @@ class Departures:
             for plane in np.moveaxis(image, -1, 0):
                 plane *= shade
         if read and self.noise:
-            noise = read(lambda size: grain(role_seed(origin.seed, "noise"), size))
+            noise = read(lambda size: grain(role_seed(numbers.seed, "noise"), size))
             grains = np.float32(self.noise) * noise
             for plane in np.moveaxis(image, -1, 0):
                 plane += grains
         return image, elements
 
     def _depart(
-        self, pattern: Pattern, seed: int, origin: Origin, read: Reader | None
+        self, pattern: Pattern, seed: int, numbers: Draw, read: Reader | None
     ) -> Iterator[tuple[Layer, Image, Elements]]:
         """Yield each layer with its damage, its factor at each pixel and the truth about its elements."""
         shape = pattern.layers[0].coverage.shape
-        holes = read(lambda size: self._holes(size, origin.seed)) if read and self.damage else 0.0
+        holes = read(lambda size: self._holes(size, numbers.seed)) if read and self.damage else 0.0
         shared = self._shared_jitter(shape, seed) if self._shared else None
         for number, layer in enumerate(pattern.layers):
             census = layer.census()
-            visible, source = census.visible(layer.coverage), origin.elements(number, census.index)
-            table = factors(origin.seed, layer.name, source, self.color, self.intensity)
+            visible, source = census.visible(layer.coverage), numbers.elements(number, census.index)
+            table = factors(numbers.seed, layer.name, source, self.color, self.intensity)
             truth = {"index": census.index.astype(np.float64), "factor": table}
             if self.damage or self.missing:
-                truth["damage"] = self._losses(layer.name, source, origin.seed)
+                truth["damage"] = self._losses(layer.name, source, numbers.seed)
                 loss = truth["damage"].take(census.row)
                 lost = np.where(loss < 1, (loss > 0) * holes, 1.0)
                 layer = replace(layer, coverage=layer.coverage * (1 - lost))
             if self.jitter:
-                truth["displacement"] = self._move_table(layer.name, source, origin.seed)
+                truth["displacement"] = self._move_table(layer.name, source, numbers.seed)
             if shared is not None:
                 truth["displacement"] += census.means(shared)
             named = {f"{layer.name}.{part}": rows[visible] for part, rows in truth.items()}

@@ -5,10 +5,10 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -17,9 +17,9 @@ from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Kind, Shape, Texture
 
 from .departures import Departures
-from .drawing import Field, Frame, Pattern, hue_rotation
+from .pattern import Field, Frame, Pattern, hue_rotation
 from .random_fields import role_seed
-from .recomposition import Picture, Sources
+from .recomposition import Draw, Picture
 
 Vectors = tuple[Vector, Vector]
 """Two generating vectors (x, y) in px."""
@@ -94,6 +94,10 @@ class Model(ABC):
 
     procedural: ClassVar[bool] = True
     version: ClassVar[str] = "1"
+    least_sizes: ClassVar[Mapping[str, float]] = {}
+    """Least values, px, of the parameters that are lengths, as far as they depend on no other parameter."""
+    breadth: ClassVar[str | None] = None
+    """Name of the parameter that is the typical breadth of an element. None: half of :attr:`s`."""
 
     def __init_subclass__(cls) -> None:
         """Complete a model's page: its own parameters, then those of all models."""
@@ -106,10 +110,16 @@ class Model(ABC):
 
     def __post_init__(self) -> None:
         for name in _STRENGTHS:
-            check(0 <= getattr(self, name) <= 1, f"{name} is {getattr(self, name)}; give a strength from 0 to 1")
+            require(0 <= getattr(self, name) <= 1, f"{name} is {getattr(self, name)}; give a strength from 0 to 1")
         check_degrees(self, "rotation", "hue")
         fixed = () if self.phase is None else self.phase
-        check(bool(np.isfinite(fixed).all()), f"phase is {self.phase}; give two fractions of the generating vectors")
+        require(bool(np.isfinite(fixed).all()), f"phase is {self.phase}; give two fractions of the generating vectors")
+        check_choices(self)
+        self._check_parameters()
+
+    def _check_parameters(self) -> None:
+        """Raise :class:`BadInput` if a model's own parameters are out of range."""
+        check_sizes(self, **self.least_sizes)
 
     @property
     @abstractmethod
@@ -128,7 +138,7 @@ class Model(ABC):
     @property
     def element_size(self) -> float:
         """Typical breadth of an element in px."""
-        return self.s / 2
+        return getattr(self, self.breadth) if self.breadth else self.s / 2
 
     def sublattices(self) -> tuple[Vectors, ...]:
         """Return the generating vectors, before rotation, of the parts of the pattern that have their own lattices."""
@@ -185,7 +195,8 @@ class Model(ABC):
         frame, shape = Frame(), (side, side)
         around = self.colored_pattern(*frame.grid(shape, self.departures.margin))
         for draw in range(_DRAWS):
-            moved = self.departures.displacement(around, shape, role_seed(draw, "regular share"))
+            seed = role_seed(draw, "regular share")
+            moved = self.departures.displacement(around, shape, seed, Draw(seed))
             yield self.colored_pattern(*frame.grid(shape, moved=moved))
 
     @property
@@ -211,14 +222,14 @@ class Model(ABC):
         check_shape(shape)
         seed = int(rng.integers(2**63))
         frame, departures = Frame(origin, self.rotation), self.departures
-        sources = None if sample is None else self._sources(shape, frame, sample, seed)
+        numbers = Draw(seed) if sample is None else self._copied_draw(shape, frame, sample, seed)
         around = self.colored_pattern(*frame.grid(shape, departures.margin))
         pattern = around.crop(departures.margin)
         ideal, moved = pattern.ideal(), None
         if departures.spread:
-            moved = departures.displacement(around, shape, seed, sources)
+            moved = departures.displacement(around, shape, seed, numbers)
             pattern = self.colored_pattern(*frame.grid(shape, moved=moved))
-        image, elements = departures.paint(pattern, seed, sources)
+        image, elements = departures.paint(pattern, seed, numbers)
         name = type(self).__name__.lower()
         lattices = tuple(self._lattice(origin, vectors) for vectors in (self.vectors, *self.sublattices()))
         return Texture(
@@ -235,30 +246,39 @@ class Model(ABC):
             draw_seed=seed,
         )
 
-    def _sources(self, shape: Shape, frame: Frame, sample: Texture, seed: int) -> Sources:
+    def _copied_draw(self, shape: Shape, frame: Frame, sample: Texture, seed: int) -> Draw:
         """Return the element of the sample that each element of a picture copies."""
         margin = self.departures.margin + self.departures.reach
-        picture = Picture(self.colored_pattern, *frame.grid(shape, margin), margin)
+        picture = Picture(self.colored_pattern, *frame.grid(shape, margin), margin, sample, seed)
 
         def lattice_of(name: str) -> tuple[Vectors, Lattice]:
             vectors = self.kind_vectors(name)
             return vectors, self._lattice(frame.origin, vectors)
 
-        return picture.find_sources(sample, lattice_of, seed)
+        return picture.copied_draw(lattice_of)
 
 
-class SquareModel(Model):
-    """A model on the upright square lattice of side ``period``."""
+class RectangularModel(Model):
+    """A model on an upright rectangular lattice."""
 
-    period: float
+    sides: ClassVar[tuple[str, str]] = ("width", "height")
+    """Names of the parameters that are the sides of a cell, px."""
 
     @property
     def vectors(self) -> Vectors:
         """The vectors along a row, and to the next one."""
-        return (self.period, 0.0), (0.0, self.period)
+        width, height = (getattr(self, side) for side in self.sides)
+        return (width, 0.0), (0.0, height)
 
 
-def check(holds: bool, message: str) -> None:
+class SquareModel(RectangularModel):
+    """A model on the upright square lattice of side ``period``."""
+
+    period: float
+    sides = ("period", "period")
+
+
+def require(holds: bool, message: str) -> None:
     """Raise :class:`BadInput` with ``message`` unless ``holds``."""
     if not holds:
         raise BadInput(message)
@@ -268,24 +288,26 @@ def check_sizes(model: Any, **least: float) -> None:
     """Raise :class:`BadInput` if a length of ``model`` is below its value in ``least``, huge or NaN; both in px."""
     for name, low in least.items():
         size = getattr(model, name)
-        check(low <= size < 1e4, f"{name} is {size} px; give at least {low:g}, less than 10000")
+        require(low <= size < 1e4, f"{name} is {size} px; give at least {low:g}, less than 10000")
 
 
 def check_degrees(model: Any, *names: str) -> None:
     """Raise :class:`BadInput` if an angle of ``model`` is infinite or NaN."""
     for name in names:
-        check(math.isfinite(getattr(model, name)), f"{name} is {getattr(model, name)}; give degrees")
+        require(math.isfinite(getattr(model, name)), f"{name} is {getattr(model, name)}; give degrees")
 
 
-def check_choice(model: Any, name: str, known: Any) -> None:
-    """Raise :class:`BadInput` unless the field ``name`` of ``model`` is one of the ``known`` words."""
-    word = getattr(model, name)
-    check(word in known, f"{name} is {word!r}; give one of: {', '.join(map(str, known))}")
+def check_choices(model: Any) -> None:
+    """Raise :class:`BadInput` unless each ``Literal`` field of ``model`` holds one of its words."""
+    for name, hint in get_type_hints(type(model)).items():
+        word = getattr(model, name)
+        if get_origin(hint) is Literal and word not in get_args(hint):
+            raise BadInput(f"{name} is {word!r}; give one of: {', '.join(get_args(hint))}")
 
 
 def check_shape(shape: Shape) -> None:
     """Raise :class:`BadInput` if a picture has no pixels, or more than :data:`LARGEST_AREA`."""
     height, width = shape
     size = f"shape {width}x{height} px"
-    check(min(shape) >= 1, f"{size} has no pixels; give at least 1 a side")
-    check(height * width <= LARGEST_AREA, f"{size} is too large to draw; give at most {LARGEST_AREA} px in all")
+    require(min(shape) >= 1, f"{size} has no pixels; give at least 1 a side")
+    require(height * width <= LARGEST_AREA, f"{size} is too large to draw; give at most {LARGEST_AREA} px in all")

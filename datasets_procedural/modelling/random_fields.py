@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import sum_channels
 from nrbench.plugins.forms import Shape
 
-from .drawing import Field
+from .pattern import Field
 
 Words = NDArray[np.uint64]
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

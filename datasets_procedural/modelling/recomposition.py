@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nrbench.lattice.geometry import Lattice, Vector, integers_within
 from nrbench.plugins.forms import Shape, Texture
 
-from .drawing import Census, Field, Index, Layer, Pattern
+from .pattern import Field, Index, Layer, Pattern
 from .random_fields import role_seed, unit
 
 Indices = NDArray[np.int64]
@@ -28,35 +28,18 @@ KindLattice = tuple[tuple[Vector, Vector], Lattice]
 """The generating vectors of one kind of element in the model's axes, and their lattice in the picture."""
 
 
-class Origin(Protocol):
-    """The source of the random numbers of the elements and the pixels of a picture."""
-
-    @property
-    def seed(self) -> int:
-        """Seed of the draw whose random numbers they take."""
-        ...
-
-    def elements(self, layer: int, index: Indices) -> Indices:
-        """Return the index of the element of that draw whose numbers each element of a layer takes."""
-        ...
-
-    def reader(self, pattern: Pattern) -> Reader:
-        """Return a function that reads random fields of that draw at the pixels of ``pattern``."""
-        ...
-
-
 @dataclass(frozen=True)
-class OwnDraw:
-    """Elements and pixels take the numbers of their own draw."""
+class Draw:
+    """The random numbers of the elements and the pixels of a picture: those of the draw of ``seed``."""
 
     seed: int
 
     def elements(self, layer: int, index: Indices) -> Indices:
-        """Return the index itself."""
+        """Return the index of the element of that draw whose numbers each element of a layer takes: its own."""
         return index
 
     def reader(self, pattern: Pattern) -> Reader:
-        """Return a function that draws a field of the shape of ``pattern``."""
+        """Return a function that reads random fields of that draw at the pixels of ``pattern``."""
         shape = pattern.layers[0].coverage.shape
         return lambda draw: draw(shape)
 
@@ -87,8 +70,8 @@ class Copies:
 
 
 @dataclass(frozen=True)
-class Sources:
-    """Elements and pixels take the numbers of elements and pixels of a sample.
+class CopiedDraw(Draw):
+    """Random numbers of which elements and pixels take those of elements and pixels of a sample.
 
     Parameters
     ----------
@@ -102,7 +85,6 @@ class Sources:
         The smallest lattice of the pattern, reduced.
     """
 
-    seed: int
     shape: Shape
     layers: tuple[Copies, ...]
     cells: Copies
@@ -140,7 +122,7 @@ class Sources:
 
 @dataclass(frozen=True)
 class Picture:
-    """A pattern without displacement, on a picture and on some px around it.
+    """A pattern without displacement, on a picture and on some px around it, whose elements copy those of a sample.
 
     Parameters
     ----------
@@ -150,14 +132,20 @@ class Picture:
         The points of the picture's pixels in the model's axes.
     margin
         Number of px around the picture.
+    sample
+        A draw of the same model and lattice.
+    seed
+        Seed of the random choice.
     """
 
     draw: Callable[[Field, Field], Pattern]
     x: Field
     y: Field
     margin: int
+    sample: Texture
+    seed: int
 
-    def find_sources(self, sample: Texture, lattice_of: Callable[[str], KindLattice], seed: int) -> Sources:
+    def copied_draw(self, lattice_of: Callable[[str], KindLattice]) -> CopiedDraw:
         """Draw the element of the sample that each element of the picture copies.
 
         Only elements that are visible in the sample are copied. Places at which the whole element of the picture fits
@@ -167,33 +155,30 @@ class Picture:
 
         Parameters
         ----------
-        sample
-            A draw of the same model and lattice.
         lattice_of
             Returns the lattice of a kind of element, by the name of its layer.
-        seed
-            Seed of the random choice.
         """
-        assert sample.lattice is not None and sample.draw_seed is not None
-        pattern, shape = self.draw(self.x, self.y), (sample.image.shape[0], sample.image.shape[1])
-        layers = []
+        assert self.sample.lattice is not None and self.sample.draw_seed is not None
+        pattern, layers = self.draw(self.x, self.y), []
         for number, layer in enumerate(pattern.layers):
             vectors, lattice = lattice_of(layer.name)
-            census, places = layer.census(), _Places.of(layer, self.margin)
-            choice = _Choice(layer.name, census.index[places.rows], places, lattice, shape, seed)
+            places = _Places.of(layer, self.margin)
             changes = self._index_changes(pattern, number, places, vectors)
-            visible = sample.elements.get(f"{layer.name}.index", np.zeros((0, census.index.shape[1]))).astype(np.int64)
-            layers.append(_copies(census, places.rows, *choice.draw(changes, visible)))
-        return Sources(sample.draw_seed, shape, tuple(layers), *self._cells(sample.lattice.reduced(), shape, seed))
-
-    def _cells(self, lattice: Lattice, shape: Shape, seed: int) -> tuple[Copies, Lattice]:
-        """Return the copied cells of the lattice, and the lattice."""
+            nothing = np.zeros((0, len(layer.index)))
+            visible = self.sample.elements.get(f"{layer.name}.index", nothing).astype(np.int64)
+            layers.append(self._copies(layer, places, lattice, changes, visible))
+        lattice = self.sample.lattice.reduced()
         index = _cell_index(lattice, _pixel_grid(self.x.shape) - self.margin)
         layer = Layer("cell", index, np.ones(self.x.shape), 0.0)
-        census, places = layer.census(), _Places.of(layer, self.margin)
-        choice = _Choice("cell", census.index[places.rows], places, lattice, shape, seed)
+        places = _Places.of(layer, self.margin)
         changes = np.broadcast_to(np.eye(2, dtype=np.int64), (len(places.rows), 2, 2))
-        return _copies(census, places.rows, *choice.draw(changes, None)), lattice
+        cells = self._copies(layer, places, lattice, changes, None)
+        return CopiedDraw(self.sample.draw_seed, self._shape, tuple(layers), cells, lattice)
+
+    @property
+    def _shape(self) -> Shape:
+        """Shape (height, width) of the sample."""
+        return self.sample.image.shape[0], self.sample.image.shape[1]
 
     def _index_changes(
         self, pattern: Pattern, number: int, places: _Places, vectors: tuple[Vector, Vector]
@@ -211,6 +196,44 @@ class Picture:
             best = min(equal, key=lambda other: float(np.abs(other.coverage - covered).sum()))
             changes.append(np.stack([part.reshape(-1) for part in best.index], -1) - own)
         return np.stack(changes, 1)
+
+    def _copies(
+        self, layer: Layer, places: _Places, lattice: Lattice, changes: NDArray[np.int64], visible: Indices | None
+    ) -> Copies:
+        """Return the element that each element of a layer copies. Those that are not in the picture copy themselves.
+
+        Parameters
+        ----------
+        layer, places, lattice
+            The elements, where they lie, and their lattice.
+        changes
+            How the index changes by each of the two lattice vectors, ``(n, 2, k)``.
+        visible
+            Indices of the elements that are visible in the sample; None: all elements are.
+        """
+        census, shape = layer.census(), self._shape
+        own = census.index[places.rows]
+        numbers = _vectors_into(lattice, places.center, shape)
+        moves = np.rint(numbers @ lattice.matrix).astype(np.int64)
+        index = own[:, np.newaxis] + numbers @ changes
+        known = np.ones(index.shape[:2], np.bool_) if visible is None else _contains(visible, index)
+        inside = known & _inside(places.center[:, np.newaxis] + moves, shape)
+        whole = inside & _inside(places.first[:, np.newaxis] + moves, shape)
+        whole &= _inside(places.last[:, np.newaxis] + moves, shape)
+        allowed = np.where(whole.any(1, keepdims=True), whole, inside)
+        number = unit(role_seed(self.seed, f"{layer.name}.source"), *own.T)
+        count = allowed.sum(1)
+        chosen = (allowed.cumsum(1) > np.floor(number * count)[:, np.newaxis]).argmax(1)
+        row = np.arange(len(chosen))
+        source, steps = index[row, chosen], moves[row, chosen]
+        lost = count == 0
+        source[lost], steps[lost] = own[lost], 0
+        if visible is not None and len(visible):
+            source[lost] = visible[(number[lost] * len(visible)).astype(np.int64)]
+        low, high = census.index.min(0), census.index.max(0)
+        table, still = census.index.copy(), np.zeros((len(census.index), 2), np.int64)
+        table[places.rows], still[places.rows] = source, steps
+        return Copies(low, tuple((high - low + 1).tolist()), table, still)
 
 
 @dataclass(frozen=True)
@@ -256,80 +279,18 @@ class _Places:
         return cls(rows, np.asarray(pixel), positions[:, ::-1] - margin, first - margin, last - margin)
 
 
-@dataclass(frozen=True)
-class _Choice:
-    """A random choice of the place in a sample that each element copies.
+def _vectors_into(lattice: Lattice, center: NDArray[np.int64], shape: Shape) -> NDArray[np.int64]:
+    """Return cell coordinates of lattice vectors that lead to places in a sample of ``shape``, ``(n, m, 2)``.
 
-    Parameters
-    ----------
-    name, index, places
-        The kind of element, and the indices and the places of its elements.
-    lattice
-        Its lattice.
-    shape
-        Shape (height, width) of the sample.
-    seed
-        Seed of the random choice.
+    They include all that lead from a center (x, y), ``(n, 2)``, into the sample, and some others.
     """
-
-    name: str
-    index: Indices
-    places: _Places
-    lattice: Lattice
-    shape: Shape
-    seed: int
-
-    def draw(self, changes: NDArray[np.int64], visible: Indices | None) -> tuple[Indices, NDArray[np.int64]]:
-        """Return index and step (x, y) px of the copied elements, ``(n, k)`` and ``(n, 2)``.
-
-        Parameters
-        ----------
-        changes
-            How the index changes by each of the two lattice vectors, ``(n, 2, k)``.
-        visible
-            Indices of the elements that are visible in the sample; None: all elements are.
-        """
-        numbers = self._numbers()
-        moves = np.rint(numbers @ self.lattice.matrix).astype(np.int64)
-        index = self.index[:, np.newaxis] + numbers @ changes
-        known = np.ones(index.shape[:2], np.bool_) if visible is None else _contains(visible, index)
-        inside = known & _inside(self.places.center[:, np.newaxis] + moves, self.shape)
-        whole = inside & _inside(self.places.first[:, np.newaxis] + moves, self.shape)
-        whole &= _inside(self.places.last[:, np.newaxis] + moves, self.shape)
-        allowed = np.where(whole.any(1, keepdims=True), whole, inside)
-        number = unit(role_seed(self.seed, f"{self.name}.source"), *self.index.T)
-        count = allowed.sum(1)
-        chosen = (allowed.cumsum(1) > np.floor(number * count)[:, np.newaxis]).argmax(1)
-        row = np.arange(len(chosen))
-        source, steps = index[row, chosen], moves[row, chosen]
-        lost = count == 0
-        if lost.any():
-            source[lost], steps[lost] = self.index[lost], 0
-            if visible is not None and len(visible):
-                source[lost] = visible[(number[lost] * len(visible)).astype(np.int64)]
-        return source, steps
-
-    def _numbers(self) -> NDArray[np.int64]:
-        """Return cell coordinates of lattice vectors that lead to places in the sample, ``(n, m, 2)``.
-
-        They include all that lead from the center of an element into the sample, and some others.
-        """
-        cell = self.lattice.to_cell(self.places.center.astype(np.float64))
-        base = np.floor(cell).astype(np.int64)
-        corners = self.lattice.from_cell([(0, 0), (1, 0), (0, 1), (1, 1)])
-        last = np.array(self.shape[::-1]) - 0.5
-        low, high = -0.5 - corners.max(0) - 1, last - corners.min(0) + 1
-        reduced = self.lattice.reduced().matrix
-        change = np.rint(reduced @ np.linalg.inv(self.lattice.matrix)).astype(np.int64)
-        return np.asarray(integers_within(reduced, low, high) @ change - base[:, np.newaxis])
-
-
-def _copies(census: Census, rows: NDArray[np.intp], index: Indices, steps: NDArray[np.int64]) -> Copies:
-    """Return the table of all indices of a census. Elements that are not in the picture copy themselves."""
-    low, high = census.index.min(0), census.index.max(0)
-    own, still = census.index.copy(), np.zeros((len(census.index), 2), np.int64)
-    own[rows], still[rows] = index, steps
-    return Copies(low, tuple((high - low + 1).tolist()), own, still)
+    base = np.floor(lattice.to_cell(center.astype(np.float64))).astype(np.int64)
+    corners = lattice.from_cell([(0, 0), (1, 0), (0, 1), (1, 1)])
+    last = np.array(shape[::-1]) - 0.5
+    low, high = -0.5 - corners.max(0) - 1, last - corners.min(0) + 1
+    reduced = lattice.reduced().matrix
+    change = np.rint(reduced @ np.linalg.inv(lattice.matrix)).astype(np.int64)
+    return np.asarray(integers_within(reduced, low, high) @ change - base[:, np.newaxis])
 
 
 def _contains(known: Indices, index: Indices) -> NDArray[np.bool_]:

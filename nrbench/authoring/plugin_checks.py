@@ -32,21 +32,9 @@ from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import (
-    Again,
-    Alternative,
-    Detection,
-    NoLatticeFound,
-    Observation,
-    Refused,
-    Score,
-    Shape,
-    Synthesis,
-    Task,
-    Texture,
-)
+from nrbench.plugins import forms
 from nrbench.running.output_checks import InvalidOutput, check_source, checked_synthesis
-from nrbench.running.phases import FAULTS, Send, score_observation, send_error, write_score
+from nrbench.running.phases import FAULTS, Send, freeze, leaves, score_observation, send_error, write_score
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder
 from nrbench.storage import read_json
@@ -150,17 +138,6 @@ class Clause:
     after: str = ""
     twice: bool = False
 
-    def examine(self, subject: Subject) -> tuple[str, str]:
-        """Check the clause; return ``ok``, ``refused`` (it does not apply) or ``invalid`` (violated), and why."""
-        try:
-            return "ok", self.test(subject) or self.demand
-        except Skipped as skipped:
-            return "refused", str(skipped)
-        except Refused as refusal:
-            return "refused", f"refused: {refusal.reason}"
-        except Violated as violated:
-            return "invalid", str(violated)
-
 
 CLAUSES: dict[str, list[Clause]] = {kind: [] for kind in plugins.FORMS}
 """The clauses of each kind, in the order in which they are tested."""
@@ -195,14 +172,20 @@ def clause(
 def check(folder: Path, send: Send) -> None:
     """Check the clause that ``cell.json`` names. This is a phase, see :mod:`nrbench.running.phases`.
 
-    Sends one message: a status of :meth:`Clause.examine`, or ``error``, with what was seen.
+    Sends one message: status ``ok`` (fulfilled), ``refused`` (it does not apply), ``invalid`` (violated) or ``error``,
+    with what was seen.
     """
     wanted = read_json(CellFolder(folder).cell_file) or {}
     subject = SUBJECTS[wanted["kind"]](wanted["name"], wanted["parameters"], wanted["run"])
     (chosen,) = (each for each in CLAUSES[wanted["kind"]] if each.name == wanted["clause"])
     try:
-        status, message = chosen.examine(subject)
-        send({"status": status, "message": message})
+        send({"status": "ok", "message": chosen.test(subject) or chosen.demand})
+    except Skipped as skipped:
+        send({"status": "refused", "message": str(skipped)})
+    except forms.Refused as refusal:
+        send({"status": "refused", "message": f"refused: {refusal.reason}"})
+    except Violated as violated:
+        send({"status": "invalid", "message": str(violated)})
     except FAULTS as error:
         send_error(error, send)
 
@@ -210,7 +193,7 @@ def check(folder: Path, send: Send) -> None:
 # ---------------------------------------------------------------------------------------------------- the inputs
 
 
-def draw_wall(shape: Shape, rng: np.random.Generator, channels: int = 3) -> Texture:
+def draw_wall(shape: forms.Shape, rng: np.random.Generator, channels: int = 3) -> forms.Texture:
     """Return a wall of tiles on :data:`LATTICE`; each tile has a brightness of its own.
 
     Parameters
@@ -233,7 +216,7 @@ def draw_wall(shape: Shape, rng: np.random.Generator, channels: int = 3) -> Text
     color = np.array([0.9, 0.7, 0.5]) if channels == 3 else np.array([0.7])
     ideal = np.where((u > 1 / 16) & (v > 1 / 12), relief, 0.15)[..., np.newaxis] * color
     image = ideal * factors[..., np.newaxis] + rng.normal(0, 0.01, (*shape, 1))
-    return Texture(
+    return forms.Texture(
         quantize(np.asarray(image, np.float32)),
         LATTICE,
         (LATTICE,),
@@ -247,44 +230,22 @@ def draw_wall(shape: Shape, rng: np.random.Generator, channels: int = 3) -> Text
     )
 
 
-def _draw_again(seed: int, channels: int, shape: Shape, k: int) -> Texture:
+def _draw_again(seed: int, channels: int, shape: forms.Shape, k: int) -> forms.Texture:
     """Return a fresh draw, read-only as in a run."""
-    texture = draw_wall(shape, stream("check", seed, "again", k), channels)
-    freeze(texture)
-    return texture
-
-
-def _leaves(thing: Any) -> Iterator[Any]:
-    """Yield the values that an input or an answer is made of, and their names. Measured times are left out."""
-    if isinstance(thing, Mapping):
-        for key in sorted(thing, key=str):
-            yield str(key)
-            yield from _leaves(thing[key])
-    elif isinstance(thing, tuple | list):
-        for part in thing:
-            yield from _leaves(part)
-    elif dataclasses.is_dataclass(thing) and not isinstance(thing, type):
-        yield from _leaves({each.name: getattr(thing, each.name) for each in dataclasses.fields(thing) if each.init})
-    else:
-        yield thing
+    return freeze(draw_wall(shape, stream("check", seed, "again", k), channels))
 
 
 def digest(answer: Any) -> str:
     """Return a hash of an answer: arrays by their bytes, dataclasses and containers by their content."""
     found = hashlib.blake2b(digest_size=12)
-    for part in _leaves(dataclasses.replace(answer, detection_seconds=0) if isinstance(answer, Synthesis) else answer):
+    for part in leaves(
+        dataclasses.replace(answer, detection_seconds=0) if isinstance(answer, forms.Synthesis) else answer
+    ):
         if isinstance(part, np.ndarray):
             found.update(f"{part.dtype}{part.shape}".encode() + np.ascontiguousarray(part).tobytes())
         else:
             found.update(repr(part).encode())
     return found.hexdigest()
-
-
-def freeze(given: Any) -> None:
-    """Make all arrays of an input read-only."""
-    for part in _leaves(given):
-        if isinstance(part, np.ndarray):
-            part.setflags(write=False)
 
 
 # -------------------------------------------------------------------------------------- the plugins of each kind
@@ -301,7 +262,7 @@ class SynthesizerSubject(Subject):
         """Whether the method uses a lattice."""
         return bool(getattr(self.plugin, "uses_lattice", True))
 
-    def make_input(self, seed: int = 0, channels: int = 3, **changes: Any) -> Task:
+    def make_input(self, seed: int = 0, channels: int = 3, **changes: Any) -> forms.Task:
         """Return a task; ``changes`` are fields of :class:`~nrbench.plugins.forms.Task`."""
         fields: dict[str, Any] = {
             "sample": draw_wall(SAMPLE, stream("check", seed), channels).image,
@@ -312,18 +273,18 @@ class SynthesizerSubject(Subject):
         }
         if getattr(self.cls, "reference", False):
             fields |= dict.fromkeys(("again", "recompose"), partial(_draw_again, seed, channels))
-        return Task(**fields)
+        return forms.Task(**fields)
 
-    def call(self, given: Task) -> Synthesis:
+    def call(self, given: forms.Task) -> forms.Synthesis:
         """Return the synthesis of a task."""
-        return cast("Synthesis", self.plugin.synthesize(given))
+        return cast("forms.Synthesis", self.plugin.synthesize(given))
 
     def describe(self, **changes: Any) -> str:
         """Check all but the source map."""
         task = self.make_input(**changes)
         made = self.call(task)
         try:
-            bare = dataclasses.replace(made, source=None) if isinstance(made, Synthesis) else made
+            bare = dataclasses.replace(made, source=None) if isinstance(made, forms.Synthesis) else made
             height, width, channels = checked_synthesis(bare, task.sample, task.shape).image.shape
         except InvalidOutput as invalid:
             raise Violated(str(invalid)) from None
@@ -344,15 +305,17 @@ class DetectorSubject(Subject):
     kind = "detectors"
     first = ("detection", "The detector returns a Detection or finds no lattice.")
 
-    def make_input(self, seed: int = 0, channels: int = 3, shape: Shape = OUTPUT, image: Image | None = None) -> Image:
+    def make_input(
+        self, seed: int = 0, channels: int = 3, shape: forms.Shape = OUTPUT, image: Image | None = None
+    ) -> Image:
         """Return the image of a wall, or a copy of another one."""
         return draw_wall(shape, stream("check", seed), channels).image if image is None else image.copy()
 
-    def call(self, given: Image) -> Detection | None:
+    def call(self, given: Image) -> forms.Detection | None:
         """Return the detection in an image; None if there is none."""
         try:
-            return cast("Detection", self.plugin.detect(given))
-        except NoLatticeFound as none:
+            return cast("forms.Detection", self.plugin.detect(given))
+        except forms.NoLatticeFound as none:
             demand(isinstance(none.reason, str) and none.reason, "raised NoLatticeFound without a reason")
             return None
 
@@ -361,12 +324,14 @@ class DetectorSubject(Subject):
         found: Any = self.call(self.make_input(**changes))
         if found is None:
             return "no lattice"
-        demand(isinstance(found, Detection), f"returned {type(found).__name__} instead of a Detection")
+        demand(isinstance(found, forms.Detection), f"returned {type(found).__name__} instead of a Detection")
         demand(isinstance(found.lattice, Lattice), f"returned the lattice {found.lattice!r}; it must be a Lattice")
         share = found.confidence
         number = isinstance(share, int | float | np.number) and not isinstance(share, bool)
         demand(number and 0 <= share <= 1, f"returned the confidence {share!r}; it must be a number in [0, 1]")
-        others = isinstance(found.alternatives, tuple) and all(isinstance(o, Alternative) for o in found.alternatives)
+        others = isinstance(found.alternatives, tuple) and all(
+            isinstance(o, forms.Alternative) for o in found.alternatives
+        )
         demand(others, "alternatives must be a tuple of Alternative")
         return f"{_numbers(found.lattice)}, confidence {share:.2g}"
 
@@ -381,12 +346,12 @@ class MetricSubject(Subject):
     kind = "metrics"
     first = ("score", "Every declared column has a value, or None and a reason.")
 
-    def make_input(self, seed: int = 0, channels: int = 3, known: str = "model") -> Observation:
+    def make_input(self, seed: int = 0, channels: int = 3, known: str = "model") -> forms.Observation:
         """Return a fresh draw as an output. ``known`` is ``"model"``, ``"lattice"`` or ``"nothing"``."""
         sample = draw_wall(SAMPLE, stream("check", seed), channels)
-        again: Again | None = partial(_draw_again, seed, channels) if known == "model" else None
-        truths = {"model": sample, "lattice": Texture(sample.image, LATTICE, (LATTICE,))}
-        return Observation(
+        again: forms.Again | None = partial(_draw_again, seed, channels) if known == "model" else None
+        truths = {"model": sample, "lattice": forms.Texture(sample.image, LATTICE, (LATTICE,))}
+        return forms.Observation(
             sample.image,
             draw_wall(OUTPUT, stream("check", seed, "output"), channels).image,
             truths.get(known),
@@ -396,7 +361,7 @@ class MetricSubject(Subject):
             again=again,
         )
 
-    def call(self, given: Observation) -> Score:
+    def call(self, given: forms.Observation) -> forms.Score:
         """Return the score of an observation."""
         return score_observation(given, self.name, self.parameters)
 
@@ -426,22 +391,22 @@ class DatasetSubject(Subject):
     kind = "datasets"
     first = ("texture", "The texture has the shape, the channels and the range.")
 
-    def recipe(self, seed: int = 0, shape: Shape = SAMPLE) -> Recipe:
+    def recipe(self, seed: int = 0, shape: forms.Shape = SAMPLE) -> Recipe:
         """Return the recipe of a draw."""
         return Recipe(self.name, plugins.parameters_of(self.plugin), seed, "check", 0, shape)
 
-    def make_input(self, seed: int = 0, **changes: Any) -> tuple[Recipe, Texture]:
+    def make_input(self, seed: int = 0, **changes: Any) -> tuple[Recipe, forms.Texture]:
         """Return a recipe, and its texture."""
         recipe = self.recipe(seed, **changes)
         return recipe, recipe.render()
 
-    def call(self, given: tuple[Recipe, Texture]) -> Any:
+    def call(self, given: tuple[Recipe, forms.Texture]) -> Any:
         """Return the texture, and fresh draws of it."""
         recipe, texture = given
         recompose = recipe.recompose(texture)
         return texture, recipe.again(texture)(SAMPLE, 0), recompose(SAMPLE, 0) if recompose else None
 
-    def valid(self, shape: Shape = SAMPLE) -> Texture:
+    def valid(self, shape: forms.Shape = SAMPLE) -> forms.Texture:
         """Return a checked texture."""
         try:
             return draw_texture(self.recipe(shape=shape), shape)[0]
@@ -587,10 +552,8 @@ def global_generators_stay(subject: Subject) -> None:
     """Check that all randomness comes from the generator that is passed in."""
     np.random.seed(1)  # noqa: NPY002
     random.seed(1)
-    before = _states()
-    subject.answer()
-    changed = [name for name, state in _states().items() if state != before[name]]
-    demand(not changed, f"draws from, or seeds, {' and '.join(changed)}; draw from the generator that is passed in")
+    changed = _changed_by(subject, _states)
+    demand(not changed, f"draws from, or seeds, {changed}; draw from the generator that is passed in")
 
 
 def _states() -> dict[str, Any]:
@@ -598,15 +561,21 @@ def _states() -> dict[str, Any]:
     return {"np.random": (kind, words.tobytes(), *rest), "random": random.getstate()}
 
 
+def _changed_by(subject: Subject, look: Callable[[], Mapping[str, Any]]) -> str:
+    """Return the names of what an answer of a plugin changes."""
+    before = look()
+    subject.answer()
+    after = look()
+    return " and ".join(name for name in before if before[name] != after[name])
+
+
 @clause("side effects", *_ALL)
 def surroundings_stay(subject: Subject) -> None:
     """Check that nothing outside of the plugin changes."""
     subject.answer()  # imports and caches of the first call are no side effects
-    before, threads = _surroundings(subject), set(threading.enumerate())
-    subject.answer()
-    after = _surroundings(subject)
-    changed = [name for name in before if before[name] != after[name]]
-    demand(not changed, f"changes {' and '.join(changed)}")
+    threads = set(threading.enumerate())
+    changed = _changed_by(subject, partial(_surroundings, subject))
+    demand(not changed, f"changes {changed}")
     demand(set(threading.enumerate()) <= threads, "leaves a thread running")
 
 
@@ -629,10 +598,8 @@ def _listed(files: Iterator[Path]) -> dict[str, tuple[int, int]]:
 @clause("read-only", SynthesizerSubject, DetectorSubject, MetricSubject, DatasetSubject)
 def input_stays(subject: Subject) -> None:
     """Check that the input is not changed."""
-    given = subject.make_input()
-    freeze(given)
     try:
-        subject.call(given)
+        subject.call(freeze(subject.make_input()))
     except ValueError as error:
         if "read-only" not in str(error):
             raise
@@ -661,7 +628,7 @@ def describe_cases(subject: Subject, cases: Mapping[str, Mapping[str, Any]], ins
     for name, changes in cases.items():
         try:
             subject.describe(**changes)
-        except Refused as refusal:
+        except forms.Refused as refusal:
             demand(isinstance(refusal.reason, str) and refusal.reason, f"{name}: refused without a reason")
             refused += 1
         except Violated as violated:
@@ -823,7 +790,7 @@ def fresh_draws_fit(model: DatasetSubject) -> None:
         raise Skipped("gives no fresh draws; the oracle refuses the texture")
     for drawn in draws:
         _check_draw(drawn, texture)
-        known, lattice = texture.lattice, cast("Texture", drawn).lattice
+        known, lattice = texture.lattice, cast("forms.Texture", drawn).lattice
         if known is not None and texture.region is None:
             same = lattice is not None and lattice.is_equivalent(known)
             demand(same, f"a draw has another lattice: {lattice} after {known}")
@@ -831,8 +798,8 @@ def fresh_draws_fit(model: DatasetSubject) -> None:
             demand(away < 1e-6, f"a draw has another origin: {cast('Lattice', lattice).origin} after {known.origin}")
 
 
-def _check_draw(drawn: object, texture: Texture) -> None:
-    if not isinstance(drawn, Texture):
+def _check_draw(drawn: object, texture: forms.Texture) -> None:
+    if not isinstance(drawn, forms.Texture):
         raise Violated(f"returned {type(drawn).__name__} instead of a Texture")
     wanted = (*OUTPUT, texture.image.shape[2])
     demand(drawn.image.shape == wanted, f"a draw of {wanted} has the shape {drawn.image.shape}")

@@ -5,72 +5,43 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from nrbench.running.cluster import connect
-from nrbench.running.supervisor import Job, close_all, print_notice, run_job, run_job_here
+from nrbench.running.supervisor import InProcessRunner, Job, close_all, perform_job, print_notice, run_job
 from nrbench.runs.store import Result
 
 
-class Executor(Protocol):
-    """Runs jobs: threads, a cluster, or this process."""
-
-    @property
-    def slots(self) -> int:
-        """The number of jobs that can run at the same time, at present; 0 if :meth:`submit` runs them."""
-        ...
-
-    def submit(self, job: Job) -> Future[Result]:
-        """Run a job, at once or when its turn comes. ``cancel`` of the future fails once the job is running."""
-        ...
-
-    def check(self) -> None:
-        """Raise an error if the jobs that were submitted cannot end any more."""
-        ...
-
-
-class InProcess:
-    """An executor that runs each job at once, in the caller's thread, for the debugger."""
-
-    slots = 0
-
-    def submit(self, job: Job) -> Future[Result]:
-        """Run a job now, and return its finished future."""
-        future: Future[Result] = Future()
-        try:
-            future.set_result(run_job_here(job))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-    def check(self) -> None:
-        """Raise nothing: each job has ended."""
-
-
-class Threads:
-    """An executor whose threads each keep a worker process.
+@dataclass(frozen=True)
+class Executor:
+    """Runs jobs: threads, a cluster, or this process.
 
     Parameters
     ----------
-    pool
-        The threads.
-    slots
-        Their number.
-    run_job
-        Runs a job in one of them.
+    submit
+        Runs a job, at once or when its turn comes. ``cancel`` of the future fails once the job is running.
+    count_slots
+        Returns the number of jobs that can run at the same time, at present; 0 if ``submit`` runs them.
+    check
+        Raises an error if the jobs that were submitted cannot end any more.
     """
 
-    def __init__(self, pool: ThreadPoolExecutor, slots: int, run_job: Callable[[Job], Result]) -> None:
-        self._pool, self.slots, self._run_job = pool, slots, run_job
+    submit: Callable[[Job], Future[Result]]
+    count_slots: Callable[[], int]
+    check: Callable[[], None] = lambda: None
 
-    def submit(self, job: Job) -> Future[Result]:
-        """Run a job when a thread is free."""
-        return self._pool.submit(self._run_job, job)
 
-    def check(self) -> None:
-        """Raise nothing: the threads are of this process."""
+def _run_now(job: Job) -> Future[Result]:
+    """Run a job in the caller's thread, for the debugger; return its finished future."""
+    future: Future[Result] = Future()
+    try:
+        future.set_result(perform_job(job, InProcessRunner()))
+    except Exception as error:
+        future.set_exception(error)
+    return future
 
 
 @contextmanager
@@ -100,15 +71,15 @@ def executor(
     """
     if scheduler is not None:
         with connect(scheduler, worker_wait, tell) as cluster:
-            yield cluster
+            yield Executor(cluster.submit, lambda: cluster.slots, cluster.check)
     elif jobs == 0:
         limit_threads: Any = threadpool_limits
         with limit_threads(1):  # as in a worker: sums over several threads round otherwise
-            yield InProcess()
+            yield Executor(_run_now, lambda: 0)
     else:
         pool = ThreadPoolExecutor(jobs, thread_name_prefix="cell")
         try:
-            yield Threads(pool, jobs, lambda job: run_job(job, tell))
+            yield Executor(lambda job: pool.submit(run_job, job, tell), lambda: jobs)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             close_all()

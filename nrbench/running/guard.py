@@ -9,10 +9,10 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import psutil
 
@@ -47,10 +47,6 @@ class Message(Result, total=False):
     finished: bool
 
 
-Receive = Callable[[float], Iterable[Message] | None]
-"""Waits up to a number of seconds. Returns the messages that arrived, or None if the child has closed its end."""
-
-
 @dataclass(frozen=True)
 class Limits:
     """What a child may use.
@@ -76,69 +72,112 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Ending:
-    """How a child ended.
+class Reply:
+    """How a request ended.
 
     Parameters
     ----------
-    messages
-        All messages of the child.
-    status
-        ``ended``, ``timeout``, ``memory`` or ``crash``.
-    message
-        One sentence, empty for ``ended``.
-    started
-        Most bytes that all processes which the child started held at any check.
+    result
+        At least ``status`` and ``message``.
+    scored
+        The metrics that are done.
     """
 
-    messages: list[Message]
-    status: str = "ended"
-    message: str = ""
-    started: int = 0
+    result: Result
+    scored: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the reply as a mapping that can be written as JSON."""
+        return {**self.result, "metrics": self.scored}
+
+    @classmethod
+    def from_json(cls, line: str) -> Reply | None:
+        """Read a reply from the JSON of :meth:`as_dict`; None for any other text."""
+        content: Any = parse_message(line)
+        if content is None or "status" not in content:
+            return None
+        scored = tuple(content.pop("metrics", ()))
+        return cls(content, scored)
+
+    @classmethod
+    def of(cls, messages: Iterable[Message], broken: tuple[str, str] | None = None, started: int = 0) -> Reply:
+        """Return the reply that follows from what a child sent.
+
+        Parameters
+        ----------
+        messages
+            All messages of the child.
+        broken
+            The status and the message of a child that was ended or died: ``timeout``, ``memory`` or ``crash``.
+        started
+            Most bytes that all processes which the child started held at any check.
+        """
+        scored = tuple(message["scored"] for message in messages if "scored" in message)
+        result: Result = {"status": "ok", "message": ""}
+        for message in messages:
+            if "status" in message:
+                result = cast("Result", message)
+        if broken:
+            result = {"status": broken[0], "message": broken[1]}
+        elif "peak_mib" in result:
+            result = {**result, "peak_mib": max(result["peak_mib"], started / MIB)}
+        return cls(result, scored)
 
 
+class Child(Protocol):
+    """A child process that can be watched.
+
+    Attributes
+    ----------
+    pid
+        Its process id.
+    """
+
+    pid: int
+
+    def receive(self, seconds: float) -> Iterable[Message] | None:
+        """Wait up to a time. Return the messages that arrived, or None if the child has closed its end."""
+        ...
+
+    def has_ended(self) -> bool:
+        """Return whether the process has ended.
+
+        The end of its messages is no proof: a process that it started may hold the pipe open, and the child may close
+        the pipe early.
+        """
+        ...
+
+
+@dataclass
 class Watch:
     """Watches one child until it ends or breaks a limit.
 
     Parameters
     ----------
-    pid
-        Process id of the child, leader of its own process group where there are such groups.
-    receive
-        Receives its messages.
-    ended
-        Returns whether the process has ended. The end of its messages is no proof: a process that it started may hold
-        the pipe open, and the child may close the pipe early.
+    child
+        The child.
     limits
         What it may use.
     base
-        Bytes that the idle worker holds (:func:`held_bytes`) that it was forked from; 0 for a fresh interpreter.
+        Bytes that the child holds (:func:`held_bytes`) before it begins; 0 for a fresh interpreter, which sends them.
     log
         The file that the child writes its messages to; it is kept short.
-
-    Attributes
-    ----------
     messages
         The messages that have arrived.
     finished
         Whether the child has said that its request is finished. It may still be running.
+    started
+        Most bytes that all processes which the child started held at any check.
     """
 
-    def __init__(
-        self,
-        pid: int,
-        receive: Receive,
-        ended: Callable[[], bool],
-        limits: Limits,
-        base: int = 0,
-        log: Path | None = None,
-    ) -> None:
-        self.pid, self.receive, self.ended, self.log = pid, receive, ended, log
-        self.limits, self.base = limits, base
-        self.messages: list[Message] = []
-        self.finished = False
-        self.started = 0
-        self._open = True
+    child: Child
+    limits: Limits
+    base: int
+    log: Path
+    messages: list[Message] = field(default_factory=list)
+    finished: bool = False
+    started: int = 0
+    _open: bool = True
 
     def watch(self) -> tuple[str, str] | None:
         """Wait for the child. Return None when it finishes or ends, or (status, message) when it exceeds a limit."""
@@ -150,7 +189,7 @@ class Watch:
             messages = self._receive()
             self.messages += [message for message in messages if "finished" not in message]
             self.finished = any("finished" in message for message in messages)
-            if self.finished or (not messages and self.ended()):
+            if self.finished or (not messages and self.child.has_ended()):
                 return None
             now = time.monotonic()
             done = left & {message.get("scored", "") for message in messages}
@@ -159,12 +198,12 @@ class Watch:
                 deadline = now + limits.seconds
             if starting and any(isinstance(message.get("held"), int) for message in messages):
                 starting, deadline = False, now + limits.seconds
-                self.base, most = held_bytes(self.pid), limits.mib
+                self.base, most = held_bytes(self.child.pid), limits.mib
             if now > deadline:
                 return "timeout", f"took longer than {limits.seconds:g} s; raise --timeout if it may"
             if now > memory_check:
                 memory_check = now + MEMORY_TICK
-                own, started = held_by_family(self.pid)
+                own, started = held_by_family(self.child.pid)
                 self.started = max(self.started, started)
                 if own + started - self.base > most * MIB:
                     return "memory", f"used more than {limits.mib:g} MiB; raise --memory if it may"
@@ -172,26 +211,24 @@ class Watch:
 
     def _receive(self) -> list[Message]:
         if self._open:
-            messages = self.receive(TICK)
+            messages = self.child.receive(TICK)
             self._open = messages is not None
             return list(messages or ())
         time.sleep(TICK / 20)
         return []
 
-    def ending(self, broken: tuple[str, str] | None, code: int) -> Ending:
+    def reply(self, broken: tuple[str, str] | None, code: int) -> Reply:
         """Return how the child ended, from what :meth:`watch` returned and its exit code."""
         shorten(self.log)
-        if broken:
-            return Ending(self.messages, *broken)
-        if code != 0:
-            return Ending(self.messages, "crash", explain_exit(code))
-        return Ending(self.messages, started=self.started)
+        if code and not broken:
+            broken = "crash", explain_exit(code)
+        return Reply.of(self.messages, broken, self.started)
 
 
-def shorten(log: Path | None) -> None:
+def shorten(log: Path) -> None:
     """Cut a log that has grown long: only its end is kept. The child goes on appending to it, and may remove it."""
     with contextlib.suppress(OSError):
-        if log is None or not log.is_file() or log.stat().st_size <= LONG_LOG:
+        if not log.is_file() or log.stat().st_size <= LONG_LOG:
             return
         with log.open("rb") as file:
             file.seek(-SHORT_LOG, os.SEEK_END)
@@ -292,14 +329,16 @@ def go_on_in_child(leash: int) -> None:
     if not sys.platform.startswith("linux"):
         return
     adopt_orphans()
-    child = os.fork()
-    if child == 0:
+    ended, held = os.pipe()
+    if os.fork() == 0:
+        os.close(ended)
         adopt_orphans()
         signal.signal(signal.SIGTERM, _end_with_children)
         _prctl(1, signal.SIGTERM)  # sent when the parent ends
         return
+    os.close(held)
     poll = select.poll()
-    poll.register(os.pidfd_open(child), select.POLLIN)
+    poll.register(ended, 0)
     poll.register(leash, 0)
     while not poll.poll():
         pass

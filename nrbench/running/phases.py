@@ -11,13 +11,12 @@ import dataclasses
 import json
 import time
 import traceback
-from collections.abc import Callable, Mapping
-from functools import lru_cache
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nrbench import plugins
 from nrbench.errors import BadInput, describe_error, storage_fault
@@ -46,6 +45,7 @@ from nrbench.streams import pixels_hash, stream
 from nrbench.suites.cell import Cell, Recipe
 from nrbench.suites.plan import draw_texture
 
+T = TypeVar("T")
 Send = Callable[[Message], None]
 """Sends one message to the process that watches this one."""
 FAULTS = (Exception, SystemExit, GeneratorExit)
@@ -101,7 +101,7 @@ def detect(folder: Path, send: Send) -> None:
     cell = read_json(where.cell_file) or {}
     detector = plugins.build("detectors", cell["detector"], cell["parameters"])
     try:
-        detection = timed_detection(detector, _frozen(read_image(where.sample)))
+        detection = timed_detection(detector, freeze(read_image(where.sample)))
     except FAULTS as error:
         send_error(error, send)
         return
@@ -165,7 +165,7 @@ def _synthesize(where: CellFolder, cell: Cell) -> Result:
 
 
 def _task(where: CellFolder, cell: Cell) -> Task:
-    sample = _frozen(read_image(where.sample))
+    sample = freeze(read_image(where.sample))
     rng = stream("synthesis", cell.seed, pixels_hash(sample), cell.replicate)
     again = _fresh_draws(where, cell) if cell.reference else None
     recompose = _recompositions(cell) if cell.reference else None
@@ -178,7 +178,7 @@ def _fresh_draws(where: CellFolder, cell: Cell) -> Again | None:
         return _frozen_draws(lambda shape, k: cell.recipe.again(cell.recipe.render())(shape, k))
     if not where.again.is_file():
         return None
-    region = _frozen(read_image(where.again))
+    region = freeze(read_image(where.again))
 
     def draw(shape: Shape, k: int) -> Texture | None:
         fits = k == 0 and region.shape[0] >= shape[0] and region.shape[1] >= shape[1]
@@ -199,28 +199,32 @@ def _recompositions(cell: Cell) -> Again | None:
     return _frozen_draws(draw)
 
 
-def _frozen(array: NDArray[Any]) -> Any:
-    """Return an array, made read-only."""
-    array.setflags(write=False)
-    return array
+def leaves(thing: Any) -> Iterator[Any]:
+    """Yield the values that mappings, sequences and dataclasses are made of, and the names of the values."""
+    if dataclasses.is_dataclass(thing) and not isinstance(thing, type):
+        thing = {field.name: getattr(thing, field.name) for field in dataclasses.fields(thing) if field.init}
+    if isinstance(thing, Mapping):
+        for key in sorted(thing, key=str):
+            yield str(key)
+            yield from leaves(thing[key])
+    elif isinstance(thing, tuple | list):
+        for part in thing:
+            yield from leaves(part)
+    else:
+        yield thing
 
 
-def _frozen_texture(texture: Texture) -> Texture:
-    """Return a texture, all its arrays made read-only."""
-    for array in (texture.image, texture.ideal, texture.displacement, *texture.elements.values()):
-        if array is not None:
-            _frozen(array)
-    return texture
+def freeze(thing: T) -> T:
+    """Make all arrays of a value read-only, and return it."""
+    for part in leaves(thing):
+        if isinstance(part, np.ndarray):
+            part.setflags(write=False)
+    return thing
 
 
 def _frozen_draws(draw: Again) -> Again:
     """Return the same draws, all their arrays made read-only."""
-
-    def frozen(shape: Shape, k: int) -> Texture | None:
-        texture = draw(shape, k)
-        return _frozen_texture(texture) if texture is not None else None
-
-    return frozen
+    return lambda shape, k: freeze(draw(shape, k))
 
 
 def _write(where: CellFolder, synthesis: Synthesis) -> None:
@@ -255,7 +259,7 @@ def score(folder: Path, send: Send, *metrics: str) -> None:
     where = CellFolder(folder)
     cell = _read_cell(where)
     named = [("datasets", cell.recipe.dataset), *(("metrics", metric) for metric in metrics)]
-    observation = observe(where, cell, keep=all(_is_own(kind, name) for kind, name in named))
+    observation = observe(where, cell, keep=all(is_own(kind, name) for kind, name in named))
     for metric in metrics:
         try:
             write_score(where, metric, score_observation(observation, metric))
@@ -268,10 +272,12 @@ def score(folder: Path, send: Send, *metrics: str) -> None:
         send({"scored": metric})
 
 
-def _is_own(kind: str, name: str) -> bool:
+@cache  # a search among all plugins for each request would touch, and so copy, much memory that children share
+def is_own(kind: str, name: str) -> bool:
+    """Return whether a plugin is known, loads, and belongs to nrbench."""
     try:
         return plugins.find(kind, name).own
-    except BadInput:  # it is unknown or does not load
+    except BadInput:
         return False
 
 
@@ -340,7 +346,7 @@ def observe(where: CellFolder, cell: Cell, keep: bool = False) -> Observation:
         Whether a texture that a model draws is kept for the next cell of the same sample. Its dataset and all metrics
         must then be nrbench's, because others might change it.
     """
-    sample, result = _frozen(read_image(where.sample)), where.result() or Result()
+    sample, result = freeze(read_image(where.sample)), where.result() or Result()
     cut = where.cut_files(result)
     if cut and cut != [where.output.name]:  # the output is compared by its pixels
         raise InvalidOutput(f"{cut[0]} has changed since the method returned it; --retry-failed runs the cell again")
@@ -350,15 +356,15 @@ def observe(where: CellFolder, cell: Cell, keep: bool = False) -> Observation:
     cost = {name: measured[name] for name in names if measured.get(name) is not None}
     if cell.detected is not None:
         cost["detection_seconds"] = cell.detected.seconds
-    output, used = _frozen(read_output(where, result)), result.get("lattice_used")
+    output, used = freeze(read_output(where, result)), result.get("lattice_used")
     return Observation(
         sample=sample,
         output=output,
         truth=truth,
         lattice_given=cell.lattice_given,
         lattice_used=Lattice.from_dict(used) if used else None,
-        source=_frozen(read_arrays(where.source)["source"]) if where.source.is_file() else None,
-        extras={path.stem: _frozen(read_arrays(path)["array"]) for path in sorted(where.extras.glob("*.npz"))},
+        source=freeze(read_arrays(where.source)["source"]) if where.source.is_file() else None,
+        extras={path.stem: freeze(read_arrays(path)["array"]) for path in sorted(where.extras.glob("*.npz"))},
         seconds=result.get("seconds"),
         again=again,
         cost={**cost, "side_by_side": float(result.get("side_by_side", 0))},
@@ -396,7 +402,7 @@ def _truth(cell: Cell, sample: Image, keep: bool) -> tuple[Texture, Again | None
 def _drawn_truth(recipe: str) -> tuple[Texture, Again]:
     """Return the texture of a recipe in JSON, and its fresh draws."""
     drawn = Recipe.from_dict(json.loads(recipe))
-    texture = _frozen_texture(drawn.render())
+    texture = freeze(drawn.render())
     return texture, _frozen_draws(drawn.again(texture))
 
 

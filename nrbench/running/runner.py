@@ -189,7 +189,7 @@ class _Runner:
         jobs = ((cell, self._cell_job(cell, sample)) for cell, sample in cells)
         for cell, future in self._run_jobs(jobs):
             result = future.result()
-            progress(pace.step(cell, result["status"], result.get("wall"), self.pool.slots))
+            progress(pace.step(cell, result["status"], result.get("wall"), self.pool.count_slots()))
 
     def _cell_job(self, cell: Cell, sample: PlannedSample) -> Job | Result:
         where, retry = self.directory.cell(cell.key), self.options.retry_failed
@@ -233,7 +233,7 @@ class _Runner:
                 stopped = True
                 break
             running[self._start(job)] = tag
-            while len(running) >= max(1, 2 * self.pool.slots) and not self.options.stop.is_set():
+            while len(running) >= max(1, 2 * self.pool.count_slots()) and not self.options.stop.is_set():
                 yield from self._take_finished(running)
         while running:
             stopped |= yield from self._take_finished(running)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
+import itertools
 import os
 import queue
 import shutil
@@ -24,8 +25,8 @@ import numpy as np
 from nrbench import plugins
 from nrbench.errors import describe_error, storage_fault
 from nrbench.running import guard
-from nrbench.running.guard import Message
-from nrbench.running.worker import GRACE, Reply, Request, perform, read_lines, start_worker
+from nrbench.running.guard import Message, Reply
+from nrbench.running.worker import GRACE, Request, perform, read_lines, start_worker
 from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import temporary_folder, working_folder
 
@@ -212,7 +213,8 @@ class Supervisor:
         self._reader: threading.Thread | None = None
         self._ended = False
         self._stack = contextlib.ExitStack()
-        self._temporary: Path | None = None
+        self._folder = Path()
+        self._numbers = itertools.count()
 
     def run(self, request: Request) -> Reply:
         """Run one request under its limits.
@@ -224,7 +226,7 @@ class Supervisor:
             self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
         if self._worker is None:
             self._start()
-        request = dataclasses.replace(request, temporary=str(self._folder() / "tmp"))
+        request = dataclasses.replace(request, temporary=str(self._folder / str(next(self._numbers))))
         self._check_open()
         assert self._worker is not None and self._worker.stdin is not None
         try:
@@ -243,24 +245,25 @@ class Supervisor:
 
     def _check_open(self) -> None:
         if self._ended:
+            self.close()
             raise Closed
 
     def _start(self) -> None:
-        """Start the worker, and wait until it is ready. If it does not start, the first request says so."""
+        """Start the worker, and wait until it is ready. If plugins keep it from that, start one that imports none."""
         self._plugins = plugins.files()
-        words = [f"--folder={self._folder() / 'imports'}", *([] if self._forks else ["--fresh"]), *self._plugins]
-        self._worker = start_worker(*words, stderr=subprocess.DEVNULL, env=worker_environment())
+        self._folder = self._stack.enter_context(temporary_folder())
+        content = {"once": False, "fresh": not self._forks, "files": self._plugins}
+        content["folder"] = str(self._folder / "imports")
+        self._worker = start_worker(content, stderr=subprocess.DEVNULL, env=worker_environment())
         self._lines, self._reader = read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}
         if first.get("compiling"):
             self._tell(COMPILING)
-            self._line(START)
-
-    def _folder(self) -> Path:
-        """Return the folder of temporary files, made when needed; :meth:`close` removes it."""
-        if self._temporary is None:
-            self._temporary = self._stack.enter_context(temporary_folder())
-        return self._temporary
+            first = guard.parse_message(self._line(START) or "") or {}
+        if not first.get("ready") and self._forks and not self._ended:  # a plugin ended it when it was imported
+            self._forks = False
+            self.close()
+            self._start()
 
     def _line(self, seconds: float) -> str | None:
         with contextlib.suppress(queue.Empty):
@@ -274,10 +277,11 @@ class Supervisor:
             guard.kill_children(worker.pid)
             worker.kill()
             worker.wait()
-            for pipe in (worker.stdin, worker.stdout if self._drained() else None):
-                with contextlib.suppress(OSError):
-                    pipe.close() if pipe else None
-        stack, self._stack, self._temporary = self._stack, contextlib.ExitStack(), None
+            assert self._reader is not None and worker.stdin is not None
+            self._reader.join(1.0)  # it closes the output
+            with contextlib.suppress(OSError):
+                worker.stdin.close()
+        stack, self._stack = self._stack, contextlib.ExitStack()
         stack.close()
 
     @property
@@ -289,12 +293,6 @@ class Supervisor:
         """Kill the worker for good: a running job raises :class:`Closed`, and no further one starts."""
         self._ended = True
         self.close()
-
-    def _drained(self) -> bool:
-        """Wait a little for the end of the worker's output, which a process that it started may hold open."""
-        if self._reader is not None:
-            self._reader.join(1.0)
-        return self._reader is None or not self._reader.is_alive()
 
     def __enter__(self) -> Supervisor:
         return self
@@ -311,7 +309,7 @@ class InProcessRunner:
         messages: list[Message] = []
         with np.errstate():  # so that no plugin changes it for the next one
             perform(request, messages.append)
-        return Reply.of(guard.Ending(messages))
+        return Reply.of(messages)
 
 
 def worker_environment() -> dict[str, str]:
@@ -343,11 +341,6 @@ def run_job(job: Job, tell: Callable[[str], None] = print_notice) -> Result:
         Called with a sentence that the user should read.
     """
     return perform_job(job, own_supervisor(tell))
-
-
-def run_job_here(job: Job) -> Result:
-    """Run one job in this process, for the debugger."""
-    return perform_job(job, InProcessRunner())
 
 
 def close_all() -> None:

@@ -7,7 +7,6 @@ metrics of nrbench: one forked child, the scorer, scores many cells.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import dataclasses
 import importlib
@@ -16,27 +15,24 @@ import os
 import queue
 import select
 import signal
-import stat
 import subprocess
 import sys
 import tempfile
 import threading
-import uuid
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, cast
 
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.jit import load_kernels
-from nrbench.plugins.parameters import prepare_conversion
 from nrbench.running import guard, phases
-from nrbench.running.guard import Message
+from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import Send
-from nrbench.runs.store import CellFolder, Result
+from nrbench.runs.store import CellFolder
 from nrbench.storage import leave_user_folder, read_json, remove_folder, working_folder
 
 SCORER_ROOM = 256.0
@@ -96,27 +92,8 @@ class Request:
         leave_user_folder(Path(self.user_folder), temporary / "work")
 
     def tidy(self) -> None:
-        """Remove what the phase left among its temporary files.
-
-        Folders in which it left nothing are kept for the next phase, because some disks take milliseconds to remove
-        one. All others get another name first, so that the next phase finds nothing of what cannot be removed.
-        """
-        if not self.left_nothing():
-            temporary = Path(self.temporary)
-            aside = temporary.with_name(uuid.uuid4().hex)
-            with contextlib.suppress(OSError):
-                temporary.rename(aside)
-            remove_folder(aside)
-
-    def left_nothing(self) -> bool:
-        """Return whether the folder of temporary files is as :meth:`settle` made it."""
-        temporary, work = Path(self.temporary), Path(self.temporary, "work")
-        try:
-            modes = [path.lstat().st_mode & ~stat.S_ISGID for path in (temporary, work)]  # that bit is inherited
-            folders = all(mode == stat.S_IFDIR | 0o700 for mode in modes)
-            return folders and os.listdir(temporary) == [work.name] and not os.listdir(work)  # noqa: PTH208
-        except OSError:
-            return False
+        """Remove the temporary files of the phase."""
+        remove_folder(Path(self.temporary))
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""
@@ -127,49 +104,6 @@ class Request:
         """Read a request from :meth:`to_json`."""
         content = json.loads(line)
         return cls(**{**content, "metrics": tuple(content["metrics"])})
-
-
-@dataclass(frozen=True)
-class Reply:
-    """How a request ended.
-
-    Parameters
-    ----------
-    result
-        At least ``status`` and ``message``.
-    scored
-        The metrics that are done.
-    """
-
-    result: Result
-    scored: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the reply as a mapping that can be written as JSON."""
-        return {**self.result, "metrics": self.scored}
-
-    @classmethod
-    def from_json(cls, line: str) -> Reply | None:
-        """Read a reply from the JSON of :meth:`as_dict`; None for any other text."""
-        content: Any = guard.parse_message(line)
-        if content is None or "status" not in content:
-            return None
-        scored = tuple(content.pop("metrics", ()))
-        return cls(content, scored)
-
-    @classmethod
-    def of(cls, ending: guard.Ending) -> Reply:
-        """Return the reply that follows from how a child ended."""
-        scored = tuple(message["scored"] for message in ending.messages if "scored" in message)
-        results = [message for message in ending.messages if "status" in message]
-        if ending.status != "ended":
-            return cls({"status": ending.status, "message": ending.message}, scored)
-        if not results:
-            return cls({"status": "ok", "message": ""}, scored)
-        result = cast("Result", results[-1])
-        if "peak_mib" in result:
-            result = {**result, "peak_mib": max(result["peak_mib"], ending.started / guard.MIB)}
-        return cls(result, scored)
 
 
 def perform(request: Request, send: Callable[[Message], None]) -> None:
@@ -196,9 +130,7 @@ def warm(compiling: Callable[[], None]) -> None:
     for name in DEFERRED:
         importlib.import_module(name)
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
-        for plugin in plugins.inventory(kind):
-            if plugin.cls is not None:
-                prepare_conversion(plugin.cls)
+        plugins.inventory(kind)
     load_kernels(compiling)
 
 
@@ -231,12 +163,20 @@ class ForkedChild:
         finally:
             os.close(theirs)
             os.close(requests)
-        self.receive = _receiver(self._messages)
+        self._pending = b""
 
     def send(self, request: Request) -> None:
         """Send a request."""
         with contextlib.suppress(OSError):  # it has just died
             _write_line(self._requests, request.to_json())
+
+    def receive(self, seconds: float) -> list[Message] | None:
+        """Wait for messages, see :class:`~nrbench.running.guard.Child`."""
+        if not select.select([self._messages], [], [], seconds)[0]:
+            return []
+        data = os.read(self._messages, 1 << 16)
+        *lines, self._pending = (self._pending + data).split(b"\n")
+        return [message for line in lines if (message := guard.parse_message(line))] if data else None
 
     def has_ended(self) -> bool:
         """Return whether the process has ended."""
@@ -267,7 +207,7 @@ class FreshChild:
 
     def __init__(self, log: Path, files: Iterable[str], folder: str) -> None:
         with log.open("ab") as opened:
-            self._process = start_worker("--once", *files, stderr=opened, cwd=folder)
+            self._process = start_worker({"once": True, "files": list(files)}, stderr=opened, cwd=folder)
         self.pid = self._process.pid
         self._lines, _ = read_lines(self._process)
 
@@ -279,13 +219,13 @@ class FreshChild:
             self._process.stdin.close()
 
     def receive(self, seconds: float) -> list[Message] | None:
-        """Wait for a message, see :data:`~nrbench.running.guard.Receive`."""
+        """Wait for a message, see :class:`~nrbench.running.guard.Child`."""
         try:
             line = self._lines.get(timeout=seconds)
         except queue.Empty:
             return []
-        message = guard.parse_message(line) if line is not None else None
-        return None if line is None else [message] if message is not None else []
+        message = guard.parse_message(line or "")
+        return [message] if message else [] if line else None
 
     def has_ended(self) -> bool:
         """Return whether the process has ended."""
@@ -302,19 +242,20 @@ class FreshChild:
         return code
 
 
-def start_worker(*words: str, **options: Any) -> subprocess.Popen[str]:
+def start_worker(content: Mapping[str, Any], **options: Any) -> subprocess.Popen[str]:
     """Start an interpreter that calls :func:`run_worker`.
 
     Parameters
     ----------
-    words
-        Its arguments.
+    content
+        Its argument.
     options
         More options of :class:`subprocess.Popen`.
     """
     program = "from nrbench.running.worker import run_worker; run_worker()"
+    command = [sys.executable, "-c", program, json.dumps(content)]
     options = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "start_new_session": True, **options}
-    started: subprocess.Popen[str] = subprocess.Popen([sys.executable, "-c", program, *words], **options)
+    started: subprocess.Popen[str] = subprocess.Popen(command, **options)
     return started
 
 
@@ -369,7 +310,7 @@ class ChildServer:
             limits = dataclasses.replace(limits, start_seconds=GRACE, start_mib=512)
         base = guard.held_bytes(child.pid) if self._forks else 0
         child.send(request)
-        watch = guard.Watch(child.pid, child.receive, child.has_ended, limits, base, request.log)
+        watch = guard.Watch(child, limits, base, request.log)
         broken = watch.watch()
         if watch.finished and shared:
             self._scorer = cast("ForkedChild", child)
@@ -377,7 +318,7 @@ class ChildServer:
             self._last = child, request
         code = 0 if watch.finished else child.end(kill=broken is not None)
         request.tidy()  # the disk of the run may be full of it
-        return Reply.of(watch.ending(broken, code))
+        return watch.reply(broken, code)
 
     def _take_child(self, request: Request, shared: bool) -> ForkedChild | FreshChild:
         """Return a child that waits for a request."""
@@ -405,8 +346,9 @@ class ChildServer:
         guard.kill_children(os.getpid(), {child.pid for child in (self._scorer, self._next) if child is not None})
         if last is not None:
             last[1].tidy()
-        if self._forks:
-            self._next = self._next or ForkedChild(_run_one)
+        if self._forks and self._next is None:
+            with contextlib.suppress(OSError):
+                self._next = ForkedChild(_run_one)
 
 
 def _is_own(request: Request) -> bool:
@@ -415,19 +357,15 @@ def _is_own(request: Request) -> bool:
     Such a request runs no code of others, and its costs are not measured. The dataset counts because scoring draws the
     texture again. A plugin may have changed the file of the cell, so its content is checked.
     """
-    if request.phase != "score" or not set(request.metrics) <= _own_names("metrics"):
+    if request.phase != "score":
         return False
     try:
         recipe: Any = (read_json(CellFolder(Path(request.folder)).cell_file) or {}).get("recipe")
     except OSError:  # it cannot be read
         return False
-    name = recipe.get("dataset") if isinstance(recipe, dict) else None
-    return isinstance(name, str) and name in _own_names("datasets")
-
-
-@cache  # a search among all plugins for each request would touch, and so copy, much memory that children share
-def _own_names(kind: str) -> set[str]:
-    return {plugin.name for plugin in plugins.inventory(kind) if plugin.own and plugin.cls is not None}
+    dataset = recipe.get("dataset") if isinstance(recipe, dict) else None
+    named = [("datasets", dataset), *(("metrics", metric) for metric in request.metrics)]
+    return all(isinstance(name, str) and phases.is_own(kind, name) for kind, name in named)
 
 
 def _run_forked(run: Callable[[], None], requests: int, messages: int) -> None:
@@ -507,54 +445,36 @@ def _write_line(writable: int, line: str) -> None:
         data = data[os.write(writable, data) :]
 
 
-def _receiver(readable: int) -> guard.Receive:
-    """Return a receiver of a child's messages, one a line."""
-    pending = b""
-
-    def receive(seconds: float) -> list[Message] | None:
-        nonlocal pending
-        if not select.select([readable], [], [], seconds)[0]:
-            return []
-        data = os.read(readable, 1 << 16)
-        if not data:
-            return None
-        *lines, pending = (pending + data).split(b"\n")
-        return [message for line in lines if (message := guard.parse_message(line)) is not None]
-
-    return receive
-
-
 def run_worker() -> None:
-    """Serve the requests on standard input; with ``--once``, run a single one in this process.
+    """Serve the requests on standard input, or run a single one in this process.
 
-    The other arguments are files of plugins. They are imported in the working directory of the request, or in the one
-    that ``--folder`` names. With ``--fresh`` no child is forked.
+    The argument of the process is a mapping in JSON:
+
+    - ``once``: whether a single request is run in this process.
+    - ``fresh``: whether no child is forked.
+    - ``files``: files of plugins.
+    - ``folder``: the working directory in which they are imported; for a single request its own one.
 
     The first line of output is ``{"ready": true}``. Where kernels have to be compiled, the line
     ``{"compiling": true}`` comes before it.
     """
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--once", action="store_true")
-    parser.add_argument("--fresh", action="store_true")
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("files", nargs="*")
-    options = parser.parse_args()
+    options: Mapping[str, Any] = json.loads(sys.argv[1])
     out = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
 
     def write(content: Mapping[str, Any]) -> None:
         out.write(json.dumps(content) + "\n")
 
-    if options.once:
-        _run_fresh(options.files, cast("Send", write))
+    if options["once"]:
+        _run_fresh(options["files"], cast("Send", write))
     guard.go_on_in_child(sys.stdin.fileno())
-    home, forks = working_folder(), may_fork() and not options.fresh
+    home, forks = working_folder(), may_fork() and not options["fresh"]
     if forks:
-        leave_user_folder(Path(home), options.folder)
-        _add_files(options.files)
+        leave_user_folder(Path(home), Path(options["folder"]))
+        _add_files(options["files"])
         warm(lambda: write({"compiling": True}))
         forks = may_fork()  # again, because a plugin may have started a thread
-    server = ChildServer(forks, options.files, home)
+    server = ChildServer(forks, options["files"], home)
     write({"ready": True})
     server.recover()
     for line in sys.stdin:

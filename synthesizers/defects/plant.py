@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final, Protocol
 
 import numpy as np
 import scipy
@@ -156,7 +157,13 @@ class PlantedImage:
         return np.asarray(self.displacement.any(-1)) if self.covered is None else self.covered
 
 
-Defect = Callable[[Site], PlantedImage]
+class Defect(Protocol):
+    """A function that plants a defect."""
+
+    __name__: str
+
+    def __call__(self, site: Site) -> PlantedImage:
+        """Return a fresh draw with the defect."""
 
 
 # Content in the wrong place
@@ -509,3 +516,14 @@ def _source(site: Site, halves: _Halves, corner: NDArray[np.intp]) -> NDArray[np
     good = np.flatnonzero(error <= np.median(error))
     chosen = pixels[good[site.rng.integers(len(good))]]
     return np.asarray(np.array(at) - chosen).astype(np.intp)
+
+
+DEFECTS: Final[Mapping[str, Defect]] = {
+    defect.__name__.replace("_", "-"): defect
+    for defect in (
+        *(none, phase_step, slipped_course, dropped_row, doubled_row, displaced_tile, missing_tile, doubled_tile),
+        *(warp, stretch, off_lattice, blurred_band, blur, contrast, noise, seam, color_mean),
+        *(two_tone, over_regular, verbatim),
+    )
+}
+"""The defects by name; a new defect is one more entry."""

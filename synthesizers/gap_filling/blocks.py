@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
+from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Refused
 
 from ..sampling.equal_places import SearchShape, search_shape
@@ -23,9 +25,9 @@ Box = tuple[int, int, int, int]
 """(y0, y1, x0, x1), half-open, px."""
 Sides = tuple[bool, bool, bool, bool]
 """Which neighbors a block has: left, top, right, bottom."""
-STEPS = ((-1, 0), (0, -1), (1, 0), (0, 1))
+_STEPS: Final = ((-1, 0), (0, -1), (1, 0), (0, 1))
 """(x, y) from a block to each neighbor, in blocks."""
-OWN = 4
+OWN: Final = 4
 """The layer of a gap's own patch; 0 to 3 are the neighbors'."""
 
 
@@ -49,42 +51,33 @@ class BlockGrid:
     ----------
     shape
         Height and width of the output in px.
-    block
+    size
         Side of a block in px.
     border
         Width in px of what the patch of a placed block shows beyond its square, at most half a block.
     """
 
     shape: tuple[int, int]
-    block: int
+    size: int
     border: int
 
     @property
     def counts(self) -> tuple[int, int]:
         """Rows and columns of blocks."""
         height, width = self.shape
-        return -(-height // self.block), -(-width // self.block)
+        return -(-height // self.size), -(-width // self.size)
 
-    def placed(self) -> Iterator[tuple[int, int]]:
-        """Yield (row, column) of the placed blocks."""
+    def placed(self) -> Iterator[Block]:
+        """Yield the placed blocks, row by row."""
         return self._alternate(0)
 
-    def gaps(self) -> Iterator[tuple[int, int]]:
-        """Yield (row, column) of the gaps."""
+    def gaps(self) -> Iterator[Block]:
+        """Yield the gaps, row by row."""
         return self._alternate(1)
 
-    def _alternate(self, parity: int) -> Iterator[tuple[int, int]]:
+    def _alternate(self, parity: int) -> Iterator[Block]:
         rows, columns = self.counts
-        return ((i, j) for i in range(rows) for j in range(columns) if (i + j) % 2 == parity)
-
-    def sides(self, row: int, column: int) -> Sides:
-        """Return which neighbors the block has."""
-        rows, columns = self.counts
-        return column > 0, row > 0, column < columns - 1, row < rows - 1
-
-    def border_of(self, row: int, column: int) -> GapBorder:
-        """Return the border of a gap."""
-        return gap_border(self.block, self.border, self.sides(row, column))
+        return (Block(self, i, j) for i in range(rows) for j in range(columns) if (i + j) % 2 == parity)
 
     def search_shape(self, sample_shape: tuple[int, ...]) -> SearchShape:
         """Return the rows and columns of places at which a block and its borders lie inside a sample.
@@ -95,13 +88,65 @@ class BlockGrid:
             If there are none.
         """
         height, width = sample_shape[:2]
-        side = self.block + 2 * self.border
+        side = self.size + 2 * self.border
         if side > min(height, width):
             raise Refused(
                 f"the sample is {width}x{height} px, a block with its borders {side}x{side} px; "
                 f"choose block + 2 border <= {min(height, width)}"
             )
         return search_shape(side, (height, width))
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of a grid: where it lies in the output, and what surrounds it.
+
+    Parameters
+    ----------
+    grid
+        The grid.
+    row, column
+        The place of the block in the grid.
+    """
+
+    grid: BlockGrid
+    row: int
+    column: int
+
+    @property
+    def corner(self) -> Points:
+        """(x, y) px of the first pixel."""
+        return np.array([self.column, self.row], np.float64) * self.grid.size
+
+    @property
+    def box(self) -> Box:
+        """The block itself, px from its first pixel."""
+        return 0, self.grid.size, 0, self.grid.size
+
+    def window(self, box: Box | None = None) -> tuple[slice, slice]:
+        """Return the rows and columns of the output under the block, or under a box, px from its first pixel."""
+        size = self.grid.size
+        return box_slices(box or self.box, self.row * size, self.column * size)
+
+    @property
+    def sides(self) -> Sides:
+        """Which neighbors the block has."""
+        rows, columns = self.grid.counts
+        return self.column > 0, self.row > 0, self.column < columns - 1, self.row < rows - 1
+
+    def neighbors(self) -> Iterator[tuple[int, Block, Box]]:
+        """Yield each side that has a neighbor, the neighbor, and the strip of this gap that its patch shows."""
+        size, border = self.grid.size, self.grid.border
+        far = size - border
+        strips = ((0, size, 0, border), (0, border, 0, size), (0, size, far, size), (far, size, 0, size))
+        for side, (there, (dx, dy), strip) in enumerate(zip(self.sides, _STEPS, strips, strict=True)):
+            if there:
+                yield side, Block(self.grid, self.row + dy, self.column + dx), strip
+
+    @property
+    def border(self) -> GapBorder:
+        """The border inside the block, which is a gap."""
+        return gap_border(self.grid.size, self.grid.border, self.sides)
 
 
 @dataclass(frozen=True, eq=False)

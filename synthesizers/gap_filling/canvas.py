@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +12,14 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 
-from ..sampling.equal_places import pixel_grid
 from ..sampling.patches import Patches, Source
-from ..seams.dynamic_seam import dynamic_seam
-from ..seams.minimum_cut import Links, Mask, cut_overlap, seam_links
-from .blocks import OWN, STEPS, BlockGrid, Box, Sides, box_slices
+from ..seams.minimum_cut import Links, Mask, cut_overlap
+from ..seams.seam_kernels import link_costs
+from .blocks import OWN, Block, BlockGrid, Box, Sides, box_slices
 
-SeamMethod = Literal["blend", "dynamic", "graphcut"]
+SeamMethod = Literal["blend", "graphcut"]
 Places = NDArray[np.float64]
 """``float64 (rows, columns, 2)``: the real-valued (x, y) in the sample of every block's first pixel."""
-Map = NDArray[np.float64]
-"""``float64 (h, w)`` or ``(h, w, 2)``: one value or one (x, y) per pixel."""
 Layers = tuple[Image, Source]
 """``(5, block, block, C)`` and ``(5, block, block, 3)``: what the patch of each neighbor shows in a gap, 0 where it
 does not reach. The last layer is the gap's own patch."""
@@ -44,9 +40,8 @@ class BlockCanvas:
     grid
         The blocks.
     seam
-        ``"blend"``: linear blending. ``"dynamic"``: cut along four minimum-error seams, found by dynamic programming.
-        ``"graphcut"``: cut along the least visible closed seam, an exact minimum cut of the squared differences over
-        the gradients.
+        ``"blend"``: linear blending. ``"graphcut"``: cut along the least visible closed seam, an exact minimum cut of
+        the squared differences over the gradients.
 
     Attributes
     ----------
@@ -58,7 +53,7 @@ class BlockCanvas:
 
     def __init__(self, patches: Patches, grid: BlockGrid, seam: SeamMethod = "blend") -> None:
         rows, columns = grid.counts
-        height, width = rows * grid.block, columns * grid.block
+        height, width = rows * grid.size, columns * grid.size
         self.patches, self.grid, self.seam = patches, grid, seam
         self.places: Places = np.zeros((rows, columns, 2))
         self.image: Image = np.zeros((height, width, patches.sample.shape[2]), np.float32)
@@ -72,106 +67,76 @@ class BlockCanvas:
         height, width = self.grid.shape
         return self.image[:height, :width], self.source[:height, :width]
 
-    def place_block(self, row: int, column: int, place: Points) -> None:
+    def place_block(self, block: Block, place: Points) -> None:
         """Place a block. Its borders must lie inside the sample, too."""
-        self.places[row, column] = place
-        window, block = self.window(row, column), self.grid.block
-        self.image[window], self.source[window] = self.patches.cut_patch(place, (block, block))
+        self.places[block.row, block.column] = place
+        window = block.window()
+        self.image[window], self.source[window] = self.cut_patch(place, block.box)
         self.known[window] = True
 
     def extend_placed(self) -> None:
         """Show, in the border of every gap, the patches of the placed blocks around, each in its wedge."""
-        for row, column in self.grid.gaps():
-            border = self.grid.border_of(row, column)
-            image, source = self._layers(row, column)
+        for gap in self.grid.gaps():
+            border, window = gap.border, gap.window()
+            image, source = self._layers(gap)
             x, y = border.pixels.T
-            window = self.window(row, column)
             self.image[window][y, x] = image[border.owner, y, x]
             self.source[window][y, x] = source[border.owner, y, x]
             self.known[window][y, x] = True
             if self.seam == "graphcut":
-                self._record_corner_seams(row, column, image)
+                self._record_corner_seams(gap, image)
 
-    def fill_gap(self, row: int, column: int, place: Points, field: Map | None = None) -> None:
-        """Fill a gap with a patch, and join it to what is known around.
-
-        Parameters
-        ----------
-        row, column
-            The gap.
-        place
-            (x, y) in the sample of the gap's first pixel.
-        field
-            Displacement of each pixel of the patch, ``(h, w, 2)`` over :meth:`patch_box`, or None.
-        """
-        self.places[row, column] = place
-        box = self.patch_box(row, column, place)
-        patch = self.cut_patch(place, box, field)
+    def fill_gap(self, gap: Block, place: Points) -> None:
+        """Fill a gap with the patch whose first pixel lies at a place (x, y), and join it to what is known around."""
+        self.places[gap.row, gap.column] = place
+        box = self._patch_box(gap, place)
+        patch = self.cut_patch(place, box)
         if self.seam == "blend":
-            self._blend(row, column, patch)
+            self._blend(gap, patch)
         else:
-            self._cut(row, column, box, patch)
-        self.known[self.window(row, column)] = True
+            self._cut(gap, box, patch)
+        self.known[gap.window()] = True
 
-    def patch_box(self, row: int, column: int, place: Points) -> Box:
+    def _patch_box(self, gap: Block, place: Points) -> Box:
         """Return the largest box, px from the gap's first pixel, that a gap's patch may show and the sample holds."""
-        block = self.grid.block
-        reach = 0 if self.seam == "blend" else block // 2
-        left, top, right, bottom = (reach if side else 0 for side in self.grid.sides(row, column))
+        size = self.grid.size
+        reach = 0 if self.seam == "blend" else size // 2
+        left, top, right, bottom = (reach if side else 0 for side in gap.sides)
         height, width = self.patches.sample.shape[:2]
         x, y = (float(value) for value in place)
         return (
             max(-top, math.ceil(-y - 0.5)),
-            min(block + bottom, math.floor(height - 0.5 - y) + 1),
+            min(size + bottom, math.floor(height - 0.5 - y) + 1),
             max(-left, math.ceil(-x - 0.5)),
-            min(block + right, math.floor(width - 0.5 - x) + 1),
+            min(size + right, math.floor(width - 0.5 - x) + 1),
         )
 
-    def window(self, row: int, column: int, box: Box | None = None) -> tuple[slice, slice]:
-        """Return the rows and columns of a block, or of a box around it."""
-        block = self.grid.block
-        return box_slices(box or (0, block, 0, block), row * block, column * block)
-
-    def overlap_mask(self, row: int, column: int, box: Box) -> Mask:
-        """Return where a gap's patch over ``box`` overlaps what is known, outside the hole."""
-        mask = self.known[self.window(row, column, box)].copy()
-        mask[box_slices(self.grid.border_of(row, column).hole, -box[0], -box[2])] = False
+    def border_mask(self, gap: Block) -> Mask:
+        """Return where something is known in a gap, outside the hole."""
+        mask = self.known[gap.window()].copy()
+        mask[box_slices(gap.border.hole)] = False
         return mask
 
-    def cut_patch(self, place: Points, box: Box, field: Map | None = None) -> tuple[Image, Source]:
+    def cut_patch(self, place: Points, box: Box) -> tuple[Image, Source]:
         """Return what the patch at a place shows over a box, and its source map."""
         y0, y1, x0, x1 = box
-        first = np.add(place, (x0, y0))
-        if field is None:
-            return self.patches.cut_patch(first, (y1 - y0, x1 - x0))
-        points = first + pixel_grid(x1 - x0, y1 - y0) + field
-        last = np.array(self.patches.sample.shape[1::-1]) - 0.5
-        return self.patches.read_with_source(np.clip(points, -0.5, last))
+        return self.patches.cut_patch(np.add(place, (x0, y0)), (y1 - y0, x1 - x0))
 
-    def _neighbor_strips(self, row: int, column: int) -> Iterator[tuple[int, Box]]:
-        """Yield each side that has a neighbor, and the strip of the gap that the neighbor's patch shows."""
-        block, border = self.grid.block, self.grid.border
-        far = block - border
-        strips = ((0, block, 0, border), (0, border, 0, block), (0, block, far, block), (far, block, 0, block))
-        return ((side, strips[side]) for side, there in enumerate(self.grid.sides(row, column)) if there)
-
-    def _layers(self, row: int, column: int) -> Layers:
-        block = self.grid.block
-        image = np.zeros((5, block, block, self.image.shape[2]), np.float32)
-        source = np.ones((5, block, block, 3), np.float32)
-        for side, box in self._neighbor_strips(row, column):
-            dx, dy = STEPS[side]
-            origin = self.places[row + dy, column + dx] - (block * dx, block * dy)
-            part = box_slices(box)
-            image[side][part], source[side][part] = self.cut_patch(origin, box)
+    def _layers(self, gap: Block) -> Layers:
+        size = self.grid.size
+        image = np.zeros((5, size, size, self.image.shape[2]), np.float32)
+        source = np.ones((5, size, size, 3), np.float32)
+        for side, neighbor, strip in gap.neighbors():
+            origin = self.places[neighbor.row, neighbor.column] - (neighbor.corner - gap.corner)
+            part = box_slices(strip)
+            image[side][part], source[side][part] = self.cut_patch(origin, strip)
         return image, source
 
-    def _blend(self, row: int, column: int, patch: tuple[Image, Source]) -> None:
-        border = self.grid.border_of(row, column)
-        layers, sources = self._layers(row, column)
+    def _blend(self, gap: Block, patch: tuple[Image, Source]) -> None:
+        border, window = gap.border, gap.window()
+        layers, sources = self._layers(gap)
         layers[OWN], sources[OWN] = patch
         x, y = border.pixels.T
-        window = self.window(row, column)
         image, source = self.image[window], self.source[window]
         image[...], source[...] = patch
         image[y, x] = np.einsum("ln,lnc->nc", border.weights, layers[border.layers, y, x])
@@ -179,28 +144,27 @@ class BlockCanvas:
         source[y, x] = sources[border.layers[main, every], y, x]
         source[y, x, 2] *= border.weights[main, every]
 
-    def _cut(self, row: int, column: int, box: Box, patch: tuple[Image, Source]) -> None:
-        window = self.window(row, column, box)
-        sides, hole = self.grid.sides(row, column), self.grid.border_of(row, column).hole
-        overlap = PatchOverlap(self.image[window], patch[0], self.known[window], box, hole, sides)
-        seams = _links_inside(self._seams, window)
-        new = cut_dynamic(overlap) if self.seam == "dynamic" else cut_graph(overlap, seams)
+    def _cut(self, gap: Block, box: Box, patch: tuple[Image, Source]) -> None:
+        window = gap.window(box)
+        overlap = PatchOverlap(self.image[window], patch[0], self.known[window], box, gap.border.hole, gap.sides)
+        new = cut_graph(overlap, _links_inside(self._seams, window))
         np.copyto(self.image[window], patch[0], where=new[..., np.newaxis])
         np.copyto(self.source[window], patch[1], where=new[..., np.newaxis])
 
-    def _record_corner_seams(self, row: int, column: int, layers: Image) -> None:
+    def _record_corner_seams(self, gap: Block, layers: Image) -> None:
         """Record the costs of the seams in a gap's corners, where the borders of two neighbors meet."""
-        half = self.grid.block // 2
+        half = self.grid.size // 2
         beside = np.concatenate([layers[0][:, :half], layers[2][:, half:]], 1)
         above = np.concatenate([layers[1][:half], layers[3][half:]], 0)
         costs = visible_links(beside, above)
-        owners = self.grid.border_of(row, column).owners
-        seams = _links_inside(self._seams, self.window(row, column))
+        owners, seams = gap.border.owners, _links_inside(self._seams, gap.window())
         seams.across[...] = _costs_between_neighbors(owners[:, 1:], owners[:, :-1], costs.across)
         seams.down[...] = _costs_between_neighbors(owners[1:], owners[:-1], costs.down)
 
 
-def _costs_between_neighbors(one: NDArray[np.int64], other: NDArray[np.int64], cost: Map) -> Map:
+def _costs_between_neighbors(
+    one: NDArray[np.int64], other: NDArray[np.int64], cost: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return the cost where one owner is to the left or right and the other one above or below, else 0."""
     return np.where((one != other) & (one % 2 != other % 2) & (one != OWN) & (other != OWN), cost, 0.0)
 
@@ -230,10 +194,10 @@ def compose(patches: Patches, grid: BlockGrid, places: Places) -> tuple[Image, S
         The output and its source map.
     """
     canvas = BlockCanvas(patches, grid)
-    for row, column in grid.placed():
-        canvas.place_block(row, column, places[row, column])
-    for row, column in grid.gaps():
-        canvas.fill_gap(row, column, places[row, column])
+    for block in grid.placed():
+        canvas.place_block(block, places[block.row, block.column])
+    for gap in grid.gaps():
+        canvas.fill_gap(gap, places[gap.row, gap.column])
     return canvas.output()
 
 
@@ -276,12 +240,6 @@ class PatchOverlap:
             *_widen(x0 - self.box[2], x1 - self.box[2], int(left), self.old.shape[1] - right),
         )
 
-    def depth(self, side: int) -> int:
-        """Return the distance from the box's edge to the inner pixels, px."""
-        y0, y1, x0, x1 = self.inner
-        height, width = self.old.shape[:2]
-        return (x0, y0, width - x1, height - y1)[side]
-
     def fixed_new(self) -> Mask:
         """Return the pixels that must be new."""
         mask = np.zeros(self.old.shape[:2], np.bool_)
@@ -299,29 +257,6 @@ class PatchOverlap:
 def _widen(start: int, stop: int, first: int, last: int) -> tuple[int, int]:
     """Return a range of less than 2 px lengthened by one at both ends, but not beyond ``first`` and ``last``."""
     return (start, stop) if stop - start >= 2 else (max(start - 1, first), min(stop + 1, last))
-
-
-def cut_dynamic(overlap: PatchOverlap) -> Mask:
-    """Return where the new picture is shown if every side is cut by itself.
-
-    Along each side that has a neighbor this is the seam of least squared difference between the box's edge and the hole
-    (Efros and Freeman 2001, section 2.1). What lies beyond all seams is new.
-    """
-    error = ((overlap.old - overlap.new).astype(np.float64) ** 2).sum(-1)
-    error[~overlap.known] = error.max()
-    mask = np.ones(error.shape, np.bool_)
-    for side, there in enumerate(overlap.sides):
-        if there:
-            surface, shown = _turn_to_left(error, side), _turn_to_left(mask, side)
-            width = overlap.depth(side)
-            shown[:, :width] &= np.arange(width) >= dynamic_seam(surface[:, :width])[:, np.newaxis]
-    return mask
-
-
-def _turn_to_left(plane: NDArray[Any], side: int) -> NDArray[Any]:
-    """Return a view of a plane in which a side is on the left."""
-    plane = plane if side % 2 == 0 else plane.T
-    return plane if side < 2 else plane[:, ::-1]
 
 
 def cut_graph(overlap: PatchOverlap, seams: Links) -> Mask:
@@ -346,9 +281,10 @@ def cut_graph(overlap: PatchOverlap, seams: Links) -> Mask:
 
 
 def visible_links(old: Image, new: Image) -> Links:
-    """Compute how visible a seam is between adjacent pixels: squared differences over gradients.
+    """Compute how visible a seam is between adjacent pixels of two pictures ``(H, W, C)``.
 
     With plain differences (equation 1) the shortest seam often crosses bricks of nearly one color and leaves them
     two-toned. Divided by gradients, it follows their outlines; squared, it avoids large differences.
     """
-    return seam_links(old, new, normalized=True, power=2.0)
+    first, second = (np.ascontiguousarray(picture, np.float32) for picture in (old, new))
+    return Links(*link_costs(first, second, True))

@@ -1,12 +1,9 @@
-"""Find where a patch agrees best with what surrounds it: at whole pixels, between pixels, and deformed.
+"""Find where a patch agrees best with what surrounds it: at whole pixels, and between pixels.
 
 :class:`FrameMatcher` compares 8-bit whole numbers, so that its sums are exact: direct summation and the Fourier domain
 give the same bits, and equally good places tie. It is our own for that reason, and for speed: the masked
 cross-correlation of scikit-image takes 16 times as long for a frame of 40 x 40 px in 128 x 128 px of three channels,
 OpenCV's masked ``matchTemplate`` sums in float32, and both compute every place, where the few near a lattice suffice.
-
-:func:`align_patch` and :func:`fit_deformation` take steps of Lucas and Kanade (1981). A step moves each point by the
-least-squares solution of ``gradient . move = old - new``, so that nothing moves where both pictures agree.
 """
 
 from __future__ import annotations
@@ -25,7 +22,7 @@ from nrbench.lattice.geometry import Points
 
 from ..sampling.equal_places import search_shape
 from .blocks import Box
-from .matching_kernels import LONGEST_RUN, correlate_at
+from .matching_kernels import correlate_at
 
 Match = Literal["ncc", "color"]
 Array = NDArray[np.float64]
@@ -76,13 +73,7 @@ class FrameMatcher:
         Array
             ``(n,)``: higher is better.
         """
-        channels = template.shape[2]
-        products = correlate_at(
-            self.values.reshape(len(self.values), -1),
-            np.ascontiguousarray(template).reshape(self.size, -1),
-            self._runs(hole, channels),
-            np.ascontiguousarray(positions * (channels, 1)),
-        )
+        products = correlate_at(self.values, np.ascontiguousarray(template), hole, np.ascontiguousarray(positions))
         sums, spread = (table[positions[:, 1], positions[:, 0]] for table in self._statistics(hole))
         return self._ratings(products, sums, spread, template, hole)
 
@@ -157,20 +148,6 @@ class FrameMatcher:
         y0, y1, x0, x1 = box
         return box_sums_from(table[y0 : y1 + rows, x0 : x1 + columns], (y1 - y0, x1 - x0))
 
-    def _runs(self, hole: Box, channels: int) -> NDArray[np.int64]:
-        """Return the template's rows without the hole, in parts that the kernel sums exactly."""
-        y0, y1, x0, x1 = hole
-        full, beside = [(0, self.size)], [(0, x0), (x1, self.size)]
-        return np.array(
-            [
-                (row, start, min(start + LONGEST_RUN, stop * channels))
-                for row in range(self.size)
-                for first, stop in (beside if y0 <= row < y1 else full)
-                for start in range(first * channels, stop * channels, LONGEST_RUN)
-            ],
-            np.int64,
-        ).reshape(-1, 3)
-
 
 def frame_mask(hole: Box, size: int) -> NDArray[np.bool_]:
     """Return the pixels of a square of ``size`` px that are not in a hole, ``bool (size, size)``."""
@@ -179,8 +156,11 @@ def frame_mask(hole: Box, size: int) -> NDArray[np.bool_]:
     return frame
 
 
-def align_patch(cut: Callable[[Points], Image], place: Points, old: Image, weight: Array, steps: int = 2) -> Points:
-    """Find the place near a given one at which a patch agrees best with its surroundings.
+def align_patch(cut: Callable[[Points], Image], place: Points, old: Image, weight: Array) -> Points:
+    """Move a place by at most half a pixel along x and along y, so that its patch agrees better with its surroundings.
+
+    This is one step of Lucas and Kanade (1981), the least-squares solution of ``gradient . move = old - new``, so that
+    nothing moves where both pictures agree.
 
     Parameters
     ----------
@@ -192,71 +172,19 @@ def align_patch(cut: Callable[[Points], Image], place: Points, old: Image, weigh
         ``(h, w, C)``: the surroundings.
     weight
         ``(h, w)``, not negative: 0 where the surroundings are not known.
-    steps
-        Number of steps. Each moves by at most half a pixel along x and along y.
 
     Returns
     -------
     Points
         (x, y).
     """
-    for _ in range(steps):
-        tensor, slope = _gradient_products(old, cut(place))
-        total = max(float(weight.sum()), 1e-12)
-        (xx, xy, yy), (ex, ey) = ([float((weight * part).sum()) / total for part in parts] for parts in (tensor, slope))
-        matrix = np.array([[xx + DAMPING, xy], [xy, yy + DAMPING]])
-        place = place + np.clip(np.linalg.solve(matrix, [ex, ey]), -0.5, 0.5)
-    return place
-
-
-def fit_deformation(
-    warp: Callable[[Array], Image], old: Image, weight: Array, fade: Array, limit: float, steps: int = 3
-) -> Array:
-    """Compute the smooth field of displacements with which a patch agrees best with its surroundings.
-
-    Parameters
-    ----------
-    warp
-        Returns the patch under a displacement of each pixel, ``(h, w, 2)``.
-    old, weight
-        As in :func:`align_patch`.
-    fade
-        ``(h, w)`` in [0, 1]: share of the displacement that a pixel takes.
-    limit
-        Largest displacement, px.
-    steps
-        Number of steps.
-
-    Returns
-    -------
-    Array
-        ``(h, w, 2)`` (x, y) px, smoothed by a Gaussian of 0.08 of the patch's longer side, at least 2 px.
-    """
-    sigma = max(2.0, 0.08 * max(old.shape[:2]))
-    smooth_weight = np.maximum(scipy.ndimage.gaussian_filter(weight, sigma), 1e-6)
-    field = np.zeros((*old.shape[:2], 2))
-    for _ in range(steps):
-        tensor, slope = _gradient_products(old, warp(field))
-        xx, xy, yy, ex, ey = (
-            scipy.ndimage.gaussian_filter(weight * part, sigma) / smooth_weight for part in (*tensor, *slope)
-        )
-        xx, yy = xx + DAMPING, yy + DAMPING
-        determinant = xx * yy - xy**2
-        step = np.stack([yy * ex - xy * ey, xx * ey - xy * ex], -1) / determinant[..., np.newaxis]
-        field = _limit_length(field + fade[..., np.newaxis] * step, fade * limit)
-    return field
-
-
-def _gradient_products(old: Image, new: Image) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
-    """Return each pixel's products of gradients (xx, xy, yy), and of gradient and difference (x, y)."""
+    new = cut(place)
     y, x = (np.asarray(part, np.float64) for part in np.gradient(new, axis=(0, 1)))
     difference = (old - new).astype(np.float64)
+    total = max(float(weight.sum()), 1e-12)
     xx, xy, yy, ex, ey = (
-        np.einsum("ijk,ijk->ij", *two) for two in ((x, x), (x, y), (y, y), (x, difference), (y, difference))
+        float((weight * np.einsum("ijk,ijk->ij", *pair)).sum()) / total
+        for pair in ((x, x), (x, y), (y, y), (x, difference), (y, difference))
     )
-    return (xx, xy, yy), (ex, ey)
-
-
-def _limit_length(field: Array, limit: Array) -> Array:
-    length = np.maximum(np.hypot(field[..., 0], field[..., 1]), 1e-12)
-    return np.asarray(field * np.minimum(1.0, limit / length)[..., np.newaxis])
+    matrix = np.array([[xx + DAMPING, xy], [xy, yy + DAMPING]])
+    return np.asarray(place + np.clip(np.linalg.solve(matrix, [ex, ey]), -0.5, 0.5))

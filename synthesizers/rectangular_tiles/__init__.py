@@ -1,1 +1,1 @@
-"""Helpers of representative-tile: the frame of a rectangular tile, and Wang tiles."""
+"""Helpers of representative-tile: the frame of a rectangular tile."""

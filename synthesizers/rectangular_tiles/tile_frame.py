@@ -2,7 +2,8 @@
 
 A lattice repeats with a rectangle if both sides of the rectangle are lattice vectors. :func:`find_upright_rectangle`
 and :func:`find_free_rectangle` search for such rectangles, exact or nearly so; :func:`find_tile_frame` chooses one for
-a sample and lays a grid of tile pixels over it.
+a sample and lays a grid of tile pixels over it. A rectangle is given by two lattice vectors, its sides or nearly:
+``int64 (2, 2)``, whose rows are multiples of the vectors of the lattice.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Integers, Lattice, Points, integers_within
 from nrbench.plugins.forms import Refused, Shape
@@ -76,7 +76,7 @@ class TileFrame:
         return np.asarray(((at >= -1e-6) & (at <= np.array(shape[1::-1]) - 1 + 1e-6)).all(-1))
 
 
-def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, scale_down: bool) -> TileFrame:
+def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float) -> TileFrame:
     """Return the frame of the smallest rectangular tile of a lattice for a sample of ``shape``.
 
     Among rectangles that are exact periods the smallest upright one is used, as in the paper, unless a turned one holds
@@ -90,8 +90,6 @@ def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, 
         The lattice of the sample, and the sample's shape.
     tolerance
         How far, in shares of s, a side may be from a lattice vector.
-    scale_down
-        True: the periods shrink to whole pixels (equation 4). False: the fraction of a pixel is cut off.
 
     Raises
     ------
@@ -106,17 +104,23 @@ def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, 
             f"no rectangle inside the {shape[1]}x{shape[0]} px sample repeats within {tolerance:g} s of this "
             f"{lattice.kind} lattice: the tile would be larger than the sample"
         )
-    periods = _orient(rectangle.numbers @ lattice.matrix)
+    periods = _orient(rectangle @ lattice.matrix)
     lengths = np.hypot(*periods.T)
     columns, rows = (int(length + PERIOD_SLACK) for length in lengths)
     if min(rows, columns) < _LEAST_SIDE:
         raise Refused(f"the lattice repeats every {lengths.min():.2f} px: a tile of less than 2 px shows nothing")
-    steps = periods / (np.array([[columns], [rows]]) if scale_down else lengths[:, np.newaxis])
+    steps = periods / np.array([[columns], [rows]])  # equation 4: the periods shrink to whole pixels
     first, covered = _cover(steps, shape)
-    return TileFrame(periods, (rows, columns), steps, first, covered, rectangle.cells)
+    return TileFrame(periods, (rows, columns), steps, first, covered, count_rectangle_cells(rectangle))
 
 
-def _find_rectangle(lattice: Lattice, shape: tuple[int, ...], tolerance: float) -> Rectangle | None:
+def count_rectangle_cells(rectangle: Integers) -> int:
+    """Return the number of cells of the lattice in a rectangle."""
+    (p, q), (r, s) = rectangle
+    return abs(int(p) * int(s) - int(q) * int(r))
+
+
+def _find_rectangle(lattice: Lattice, shape: tuple[int, ...], tolerance: float) -> Integers | None:
     """Return the upright rectangle, or a turned one that is much smaller, at the first level at which one fits."""
     limit = math.hypot(*shape[:2])
     room = np.array(shape[1::-1]) + PERIOD_SLACK
@@ -127,9 +131,9 @@ def _find_rectangle(lattice: Lattice, shape: tuple[int, ...], tolerance: float) 
             (find_free_rectangle(lattice, reach, limit), _TURNED),
         )
         fitting = [
-            (one.cells * weight, one)
-            for one, weight in candidates
-            if one and bool((np.abs(one.numbers @ lattice.matrix).sum(0) <= room).all())
+            (count_rectangle_cells(rectangle) * weight, rectangle)
+            for rectangle, weight in candidates
+            if rectangle is not None and bool((np.abs(rectangle @ lattice.matrix).sum(0) <= room).all())
         ]
         if fitting:
             return min(fitting, key=lambda rated: rated[0])[1]
@@ -153,29 +157,7 @@ def _cover(steps: Points, shape: tuple[int, ...]) -> tuple[tuple[int, int], Shap
     return (int(low[0]), int(low[1])), (int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1)
 
 
-@dataclass(frozen=True)
-class Rectangle:
-    """A rectangle whose two sides are lattice vectors, exactly or nearly.
-
-    Parameters
-    ----------
-    sides
-        ``(2, 2)``: the two sides (x, y), px, at a right angle to each other: (w, 0) and (0, h) if upright.
-    numbers
-        ``int64 (2, 2)``: ``numbers @ lattice.matrix`` are the lattice vectors nearest to the sides.
-    """
-
-    sides: Points
-    numbers: Integers
-
-    @property
-    def cells(self) -> int:
-        """Number of cells of the lattice in the rectangle."""
-        (p, q), (r, s) = self.numbers
-        return abs(int(p) * int(s) - int(q) * int(r))
-
-
-def find_upright_rectangle(lattice: Lattice, tolerance: float = 0.0, limit: float = 1024.0) -> Rectangle | None:
+def find_upright_rectangle(lattice: Lattice, tolerance: float, limit: float) -> Integers | None:
     """Return the smallest upright rectangle that is a period of the lattice.
 
     The sides (w, 0) and (0, h) are each the shortest within ``tolerance`` of a lattice vector.
@@ -183,7 +165,7 @@ def find_upright_rectangle(lattice: Lattice, tolerance: float = 0.0, limit: floa
     Parameters
     ----------
     lattice
-        The result depends on neither its basis nor its origin.
+        Its origin has no effect, and its basis none on the rectangle.
     tolerance
         Largest distance, px, of a side from a lattice vector; less than half of s. 0: exact up to rounding.
     limit
@@ -191,33 +173,26 @@ def find_upright_rectangle(lattice: Lattice, tolerance: float = 0.0, limit: floa
 
     Returns
     -------
-    Rectangle or None
+    Integers or None
         None if there is none, as for most lattices at a tolerance of 0.
-
-    Raises
-    ------
-    BadInput
-        If any rectangle were within the tolerance, or if the limit is not a positive length.
     """
-    reach = _check_reach(lattice, tolerance, limit)
-    basis = lattice.reduced().matrix
+    reach, basis = max(tolerance, EXACT * lattice.s), lattice.reduced().matrix
     across, down = (_side_along_x(turned, reach, limit) for turned in (basis, basis[:, ::-1]))
     if across is None or down is None:
         return None
-    return _rectangle(lattice, np.diag([across[0], down[0]]), np.array([across[1] @ basis, down[1] @ basis]))
+    return _count_vectors(lattice, np.array([across[1] @ basis, down[1] @ basis]))
 
 
-def find_free_rectangle(lattice: Lattice, tolerance: float = 0.0, limit: float = 1024.0) -> Rectangle | None:
+def find_free_rectangle(lattice: Lattice, tolerance: float, limit: float) -> Integers | None:
     """Return the rectangle of least area, in any direction, that is a period of the lattice.
 
     One side is a lattice vector; the other, at a right angle, is within ``tolerance`` of one. Sides are tried from the
-    shortest on, until they are too long to be the shorter side of a smaller rectangle. Parameters, results and errors
-    are those of :func:`find_upright_rectangle`. Time grows with the number of lattice vectors tried: those shorter than
-    the square root of the area of the result, or than ``limit`` if there is none (about 2 ``limit``^2 over the cell's
+    shortest on, until they are too long to be the shorter side of a smaller rectangle. Parameters and results are those
+    of :func:`find_upright_rectangle`. Time grows with the number of lattice vectors tried: those shorter than the
+    square root of the area of the result, or than ``limit`` if there is none (about 2 ``limit``^2 over the cell's
     area).
     """
-    reach = _check_reach(lattice, tolerance, limit)
-    basis = lattice.reduced().matrix
+    reach, basis = max(tolerance, EXACT * lattice.s), lattice.reduced().matrix
     least, rectangle = math.inf, None
     for side in _half_plane(integers_within(basis, (-limit, -limit), (limit, limit)), basis, limit):
         vector = side @ basis
@@ -228,19 +203,8 @@ def find_free_rectangle(lattice: Lattice, tolerance: float = 0.0, limit: float =
         other = _side_along_x(basis @ np.array([[-y, x], [x, y]]), reach, limit)
         if other is not None and length * other[0] < least * (1 - 1e-9):
             least = length * other[0]
-            sides = np.array([vector, (-y * other[0], x * other[0])])
-            rectangle = _rectangle(lattice, sides, np.array([vector, other[1] @ basis]))
+            rectangle = _count_vectors(lattice, np.array([vector, other[1] @ basis]))
     return rectangle
-
-
-def _check_reach(lattice: Lattice, tolerance: float, limit: float) -> float:
-    """Return the tolerance with an allowance for rounding; refuse meaningless tolerances and limits."""
-    s = lattice.s
-    if not 0 <= tolerance < s / 2:
-        raise BadInput(f"rectangle: tolerance is {tolerance} px; give 0 or more, less than half of s = {s:.4g} px")
-    if not 0 < limit < math.inf:
-        raise BadInput(f"rectangle: limit is {limit} px; give the longest side allowed, above 0")
-    return max(tolerance, EXACT * s)
 
 
 def _side_along_x(basis: Points, reach: float, limit: float) -> tuple[float, Integers] | None:
@@ -262,5 +226,6 @@ def _half_plane(numbers: Integers, basis: Points, limit: float) -> Integers:
     return numbers[np.argsort(lengths, kind="stable")][: int((lengths <= limit).sum())]
 
 
-def _rectangle(lattice: Lattice, sides: Points, vectors: Points) -> Rectangle:
-    return Rectangle(sides, np.rint(vectors @ np.linalg.inv(lattice.matrix)).astype(np.int64))
+def _count_vectors(lattice: Lattice, vectors: Points) -> Integers:
+    """Return the multiples of the lattice's vectors that add up to some lattice vectors."""
+    return np.rint(vectors @ np.linalg.inv(lattice.matrix)).astype(np.int64)

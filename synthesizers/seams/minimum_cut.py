@@ -13,9 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import Image
-
-from .seam_kernels import SOURCE, grow_trees, link_costs
+from .seam_kernels import SOURCE, grow_trees
 
 Mask = NDArray[np.bool_]
 Weights = NDArray[np.float64]
@@ -46,11 +44,6 @@ def minimum_cut(links: Links, source: Weights, sink: Weights) -> Mask:
     Mask
         ``bool (H, W)``. If several labelings have the least cost, the one with the fewest True pixels.
 
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, a weight is negative or NaN, a link is infinite, or a pixel's source and sink both are.
-
     Examples
     --------
     Cut a row of three pixels at its cheaper link:
@@ -60,7 +53,6 @@ def minimum_cut(links: Links, source: Weights, sink: Weights) -> Mask:
     array([[ True,  True, False]])
     """
     height, width = source.shape
-    _check_weights(links, source, sink)
     residual = np.zeros((4, height + 2, width + 2))
     residual[0, 1:-1, 1:-2] = residual[1, 1:-1, 2:-1] = links.across
     residual[2, 1:-2, 1:-1] = residual[3, 2:-1, 1:-1] = links.down
@@ -69,46 +61,13 @@ def minimum_cut(links: Links, source: Weights, sink: Weights) -> Mask:
     return np.asarray(tree.reshape(terminal.shape)[1:-1, 1:-1] == SOURCE)
 
 
-def _check_weights(links: Links, source: Weights, sink: Weights) -> None:
-    height, width = source.shape
-    shapes = links.across.shape, links.down.shape, sink.shape
-    if shapes != ((height, width - 1), (height - 1, width), (height, width)):
-        raise ValueError(f"links and sink of shapes {shapes} do not fit a grid of {height} x {width} pixels")
-    if not all((weights >= 0).all() for weights in (*links, source, sink)):
-        raise ValueError("the weights of a cut must be at least 0, and not NaN")
-    if not all(np.isfinite(weights).all() for weights in links):
-        raise ValueError("links must be finite; make a source or sink infinite to keep pixels together")
-    if (np.isinf(source) & np.isinf(sink)).any():
-        raise ValueError("a pixel's source and sink are both infinite: it cannot be True and False")
-
-
-def seam_links(old: Image, new: Image, normalized: bool = False, power: float = 1.0) -> Links:
-    """Compute the cost of a seam between two pictures for each pair of adjacent pixels s and t.
-
-    The cost is ``|old(s) - new(s)| + |old(t) - new(t)|``, Euclidean over the channels (equation 1). The normalized cost
-    is divided by the sum of the gradients of both pictures at s and t along the link (section 5), so that seams follow
-    the outlines in the texture instead of crossing flat regions.
-
-    Parameters
-    ----------
-    old, new
-        ``(H, W, C)``.
-    normalized
-        Divide by the gradients plus one gray level, so that flat regions have a finite cost.
-    power
-        Exponent of the differences (the paper: 1). With 2, one large step costs more than several small ones.
-    """
-    first, second = (np.ascontiguousarray(picture, np.float32) for picture in (old, new))
-    return Links(*link_costs(first, second, normalized, power))
-
-
-def cut_overlap(links: Links, fixed_old: Mask, fixed_new: Mask, old_seams: Links | None = None) -> Mask:
+def cut_overlap(links: Links, fixed_old: Mask, fixed_new: Mask, old_seams: Links) -> Mask:
     """Compute where to show the new picture, so that the seam between old and new is the least visible.
 
     Parameters
     ----------
     links
-        Costs of a seam between old and new, see :func:`seam_links`.
+        Costs of a seam between old and new, see :func:`~.seam_kernels.link_costs`.
     fixed_old, fixed_new
         ``bool (H, W)``: pixels that must stay old, and pixels that must be new. The others are the overlap.
     old_seams
@@ -120,11 +79,6 @@ def cut_overlap(links: Links, fixed_old: Mask, fixed_new: Mask, old_seams: Links
     Mask
         ``bool (H, W)``: True where the new picture is shown. Where both pictures agree the old one stays.
 
-    Raises
-    ------
-    ValueError
-        If a pixel must be old and new, or shapes do not fit.
-
     Notes
     -----
     Let a link cost m and carry an old seam of cost c. It costs c if both pixels stay, m if one does, 0 if none does. A
@@ -133,8 +87,6 @@ def cut_overlap(links: Links, fixed_old: Mask, fixed_new: Mask, old_seams: Links
     covered patches would show beyond the seam; here it is compared with the old picture as it is.
     """
     source, sink = np.where(fixed_new, np.inf, 0.0), np.where(fixed_old, np.inf, 0.0)
-    if old_seams is None:
-        return minimum_cut(links, source, sink)
     across, down = (np.minimum(seam / 2, link) for seam, link in zip(old_seams, links, strict=True))
     source[:, 1:] += across
     source[:, :-1] += across

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .dynamic_seam import dynamic_seam
 from .minimum_cut import Mask
 from .overlap_seam_kernels import cut_corner, squared_differences
+from .seam_kernels import cheapest_path
 
 
 def cut_sides(old: NDArray[np.uint8], new: NDArray[np.uint8], overlap: int, left: bool, top: bool) -> Mask:
@@ -33,10 +33,10 @@ def cut_sides(old: NDArray[np.uint8], new: NDArray[np.uint8], overlap: int, left
     if left and top:
         return l_shaped_seam(squared_differences(np.ascontiguousarray(old), np.ascontiguousarray(new)), overlap)[0]
     if left:
-        mask[:, :overlap] = np.arange(overlap) >= dynamic_seam(_strip_error(old, new, overlap))[:, np.newaxis]
+        mask[:, :overlap] = np.arange(overlap) >= cheapest_path(_strip_error(old, new, overlap))[:, np.newaxis]
     if top:
         error = _strip_error(old.swapaxes(0, 1), new.swapaxes(0, 1), overlap)
-        mask[:overlap] = np.arange(overlap)[:, np.newaxis] >= dynamic_seam(error)
+        mask[:overlap] = np.arange(overlap)[:, np.newaxis] >= cheapest_path(error)
     return mask
 
 

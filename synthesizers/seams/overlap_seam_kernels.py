@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Float64View2, Float64x2, Int64x1, UInt8x2, UInt8x3, kernel
+from nrbench.jit import Float64x2, UInt8x2, UInt8x3, kernel
+
+from .seam_kernels import follow_path, path_costs
 
 
 @kernel
@@ -20,48 +22,6 @@ def squared_differences(old: UInt8x3, new: UInt8x3) -> Float64x2:
                 total += difference * difference
             error[y, x] = total
     return error
-
-
-@kernel
-def path_costs(error: Float64View2) -> Float64x2:
-    """Return, for each pixel, the least sum of errors over 8-connected paths from the lowest row up to it. O(h w)."""
-    rows, columns = error.shape
-    total = np.empty((rows, columns))
-    total[rows - 1] = error[rows - 1]
-    for i in range(rows - 2, -1, -1):
-        for j in range(columns):
-            least = total[i + 1, j]
-            if j > 0:
-                least = min(least, total[i + 1, j - 1])
-            if j < columns - 1:
-                least = min(least, total[i + 1, j + 1])
-            total[i, j] = error[i, j] + least
-    return total
-
-
-@kernel
-def follow_path(total: Float64x2, row: int, column: int) -> Int64x1:
-    """Return the columns of the path of least cost from a pixel down to the lowest row, one for each row from ``row``.
-
-    Parameters
-    ----------
-    total
-        Costs from :func:`path_costs`. Of steps of equal cost the straight one is preferred, then the left one.
-    row, column
-        The pixel.
-    """
-    rows, columns = total.shape
-    path = np.empty(rows - row, np.int64)
-    path[0] = column
-    for i in range(row + 1, rows):
-        before = path[i - row - 1]
-        best = before
-        if before > 0 and total[i, before - 1] < total[i, best]:
-            best = before - 1
-        if before < columns - 1 and total[i, before + 1] < total[i, best]:
-            best = before + 1
-        path[i - row] = best
-    return path
 
 
 @kernel

@@ -26,7 +26,7 @@ def gather(
     values
         ``(n, C)``, written: the filled pixels.
     runs
-        ``(n, 3)``, written: see :class:`~nrbench.synthesizers.tile_laying.tile_stock.Overlap`.
+        ``(n, 3)``, written: see :class:`~nrbench.synthesizers.tile_laying.tile_stock.CoveredPixels`.
     """
     channels = canvas.shape[2]
     count, number, following = 0, 0, np.int64(0)
@@ -118,7 +118,7 @@ def nearest_places(places: Float64x2, parts: int, box: Int64x2, height: int, wid
     Returns
     -------
     NDArray
-        ``(p, 4)``: the shifted image of the first copy, pixel (x, y), and 1 if the tile and the pixels that it is
+        ``(p, 4)``: the shifted image, pixel (x, y), and 1 if the tile and the pixels that it is
         interpolated from lie inside, else 0.
     """
     nearest = np.empty((places.shape[0], 4), np.int64)
@@ -147,7 +147,6 @@ def best_move(
     middle: Float64x1,
     radius: float,
     box: Int64x2,
-    first: int,
 ) -> Int64x1:
     """Return the place at which a tile correlates best with what is filled there.
 
@@ -161,8 +160,6 @@ def best_move(
         ``(2,)``: the place of the tile, and its real middle, (x, y).
     radius
         Largest distance from the middle, px.
-    first
-        First shifted image of the tile's copy.
 
     Returns
     -------
@@ -184,7 +181,7 @@ def best_move(
         if m == 0 or (distance <= radius and nearest[m, 3] == 1):
             away[count] = distance if m else -1.0
             nearest[count] = nearest[m]
-            places[count, 0] = first + nearest[m, 0]
+            places[count, 0] = nearest[m, 0]
             places[count, 1] = (nearest[m, 2] * width + nearest[m, 1]) * channels
             count += 1
     sums = product_sums(values, runs, sources, places[:count], channels)
@@ -201,4 +198,4 @@ def best_move(
         correlation = covariance / math.sqrt(variance if variance > 1 else 1)
         if correlation > highest or (correlation == highest and away[m] < away[best]):
             best, highest = m, correlation
-    return np.array([first + nearest[best, 0], nearest[best, 1], nearest[best, 2]])
+    return np.array([nearest[best, 0], nearest[best, 1], nearest[best, 2]])

@@ -20,11 +20,13 @@ from nrbench.jit import (
     kernel,
 )
 
-from ..seams.seam_kernels import SOURCE, cheapest_path, grow_trees, link_costs
+from ..seams.seam_kernels import SOURCE, grow_trees, link_costs
 
 _OUTSIDE, _EMPTY, _KEPT, _FREE = 0, 1, 2, 3
 """States of a pixel of the tile's box: outside the tile; not filled; filled under the tile's outermost pixels, so that
 it is kept; free to choose."""
+FEATHER = 3.0
+"""px; width of the ramp where the two seams of dynamic programming conflict (the paper gives no width)."""
 
 
 @kernel
@@ -68,39 +70,6 @@ def error_surface(
 
 
 @kernel
-def band_width(surface: Float64x2) -> int:
-    """Return how far the filled region reaches from the left, in rows where a cell is not filled (negative)."""
-    width = 0
-    for i in range(surface.shape[0]):
-        for j in range(surface.shape[1]):
-            if surface[i, j] < 0:
-                width = max(width, j)
-                break
-    return width
-
-
-@kernel
-def wide_seam(error: Float64x2, band: int, slope: int) -> Int64x1:
-    """Return the seam through the first ``band`` columns of a surface whose rows are each repeated ``slope`` times.
-
-    In this way the seam can move ``slope`` columns aside from one row to the next. Negative errors, where nothing is
-    filled, count as 0. Without a band the seam is 0 everywhere.
-    """
-    rows = error.shape[0]
-    path = np.zeros(rows, np.int64)
-    if band == 0:
-        return path
-    steep = np.empty((rows * slope, band))
-    for i in range(rows):
-        for j in range(band):
-            steep[i * slope : (i + 1) * slope, j] = max(error[i, j], 0.0)
-    steep_path = cheapest_path(steep)
-    for i in range(rows):
-        path[i] = steep_path[i * slope + slope // 2]
-    return path
-
-
-@kernel
 def blend_weights(
     filled: UInt8x2,
     pixels: Int64x2,
@@ -109,12 +78,11 @@ def blend_weights(
     across: Int64x1,
     down: Int64x1,
     bands: Int64x1,
-    feather: float,
 ) -> Float64x1:
     """Return the weight of each of a tile's pixels over what is filled, given its two seams.
 
     Where nothing is filled the weight is 1. Where only one seam applies, it cuts. Where both apply, the tile fades in
-    with the depth beyond the nearer seam, from half a feather before it to half a feather behind it. Where the canvas
+    with the depth beyond the nearer seam, from half of :data:`FEATHER` before it to half of it behind. Where the canvas
     is filled and no seam applies, the tile fades in from its border.
 
     Parameters
@@ -123,8 +91,6 @@ def blend_weights(
         As in :func:`paste`.
     across, down, bands
         See :func:`~nrbench.synthesizers.tile_laying.tile_canvas.find_seams`.
-    feather
-        Width of the ramp, px; 0 cuts.
     """
     weights = np.ones(pixels.shape[0])
     for k in range(pixels.shape[0]):
@@ -138,10 +104,10 @@ def blend_weights(
                 depth = min(depth, column - across[row] + 0.5)
             if above:
                 depth = min(depth, row - down[column] + 0.5)
-            soft = beside and above and feather > 0
+            soft = beside and above
         else:
-            depth, soft = pixels[k, 5] + 0.5 - feather / 2, feather > 0
-        weights[k] = min(max(depth / feather + 0.5, 0.0), 1.0) if soft else (1.0 if depth > 0 else 0.0)
+            depth, soft = pixels[k, 5] + 0.5 - FEATHER / 2, True
+        weights[k] = min(max(depth / FEATHER + 0.5, 0.0), 1.0) if soft else (1.0 if depth > 0 else 0.0)
     return weights
 
 
@@ -174,8 +140,7 @@ def paste(
     weights
         ``(n,)``: weight of each of the tile's pixels; 0 leaves the canvas as it is.
     place
-        ``(x, y, weight, xx, xy, yx, yy)``: the tile's middle in the sample, the weight of its nearest pixel, and the
-        matrix from the tile's (x, y) to the sample's.
+        ``(x, y, weight)``: the pixel of the sample nearest to the tile's middle, and its weight.
     """
     for k in range(pixels.shape[0]):
         weight = weights[k]
@@ -187,9 +152,7 @@ def paste(
             canvas[y, x, c] = np.uint8(mixed + 0.5)
         new, old = weight * place[2], (1 - weight) * origins[y, x, 2]
         if filled[y, x] == 0 or new >= old:
-            dx, dy = pixels[k, 0], pixels[k, 1]
-            origins[y, x, 0] = place[0] + place[3] * dx + place[4] * dy
-            origins[y, x, 1] = place[1] + place[5] * dx + place[6] * dy
+            origins[y, x, 0], origins[y, x, 1] = place[0] + pixels[k, 0], place[1] + pixels[k, 1]
             origins[y, x, 2] = new
         else:
             origins[y, x, 2] = old
@@ -219,8 +182,7 @@ def cut_tile(
         ``(H, W, 2)``: costs of the canvas's seams between each pixel and the next to its right, and below; changed to
         those with the tile. They count for pixels that stay, so that it pays to cover them.
     weights
-        Table and numbers of :class:`~nrbench.synthesizers.tile_laying.tile_shape.ElementWeights`, for the canvas. A
-        table of one number stands for weights of 1.
+        Table and numbers of :class:`~nrbench.synthesizers.tile_laying.tile_shape.ElementWeights`, for the canvas.
     box
         ``(2, 2)``: the least and the greatest (x, y) of the tile's pixels.
 
@@ -255,7 +217,7 @@ def cut_tile(
         for k in range(pixels.shape[0]):
             shown[k] = state[pixels[k, 1] - box[0, 1], pixels[k, 0] - box[0, 0]] == _EMPTY
         return shown
-    across, down = link_costs(old, new, True, 1.0)
+    across, down = link_costs(old, new, False)
     weigh_links(weights[0], weights[1], x0, y0, across, down)
     double_border(state, across, down)
     residual, terminal = link_graph(state, across, down, seams[y0 : y0 + height, x0 : x0 + width])
@@ -283,8 +245,6 @@ def weigh_links(table: Float32x2, to_cell: Float64x2, x0: int, y0: int, across: 
     across, down
         Costs of the links to the right ``(h, w - 1)`` and downward ``(h - 1, w)``; changed.
     """
-    if table.size == 1:
-        return
     height, width = across.shape[0], down.shape[1]
     rows, columns = table.shape
     weights = np.empty((height, width))

@@ -113,30 +113,30 @@ class BadMethod:
         return Synthesis(image, task.lattice, source)
 
 
+class Tiler:
+    """A method that repeats the sample."""
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Repeat the sample."""
+        return Synthesis(tile(task.sample, task.shape))
+
+
 @dataclass(frozen=True)
-class Nameless:
+class Nameless(Tiler):
     """A method whose page leaves out its parameter."""
 
     how: str = ""
 
-    def synthesize(self, task: Task) -> Synthesis:
-        """Repeat the sample."""
-        return Synthesis(tile(task.sample, task.shape))
-
 
 @dataclass(frozen=True)
-class Miscited:
+class Miscited(Tiler):
     """A method whose paper is no BibTeX entry."""
 
     paper: ClassVar[str] = "Doe, J.: A Method, 2024"
 
-    def synthesize(self, task: Task) -> Synthesis:
-        """Repeat the sample."""
-        return Synthesis(tile(task.sample, task.shape))
-
 
 @dataclass(frozen=True)
-class Forgetful:
+class Forgetful(Tiler):
     """A method whose parameter cannot be given as text: ``none`` is read as None.
 
     Parameters
@@ -146,10 +146,6 @@ class Forgetful:
     """
 
     names: str | None = "none"
-
-    def synthesize(self, task: Task) -> Synthesis:
-        """Repeat the sample."""
-        return Synthesis(tile(task.sample, task.shape))
 
 
 @dataclass(frozen=True)
@@ -167,7 +163,7 @@ class BadDetector:
     def detect(self, image: Image) -> Detection:
         """Violate a clause."""
         constant = np.ptp(image) == 0
-        confidence = 0.5 + misbehave(self.how, image)
+        confidence = 0.5
         if self.how == "gray":
             confidence += float(image[0, 0, 1] * 0)
         if self.how == "odd images" and min(image.shape[:2]) < 16:
@@ -194,7 +190,7 @@ class BadMetric:
 
     def score(self, observation: Observation) -> Score:
         """Violate a clause."""
-        mean = float(observation.output.mean()) + misbehave(self.how, observation.output)
+        mean = float(observation.output.mean())
         if self.how == "float":
             return mean  # type: ignore[return-value]
         if self.how == "little known" and observation.again is None:
@@ -222,13 +218,12 @@ class BadDataset:
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:
         """Violate a clause."""
-        shift = misbehave(self.how if self.how != "read-only" else "", None)
         if self.how == "shapes" and min(shape) < 16:
             raise ValueError("too small")
         y, x = np.mgrid[: shape[0], : shape[1]]
         height = 12 if self.how != "truth" else 9.5
         ideal = 0.5 + 0.2 * np.sin(2 * np.pi * x / 16) * np.cos(2 * np.pi * y / height)
-        image = ideal[..., np.newaxis] + rng.normal(0, 0.01, (*shape, 3)) + shift
+        image = ideal[..., np.newaxis] + rng.normal(0, 0.01, (*shape, 3))
         lattice = Lattice((16, 0), (0, 12))
         pixels = np.asarray(np.clip(image, 0, 1), np.float32)
         flat = np.asarray(np.repeat(ideal[..., np.newaxis], 3, 2), np.float32)
@@ -268,13 +263,12 @@ class BadReport:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Violate a clause."""
-        shift = misbehave(self.how if self.how != "read-only" else "", None)
         target = (run.root if self.how == "inside" else directory) / "list.html"
         statuses = [str(record.status) for record in run.cells]
         if self.how == "no results" and "ok" not in statuses:
             raise ZeroDivisionError("no results")
         names = " ".join(record.texture for record in run.cells)
-        target.write_text(names if self.how == "markup" else f"{statuses} {shift}", "utf-8")
+        target.write_text(names if self.how == "markup" else str(statuses), "utf-8")
         if self.how == "missing":
             return [directory / "nothing.html"]
         return [] if self.how == "none" else [target]

@@ -122,12 +122,12 @@ def test_the_cache_folder_is_keyed_by_source_and_version(tmp_path: Path) -> None
 def test_compiled_and_plain_kernels_agree() -> None:
     """The border-matching kernel gives compiled what it gives as Python, to the last bit."""
     rng = np.random.default_rng(0)
-    image = rng.integers(0, 256, (12, 30)).astype(np.float32)
-    template = rng.integers(0, 256, (5, 9)).astype(np.float32)
-    runs = np.array([[0, 0, 9], [3, 2, 7]])
+    image = rng.integers(0, 256, (12, 30, 3)).astype(np.float32)
+    template = rng.integers(0, 256, (5, 3, 3)).astype(np.float32)
+    hole = (1, 3, 0, 2)
     positions = np.array([[0, 0], [21, 7], [4, 3]])
-    compiled = correlate_at(image, template, runs, positions)
-    np.testing.assert_array_equal(compiled, correlate_at.function(image, template, runs, positions))
+    compiled = correlate_at(image, template, hole, positions)
+    np.testing.assert_array_equal(compiled, correlate_at.function(image, template, hole, positions))
 
 
 def test_annotations_are_the_types_of_a_kernel() -> None:

@@ -1,4 +1,4 @@
-"""Claims about single models: what lies at known places."""
+"""Claims about single models: what lies at known places, and which sizes they refuse."""
 
 from __future__ import annotations
 
@@ -13,10 +13,14 @@ from nrbench.datasets_procedural.basket import Basket
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.jigsaw import Jigsaw
+from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.overlap import Overlap
+from nrbench.datasets_procedural.weave import Weave
 from nrbench.datasets_procedural.windows import Windows
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
+
+from .conftest import NONE, truth
 
 PLACES: list[tuple[str, dict[str, Any], tuple[float, float], str, tuple[int, ...]]] = [
     ("brick", {"width": 20, "height": 10, "bond": "stack"}, (20, 10), "brick", (1, 1)),
@@ -139,3 +143,71 @@ def test_double_strands() -> None:
     y = np.arange(4) * 8.0
     stake = Basket(stake=20, strand=8, draft="double").pattern(np.zeros(4), y).layers[0].coverage
     assert stake.round().tolist() == [1, 1, 0, 0]
+
+
+def test_each_brick_has_one_factor() -> None:
+    """Inside a brick the picture is the ideal one times the brick's factor, and the mortar never varies."""
+    wall = Brick(width=30, height=12, joint=2, phase=(0, 0), color=0.4, intensity=0, noise=0)
+    texture = wall.render((12, 90), np.random.default_rng(0))
+    ratio = texture.image / truth(texture)[1]
+    index, factor = (texture.elements[f"brick.{part}"] for part in ("index", "factor"))
+    for brick, column in (((0, 0), slice(0, 13)), ((1, 0), slice(18, 43)), ((2, 0), slice(48, 73))):
+        inside = ratio[0:4, column].reshape(-1, 3)
+        expected = np.broadcast_to(factor[(index == brick).all(1)], inside.shape)
+        np.testing.assert_allclose(inside, expected, rtol=1e-5)
+    np.testing.assert_allclose(ratio[6], 1, atol=1e-6)
+
+
+def test_hexagons_are_sixfold() -> None:
+    """A turn by 60 degrees changes nothing; the two vectors are equally long."""
+    lattice = truth(Hexagon(period=20.5, rotation=8.0).render((32, 32), np.random.default_rng(0)))[0]
+    assert lattice.area == pytest.approx(20.5**2 * math.sqrt(3) / 2) and lattice.s == pytest.approx(20.5)
+    images = [
+        Hexagon(phase=(0, 0), rotation=angle, **NONE).render((64, 64), np.random.default_rng(0)).image
+        for angle in (10.0, 70.0)
+    ]
+    np.testing.assert_allclose(images[0], images[1], atol=1e-5)
+
+
+def test_threads_alternate() -> None:
+    """Warp and weft lie above in turn, like a chess-board; a thread is lightest where it lies above."""
+    cloth = Weave(warp=12, weft=10, gap=2, phase=(0, 0), **NONE)
+    image = cloth.render((41, 49), np.random.default_rng(0)).image
+    crossings = image[::10, ::12, 0]
+    chess = np.indices(crossings.shape).sum(0) % 2 == 0
+    assert np.ptp(crossings[chess]) < 1e-6 and np.ptp(crossings[~chess]) < 1e-6
+    assert crossings[~chess].min() - crossings[chess].max() > 0.2
+    assert image[5, 6].max() < 0.25
+    assert (np.diff(image[0, 0:5, 0]) < 0).all() and (np.diff(image[0:5, 0, 0]) < 0).all()
+
+
+def test_a_thread_keeps_its_color() -> None:
+    """The factor belongs to the thread: the same at every crossing where it lies above."""
+    weave = Weave(warp=12, weft=10, gap=2, phase=(0, 0), color=0.5, intensity=0.2, noise=0)
+    texture = weave.render((101, 121), np.random.default_rng(0))
+    ratio = (texture.image / truth(texture)[1])[::10, ::12]
+    for i in range(ratio.shape[1]):
+        assert np.ptp(ratio[i % 2 :: 2, i], axis=0).max() < 1e-5
+    for j in range(ratio.shape[0]):
+        assert np.ptp(ratio[j, (j + 1) % 2 :: 2], axis=0).max() < 1e-5
+    assert ratio[0, ::2].std() > 0.1
+
+
+def test_equal_spacings_still_need_two_threads() -> None:
+    """With square crossings the smallest lattice is the centered one, of area 2 p^2."""
+    lattice = truth(Weave(warp=13.3, weft=13.3).render((32, 32), np.random.default_rng(0)))[0]
+    assert lattice.area == pytest.approx(2 * 13.3**2) and lattice.s == pytest.approx(13.3 * np.sqrt(2))
+
+
+@pytest.mark.parametrize(
+    ("model", "parameters"),
+    [
+        *((Brick, each) for each in ({"joint": 0.5}, {"width": 3.0}, {"height": float("nan")}, {"width": 1e6})),
+        *((Hexagon, each) for each in ({"joint": 0.9}, {"period": 4.0}, {"period": float("inf")})),
+        *((Weave, each) for each in ({"gap": 0.0}, {"warp": 3.0}, {"weft": float("nan")})),
+    ],
+)
+def test_bad_sizes(model: type[Model], parameters: dict[str, Any]) -> None:
+    """A joint under one px, and an element that its joints swallow, are refused with the least size."""
+    with pytest.raises(BadInput, match="give at least"):
+        model(**parameters)

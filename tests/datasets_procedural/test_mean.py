@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nrbench.datasets_procedural.modelling.drawing import Frame
 from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.datasets_procedural.modelling.pattern import Frame
+from nrbench.datasets_procedural.modelling.recomposition import Draw
 
 from .conftest import MODELS, NONE, render, truth
 
@@ -20,7 +21,7 @@ def _deviations(model: type[Model], **strengths: float) -> tuple[NDArray[np.floa
     first = render(made, side=32)
     seeds = np.random.default_rng(1).integers(2**63, size=300)
     pattern = made.colored_pattern(*Frame(truth(first)[0].origin, made.rotation).grid((32, 32)))
-    draws = np.stack([np.clip(made.departures.paint(pattern, int(seed))[0], 0, 1) for seed in seeds])
+    draws = np.stack([np.clip(made.departures.paint(pattern, int(seed), Draw(int(seed)))[0], 0, 1) for seed in seeds])
     np.testing.assert_array_equal(draws[0], made.again(first, (32, 32), np.random.default_rng(1)).image)
     error = draws.std(0, ddof=1, dtype=np.float64) / math.sqrt(300)
     return (draws.mean(0, dtype=np.float64) - truth(first)[1]) / error, (draws <= 0) | (draws >= 1)

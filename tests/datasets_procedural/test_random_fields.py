@@ -14,7 +14,6 @@ from nrbench.datasets_procedural.modelling.random_fields import (
     factors,
     grain,
     hash_bits,
-    role_seed,
     smooth_inside,
     uniform,
     waves,
@@ -72,11 +71,6 @@ def test_factor_variance_is_that_of_factors() -> None:
     assert table.mean() == pytest.approx(1, abs=0.005)
 
 
-def test_roles_are_independent() -> None:
-    """Two roles of one draw have seeds of their own."""
-    assert role_seed(1, "brick.color") != role_seed(1, "brick.intensity") != role_seed(2, "brick.intensity")
-
-
 def test_grain_is_stationary_and_correlated() -> None:
     """Grain has mean 0, variance 1 up to the border, a near-normal shape, and the correlation of a 0.7 px Gaussian."""
     field = grain(1, (400, 400)).astype(np.float64)
@@ -87,11 +81,6 @@ def test_grain_is_stationary_and_correlated() -> None:
     for lag, expected in ((1, 0.60), (2, 0.13), (5, 0.0)):
         assert (field[lag:] * field[:-lag]).mean() == pytest.approx(expected, abs=0.03)
         assert (field[:, lag:] * field[:, :-lag]).mean() == pytest.approx(expected, abs=0.03)
-
-
-def test_grain_of_any_shape_is_one_field() -> None:
-    """The grain of a smaller shape is the larger one's corner, to the bit."""
-    np.testing.assert_array_equal(grain(3, (20, 30)), grain(3, (64, 48))[:20, :30])
 
 
 def test_moments_over_draws() -> None:
@@ -107,9 +96,3 @@ def test_lengths() -> None:
     rows = np.concatenate([waves(seed, (2, 600), 30.0)[0] for seed in range(40)])
     crossings = (np.diff(np.sign(rows)) != 0).mean()
     assert 30 * crossings == pytest.approx(2 / np.sqrt(2), rel=0.25)
-
-
-def test_any_window_is_the_same_field() -> None:
-    """A smaller shape is the larger one's corner, to the bit; another seed is another field."""
-    np.testing.assert_array_equal(waves(3, (20, 30), 17.0), waves(3, (64, 48), 17.0)[:20, :30])
-    assert np.abs(waves(3, (20, 30), 17.0) - waves(4, (20, 30), 17.0)).max() > 0.5

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -56,70 +57,170 @@ class Reader:
 def misbehave(how: str) -> None:
     """Do to the process what ``how`` says, after a line in its log; "fine" and what leaves no trace return."""
     print(f"planted {how}", flush=True)
-    if how == "raise":
-        raise RuntimeError("planted failure")
-    if how in ("stubborn", "busy"):
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        while True:
-            time.sleep(0.01 if how == "stubborn" else 0)
-    if how == "segfault":
-        os.kill(os.getpid(), signal.SIGSEGV)
-    if how == "exit":
+    if how in DEEDS:
+        DEEDS[how]()
+
+
+def fail(error: BaseException) -> None:
+    """Raise an error."""
+    raise error
+
+
+def loop(pause: float) -> None:
+    """Ignore the signal to end, and loop for ever."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    while True:
+        time.sleep(pause)
+
+
+def hog() -> None:
+    """Allocate memory for ever."""
+    hoard = []
+    while True:
+        hoard.append(np.ones(1 << 22, np.uint8))
+        print(f"planted hog: holds {4 * len(hoard)} MiB", flush=True)
+
+
+def creep() -> None:
+    """Fill memory that no limit of the system counts."""
+    for size in range(1, 1000):
+        shared = mmap.mmap(-1, 1 << 20)
+        shared.write(b"x" * (1 << 20))
+        kept.append(shared)
+        print(f"holds {size} MiB", flush=True)
+        time.sleep(0.004)
+
+
+def litter() -> None:
+    """Leave a process of another session behind."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=True, stdout=subprocess.DEVNULL
+    )
+    print(f"child {child.pid}", flush=True)
+
+
+def hide() -> None:
+    """Leave a process of another session behind that has no environment, and whose parent has ended; and loop."""
+    program = "import os, time\nif os.fork():\n    os._exit(0)\nprint('child', os.getpid(), flush=True)\n"
+    subprocess.Popen([sys.executable, "-c", program + "time.sleep(600)"], start_new_session=True, env={}).wait()
+    loop(0.01)
+
+
+def escape() -> None:
+    """Leave a forked process of another session behind, and a forged message in every open file."""
+    child = os.fork()
+    if child == 0:
+        os.setsid()
+        time.sleep(600)
         os._exit(0)
-    if how == "hog":
-        hoard = []
-        while True:
-            hoard.append(np.ones(1 << 22, np.uint8))
-            print(f"planted hog: holds {4 * len(hoard)} MiB", flush=True)
-    if how == "creep":  # memory that no limit of the system counts
-        for size in range(1, 1000):
-            shared = mmap.mmap(-1, 1 << 20)
-            shared.write(b"x" * (1 << 20))
-            kept.append(shared)
-            print(f"holds {size} MiB", flush=True)
-            time.sleep(0.004)
-    if how == "litter":
-        child = subprocess.Popen(
-            [sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=True, stdout=subprocess.DEVNULL
-        )
-        print(f"child {child.pid}", flush=True)
-    if how == "flood":
-        for _ in range(300):
-            print("flood " * 10_000)
-    if how == "seed":
-        np.random.seed(0)  # noqa: NPY002
-        random.seed(0)
-        np.seterr(all="raise")
-        np.set_printoptions(precision=1)
-        os.environ["OMP_NUM_THREADS"] = "9"
-    if how == "folder":
-        Path("left by a plugin.txt").write_text(how)
-        os.chdir("/")
+    print(f"child {child}", flush=True)
+    for handle in range(3, 64):
+        with contextlib.suppress(OSError):
+            os.write(handle, b"[1]\n{\n")
 
 
+def boast() -> None:
+    """Claim that the request is finished, and loop for ever."""
+    print(f"child {os.getpid()}", flush=True)
+    os.write(3, b'{"finished": true}\n')
+    loop(0.01)
+
+
+def flood() -> None:
+    """Print much."""
+    for _ in range(300):
+        print("flood " * 10_000)
+
+
+def change_settings() -> None:
+    """Change settings of the process."""
+    np.random.seed(0)  # noqa: NPY002
+    random.seed(0)
+    np.seterr(all="raise")
+    np.set_printoptions(precision=1)
+    os.environ["OMP_NUM_THREADS"] = "9"
+
+
+def leave_folder() -> None:
+    """Write into the working directory, and leave it."""
+    Path("left by a plugin.txt").write_text("folder")
+    os.chdir("/")
+
+
+class Mute(Exception):
+    """An error whose message raises an error."""
+
+    def __str__(self) -> str:
+        raise RuntimeError
+
+
+DEEDS: dict[str, Callable[[], object]] = {
+    "raise": lambda: fail(RuntimeError("planted failure")),
+    "refuse": lambda: fail(Refused("planted refusal")),
+    "full": lambda: fail(OSError(errno.ENOSPC, "No space left on device")),
+    "mute": lambda: fail(Mute()),
+    "interrupt": lambda: fail(KeyboardInterrupt()),
+    "stubborn": lambda: loop(0.01),
+    "busy": lambda: loop(0),
+    "segfault": lambda: os.kill(os.getpid(), signal.SIGSEGV),
+    "group": lambda: os.killpg(os.getpgid(0), signal.SIGKILL),
+    "exit": lambda: os._exit(0),
+    "leave": lambda: os._exit(3),
+    "memory": lambda: np.ones((1 << 33,), np.uint8),
+    "hog": hog,
+    "creep": creep,
+    "litter": litter,
+    "hide": hide,
+    "escape": escape,
+    "boast": boast,
+    "flood": flood,
+    "seed": change_settings,
+    "folder": leave_folder,
+}
+"""What is done to a process."""
 kept: list[mmap.mmap] = []
 MISJUDGED = "misjudged"
 """The extra of an output on which the metrics below misbehave. A run that names no metrics scores by all of them."""
 
 
-@dataclass(frozen=True)
-class Rogue:
-    """A method that does to its process what ``how`` says, and then repeats the sample."""
+ODD: dict[str, dict[str, Any]] = {
+    "seconds": {"detection_seconds": float("nan")},
+    "text": {"detection_seconds": "long"},
+    "lattice": {"lattice": "32,0,0,32"},
+    "pickle": {"extras": {"x": np.array([object()])}},
+    "path": {"extras": {"../x": np.ones((2, 2, 3))}},
+    "source": {"source": "nowhere"},
+}
+"""Fields of a synthesis that are of no declared type."""
 
-    how: str = "fine"
+
+@dataclass(frozen=True)
+class Faulty:
+    """A method that does to its process what ``how`` says, or returns something odd; else it repeats the sample."""
+
+    how: str = "raise"
     uses_lattice: ClassVar[bool] = False
 
     def synthesize(self, task: Task) -> Synthesis:
         """Misbehave."""
         misbehave(self.how)
         good = Fine().synthesize(task)
+        image = np.array(good.image)
         if self.how == "mutate":
             task.sample[...] = 0
+        if self.how == "nan":
+            image[0, 0] = np.nan
+        if self.how == "shape":
+            image = image[:-1]
         if self.how == "type":
-            return Synthesis(good.image.astype(object))
+            image = image.astype(object)
         if self.how == "integers":
-            return Synthesis((255 * good.image).astype(np.uint8))
-        return dataclasses.replace(good, extras={MISJUDGED: np.ones(1)})
+            image = (255 * image).astype(np.uint8)
+        if self.how == "nothing":
+            return None  # type: ignore[return-value]
+        if self.how == "lie":
+            return Synthesis(1 - task.sample[1, 1] + 0 * image, source=np.ones((*task.shape, 3), np.float32))
+        return Synthesis(image, **{"extras": {MISJUDGED: np.ones(1)}, **ODD.get(self.how, {})})
 
 
 @dataclass(frozen=True)
@@ -150,7 +251,7 @@ class Follower:
 
 
 def make_judge(how: str) -> type:
-    """Return a metric that does to its process what ``how`` says for the outputs of ``rogue``, and then scores 1."""
+    """Return a metric that does to its process what ``how`` says for the outputs of ``faulty``, and then scores 1."""
 
     def score(self: Any, observation: Observation) -> Score:
         """Misbehave."""
@@ -161,7 +262,8 @@ def make_judge(how: str) -> type:
             observation.output[...] = 0
         if how == "nothing":
             return None  # type: ignore[return-value]
-        return Score({"value": float("nan")} if how == "nan" else {} if how == "shape" else {"value": 1.0})
+        odd: dict[str, Any] = {"nan": {"value": float("nan")}, "shape": {}, "words": {"value": "good"}}
+        return Score(odd.get(how, {"value": 1.0}))
 
     content = {"name": f"judge-{how}", "columns": {"value": Column("Whether all is well.")}, "score": score}
     notes = {"name": ClassVar[str], "columns": ClassVar[dict[str, Column]]}
@@ -170,8 +272,8 @@ def make_judge(how: str) -> type:
 
 
 JUDGES = (
-    *("raise", "stubborn", "segfault", "exit", "hog", "litter", "flood", "seed", "folder", "mutate"),
-    *("nothing", "nan", "shape", "fine"),
+    *("raise", "stubborn", "segfault", "exit", "hog", "litter", "flood", "seed", "folder", "mutate", "escape"),
+    *("nothing", "nan", "shape", "words", "fine"),
 )
 globals().update({f"Judge{how}": make_judge(how) for how in JUDGES})
 
@@ -189,47 +291,6 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Faulty:
-    """Misbehave as ``how`` says."""
-
-    how: str = "raise"
-    uses_lattice: ClassVar[bool] = False
-
-    def synthesize(self, task: Task) -> Synthesis:
-        """Misbehave."""
-        good = np.full((*task.shape, task.sample.shape[2]), 0.5, np.float32)
-        if self.how == "raise":
-            raise RuntimeError("planted failure")
-        if self.how == "full":
-            raise OSError(errno.ENOSPC, "No space left on device")
-        if self.how == "refuse":
-            raise Refused("planted refusal")
-        if self.how == "loop":
-            while True:
-                time.sleep(0.01)
-        if self.how == "segfault":
-            os.kill(os.getpid(), signal.SIGSEGV)
-        if self.how == "exit":
-            os._exit(3)
-        if self.how == "memory":
-            np.ones((1 << 33,), np.uint8)
-        if self.how == "hog":
-            hoard = []
-            while True:
-                hoard.append(np.ones(1 << 22, np.uint8))
-        if self.how == "nan":
-            good[0, 0] = np.nan
-        if self.how == "shape":
-            return Synthesis(good[:-1])
-        if self.how == "nothing":
-            return None  # type: ignore[return-value]
-        if self.how == "lie":
-            source = np.ones((*task.shape, 3), np.float32)
-            return Synthesis(1 - task.sample[1, 1] + np.zeros_like(good), source=source)
-        return Synthesis(good)
-
-
-@dataclass(frozen=True)
 class Picture:
     """Draw a gray texture, or misbehave as ``how`` says."""
 
@@ -238,21 +299,7 @@ class Picture:
     def render(self, shape: tuple[int, int], rng: np.random.Generator) -> Texture:
         """Misbehave."""
         image = np.repeat(rng.random((*shape, 1), np.float32), 3, axis=2)
-        if self.how in ("raise", "stubborn", "hog", "litter", "flood", "seed", "folder"):
-            misbehave(self.how)
-        if self.how == "mute":
-            raise Mute
-        if self.how == "loop":
-            while True:
-                time.sleep(0.01)
-        if self.how == "segfault":
-            os.kill(os.getpid(), signal.SIGSEGV)
-        if self.how == "exit":
-            os._exit(0)
-        if self.how == "group":
-            os.killpg(os.getpgid(0), signal.SIGKILL)
-        if self.how == "memory":
-            np.ones((1 << 33,), np.uint8)
+        misbehave(self.how)
         if self.how == "kind":
             return Texture(image, kind=object())  # type: ignore[arg-type]
         if self.how == "shape":
@@ -273,14 +320,7 @@ class Sheet:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Misbehave."""
-        if self.how == "exit":
-            os._exit(0)
-        if self.how == "segfault":
-            os.kill(os.getpid(), signal.SIGSEGV)
-        if self.how == "mute":
-            raise Mute
-        if self.how == "interrupt":
-            raise KeyboardInterrupt
+        misbehave(self.how)
         directory.mkdir(exist_ok=True)
         (directory / "sheet.txt").write_text(str(len(run.cells)))
         return [directory / "sheet.txt"]
@@ -288,13 +328,6 @@ class Sheet:
     def render(self, run: Run) -> str:
         """Return the text, as a report for the terminal does; this makes no dataset of the class."""
         return str(len(run.cells))
-
-
-class Mute(Exception):
-    """An error whose message raises an error."""
-
-    def __str__(self) -> str:
-        raise RuntimeError
 
 
 @dataclass(frozen=True)
@@ -321,47 +354,6 @@ class Meddler:
 
 
 @dataclass(frozen=True)
-class Odd:
-    """Return something that is of no declared type, as ``how`` says."""
-
-    how: str = "seconds"
-    uses_lattice: ClassVar[bool] = False
-
-    def synthesize(self, task: Task) -> Synthesis:
-        """Return it."""
-        good = np.full((*task.shape, task.sample.shape[2]), 0.5, np.float32)
-        odd = {
-            "seconds": {"detection_seconds": float("nan")},
-            "text": {"detection_seconds": "long"},
-            "lattice": {"lattice": "32,0,0,32"},
-            "pickle": {"extras": {"x": np.array([object()])}},
-            "path": {"extras": {"../x": good}},
-            "source": {"source": "nowhere"},
-        }
-        return Synthesis(good, **odd[self.how])  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True)
-class Escaper:
-    """Leave a process of its own session behind, and a forged message in every open file."""
-
-    uses_lattice: ClassVar[bool] = False
-
-    def synthesize(self, task: Task) -> Synthesis:
-        """Start it, write rubbish, and answer well."""
-        child = os.fork()
-        if child == 0:
-            os.setsid()
-            time.sleep(600)
-            os._exit(0)
-        print(f"child {child}", flush=True)
-        for handle in range(3, 64):
-            with contextlib.suppress(OSError):
-                os.write(handle, b"[1]\n{\n")
-        return Synthesis(np.full((*task.shape, task.sample.shape[2]), 0.25, np.float32))
-
-
-@dataclass(frozen=True)
 class Tenant:
     """The sample, repeated, with a note on what its process finds; it may leave things behind, as ``leaves`` says."""
 
@@ -379,9 +371,6 @@ class Tenant:
             "place": str(place),
             "folder": str(Path.cwd()),
             "found": sorted(str(path.relative_to(place)) for path in place.rglob("*")),
-            "open": sorted(str(file.readlink()) for file in Path("/proc/self/fd").iterdir() if file.is_file()),
-            "environment": dict(os.environ),
-            "random": int(np.random.get_state()[1][0]),  # type: ignore[index]  # noqa: NPY002
             "limited": 0 < limit < 1 << 34,
         }
         if self.leaves:
@@ -389,52 +378,6 @@ class Tenant:
                 (folder / "left").touch()
             Path.cwd().chmod(0o500)
         return dataclasses.replace(Fine().synthesize(task), note=json.dumps(seen))
-
-
-@dataclass(frozen=True)
-class Boaster:
-    """Claim that the request is finished, and loop for ever."""
-
-    uses_lattice: ClassVar[bool] = False
-
-    def synthesize(self, task: Task) -> Synthesis:
-        """Write its process id, claim and loop."""
-        print(f"child {os.getpid()}", flush=True)
-        os.write(3, b'{"finished": true}\n')
-        while True:
-            time.sleep(0.01)
-
-
-@dataclass(frozen=True)
-class Spawner:
-    """Start a process that would outlive the cell, and loop for ever."""
-
-    uses_lattice: ClassVar[bool] = False
-
-    def synthesize(self, task: Task) -> Synthesis:
-        """Fork a process that sleeps, and loop."""
-        child = os.fork()
-        if child == 0:
-            time.sleep(600)
-            os._exit(0)
-        print(f"child {child}", flush=True)
-        while True:
-            time.sleep(0.01)
-
-
-@dataclass(frozen=True)
-class Hermit:
-    """Start a process of another session, without an environment, whose parent has ended; and loop for ever."""
-
-    uses_lattice: ClassVar[bool] = False
-
-    def synthesize(self, task: Task) -> Synthesis:
-        """Write the id of the process, and loop."""
-        program = "import os, time\nif os.fork():\n    os._exit(0)\nprint('child', os.getpid(), flush=True)\n"
-        command = [sys.executable, "-c", program + "time.sleep(600)"]
-        subprocess.Popen(command, start_new_session=True, env={}).wait()
-        while True:
-            time.sleep(0.01)
 
 
 @dataclass(frozen=True)
@@ -452,30 +395,6 @@ class Sleeper:
                 time.sleep(0.05)
             process.kill()
         return Fine().synthesize(task)
-
-
-@dataclass(frozen=True)
-class Deadly:
-    """A metric that kills its process when the output is gray, and raises when it is NaN-free but tiny."""
-
-    columns: ClassVar = {"value": Column("Never there.")}
-
-    def score(self, observation: Observation) -> Score:
-        """Die on a gray output; else answer."""
-        if float(np.ptp(observation.output)) == 0:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return Score({"value": 1.0})
-
-
-@dataclass(frozen=True)
-class Wordy:
-    """A metric that answers with words when the output is gray."""
-
-    columns: ClassVar = {"value": Column("Never there.")}
-
-    def score(self, observation: Observation) -> Score:
-        """Answer."""
-        return Score({"value": "good" if float(np.ptp(observation.output)) == 0 else 1.0})  # type: ignore[dict-item]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import pytest
 import nrbench
 from nrbench import api, plugins
 from nrbench.errors import BadInput
-from nrbench.plugins.parameters import nearest, parse_spec, prepare_conversion, validated
+from nrbench.plugins.parameters import nearest, parse_spec, validated
 from nrbench.storage import user_path
 
 
@@ -207,25 +207,13 @@ def test_paths_start_from_the_folder_of_the_user(
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """A plugin."""
-
-    number: int = 1
-    names: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Undefined(Prepared):
-    """The same with a parameter whose annotation is a name that is not defined."""
+class Undefined:
+    """A plugin with a parameter whose annotation is a name that is not defined."""
 
     other: Nothing = 2  # type: ignore[name-defined]  # noqa: F821
 
 
-def test_converters_that_are_built_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No converter is built later for a plugin that was prepared; a wrong annotation raises only when it is used."""
-    prepare_conversion(Undefined)
+def test_a_wrong_annotation_raises_when_it_is_used() -> None:
+    """A parameter whose annotation names nothing raises for that parameter."""
     with pytest.raises(NameError, match="Nothing"):
         validated(Undefined, {"other": 3}, "method undefined")
-    prepare_conversion(Prepared)
-    monkeypatch.delattr("pydantic.TypeAdapter")
-    assert validated(Prepared, {"number": "2", "names": "a,b"}, "method prepared") == Prepared(2, ("a", "b"))

@@ -7,13 +7,14 @@ import queue
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from functools import partial
 from typing import Any
 
 import pytest
 from faults import registered_faults
 
 from nrbench.running import executors, runner
-from nrbench.running.executors import Executor, Threads
+from nrbench.running.executors import Executor
 from nrbench.running.supervisor import Job, Supervisor, perform_job
 from nrbench.runs.store import Result
 
@@ -53,7 +54,7 @@ def warm_executor(supervisors: list[Supervisor]) -> MakeExecutor:
                 yield chosen
         else:
             with ThreadPoolExecutor(jobs) as pool:
-                yield Threads(pool, jobs, run_job)
+                yield Executor(partial(pool.submit, run_job), lambda: jobs)
 
     return executor
 

@@ -90,6 +90,9 @@ def test_a_run_survives_its_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert {record.status for record in away.cells} == {"ok"}
         assert told(away) == told(local)
         assert outputs(away) == outputs(local)
+        faults = suite_of([f"faulty:how={how}" for how in ("stubborn", "segfault", "litter")])
+        limited = run(faults, out=tmp_path / "limited", options=dataclasses.replace(options, timeout=3))
+        assert [record.status for record in limited.cells] == ["timeout", "crash", "ok"]
         with monkeypatch.context() as patch:
             patch.setattr(cluster, "code_hash", lambda files: "0123456789ab")
             with pytest.raises(BadInput, match=r"the worker tcp://.* has other code than this machine; install"):

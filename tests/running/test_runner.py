@@ -11,6 +11,7 @@ import sys
 import time
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -21,7 +22,7 @@ import skimage.io
 from nrbench.api import changed, run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
-from nrbench.running.executors import Threads
+from nrbench.running.executors import Executor
 from nrbench.running.pace import Step
 from nrbench.running.runner import TICK, Options, _Runner
 from nrbench.running.supervisor import Job
@@ -175,7 +176,7 @@ def test_a_stopped_run_drops_the_jobs_that_wait(tmp_path: Path) -> None:
 
     jobs = [(name, Job("cell", name, 1.0, 1.0)) for name in ("first", "second", "third")]
     with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
-        runner = _Runner(RunDirectory(tmp_path), options, [], Threads(pool, 1, work))
+        runner = _Runner(RunDirectory(tmp_path), options, [], Executor(partial(pool.submit, work), lambda: 1))
         for name, _ in runner._run_jobs(jobs):
             ended.append(name)
     assert started == ended == ["first"]

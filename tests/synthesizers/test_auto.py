@@ -14,7 +14,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
 from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.ann_pixel import AnnPixel
-from nrbench.synthesizers.auto import Auto, estimate_share
+from nrbench.synthesizers.auto import Auto, estimate_regular_share
 from nrbench.synthesizers.rsgf import Rsgf
 from nrbench.synthesizers.tile_set import TileSet
 
@@ -56,7 +56,7 @@ def test_the_threshold_decides() -> None:
     task, truth = task_of("brick", color=0.3)
     assert truth is not None
     task = replace(task, lattice=truth)
-    share = estimate_share(task.sample, truth)
+    share = estimate_regular_share(task.sample, truth)
     below, above = (replace(PAPER, threshold=share + step).synthesize(task) for step in (-0.01, 0.01))
     assert below.note == f"picked tile-set: regularity {share:.2f}" and below.lattice == truth
     assert above.note == f"picked ann-pixel: regularity {share:.2f}" and above.lattice is None
@@ -71,10 +71,10 @@ def test_the_share_is_that_of_the_model() -> None:
     """It is 1 for a periodic image, near the model's regular share, 0 for noise, and 0 for less than two periods."""
     tile = np.random.default_rng(0).random((12, 16, 3)).astype(np.float32)
     exact = Lattice((16, 0), (0, 12))
-    assert estimate_share(np.tile(tile, (8, 8, 1)), exact) == pytest.approx(1, abs=1e-6)
-    assert estimate_share(tile.repeat(2, 1), Lattice((32, 0), (0, 12))) == 0
+    assert estimate_regular_share(np.tile(tile, (8, 8, 1)), exact) == pytest.approx(1, abs=1e-6)
+    assert estimate_regular_share(tile.repeat(2, 1), Lattice((32, 0), (0, 12))) == 0
     noise = np.random.default_rng(1).random((128, 128, 3)).astype(np.float32)
-    assert estimate_share(noise, Lattice((16.3, 1), (0, 12.1))) < 0.01
+    assert estimate_regular_share(noise, Lattice((16.3, 1), (0, 12.1))) < 0.01
     drawn = texture("brick", (160, 160), 0, color=0.4, noise=0.05)
     assert drawn.lattice is not None and drawn.regular_share is not None
-    assert estimate_share(drawn.image, drawn.lattice) == pytest.approx(drawn.regular_share, abs=0.08)
+    assert estimate_regular_share(drawn.image, drawn.lattice) == pytest.approx(drawn.regular_share, abs=0.08)

@@ -15,7 +15,7 @@ def test_blocks_alternate_like_a_chess_board() -> None:
     """Placed blocks and gaps share the grid, and no two of a kind are neighbors."""
     grid = BlockGrid((90, 170), 40, 10)
     assert grid.counts == (3, 5)
-    placed, gaps = set(grid.placed()), set(grid.gaps())
+    placed, gaps = ({(block.row, block.column) for block in kind} for kind in (grid.placed(), grid.gaps()))
     assert len(placed | gaps) == 15
     assert not placed & gaps
     for row, column in gaps:
@@ -111,9 +111,9 @@ def test_squares_of_placed_blocks_are_untouched_copies() -> None:
     grid = BlockGrid((64, 64), 16, 6)
     places = rng.integers(6, 38, (4, 4, 2))
     image, source = compose(Patches(sample), grid, places.astype(float))
-    for row, column in grid.placed():
-        x, y = places[row, column]
-        window = np.s_[row * 16 : row * 16 + 16, column * 16 : column * 16 + 16]
+    for block in grid.placed():
+        x, y = places[block.row, block.column]
+        window = np.s_[block.row * 16 : block.row * 16 + 16, block.column * 16 : block.column * 16 + 16]
         np.testing.assert_array_equal(image[window], sample[y : y + 16, x : x + 16])
         assert (source[window][..., 2] == 1).all()
     x, y, weight = np.moveaxis(source, -1, 0)

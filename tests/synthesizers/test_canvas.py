@@ -11,12 +11,10 @@ from nrbench.synthesizers.gap_filling.canvas import (
     BlockCanvas,
     PatchOverlap,
     SeamMethod,
-    cut_dynamic,
     cut_graph,
-    visible_links,
 )
 from nrbench.synthesizers.sampling.patches import Patches
-from nrbench.synthesizers.seams.minimum_cut import Links, Mask
+from nrbench.synthesizers.seams.minimum_cut import Links
 
 SEAMS = get_args(SeamMethod)
 
@@ -26,11 +24,11 @@ def filled(seam: SeamMethod, shape: tuple[int, int], seed: int = 0, side: int = 
     rng = np.random.default_rng(seed)
     patches = Patches(rng.random((side, side, 3), np.float32))
     canvas = BlockCanvas(patches, BlockGrid(shape, 16, 5), seam)
-    for row, column in canvas.grid.placed():
-        canvas.place_block(row, column, rng.uniform(5, side - 21, 2))
+    for block in canvas.grid.placed():
+        canvas.place_block(block, rng.uniform(5, side - 21, 2))
     canvas.extend_placed()
-    for row, column in canvas.grid.gaps():
-        canvas.fill_gap(row, column, rng.uniform(0, side - 16, 2))
+    for gap in canvas.grid.gaps():
+        canvas.fill_gap(gap, rng.uniform(0, side - 16, 2))
     return canvas
 
 
@@ -51,30 +49,25 @@ def test_patches_that_continue_each_other_leave_no_trace(seam: SeamMethod) -> No
     """Patches between pixels that continue each other compose one image with all seams."""
     sample = np.random.default_rng(0).random((90, 110, 3), np.float32)
     canvas = BlockCanvas(Patches(sample), BlockGrid((49, 65), 16, 5), seam)
-    for blocks in (canvas.grid.placed(), canvas.grid.gaps()):
-        for row, column in blocks:
-            place = np.array([column * 16 + 9.25, row * 16 + 8.5])
-            if (row + column) % 2:
-                canvas.fill_gap(row, column, place)
-            else:
-                canvas.place_block(row, column, place)
-        if not canvas.known.all():
-            canvas.extend_placed()
+    for block in canvas.grid.placed():
+        canvas.place_block(block, np.add(block.corner, (9.25, 8.5)))
+    canvas.extend_placed()
+    for gap in canvas.grid.gaps():
+        canvas.fill_gap(gap, np.add(gap.corner, (9.25, 8.5)))
     whole, _ = Patches(sample).cut_patch(np.array([9.25, 8.5]), (49, 65))
     np.testing.assert_allclose(canvas.output()[0], whole, atol=1e-5)
 
 
-@pytest.mark.parametrize("seam", ["dynamic", "graphcut"])
-def test_seams_mix_no_pixels(seam: SeamMethod) -> None:
+def test_seams_mix_no_pixels() -> None:
     """With seams every pixel is a copy of the one that its map names."""
     rng = np.random.default_rng(3)
     patches = Patches(rng.random((60, 60, 1), np.float32))
-    canvas = BlockCanvas(patches, BlockGrid((64, 64), 16, 5), seam)
-    for row, column in canvas.grid.placed():
-        canvas.place_block(row, column, rng.integers(5, 39, 2).astype(float))
+    canvas = BlockCanvas(patches, BlockGrid((64, 64), 16, 5), "graphcut")
+    for block in canvas.grid.placed():
+        canvas.place_block(block, rng.integers(5, 39, 2).astype(float))
     canvas.extend_placed()
-    for row, column in canvas.grid.gaps():
-        canvas.fill_gap(row, column, rng.integers(0, 44, 2).astype(float))
+    for gap in canvas.grid.gaps():
+        canvas.fill_gap(gap, rng.integers(0, 44, 2).astype(float))
     image, source = canvas.output()
     x, y, weight = np.moveaxis(source, -1, 0)
     assert (weight == 1).all()
@@ -89,17 +82,17 @@ def test_a_blended_patch_stays_in_its_gap_and_a_cut_one_does_not() -> None:
             Patches(np.random.default_rng(0).random((60, 60, 3), np.float32)), BlockGrid((48, 48), 16, 5), seam
         )
         rng = np.random.default_rng(1)
-        for row, column in canvas.grid.placed():
-            canvas.place_block(row, column, rng.uniform(5, 39, 2))
+        for block in canvas.grid.placed():
+            canvas.place_block(block, rng.uniform(5, 39, 2))
         canvas.extend_placed()
         before = canvas.image.copy()
-        for row, column in canvas.grid.gaps():
-            canvas.fill_gap(row, column, rng.uniform(0, 44, 2))
+        for gap in canvas.grid.gaps():
+            canvas.fill_gap(gap, rng.uniform(0, 44, 2))
         moved = (canvas.image != before).any(-1)
-        changed[seam] = sum(int(moved[canvas.window(row, column)].sum()) for row, column in canvas.grid.placed())
+        changed[seam] = sum(int(moved[block.window()].sum()) for block in canvas.grid.placed())
         assert not moved[24, 24]
     assert changed["blend"] == 0
-    assert changed["graphcut"] > 0 and changed["dynamic"] > 0
+    assert changed["graphcut"] > 0
 
 
 ALL = (True, True, True, True)
@@ -121,37 +114,19 @@ def nothing(shape: tuple[int, ...]) -> Links:
     return Links(np.zeros((shape[0], shape[1] - 1)), np.zeros((shape[0] - 1, shape[1])))
 
 
-def cost(one: PatchOverlap, mask: Mask) -> float:
-    """Return how visible the seam of a mask is."""
-    links = visible_links(one.old, one.new)
-    across, down = mask[:, 1:] != mask[:, :-1], mask[1:] != mask[:-1]
-    return float(links.across[across].sum() + links.down[down].sum())
-
-
 SIDES = [ALL, (False, True, True, False), (True, False, False, False), (False, False, True, True)]
 
 
 @pytest.mark.parametrize("sides", SIDES)
-@pytest.mark.parametrize("kind", ["dynamic", "graphcut"])
-def test_the_hole_is_new_and_the_edge_beside_a_neighbor_old(kind: str, sides: tuple[bool, bool, bool, bool]) -> None:
+def test_the_hole_is_new_and_the_edge_beside_a_neighbor_old(sides: tuple[bool, bool, bool, bool]) -> None:
     """Everything unknown becomes new, and a graph cut leaves the box's edge beside a neighbor old."""
     height, width = 24 + 8 * (sides[1] + sides[3]), 24 + 8 * (sides[0] + sides[2])
     old, new = np.random.default_rng(0).random((2, height, width, 3)).astype(np.float32)
     one = joint(old, new, sides)
-    mask = cut_dynamic(one) if kind == "dynamic" else cut_graph(one, nothing(old.shape))
+    mask = cut_graph(one, nothing(old.shape))
     assert mask[~one.known].all()
-    if kind == "graphcut":
-        assert not mask[one.fixed_old()].any()
+    assert not mask[one.fixed_old()].any()
     assert not mask.all()
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_graph_cut_is_never_more_visible_than_four_seams(seed: int) -> None:
-    """The least visible closed seam costs no more than the four seams of dynamic programming together."""
-    old, new = np.random.default_rng(seed).random((2, 40, 40, 3)).astype(np.float32)
-    one = joint(old, new)
-    four = cut_dynamic(one) & ~one.fixed_old()
-    assert cost(one, cut_graph(one, nothing(old.shape))) <= cost(one, four) + 1e-9
 
 
 def bricks(rng: np.random.Generator) -> Image:

@@ -47,9 +47,7 @@ def worst_misplacement(method: Synthesizer, lattice: Lattice | None = None) -> f
     return float(verdict.output.windows.misplacement.max())
 
 
-@pytest.mark.parametrize(
-    "method", [Rsgf(), Rsgf(seam="blend"), TileSet(), RepresentativeTile(), Tiling(), Tiling(tile="mean")]
-)
+@pytest.mark.parametrize("method", [Rsgf(), Rsgf(seam="blend"), TileSet(), RepresentativeTile(), Tiling()])
 def test_on_a_fractional_lattice_every_window_is_in_place(method: Synthesizer) -> None:
     """With the lattice given every window lies within a twentieth of s of the truth."""
     assert worst_misplacement(method) < 0.05

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from nrbench import plugins
-from nrbench.detectors.ssdn import Ssdn
 from nrbench.errors import BadInput
-from nrbench.plugins.forms import NoLatticeFound, Refused, Task
+from nrbench.imaging.convert import quantize
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Task
 from nrbench.plugins.parameters import parse_spec
 from nrbench.plugins.registry import NamedDetector
 
@@ -23,8 +24,8 @@ FINDERS = {
     "fftm-pixel": "",
     "lattice-only": "",
     "regularized-patch": "consensus",
-    "representative-tile": "ssdn:depth=0.8,primitive=false",
-    "representative-tile:preset=paper,depth=0.7": "ssdn:depth=0.7,primitive=false,subpixel=false,reject=none",
+    "representative-tile": "ssdn:primitive=false",
+    "representative-tile:preset=paper": "ssdn:preset=paper",
     "rsgf": "consensus",
     "rsgf:geometry=straighten": "consensus",
     "rsgf:preset=paper": "gncc:preset=paper",
@@ -59,14 +60,34 @@ def test_a_method_asks_its_finder_alone(spec: str, monkeypatch: pytest.MonkeyPat
     assert set(asked) == ({FINDERS[spec]} if FINDERS[spec] else set())
 
 
+@pytest.mark.parametrize("spec", [spec for spec in FINDERS if FINDERS[spec] and "command" not in spec])
+def test_the_lattice_that_is_found_is_used_and_reported(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The lattice of the finder is that of the synthesis, with the seconds of the detection."""
+    lattice = Lattice((16, 0), (0, 12))
+    monkeypatch.setattr(NamedDetector, "detect", lambda self, image: Detection(lattice, 1.0))
+    sample = quantize(np.tile(np.random.default_rng(1).random((12, 16, 1), np.float32), (10, 8, 1)))
+    made = build(spec).synthesize(Task(sample, (32, 32), None, np.random.default_rng(0)))
+    assert made.lattice == lattice and made.detection_seconds > 0 and "no lattice" not in made.note
+
+
+@pytest.mark.parametrize("spec", [spec for spec in FINDERS if FINDERS[spec]])
+def test_without_a_lattice_a_method_refuses_or_says_so(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """If the finder finds no lattice, the refusal has its reason; RSGF has a mode for it, and a note."""
+
+    def detect(self: NamedDetector, image: object) -> None:
+        raise NoLatticeFound("nothing repeats")
+
+    monkeypatch.setattr(NamedDetector, "detect", detect)
+    task = Task(np.random.default_rng(1).random((96, 96, 1), np.float32), (80, 80), None, np.random.default_rng(0))
+    if spec.startswith(("rsgf", "auto")):
+        made = build(spec).synthesize(task)
+        assert made.lattice is None and "nothing repeats" in made.note
+        return
+    with pytest.raises(Refused, match="nothing repeats"):
+        build(spec).synthesize(task)
+
+
 def test_every_method_that_uses_a_lattice_is_listed() -> None:
     """The finder of each installed method that uses a lattice is checked here."""
     using = {p.name for p in plugins.inventory("synthesizers") if p.own and getattr(p.cls, "uses_lattice", True)}
     assert using <= {spec.partition(":")[0] for spec in FINDERS}
-
-
-def test_the_period_of_a_representative_tile_comes_from_ssdn() -> None:
-    """The finder of a representative tile is SSDN with the parameters of the method."""
-    assert plugins.build("detectors", *parse_spec(build("representative-tile:depth=0.7").finder)) == Ssdn(
-        depth=0.7, primitive=False
-    )

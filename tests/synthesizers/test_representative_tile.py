@@ -50,11 +50,10 @@ def test_a_whole_pixel_lattice_is_continued_exactly(shape: tuple[int, int], chan
 
 
 @pytest.mark.parametrize("lattice", [UPRIGHT, TURNED, BOND, OBLIQUE, Lattice((20.3, 0), (6.1, 18.7))])
-@pytest.mark.parametrize("tiles", [1, 8])
-def test_a_fractional_lattice_neither_drifts_nor_blurs(lattice: Lattice, tiles: int) -> None:
+def test_a_fractional_lattice_neither_drifts_nor_blurs(lattice: Lattice) -> None:
     """Upright, turned, centred or oblique: over 1024 px the continuation comes back with a PSNR of over 35 dB."""
     sample, truth = quantize(waves((128, 128), lattice)), waves((200, 1024), lattice)
-    made = synthesize(sample, (200, 1024), lattice, tiles=tiles)
+    made = synthesize(sample, (200, 1024), lattice)
     assert -10 * np.log10(((made.image - truth) ** 2).mean()) > 35
     corner = (made.image - truth)[-100:, -100:]
     assert -10 * np.log10((corner**2).mean()) > 35
@@ -71,14 +70,14 @@ def test_sources_stay_on_the_lattice(lattice: Lattice) -> None:
 
 
 def test_the_tile_is_the_best_of_all_by_brute_force() -> None:
-    """No place has a smaller alpha h + beta SSDN than the tile's, and the tile is what lies there."""
+    """No place has a smaller alpha h + SSDN than the tile's, and the tile is what lies there."""
     sample, lattice = noise(40, 50), Lattice((11, 0), (0, 9))
-    for alpha, beta in ((1.0, 1.0), (30.0, 1.0), (0.0, 1.0), (1.0, 0.0)):
-        made = synthesize(sample, (40, 50), lattice, alpha=alpha, beta=beta)
-        rating = alpha * continuity(sample, (9, 11)) + beta * resemblance(sample, (9, 11))
+    for alpha in (1.0, 30.0, 0.0):
+        made = synthesize(sample, (40, 50), lattice, continuity_weight=alpha)
+        rating = alpha * continuity(sample, (9, 11)) + resemblance(sample, (9, 11))
         x, y, smooth, alike, total = made.extras["best"][0]
         assert (int(y), int(x)) == np.unravel_index(rating.argmin(), rating.shape)
-        assert alpha * smooth + beta * alike == pytest.approx(total) == pytest.approx(rating.min())
+        assert alpha * smooth + alike == pytest.approx(total) == pytest.approx(rating.min())
         np.testing.assert_array_equal(quantize(made.extras["tile"]), sample[int(y) :, int(x) :][:9, :11])
 
 
@@ -104,37 +103,22 @@ def test_the_tile_is_floored_and_scaled_down_and_the_output_is_not() -> None:
     assert -10 * np.log10(((paper.image - small) ** 2).mean()) > 35
 
 
-def test_without_scale_down_the_tile_is_cut_from_the_sample_as_it_is() -> None:
-    """The tile holds the sample's pixels less the fraction of the period; ``rescale`` decides the output's period."""
-    sample = noise(128, 128)
-    made = synthesize(sample, (200, 200), UPRIGHT, scale_down=False, rescale=False)
-    x, y = made.extras["best"][0, :2].astype(int)
-    np.testing.assert_array_equal(quantize(made.extras["tile"]), sample[y : y + 18, x : x + 21])
-    np.testing.assert_array_equal(made.image[18:, 21:], made.image[:-18, :-21])
-    stretched = synthesize(sample, (60, 2000), UPRIGHT, scale_down=False)
-    assert stretched.source is not None
-    np.testing.assert_array_equal(stretched.extras["tile"], made.extras["tile"])
-    firsts = np.flatnonzero(stretched.source[0, :, 0] == np.floor(stretched.extras["frame"][0, 0]))
-    starts = firsts[np.flatnonzero(np.diff(firsts, prepend=-9) > 2)]
-    assert np.diff(starts).mean() == pytest.approx(21.37, abs=0.02)
-
-
 def test_p_takes_the_smoothest_places_first() -> None:
     """With p only the share of places of least h is rated; with a small one the tile is the smoothest of all."""
     sample, lattice = noise(40, 50), Lattice((11, 0), (0, 9))
     smooth = continuity(sample, (9, 11))
     kept = preselect(smooth, 0.05 * smooth.size)
     assert kept.sum() == round(0.05 * smooth.size) and smooth[kept].max() <= smooth[~kept].min()
-    first = synthesize(sample, (9, 9), lattice, p=1e-4).extras["best"][0]
+    first = synthesize(sample, (9, 9), lattice, rated_share=1e-4).extras["best"][0]
     assert first[2] == pytest.approx(smooth.min())
     alike = np.where(kept, smooth + resemblance(sample, (9, 11)), np.inf)
-    assert synthesize(sample, (9, 9), lattice, p=0.05).extras["best"][0, 4] == pytest.approx(alike.min())
+    assert synthesize(sample, (9, 9), lattice, rated_share=0.05).extras["best"][0, 4] == pytest.approx(alike.min())
 
 
 def test_of_the_m_best_each_is_drawn_equally_often() -> None:
     """The tile is one of the m best, uniformly, and the m best are kept in order, with their pictures."""
     sample, lattice = noise(20, 24, 1), Lattice((6, 0), (0, 5))
-    made = [synthesize(sample, (2, 2), lattice, seed, m=5) for seed in range(600)]
+    made = [synthesize(sample, (2, 2), lattice, seed, best_tiles=5) for seed in range(600)]
     best = made[0].extras["best"]
     assert best.shape == (5, 5) and (np.diff(best[:, 4]) >= 0).all()
     pictures = [made[0].extras[f"best-{k:02d}"].tobytes() for k in range(1, 6)]
@@ -180,14 +164,13 @@ def test_any_basis_of_the_lattice_gives_the_same_bytes() -> None:
     st.sampled_from([UPRIGHT, TURNED, BOND, Lattice((12, 0), (0, 9)), Lattice((10, 10), (-10, 10))]),
     st.sampled_from([1, 3]),
     st.booleans(),
-    st.sampled_from([1, 8]),
 )
 def test_what_the_source_map_calls_a_copy_is_one(
-    shape: tuple[int, int], lattice: Lattice, channels: int, rescale: bool, tiles: int
+    shape: tuple[int, int], lattice: Lattice, channels: int, rescale: bool
 ) -> None:
     """Whatever the lattice and the shape: pixels of weight 1 are the sample's, all lie inside it."""
     sample = noise(80, 90, channels)
-    made = synthesize(sample, shape, lattice, rescale=rescale, tiles=tiles)
+    made = synthesize(sample, shape, lattice, rescale=rescale)
     assert made.image.shape == (*shape, channels) and made.source is not None
     x, y, weight = np.moveaxis(made.source, -1, 0)
     assert ((x >= 0) & (x <= 89) & (y >= 0) & (y <= 79) & (weight > 0) & (weight <= 1)).all()
@@ -210,5 +193,5 @@ def test_the_search_without_p_is_no_worse_than_any_with_it() -> None:
     for seed in range(5):
         sample = noise(60, 60, 1, seed)
         every = synthesize(sample, (8, 8), BOND.shifted((3, 4)), tolerance=0.1).extras["best"][0, 4]
-        some = synthesize(sample, (8, 8), BOND, p=0.02).extras["best"][0, 4]
+        some = synthesize(sample, (8, 8), BOND, rated_share=0.02).extras["best"][0, 4]
         assert every <= some

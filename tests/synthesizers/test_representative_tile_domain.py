@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from nrbench.api import texture
 from nrbench.cli.images import synth_command
-from nrbench.detectors.ssdn import Ssdn
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Task
+from nrbench.plugins.forms import Refused, Task
 from nrbench.synthesizers.representative_tile import RepresentativeTile
 
 from .test_representative_tile import OBLIQUE, UPRIGHT, noise, synthesize, waves
@@ -35,39 +33,18 @@ def test_without_a_lattice_given_its_period_is_that_of_ssdn() -> None:
     made = synthesize(sample, (400, 400), None)
     assert made.lattice is not None and made.detection_seconds > 0
     assert np.abs(np.sort(np.abs(made.lattice.matrix).max(0)) - (18.81, 21.37)).max() < 0.05
-    last = synthesize(sample, (64, 64), None, period="last").lattice
+    last = synthesize(sample, (64, 64), None, finder="ssdn:preset=paper").lattice
     assert last is not None and last != made.lattice
     peaks = [round(5 * 21.37), round(6 * 18.81)]
     assert np.abs(np.array([last.matrix.max(0)[0] * 5, last.matrix.max(0)[1] * 6]) - peaks).max() < 1
 
 
-def test_one_reading_of_the_period_rule() -> None:
-    """Method and detector share one depth; a lower one takes a single course of a wall for the period."""
-    assert RepresentativeTile().depth == Ssdn().depth == Ssdn(**Ssdn.presets["paper"]).depth == PAPER.depth
-    sample = quantize(texture("brick", (128, 128), 4, width=27.3, height=12.2, color=0.3).image)
-    tall, flat = (synthesize(sample, (64, 64), None, depth=depth, period="last").lattice for depth in (0.8, 0.05))
-    assert tall is not None and flat is not None
-    assert Ssdn(**Ssdn.presets["paper"]).detect(sample).lattice == tall
-    assert tall.is_equivalent(Lattice((27.3, 0), (0, 24.4)), 0.5) and flat.area < 0.7 * tall.area
-
-
-def test_noise_is_refused_and_the_paper_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_noise_is_refused_and_the_paper_goes_on() -> None:
     """Where no period is better than chance there is no tile; the paper takes the last minimum all the same."""
     sample = noise(64, 64, seed=23)
     with pytest.raises(Refused, match="no lattice found"):
         synthesize(sample, (64, 64), None)
     assert PAPER.synthesize(Task(sample, (64, 64), None, np.random.default_rng(0))).image.shape == (64, 64, 3)
-
-    class FindsNone:
-        def __init__(self, **parameters: object) -> None:
-            pass
-
-        def detect(self, image: Image) -> Detection:
-            raise NoLatticeFound("nothing repeats")
-
-    monkeypatch.setattr("nrbench.synthesizers.representative_tile.Ssdn", FindsNone)
-    with pytest.raises(Refused, match="nothing repeats"):
-        synthesize(noise(64, 64), (64, 64), None)
 
 
 def test_samples_with_less_than_two_periods_are_refused() -> None:
@@ -86,16 +63,13 @@ def test_turned_tiles_that_do_not_fit_are_refused() -> None:
 @pytest.mark.parametrize(
     "parameters",
     [
-        {"alpha": -1.0},
-        {"alpha": 0.0, "beta": 0.0},
-        {"alpha": 1.0, "beta": 1e308},
-        {"p": 0.0},
-        {"p": 1.5},
-        {"m": 0},
-        {"m": 100},
+        {"continuity_weight": -1.0},
+        {"continuity_weight": 1e308},
+        {"rated_share": 0.0},
+        {"rated_share": 1.5},
+        {"best_tiles": 0},
+        {"best_tiles": 100},
         {"tolerance": 0.5},
-        {"tiles": 0},
-        {"tiles": 5},
     ],
 )
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
@@ -116,12 +90,13 @@ def test_every_parameter_changes_something() -> None:
     sample = quantize(light * (0.7 * waves((128, 128), UPRIGHT) + 0.3 * noise(128, 128)))
     base = synthesize(sample, (80, 80), UPRIGHT).image
     changes: list[dict[str, Any]] = [
-        {"alpha": 0.0}, {"beta": 0.0}, {"p": 1e-4}, {"m": 50}, {"rescale": False}, {"scale_down": False}, {"tiles": 4},
+        {"continuity_weight": 0.0}, {"rated_share": 1e-4}, {"best_tiles": 50}, {"rescale": False},
     ]  # fmt: skip
     for change in changes:
         assert (synthesize(sample, (80, 80), UPRIGHT, **change).image != base).any(), change
     plain = quantize(waves((128, 128), UPRIGHT))
-    found, last = (synthesize(plain, (80, 80), None, period=period).image for period in ("fitted", "last"))
+    finders = RepresentativeTile.finder, "ssdn:preset=paper"
+    found, last = (synthesize(plain, (80, 80), None, finder=finder).image for finder in finders)
     assert (found != last).any()
     oblique = Lattice((20.3, 0), (6.1, 18.7))
     slanted = quantize(waves((128, 128), oblique))

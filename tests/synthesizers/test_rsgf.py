@@ -5,16 +5,16 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthesis_cases import FRACTIONAL, noise, places, synthesize
+from synthesis_cases import FRACTIONAL, noise, synthesize
 
 from nrbench import plugins
 from nrbench.api import texture
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Detection, NoLatticeFound, Observation, Refused, Task
+from nrbench.plugins.forms import Observation, Refused, Task
 from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.gap_filling.canvas import SeamMethod
 from nrbench.synthesizers.rsgf import Rsgf
@@ -49,11 +49,10 @@ def test_a_whole_pixel_lattice_is_continued_exactly(match: Any, search: Any, cha
 
 @pytest.mark.parametrize("seam", SEAMS)
 @pytest.mark.parametrize("subpixel", [False, True])
-@pytest.mark.parametrize("deform", [0.0, 2.0])
-def test_every_seam_continues_exactly(seam: Any, subpixel: bool, deform: float) -> None:
-    """Where patches continue each other, no seam, sub-pixel move or deformation changes a pixel."""
+def test_every_seam_continues_exactly(seam: Any, subpixel: bool) -> None:
+    """Where patches continue each other, no seam or sub-pixel move changes a pixel."""
     picture = np.tile(noise(24, 30), (6, 6, 1))
-    method = Rsgf(seam=seam, subpixel=subpixel, deform=deform)
+    method = Rsgf(seam=seam, subpixel=subpixel)
     made = synthesize(method, picture[:128, :128], (100, 130), Lattice((30, 0), (0, 24)))
     np.testing.assert_array_equal(quantize(made.image), picture[:100, :130])
 
@@ -66,10 +65,8 @@ def test_every_seam_continues_exactly(seam: Any, subpixel: bool, deform: float) 
     st.sampled_from([1, 3]),
     st.sampled_from(SEAMS),
     st.booleans(),
-    st.sampled_from([0.0, 1.5]),
     st.integers(0, 99),
 )
-@example((23, 23), 11, 1, 3, "dynamic", False, 1.5, 16)
 def test_what_the_source_map_calls_a_copy_is_one(
     shape: tuple[int, int],
     block: int,
@@ -77,12 +74,11 @@ def test_what_the_source_map_calls_a_copy_is_one(
     channels: int,
     seam: Any,
     subpixel: bool,
-    deform: float,
     seed: int,
 ) -> None:
     """For any blocks, seams and shape, pixels of weight 1 are copies of the sample, and other weights stay large."""
     sample = noise(50, 45, channels)
-    method = Rsgf(block, min(border, block // 2), seam=seam, subpixel=subpixel, deform=deform)
+    method = Rsgf(block, min(border, block // 2), seam=seam, subpixel=subpixel)
     made = synthesize(method, sample, shape, Lattice((9.3, 1.2), (-2.1, 10.4)), seed)
     checked_synthesis(made, sample, shape)
     assert made.image.shape == (*shape, channels)
@@ -90,7 +86,7 @@ def test_what_the_source_map_calls_a_copy_is_one(
     x, y, weight = np.moveaxis(made.source, -1, 0)
     copied = weight == 1
     np.testing.assert_array_equal(made.image[copied], sample[y[copied].astype(int), x[copied].astype(int)])
-    assert (weight >= (1 / 3 if seam == "blend" else 1) * (1 if not (subpixel or deform) else 0.25) - 1e-6).all()
+    assert (weight >= (1 / 3 if seam == "blend" else 1) * (1 if not subpixel else 0.25) - 1e-6).all()
     assert ((made.image >= 0) & (made.image <= 1 + 1e-6)).all()
 
 
@@ -105,10 +101,9 @@ def test_the_smallest_blocks_are_filled(seam: Any, block: int) -> None:
         assert made.source is not None and (made.source[..., 2] > 0).all()
 
 
-@pytest.mark.parametrize("seam", ["dynamic", "graphcut"])
-def test_seams_leave_no_pixel_blended(seam: Any) -> None:
+def test_seams_leave_no_pixel_blended() -> None:
     """At whole pixels, cut along seams, every pixel is a copy."""
-    made = synthesize(Rsgf(seam=seam, subpixel=False), noise(128, 128), (150, 170), FRACTIONAL)
+    made = synthesize(Rsgf(subpixel=False), noise(128, 128), (150, 170), FRACTIONAL)
     assert made.source is not None
     assert (made.source[..., 2] == 1).all()
 
@@ -120,7 +115,7 @@ def test_every_parameter_changes_something() -> None:
     base = synthesize(Rsgf(), sample, (128, 128), FRACTIONAL).image
     changes: list[dict[str, Any]] = [
         {"block": 36}, {"border": 8}, {"match": "ncc"}, {"search": "everywhere"}, {"search": "stochastic"},
-        {"tolerance": 0.0}, {"subpixel": False}, {"seam": "blend"}, {"seam": "dynamic"}, {"deform": 1.0},
+        {"tolerance": 0.0}, {"subpixel": False}, {"seam": "blend"},
         {"candidate_fraction": 0.0}, {"candidate_fraction": 1.0}, {"prefer_unused": False},
     ]  # fmt: skip
     for change in changes:
@@ -143,35 +138,6 @@ def test_progress_rises_to_one() -> None:
     assert reported[-1] == 1
 
 
-def test_without_any_lattice_it_uses_the_stochastic_mode(monkeypatch: pytest.MonkeyPatch) -> None:
-    """If no lattice is found, every position is a candidate, no lattice is used, and the note says why."""
-
-    def find_none(self: object, image: Image) -> Detection:
-        raise NoLatticeFound("nothing repeats")
-
-    monkeypatch.setattr("nrbench.detectors.consensus.Consensus.detect", find_none)
-    sample = noise(60, 60, 1)
-    made = synthesize(SMALL, sample, (160, 160), None)
-    assert made.lattice is None
-    assert "nothing repeats" in made.note
-    assert "stochastic" in made.note
-    assert len(np.unique(places(made, 8)[::2, ::2].reshape(-1, 2), axis=0)) > 90
-
-
-@pytest.mark.parametrize("finder", ["consensus", "gncc"])
-def test_without_a_lattice_given_it_finds_one(finder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The lattice of the chosen detector is used and reported, with the time that detection took."""
-
-    def find(self: object, image: Image) -> Detection:
-        return Detection(FRACTIONAL, 1.0)
-
-    monkeypatch.setattr(f"nrbench.detectors.{finder}.{finder.capitalize()}.detect", find)
-    made = synthesize(replace(SMALL, finder=finder), noise(60, 60), (50, 50), None)
-    assert made.lattice == FRACTIONAL
-    assert made.detection_seconds > 0
-    assert not made.note
-
-
 def test_a_sample_smaller_than_a_block_with_borders_is_refused() -> None:
     """The refusal says what would fit."""
     with pytest.raises(Refused, match="block \\+ 2 border <= 50"):
@@ -187,8 +153,8 @@ def test_a_lattice_too_large_for_the_sample_is_refused() -> None:
 @pytest.mark.parametrize(
     "parameters",
     [
-        {"border": 0}, {"border": 21}, {"block": 1}, {"tolerance": -1.0}, {"deform": -1.0}, {"deform": 3.5},
-        {"deform": math.nan}, {"tolerance": 3.0, "search": "everywhere"}, {"tolerance": 3.0, "search": "stochastic"},
+        {"border": 0}, {"border": 21}, {"block": 1}, {"tolerance": -1.0},
+        {"tolerance": 3.0, "search": "everywhere"}, {"tolerance": 3.0, "search": "stochastic"},
         {"candidate_fraction": -0.1}, {"candidate_fraction": 1.5}, {"candidate_fraction": math.nan},
         {"candidate_fraction": 0.5, "search": "everywhere"},
     ],
@@ -203,7 +169,7 @@ def test_a_flat_sample_gives_a_flat_output() -> None:
     """A sample without any structure to match or cut around is no error."""
     flat = np.full((60, 60, 1), 0.4, np.float32)
     for match, seam in itertools.product(("ncc", "color"), SEAMS):
-        method = Rsgf(block=8, border=2, match=match, seam=seam, deform=1.0)  # type: ignore[arg-type]
+        method = Rsgf(block=8, border=2, match=match, seam=seam)  # type: ignore[arg-type]
         made = synthesize(method, flat, (40, 40), FRACTIONAL)
         np.testing.assert_allclose(made.image, 0.4, atol=1e-6)
 

@@ -3,7 +3,7 @@ import pytest
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import NoLatticeFound, Refused, Synthesis, Task
+from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.shuffle import Shuffle
 
@@ -63,15 +63,7 @@ def test_the_stream_chooses_the_tiles() -> None:
     assert not np.array_equal(images[0], images[2])
 
 
-def test_without_a_tile_or_a_lattice_it_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The refusals say what is missing."""
-
-    class FindsNone:
-        def detect(self, image: Image) -> None:
-            raise NoLatticeFound("nothing repeats")
-
+def test_without_a_tile_it_refuses() -> None:
+    """The refusal says what is missing."""
     with pytest.raises(Refused, match="holds no whole tile"):
         made(plates()[:30], Lattice((60, 0), (0, 50)))
-    monkeypatch.setattr("nrbench.synthesizers.shuffle.Gncc", FindsNone)
-    with pytest.raises(Refused, match="nothing repeats"):
-        made(plates(), None)

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 import nrbench
 from nrbench.cli.images import synth_command
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import NoLatticeFound, Refused
+from nrbench.plugins.forms import Refused
 from nrbench.synthesizers.tile_laying.tile_shape import tile_shape
 from nrbench.synthesizers.tile_set import TileSet
 
@@ -82,23 +81,12 @@ def test_upright_tiles_leave_no_gap(lattice: Lattice, cells: int) -> None:
     assert made.source is not None and (made.source[..., 2] > 0).all()
 
 
-def test_no_lattice_no_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """If the detector finds no lattice, the method refuses with the detector's reason."""
-
-    def none(self: object, image: Image) -> None:
-        raise NoLatticeFound("nothing repeats")
-
-    monkeypatch.setattr("nrbench.detectors.consensus.Consensus.detect", none)
-    with pytest.raises(Refused, match="nothing repeats"):
-        synthesize(TileSet(), noise(60, 60), (64, 64), None)
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
         {"quantile": 1.2}, {"threshold": -1.0}, {"threshold": float("nan")}, {"registration": -1.0}, {"margin": -1.0},
-        {"registration": float("inf")}, {"feather": -1.0}, {"feather": float("inf")}, {"feather": float("nan")},
-        {"parts": 0}, {"parts": 17}, {"slope": 0}, {"slope": 65}, {"cells": 0}, {"cells": 65},
+        {"registration": float("inf")},
+        {"parts": 0}, {"parts": 17}, {"cells": 0}, {"cells": 65},
     ],
 )  # fmt: skip
 def test_bad_parameters_are_refused(wrong: dict[str, Any]) -> None:
@@ -107,9 +95,9 @@ def test_bad_parameters_are_refused(wrong: dict[str, Any]) -> None:
         TileSet(**wrong)
 
 
-@pytest.mark.parametrize("name", ["registration", "feather", "margin"])
+@pytest.mark.parametrize("name", ["registration", "margin"])
 def test_nothing_reaches_farther_than_s(name: str) -> None:
-    """Registration, feather and margin may be up to s; larger values are refused."""
+    """Registration and margin may be up to s; larger values are refused."""
     parameters: dict[str, Any] = {name: 20.0}
     assert synthesize(TileSet(**parameters), noise(140, 140, 1), (20, 20), RECTANGULAR).image.shape == (20, 20, 1)
     with pytest.raises(Refused, match=f"{name} 20.5 px reaches farther than s, 20.0 px; choose at most 20.0"):

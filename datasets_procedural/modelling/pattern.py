@@ -60,8 +60,7 @@ class Frame:
         y = np.arange(-margin, shape[0] + margin)[:, np.newaxis] - self.origin[1]
         if moved is not None:
             x, y = x - moved[..., 0], y - moved[..., 1]
-        cos, sin = _cos_sin(self.rotation)
-        return x * cos + y * sin, y * cos - x * sin
+        return rotate(x, y, self.rotation)
 
     def vector(self, model: Vector) -> Vector:
         """Return a vector (x, y) of the model in the picture's axes."""
@@ -79,7 +78,7 @@ def _cos_sin(degrees: float) -> tuple[float, float]:
 # Coordinates: which element of a lattice a point belongs to
 
 
-def nearest(x: Field, period: float) -> tuple[Index, Field]:
+def split_period(x: Field, period: float) -> tuple[Index, Field]:
     """Return the number i of the nearest point ``period * i``, and the signed distance from it in px."""
     steps = np.rint(x / period)
     return steps.astype(np.int64), x - steps * period
@@ -91,8 +90,8 @@ def rows(x: Field, y: Field, width: float, height: float, shift: float) -> tuple
     The centers of the boxes form the lattice of ``(width, 0)`` and ``(shift * width, height)``; (i, j) are their
     coordinates in it.
     """
-    j, across = nearest(y, height)
-    i, along = nearest(x - j * (shift * width), width)
+    j, across = split_period(y, height)
+    i, along = split_period(x - j * (shift * width), width)
     return (i, j), (along, across)
 
 
@@ -103,7 +102,7 @@ def boxes(x: Field, widths: tuple[float, ...]) -> tuple[Index, Field, Field]:
     """
     sizes = np.asarray(widths)
     if len(sizes) == 1:
-        return (*nearest(x, widths[0]), np.broadcast_to(sizes, x.shape))
+        return (*split_period(x, widths[0]), np.broadcast_to(sizes, x.shape))
     turn = np.floor((x + sizes[0] / 2) / sizes.sum())
     rest = x + sizes[0] / 2 - turn * sizes.sum()
     ends = np.cumsum(sizes)
@@ -113,7 +112,7 @@ def boxes(x: Field, widths: tuple[float, ...]) -> tuple[Index, Field, Field]:
 
 def cells(x: Field, y: Field, width: float, height: float) -> tuple[tuple[Index, Index], Local]:
     """Return the box (i, j) of a rectangular grid that each point lies in. The centers are at (i width, j height)."""
-    (i, right), (j, down) = nearest(x, width), nearest(y, height)
+    (i, right), (j, down) = split_period(x, width), split_period(y, height)
     return (i, j), (right, down)
 
 
@@ -147,9 +146,9 @@ def _hat(u: Field, parity: int) -> tuple[Index, Field]:
     return i, np.maximum(1 - np.abs(u - i), 0)
 
 
-def rotate(x: Field, y: Field, degrees: float) -> tuple[Field, Field]:
+def rotate(x: NDArray[Any], y: NDArray[Any], degrees: float) -> tuple[Field, Field]:
     """Return the coordinates along axes turned by ``degrees`` from x towards y."""
-    cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    cos, sin = _cos_sin(degrees)
     return x * cos + y * sin, y * cos - x * sin
 
 
@@ -266,6 +265,10 @@ class Thread:
     coverage: Field
     shade: Field
 
+    def layer(self, name: str, color: ArrayLike) -> Layer:
+        """Return the layer of these threads."""
+        return Layer(name, (self.index,), self.coverage, color, self.shade)
+
 
 def interlace(
     x: Field, y: Field, spacings: tuple[float, float], gap: float, draft: NDArray[np.bool_], depth: float = 0.45
@@ -285,7 +288,7 @@ def interlace(
     depth
         Darkness of the sides of a thread, in [0, 1].
     """
-    (i, right), (j, down) = nearest(x, spacings[0]), nearest(y, spacings[1])
+    (i, right), (j, down) = split_period(x, spacings[0]), split_period(y, spacings[1])
     sides = stripe(right, spacings[0] - gap), stripe(down, spacings[1] - gap)
     above = _look_up(draft, i, j)
     warp, weft = (coverage(side) for side in sides)

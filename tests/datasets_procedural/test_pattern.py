@@ -1,15 +1,16 @@
-"""Claims about drawing: coordinates, shapes, shades, threads, and layers of elements."""
+"""Claims about patterns: coordinates, shapes, shades, threads, and layers of elements."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrbench.datasets_procedural.modelling.drawing import (
+from nrbench.datasets_procedural.modelling.pattern import (
     Field,
     Frame,
     Layer,
@@ -27,11 +28,10 @@ from nrbench.datasets_procedural.modelling.drawing import (
     interlace,
     lozenge,
     mix,
-    nearest,
     rim,
-    rotate,
     round_profile,
     rows,
+    split_period,
     stripe,
 )
 from nrbench.datasets_procedural.weave import Weave
@@ -53,9 +53,9 @@ def test_right_angles_are_exact() -> None:
     assert Frame(rotation=-90.0).vector((3.0, 0.0)) == (0.0, -3.0)
 
 
-def test_nearest() -> None:
+def test_split_period() -> None:
     """Points go to the nearest multiple of the period, and keep their signed distance from it."""
-    index, rest = nearest(np.array([-7.0, 0, 4, 14]), 10)
+    index, rest = split_period(np.array([-7.0, 0, 4, 14]), 10)
     assert index.tolist() == [-1, 0, 0, 1] and rest.tolist() == [3, 0, 4, 4]
 
 
@@ -104,24 +104,28 @@ def test_margin_and_displacement() -> None:
     np.testing.assert_allclose(moved[1][:3, 2:], y[1:, :3])
 
 
-def test_box_distances() -> None:
-    """A box of 10 x 6 px: known distances at its center, sides and corners, sharp and rounded."""
-    x, y = np.array([0.0, 5, 8, 8, 0]), np.array([0.0, 0, 0, 7, 3])
-    np.testing.assert_allclose(box(x, y, 10, 6), (-3, 0, 3, 5, 0))
-    np.testing.assert_allclose(box(x, y, 10, 6, radius=1), (-3, 0, 3, np.hypot(4, 5) - 1, 0))
+CORNER = 10 / math.sqrt(3)
+DISTANCES: list[tuple[Callable[[Field, Field], Field], list[tuple[float, float]], list[float]]] = [
+    (lambda x, y: box(x, y, 10, 6), [(0, 0), (5, 0), (8, 0), (8, 7), (0, 3)], [-3, 0, 3, 5, 0]),
+    (lambda x, y: box(x, y, 10, 6, radius=1), [(0, 0), (5, 0), (8, 7)], [-3, 0, math.hypot(4, 5) - 1]),
+    (
+        lambda x, y: hexagon(x, y, 10),
+        [(0, 0), (5, 0), (7, 0), (0, CORNER), (0, CORNER + 2), (2.5, 2.5 * math.sqrt(3))],
+        [-5, 0, 2, 0, 2, 0],
+    ),
+    (lambda x, y: stripe(x, 4), [(0, 0), (-2, 9), (5, 0)], [-2, 0, 3]),
+    (lambda x, y: disc(x, y, 6), [(0, 0), (3, 0), (4, 3)], [-3, 0, 2]),
+    (lambda x, y: capsule(x, y, 10, 4), [(0, 0), (5, 0), (3, 2), (7, 0)], [-2, 0, 0, 2]),
+    (lambda x, y: lozenge(x, y, 8, 6), [(0, 0), (4, 0), (0, 3), (2, 1.5)], [-2.4, 0, 0, 0]),
+]
 
 
-def test_hexagon_distances() -> None:
-    """A hexagon 10 px from flat to flat: known distances at its center, flats and corner."""
-    corner = 10 / np.sqrt(3)
-    x = np.array([0.0, 5, 7, 0, 0, 5 * np.cos(np.pi / 3)])
-    y = np.array([0.0, 0, 0, corner, corner + 2, 5 * np.sin(np.pi / 3)])
-    np.testing.assert_allclose(hexagon(x, y, 10), (-5, 0, 2, 0, 2, 0), atol=1e-12)
-
-
-def test_stripe_distances() -> None:
-    """A stripe 4 px wide: 2 px deep, its edge at 2."""
-    np.testing.assert_allclose(stripe(np.array([0.0, -2, 5]), 4), (-2, 0, 3))
+@pytest.mark.parametrize(("shape", "points", "distances"), DISTANCES)
+def test_known_distances(
+    shape: Callable[[Field, Field], Field], points: list[tuple[float, float]], distances: list[float]
+) -> None:
+    """Shapes have known distances at their centers, sides, corners and tips, negative inside."""
+    np.testing.assert_allclose(shape(*np.array(points, np.float64).T), distances, atol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.0, 17.0, 45.0])
@@ -139,24 +143,6 @@ def test_coverage_is_the_area_covered(shape: str, angle: float) -> None:
     counted = (distance(fine[1], fine[0]) < 0).reshape(30, 16, 30, 16).mean((1, 3))
     error = coverage(distance(x, y)) - counted
     assert np.abs(error).max() < 0.25 and np.sqrt((error**2).mean()) < 0.02 and abs(error.sum()) < 0.01 * counted.sum()
-
-
-def test_round_shapes() -> None:
-    """A disc 6 px across, and a capsule 10 px long and 4 broad: known distances."""
-    np.testing.assert_allclose(disc(np.array([0.0, 3, 4]), np.array([0.0, 0, 3]), 6), (-3, 0, 2))
-    np.testing.assert_allclose(capsule(np.array([0.0, 5, 3, 7]), np.array([0.0, 0, 2, 0]), 10, 4), (-2, 0, 0, 2))
-
-
-def test_lozenge() -> None:
-    """A lozenge 8 px wide and 6 high: its sides pass through its tips, its middle is 2.4 px from each."""
-    np.testing.assert_allclose(
-        lozenge(np.array([0.0, 4, 0, 2]), np.array([0.0, 0, 3, 1.5]), 8, 6), (-2.4, 0, 0, 0), atol=1e-12
-    )
-
-
-def test_turned() -> None:
-    """A point on the y axis lies on the x axis of axes turned by 90 degrees."""
-    np.testing.assert_allclose(rotate(np.array(0.0), np.array(2.0), 90.0), (2, 0), atol=1e-12)
 
 
 def test_rim_and_profile() -> None:
