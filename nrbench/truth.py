@@ -12,6 +12,10 @@ from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice, Vector
 
 TRUTH_FILE = "truth.csv"
+KNOWN_FILE = "truth.json"
+"""The complete truth of the pictures of a render."""
+SHEET = "contact-sheet.png"
+"""The contact sheet of a render."""
 VECTORS = ("t1x", "t1y", "t2x", "t2y")
 ORIGIN = ("originx", "originy")
 TRUTH_FIELDS = ("file", *VECTORS, *ORIGIN, "family", "kind", "regular_share")

@@ -14,7 +14,7 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
 from .markdown import escape_markdown
-from .statistics.changes import LEGEND, RunChanges, compare_runs
+from .statistics.run_changes import HEADS, LEGEND, RunChanges, compare_runs
 
 
 @dataclass(frozen=True)
@@ -63,19 +63,17 @@ class Changes:
 
     def text(self, changes: RunChanges) -> str:
         """Return the changes as a plain table with aligned columns."""
-        rows = [changes.heads, *(change.cells for change in changes.changes)]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(changes.heads))]
-        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        rows = [HEADS, *(change.cells for change in changes.changes)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
         lines.insert(1, "─" * max(map(len, lines)))
-        return "\n".join(
-            [f"{changes.first.root} -> {changes.second.root}", "", *lines, "", fill(LEGEND, 110), *_notes(changes)]
-        )
+        title = f"{changes.first.root} -> {changes.second.root}"
+        return "\n".join([title, "", *lines, "", fill(LEGEND, 110), *_notes(changes)])
 
     def markdown(self, changes: RunChanges) -> str:
         """Return the changes as a Markdown table for a pull request."""
-        rows = (changes.heads, *(change.cells for change in changes.changes))
-        head, *body = [f"| {' | '.join(map(escape_markdown, row))} |" for row in rows]
-        table = [head, f"|{' --- |' * len(changes.heads)}", *body]
+        rows = [HEADS, ["---"] * len(HEADS), *([*map(escape_markdown, change.cells)] for change in changes.changes)]
+        table = [f"| {' | '.join(row)} |" for row in rows]
         title = f"**{escape_markdown(str(changes.first.root))} → {escape_markdown(str(changes.second.root))}**"
         notes = [f"- {escape_markdown(line)}" for line in _notes(changes)]
         return "\n".join([title, "", *table, "", LEGEND, *(["", *notes] if notes else [])]) + "\n"

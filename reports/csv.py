@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,25 +13,25 @@ import pandas as pd
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
-from .statistics.claims import claim_tests_table, claims_table, evaluate_claims
 from .statistics.comparison import (
     Comparison,
-    MethodSummary,
     compare_methods,
     describe_scores,
     perils_points,
     perils_table,
 )
 from .statistics.detections import detectors_table, tabulate_answers
-from .statistics.estimates import Estimate
-from .statistics.levels import breaking_points_table, compare_levels, levels_table
-from .statistics.people import agreement_table, compare_people, labels_table
-from .statistics.published import (
+from .statistics.expectations import (
+    claim_tests_table,
+    claims_table,
     compare_with_published,
+    evaluate_claims,
     published_classes_table,
     published_rates_table,
     published_table,
 )
+from .statistics.levels import breaking_points_table, compare_levels, levels_table
+from .statistics.people import agreement_table, compare_people, labels_table
 from .statistics.verdicts import QUALITY, is_valid_baseline
 
 OWN_COLUMNS: Mapping[str, str] = {
@@ -108,7 +109,10 @@ class CsvTables:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the tables and return their paths."""
-        return [_write(table, directory / f"{name}.csv") for name, table in self.tables(run).items()]
+        texts = {directory / f"{name}.csv": csv_text(table) for name, table in self.tables(run).items()}
+        for path, text in texts.items():
+            write_text(path, text)
+        return list(texts)
 
     def tables(self, run: Run) -> dict[str, pd.DataFrame]:
         """Return the tables by the names of their files."""
@@ -158,73 +162,53 @@ def comparison_table(comparison: Comparison) -> pd.DataFrame:
     Without a quality, ``regularity.score`` takes its place, in columns named ``score``.
     """
     score = "quality" if comparison.score == QUALITY else "score"
-    parts = {"verdict": "verdict", "score": score, "baseline_valid": "reference_right"}
-    columns = [
-        (i, part)
-        for i, entries in enumerate(zip(*(row.entries for row in comparison.rows), strict=True))
-        for part in parts
-        if part != "baseline_valid" or any(entry and entry.baseline_valid is not None for entry in entries)
-    ]
-    names = [f"{comparison.methods[i].label} {parts[part]}" for i, part in columns]
-    rows = [
-        [row.texture, row.family, row.kind, row.regular_share]
-        + [getattr(row.entries[i], part, None) for i, part in columns]
-        for row in comparison.rows
-    ]
-    return pd.DataFrame(rows, columns=["texture", "family", "kind", "regular_share", *names])
+    table = pd.DataFrame(
+        [[row.texture, row.family, row.kind, row.regular_share] for row in comparison.rows],
+        columns=["texture", "family", "kind", "regular_share"],
+    )
+    for i, method in enumerate(comparison.methods):
+        entries = [row.entries[i] for row in comparison.rows]
+        for name, part in (("verdict", "verdict"), (score, "score"), ("reference_right", "baseline_valid")):
+            values = [getattr(entry, part) if entry else None for entry in entries]
+            if part != "baseline_valid" or any(value is not None for value in values):
+                table[f"{method.label} {name}"] = pd.Series(values, table.index, dtype=object)
+    return table
 
 
 def summary_table(comparison: Comparison) -> pd.DataFrame:
     """Return one row a method and lattice source: rank, counts, success rates and means with intervals."""
-    rows = [dict(_summary_items(one)) for one in comparison.summaries]
+    rows = []
+    for one in comparison.summaries:
+        row: dict[str, Any] = {"method": one.method.name, "lattice_source": one.method.lattice_source}
+        row |= {"reference": one.method.reference, "rank": one.rank, "leading": one.leading if one.rank else None}
+        row |= one.counts
+        for name, estimate in one.all_means.items():
+            row |= estimate.columns(name, f"{name}_")
+        rows.append(row)
     empty = ["method", "lattice_source", "reference", "rank", "leading", "cells", "ok", "refused", "failed", "missing"]
     return pd.DataFrame(rows).astype({"rank": "Int64"}) if rows else pd.DataFrame(columns=empty)
 
 
-def _summary_items(one: MethodSummary) -> Iterator[tuple[str, Any]]:
-    yield "method", one.method.name
-    yield "lattice_source", one.method.lattice_source
-    yield "reference", one.method.reference
-    yield "rank", one.rank
-    yield "leading", one.leading if one.rank else None
-    yield from one.counts.items()
-    yield from _estimate_items("preserved", one.success)
-    yield from _estimate_items("preserved_refusals_left_out", one.success_answered)
-    for name, estimate in one.means.items():
-        yield from _estimate_items(name, estimate)
-
-
-def _estimate_items(name: str, estimate: Estimate) -> Iterator[tuple[str, Any]]:
-    parts = {"": estimate.value, "_low": estimate.low, "_high": estimate.high, "_n": estimate.n, "_of": estimate.of}
-    yield from ((name + part, value) for part, value in parts.items())
-
-
 def differences_table(comparison: Comparison) -> pd.DataFrame:
     """Return one row a headline and pair of methods: the mean of first minus second, with its interval."""
-    names = ["score", "first", "second", "difference", "low", "high", "n", "of", "excludes_zero"]
-    rows = []
-    for one in comparison.differences:
-        estimate = one.estimate
-        values = [estimate.value, estimate.low, estimate.high, estimate.n, estimate.of, estimate.excludes_zero]
-        rows.append([one.score, one.first.label, one.second.label, *values])
-    return pd.DataFrame(rows, columns=names)
+    parts = ("low", "high", "n", "of", "excludes_zero")
+    rows = [
+        {"score": one.score, "first": one.first.label, "second": one.second.label}
+        | one.estimate.columns("difference", parts=parts)
+        for one in comparison.differences
+    ]
+    return pd.DataFrame(rows, columns=["score", "first", "second", "difference", *parts])
 
 
 def baseline_table(comparison: Comparison) -> pd.DataFrame:
     """Return one row a method: its difference in quality to the baseline, the effect size, and the adjusted p-value."""
-    other = comparison.baseline.label if comparison.baseline else ""
-    rows = [
-        [
-            one.method.label,
-            other,
-            *(getattr(one.estimate, part) for part in ("value", "low", "high", "n", "of")),
-            one.effect,
-            one.p,
-        ]
+    assert comparison.baseline is not None
+    return pd.DataFrame(
+        {"method": one.method.label, "baseline": comparison.baseline.label}
+        | one.estimate.columns("difference")
+        | {"rank_biserial": one.effect, "p_holm": one.p}
         for one in comparison.against
-    ]
-    names = ["method", "baseline", "difference", "low", "high", "n", "of", "rank_biserial", "p_holm"]
-    return pd.DataFrame(rows, columns=names)
+    )
 
 
 def significance_table(comparison: Comparison) -> pd.DataFrame:
@@ -232,21 +216,14 @@ def significance_table(comparison: Comparison) -> pd.DataFrame:
     tests, labels = comparison.tests, [one.label for one in comparison.ranked]
     assert tests is not None
     rows = [
-        [
-            labels[i],
-            labels[j],
-            tests.ranks[i],
-            tests.ranks[j],
-            tests.adjusted[i, j],
-            bool(tests.different[i, j]),
-            tests.n,
-            tests.friedman,
-        ]
-        for at, i in enumerate(tests.order)
-        for j in tests.order[at + 1 :]
+        {
+            **{"first": labels[i], "second": labels[j], "first_rank": tests.ranks[i], "second_rank": tests.ranks[j]},
+            **{"p_holm": tests.adjusted[i, j], "differ": bool(tests.different[i, j])},
+            **{"n": tests.n, "p_friedman": tests.friedman},
+        }
+        for i, j in itertools.combinations(tests.order, 2)
     ]
-    names = ["first", "second", "first_rank", "second_rank", "p_holm", "differ", "n", "p_friedman"]
-    return pd.DataFrame(rows, columns=names)
+    return pd.DataFrame(rows)
 
 
 def columns_table(run: Run) -> pd.DataFrame:
@@ -265,12 +242,6 @@ def columns_table(run: Run) -> pd.DataFrame:
 def csv_text(table: pd.DataFrame) -> str:
     """Return a table as CSV, in which a spreadsheet runs no text as a formula."""
     return str(table.map(_disarm).rename(columns=_disarm).to_csv(index=False, lineterminator="\n"))
-
-
-def _write(table: pd.DataFrame, path: Path) -> Path:
-    text = csv_text(table)
-    write_text(path, text)
-    return path
 
 
 def _disarm(value: Any) -> Any:

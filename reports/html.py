@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-import jinja2
 from markupsafe import Markup
 
 from nrbench.errors import strip_control
@@ -23,6 +22,7 @@ from nrbench.storage import write_text
 
 from .csv import csv_text, summary_table
 from .latex import bibliography, latex_text
+from .page.environment import make_environment
 from .page.forest_plot import forest_axes
 from .page.gallery import SOURCE_MAP, build_disagreement, build_gallery, list_failings, list_layers, score_shade
 from .page.inline_svg import inline_svg
@@ -32,8 +32,6 @@ from .plots.critical_difference import plot_ranks
 from .plots.heat_map import plot_heat_map
 from .plots.perils_plane import plot_perils_plane
 from .plots.series_plot import plot_claim, plot_levels
-from .statistics import format as text_format
-from .statistics.claims import evaluate_claims
 from .statistics.comparison import (
     LEADING_SIGN,
     compare_methods,
@@ -43,21 +41,33 @@ from .statistics.comparison import (
     perils_points,
 )
 from .statistics.detections import KINDS, STOCHASTIC, DetectorComparison, compare_detectors
+from .statistics.expectations import SENTENCE, compare_with_published, evaluate_claims
 from .statistics.levels import BROKEN, compare_levels
 from .statistics.people import compare_people
-from .statistics.published import SENTENCE, compare_with_published
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MARKS, MEANINGS
+from .statistics.verdicts import (
+    BASELINE_LEGEND,
+    BASELINE_SIGN,
+    MARKS,
+    MEANINGS,
+    explain_valid_baseline,
+    explain_verdict,
+    verdict,
+)
 
-_TEMPLATES = Path(__file__).parent / "page" / "templates"
 _KEY_VERSIONS = ("nrbench", "python", "numpy", "scipy", "scikit-image", "numba", "pandas", "pillow")
 _MOST_DIFFERENCES = 1000
 """More paired differences than this are in the CSV tables only: their number grows with the square of the methods."""
 _LEVELS_WIDTH = 8.7
 """Width of the plot of levels, inches: three columns."""
-_FILTERS = (
-    *("format_number", "format_percent", "format_signed", "format_interval", "format_count", "format_successes"),
-    *("format_limit", "describe_direction", "describe_column", "pluralize"),
-)
+
+
+_FILTERS: Mapping[str, Callable[..., Any]] = {
+    "score_shade": score_shade,
+    "strip_control": strip_control,
+    "verdict": verdict,
+    "explain_verdict": explain_verdict,
+    "explain_valid_baseline": explain_valid_baseline,
+}
 
 
 @dataclass(frozen=True)
@@ -174,25 +184,11 @@ class HtmlReport:
 
 def _fill_template(content: Mapping[str, Any]) -> str:
     """Return the page; its content policy names style and script by hash, so that nothing else on it can run."""
-    environment = _environment()
+    environment = make_environment(_FILTERS, autoescape=True)
     style = Markup(environment.get_template("style.css").render(content))
     script = Markup(environment.get_template("script.js").render())
     hashes = {"style_hash": content_hash(style), "script_hash": content_hash(script)}
     return environment.get_template("report.html").render(content, style=style, script=script, **hashes)
-
-
-@cache
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update({name: getattr(text_format, name) for name in _FILTERS})
-    environment.filters.update(score_shade=score_shade, strip_control=strip_control)
-    return environment
 
 
 def _families(detectors: DetectorComparison | None) -> list[str]:

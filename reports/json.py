@@ -13,7 +13,6 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
 from .statistics.comparison import Comparison, MethodSummary, compare_methods, describe_scores
-from .statistics.estimates import Estimate
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,6 @@ def _content(run: Run, comparison: Comparison) -> dict[str, Any]:
 
 
 def _method(one: MethodSummary) -> dict[str, Any]:
-    means: dict[str, Estimate] = {"preserved": one.success, "preserved_refusals_left_out": one.success_answered}
     return {
         "method": one.method.name,
         "lattice_source": one.method.lattice_source,
@@ -107,7 +105,7 @@ def _method(one: MethodSummary) -> dict[str, Any]:
         "leading": one.leading if one.rank else None,
         "average_rank": one.average_rank,
         "cells": dict(one.counts),
-        "means": {name: vars(mean) for name, mean in (means | dict(one.means)).items()},
+        "means": {name: vars(mean) for name, mean in one.all_means.items()},
     }
 
 

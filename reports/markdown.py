@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import ClassVar
-
-import jinja2
 
 from nrbench.errors import strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
-from .statistics import format as text_format
+from .page.environment import make_environment
 from .statistics.comparison import LEADING_SIGN, compare_methods, list_patch_terms
 from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, SHARES_LEGEND, count_reasons
 
-_TEMPLATES = Path(__file__).parent / "page" / "templates"
-_FILTERS = ("format_interval", "describe_column")
 _ACTIVE = re.compile(r"([\\`*_\[\]<>|~&@#]|:(?=//)|(?<=www)\.|^[-+=])")
 
 
@@ -53,7 +48,7 @@ class MarkdownTables:
     def render(self, run: Run) -> str:
         """Return the tables as text; every line ends in a newline."""
         return (
-            _environment()
+            make_environment({"escape_markdown": escape_markdown})
             .get_template("comparison.md")
             .render(
                 comparison=compare_methods(run, self.tests, self.baseline),
@@ -65,19 +60,6 @@ class MarkdownTables:
                 baseline_legend=f"{BASELINE_LEGEND} ({SHARES_LEGEND})",
             )
         )
-
-
-@cache
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters.update({name: getattr(text_format, name) for name in _FILTERS}, escape_markdown=escape_markdown)
-    return environment
 
 
 def escape_markdown(text: str) -> str:

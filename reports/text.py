@@ -16,7 +16,6 @@ from rich.table import Table
 from rich.text import Text
 
 from nrbench.errors import BadInput, strip_control
-from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
@@ -26,8 +25,8 @@ from .statistics.comparison import (
     Entry,
     MethodSummary,
     SummaryRow,
+    choose_rows,
     compare_methods,
-    other_score_rows,
 )
 from .statistics.detections import DetectorSummary, compare_detectors
 from .statistics.estimates import Estimate
@@ -84,33 +83,20 @@ class TextTable:
     def render(self, run: Run) -> str:
         """Return the comparison as text without color codes; every line ends in a newline."""
         comparison, detectors = compare_methods(run, self.tests, self.baseline), compare_detectors(run)
+        lines = choose_rows(run, comparison, self.columns)
         file = StringIO()
         console = Console(file=file, width=self.width, color_system=None, force_terminal=False, emoji=False)
         console.print(Text(comparison.title))
         if comparison.scored or self.columns:
-            lines = self._lines(run, comparison)
-            for build, count in (
-                (partial(_summary_table, lines=lines), len(lines)),
-                (_texture_table, len(comparison.methods) if comparison.scored else 0),
-            ):
-                for table in _split_table(partial(build, comparison), count, console):
-                    console.print(table)
+            console.print(*_split_table(partial(_summary_table, comparison, lines), len(lines), console), sep="")
+            methods = len(comparison.methods) if comparison.scored else 0
+            console.print(*_split_table(partial(_texture_table, comparison), methods, console), sep="")
             for line in [*_legend(comparison), *_reasons(run)]:
                 console.print(Text(line))
         if detectors:
             console.print(_detector_table(detectors.summaries))
             console.print(Text(_DETECTOR_LEGEND))
         return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
-
-    def _lines(self, run: Run, comparison: Comparison) -> Sequence[SummaryRow]:
-        """Return the numbers of the table of methods; raise BadInput for a column that no method has."""
-        if not self.columns:
-            return comparison.summary_rows
-        known = {row.name: row for row in (*comparison.summary_rows, *other_score_rows(run, comparison.summaries))}
-        for name in self.columns:
-            if name not in known:
-                raise BadInput(f"column {name!r}: no method of this run has such a score{nearest(name, known)}")
-        return [known[name] for name in self.columns]
 
 
 def _split_table(build: Callable[[int, int], Table], count: int, console: Console) -> Iterator[Table]:
@@ -128,28 +114,26 @@ def _fits(table: Table, console: Console) -> bool:
     return Measurement.get(console, console.options.update(max_width=10_000), table).maximum <= console.width
 
 
-def _summary_table(comparison: Comparison, start: int, stop: int, lines: Sequence[SummaryRow]) -> Table:
-    """Return one row a method, with some of its numbers; references stand apart."""
-    lines = lines[start:stop]
+def _make_table(*heads: str | Text) -> Table:
+    """Return an empty table. A word wider than its column is continued on the next line, never cut."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("method", overflow="fold")
-    for line in lines:
-        table.add_column(Text(line.title.replace(" ", "\n")), overflow="fold")
-    before: MethodSummary | None = None
+    for head in heads:
+        table.add_column(head, overflow="fold", justify="right" if str(head) == "share" else "left")
+    return table
+
+
+def _summary_table(comparison: Comparison, lines: Sequence[SummaryRow], start: int, stop: int) -> Table:
+    """Return one row a method, with some of its numbers; references stand apart."""
+    table = _make_table("method", *(Text(line.title.replace(" ", "\n")) for line in lines[start:stop]))
     for i, one in enumerate(comparison.summaries):
-        if before and one.method.reference and not before.method.reference:
+        if one.method.reference and i and not comparison.summaries[i - 1].method.reference:
             table.add_section()
-        table.add_row(_method(one, " "), *(_estimate(line, i) for line in lines))
-        before = one
+        table.add_row(_method(one, " "), *(_estimate(line.shown[i], line.rate) for line in lines[start:stop]))
     return table
 
 
 def _texture_table(comparison: Comparison, start: int, stop: int) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column(Text("texture"), overflow="fold")
-    table.add_column(Text("share"), justify="right")
-    for one in comparison.summaries[start:stop]:
-        table.add_column(_method(one), overflow="fold")
+    table = _make_table("texture", "share", *map(_method, comparison.summaries[start:stop]))
     for row in comparison.rows:
         share = "" if row.regular_share is None else f"{row.regular_share:.2f}"
         table.add_row(Text(row.texture), share, *map(_entry, row.entries[start:stop]))
@@ -173,11 +157,7 @@ def _entry(entry: Entry | None) -> Text:
     return Text(f"{entry.text}{sign} {notes}".rstrip())
 
 
-def _estimate(line: SummaryRow, index: int) -> Text:
-    return _estimate_text(line.shown[index], line.rate)
-
-
-def _estimate_text(one: Estimate | None, rate: bool) -> Text:
+def _estimate(one: Estimate | None, rate: bool) -> Text:
     """Return two short lines: the value with the number of textures that it rests on, and its interval."""
     if one is None or one.value is None:
         return Text("–")
@@ -190,12 +170,10 @@ def _estimate_text(one: Estimate | None, rate: bool) -> Text:
 
 
 def _detector_table(summaries: Sequence[DetectorSummary]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in ("detector", "exact", "false", "error", "calibration", "seconds"):
-        table.add_column(name, overflow="fold")
+    table = _make_table("detector", "exact", "false", "error", "calibration", "seconds")
     for one in summaries:
         numbers = (Text(format_number(value)) for value in (one.vector_error, one.calibration.error, one.seconds))
-        table.add_row(Text(one.detector), _estimate_text(one.exact, True), _estimate_text(one.false, True), *numbers)
+        table.add_row(Text(one.detector), _estimate(one.exact, True), _estimate(one.false, True), *numbers)
     return table
 
 

@@ -8,6 +8,11 @@ from pathlib import Path
 
 import click
 
+from nrbench import plugins
+from nrbench.cli.options import split_names
+from nrbench.errors import BadInput
+from nrbench.runs.records import Run
+
 _PATH = click.Path(path_type=Path)
 
 
@@ -45,14 +50,10 @@ def compare_command(
     Cells are paired by method, texture and draw. Reference methods and wall times are shown, but they are no reason to
     fail, except for wall times that --columns names.
     """
-    from nrbench import plugins
-    from nrbench.errors import BadInput
-    from nrbench.runs.records import Run
-
     if as_markdown and as_json:
         raise BadInput("--markdown and --json: choose one of them")
     wanted = [_read_limit(text) for text in limits]
-    names = [name.strip() for name in columns.split(",")] if columns else []
+    names = split_names(columns)
     runs = [Run(first), Run(second)]
     for run in runs:
         _ = run.info
@@ -80,8 +81,6 @@ def compare_command(
 
 def _read_limit(text: str) -> tuple[str, float]:
     """Read ``NAME=NUMBER``, or a number for the quality."""
-    from nrbench.errors import BadInput
-
     name, equals, number = text.rpartition("=")
     try:
         return (name if equals else "quality"), float(number)

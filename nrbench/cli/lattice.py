@@ -6,16 +6,25 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from nrbench.cli.lattice_results import Result
-
-if TYPE_CHECKING:
-    from nrbench.imaging.convert import Image
-    from nrbench.lattice.geometry import Lattice
-    from nrbench.plugins.forms import Alternative
+from nrbench import plugins
+from nrbench.cli.lattice_results import LatticeResult
+from nrbench.cli.options import check_output
+from nrbench.cli.progress import live_progress, waiting
+from nrbench.cli.straightening import draw_deformed_lattice, find_bent_lattice, straighten_picture
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image
+from nrbench.imaging.files import read_image, write_image
+from nrbench.imaging.overlays import contact_sheet, draw_lattice, draw_overlay, stack, zoom_panels
+from nrbench.jit import load_kernels
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Alternative, NoLatticeFound
+from nrbench.plugins.parameters import parse_spec
+from nrbench.storage import write_aside
+from nrbench.suites.surveying import LEAST_CONFIDENCE, Survey, draw_candidates
 
 WHOLE = 1024
 """px; largest side of an image that a comparison of detectors shows as a whole."""
@@ -76,10 +85,6 @@ def lattice_command(
     "No lattice" is a valid result: the exit code is 0. For a folder, the command writes truth.csv, which `nrbench run
     FOLDER` reads, and contact sheets by which you can check it.
     """
-    from nrbench.cli.images import check_output
-    from nrbench.errors import BadInput
-    from nrbench.imaging.files import read_image
-
     options = {"-d": detector, "--all": every, "--pick": pick, "--lattice": lattice}
     chosen = [name for name, value in options.items() if value not in (None, False)]
     if len(chosen) > 1:
@@ -112,8 +117,6 @@ def lattice_command(
         written.add(path.resolve())
     picture = read_image(image)
     if straighten is not None:
-        from nrbench.cli.straightening import straighten_picture
-
         straighten_picture(picture, detector or "consensus", lattice, output, straighten, as_json)
         return 0
     if every:
@@ -127,11 +130,6 @@ def lattice_command(
 
 def _survey(folder: Path, detector: str, output: Path | None, least: float | None, existing: str, as_json: bool) -> int:
     """Detect the lattices of a folder; return 1 if a picture could not be read or the detector failed, else 0."""
-    from nrbench.cli.progress import live_progress
-    from nrbench.errors import BadInput
-    from nrbench.jit import load_kernels
-    from nrbench.suites.surveying import LEAST_CONFIDENCE, Survey
-
     if output is not None and (output.suffix.lower() == ".png" or output.is_file()):
         raise BadInput(f"-o {output}: {folder} is a folder of pictures; give a directory for truth.csv")
     survey = Survey(folder, detector, output, LEAST_CONFIDENCE if least is None else least, existing)
@@ -160,10 +158,6 @@ def _survey(folder: Path, detector: str, output: Path | None, least: float | Non
 
 def _use_given(image: Image, numbers: str | None, output: Path | None, as_json: bool) -> None:
     """Print and draw the user's lattice, given as numbers or picked in a window."""
-    from nrbench.imaging.files import write_image
-    from nrbench.imaging.overlays import draw_overlay
-    from nrbench.lattice.geometry import Lattice
-
     if numbers is None:
         from nrbench.cli.lattice_figures import pick
 
@@ -173,7 +167,7 @@ def _use_given(image: Image, numbers: str | None, output: Path | None, as_json: 
         lattice, has_origin = Lattice.parse(numbers), numbers.count(",") == 5
     if output is not None:
         write_image(output, draw_overlay(image, lattice))
-    Result("picked" if numbers is None else "given", lattice, has_origin=has_origin).print(as_json)
+    LatticeResult("picked" if numbers is None else "given", lattice, has_origin=has_origin).print(as_json)
 
 
 def _print_numbers(lattice: Lattice) -> None:
@@ -188,13 +182,6 @@ def _detect(image: Image, chosen: str | None, output: Path | None, diagnostics: 
 
     If the default detector finds none, the mean lattice of a bent image is looked for.
     """
-    from nrbench import plugins
-    from nrbench.cli.progress import waiting
-    from nrbench.cli.straightening import draw_deformed_lattice, find_bent_lattice
-    from nrbench.imaging.files import write_image
-    from nrbench.plugins.forms import NoLatticeFound
-    from nrbench.plugins.parameters import parse_spec
-
     spec = chosen or "consensus"
     name, parameters = parse_spec(spec)
     detector = plugins.build("detectors", name, parameters)
@@ -217,9 +204,9 @@ def _detect(image: Image, chosen: str | None, output: Path | None, diagnostics: 
         _draw_diagnostics(none.best.diagnostics if none.best else {}, title, diagnostics)
         if output is not None:
             click.echo(f"{output}: not written, there is no lattice to draw", err=True)
-        Result(name, None, reason=none.reason).print(as_json)
+        LatticeResult(name, None, reason=none.reason).print(as_json)
         return
-    result = Result.of_detection(name, detection)
+    result = LatticeResult.of_detection(name, detection)
     title = f"{spec}: {result.text()}, confidence {detection.confidence:.3f}"
     _draw_diagnostics(detection.diagnostics, title, diagnostics)
     if output is not None:
@@ -233,10 +220,6 @@ def _draw_overlay(image: Image, candidates: Sequence[Alternative], output: Path)
 
     The image stays in the upper left corner, enlarged by a whole factor if it or its cells are small.
     """
-    from nrbench.imaging.files import write_image
-    from nrbench.imaging.overlays import contact_sheet, draw_overlay, stack
-    from nrbench.suites.surveying import draw_candidates
-
     drawn = draw_overlay(image, candidates[0].lattice)
     if len(candidates) > 1:
         drawn = stack(drawn, contact_sheet(*draw_candidates(image, candidates)))
@@ -245,10 +228,6 @@ def _draw_overlay(image: Image, candidates: Sequence[Alternative], output: Path)
 
 def _compare_detectors(image: Image, output: Path | None, as_json: bool) -> int:
     """Print and draw the lattices of all detectors; return 1 if one of them failed, else 0."""
-    from nrbench import plugins
-    from nrbench.cli.progress import live_progress
-    from nrbench.jit import load_kernels
-
     load_kernels()
     names = [plugin.name for plugin in plugins.inventory("detectors") if plugin.cls is not None]
     results = []
@@ -266,30 +245,23 @@ def _compare_detectors(image: Image, output: Path | None, as_json: bool) -> int:
     return int(any(result.failed for result in results))
 
 
-def _run_detector(image: Image, name: str) -> Result:
+def _run_detector(image: Image, name: str) -> LatticeResult:
     """Return the result of a detector; an error of the detector is a failed result."""
-    from nrbench import plugins
-    from nrbench.errors import BadInput
-    from nrbench.plugins.forms import NoLatticeFound
-
     detector = plugins.build("detectors", name)
     start = time.perf_counter()
     try:
         detection = detector.detect(image)
     except NoLatticeFound as none:
-        return Result(name, None, reason=none.reason, seconds=time.perf_counter() - start)
+        return LatticeResult(name, None, reason=none.reason, seconds=time.perf_counter() - start)
     except BadInput:
         raise
     except Exception as error:
-        return Result(name, None, reason=f"failed: {type(error).__name__}: {error}", failed=True)
-    return Result.of_detection(name, detection, time.perf_counter() - start)
+        return LatticeResult(name, None, reason=f"failed: {type(error).__name__}: {error}", failed=True)
+    return LatticeResult.of_detection(name, detection, time.perf_counter() - start)
 
 
-def _draw_comparison(image: Image, results: Sequence[Result], output: Path) -> None:
+def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Path) -> None:
     """Write a sheet with a captioned picture for each candidate of each detector; of a large image, its middle."""
-    from nrbench.imaging.files import write_image
-    from nrbench.imaging.overlays import contact_sheet, draw_lattice, zoom_panels
-
     lattices = [each.lattice for result in results for each in result.candidates]
     is_large = max(image.shape[:2]) > WHOLE
     drawn = zoom_panels(image, lattices, ZOOM) if is_large else [draw_lattice(image, each) for each in lattices]
@@ -304,7 +276,6 @@ def _draw_diagnostics(diagnostics: Mapping[str, Any], title: str, output: Path |
     if output is None:
         return
     from nrbench.cli.lattice_figures import diagram
-    from nrbench.storage import write_aside
 
     figure = diagram(diagnostics, title)
     if figure is None:

@@ -7,15 +7,17 @@ import textwrap
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Alternative, Detection
+from nrbench.suites.surveying import SHOWN, candidate_dict, known_vectors, rank_candidates
+
 if TYPE_CHECKING:
-    from nrbench.lattice.geometry import Lattice
-    from nrbench.plugins.forms import Alternative, Detection
     from nrbench.tracking.deformation import Deformation
     from nrbench.views.deformed import Followed
 
 
 @dataclass(frozen=True)
-class Result:
+class LatticeResult:
     """The result of a detector or of the user: a lattice, or why there is none.
 
     ``detection`` is that of a detector. ``has_origin`` says whether the origin is known. ``seconds`` is set in a
@@ -35,12 +37,12 @@ class Result:
     straightened: Lattice | None = None
 
     @classmethod
-    def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> Result:
+    def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> LatticeResult:
         """Return the result of a detector."""
         return cls(detector, detection.lattice, detection, has_origin=detection.has_origin, seconds=seconds)
 
     @classmethod
-    def of_followed(cls, detector: str, followed: Followed, has_origin: bool) -> Result:
+    def of_followed(cls, detector: str, followed: Followed, has_origin: bool) -> LatticeResult:
         """Return the mean lattice of an image that may be bent, with or without its origin."""
         mean, detection = followed.deformation.lattice, followed.detection
         if detection is not None:
@@ -50,16 +52,12 @@ class Result:
     @property
     def vectors(self) -> dict[str, Any]:
         """The two vectors for JSON, and the origin where it is known."""
-        from nrbench.suites.surveying import known_vectors
-
         assert self.lattice is not None
         return {name: list(vector) for name, vector in known_vectors(self.lattice, self.has_origin).items()}
 
     @property
     def candidates(self) -> list[Alternative]:
         """The first candidates of a detector, the chosen lattice among them."""
-        from nrbench.suites.surveying import SHOWN, rank_candidates
-
         return rank_candidates(self.detection)[:SHOWN] if self.detection else []
 
     def text(self, separator: str = ", ") -> str:
@@ -88,7 +86,6 @@ class Result:
         if self.detection is None:
             start = {"detector": self.detector, "confidence": None} if self.detector else {}
             return {**self.vectors, **start, **self._deformation_dict()}
-        from nrbench.suites.surveying import candidate_dict
 
         probabilities = self.detection.probabilities
         return {
@@ -144,9 +141,18 @@ class Result:
         return texts
 
 
+<<<<<<< HEAD
 def _of_alternative(candidate: Alternative) -> Result:
+=======
+def _notes(candidate: Alternative) -> str:
+    """Return how a candidate relates to the chosen lattice, and its role."""
+    return ", ".join(filter(None, (candidate.relation, candidate.role and f"{candidate.role} lattice")))
+
+
+def _of_alternative(candidate: Alternative) -> LatticeResult:
+>>>>>>> main
     """Return a result without a detector, for the forms of its vectors."""
-    return Result("", candidate.lattice, has_origin=candidate.has_origin)
+    return LatticeResult("", candidate.lattice, has_origin=candidate.has_origin)
 
 
 def _describe(candidate: Alternative) -> str:

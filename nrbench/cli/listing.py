@@ -6,12 +6,14 @@ import dataclasses
 import inspect
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-if TYPE_CHECKING:
-    from nrbench.plugins.overview import Summary
+from nrbench import plugins
+from nrbench.errors import BadInput
+from nrbench.plugins.overview import Summary, summaries
+from nrbench.plugins.parameters import fields_by_call, nearest
 
 _BETTER = {"one": "nearest to 1", "none": "neither higher nor lower"}
 KINDS = ("datasets", "detectors", "synthesizers", "metrics", "reports", "suites")
@@ -35,7 +37,6 @@ def list_command(kind: str | None, as_json: bool) -> None:
 
 
 def _entries(kind: str) -> list[dict[str, Any]]:
-    from nrbench.plugins.overview import summaries
     from nrbench.suites.suite import builtin, load_suite
 
     if kind == "suites":
@@ -62,8 +63,6 @@ def show_command(name: str, as_json: bool, as_toml: bool) -> None:
     For a plugin, print its page, its parameters with defaults, its presets, its columns, and the BibTeX entry of its
     paper. NAME may also be a single score, METRIC.COLUMN.
     """
-    from nrbench.errors import BadInput
-    from nrbench.plugins.parameters import nearest
     from nrbench.suites.suite import builtin
 
     if as_json and as_toml:
@@ -82,22 +81,17 @@ def show_command(name: str, as_json: bool, as_toml: bool) -> None:
 
 
 def _all_names() -> list[str]:
-    from nrbench import plugins
-
     return [name for kind in plugins.FORMS for name in plugins.names(kind)]
 
 
 def _scores(name: str) -> list[str]:
     """Return the names of all scores of the metric in ``METRIC.COLUMN``."""
-    from nrbench import plugins
-
     metric = name.partition(".")[0]
     cls = plugins.find("metrics", metric).cls if "." in name and metric in plugins.names("metrics") else None
     return [f"{metric}.{key}" for key in cls.columns] if cls else []
 
 
 def _pages(name: str) -> list[dict[str, Any]]:
-    from nrbench import plugins
     from nrbench.suites.suite import builtin, load_suite
 
     pages = [_page(kind, plugins.find(kind, name)) for kind in plugins.FORMS if name in plugins.names(kind)]
@@ -117,9 +111,6 @@ def _column_page(page: dict[str, Any], column: str) -> list[dict[str, Any]]:
 
 
 def _page(kind: str, plugin: Any) -> dict[str, Any]:
-    from nrbench import plugins
-    from nrbench.plugins.parameters import fields_by_call
-
     cls = plugin.cls
     page = {
         "kind": kind,

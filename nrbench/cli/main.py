@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import io
 import itertools
@@ -12,18 +13,25 @@ from typing import Any
 
 import click
 
-from nrbench.cli.startup import start_quickly
-
-VERBS: Mapping[str, str] = {
-    **dict.fromkeys(("run", "plan", "report", "status", "label"), "nrbench.cli.runs"),
-    "compare": "nrbench.cli.comparing",
-    **dict.fromkeys(("list", "show"), "nrbench.cli.listing"),
-    "synth": "nrbench.cli.images",
-    "lattice": "nrbench.cli.lattice",
-    **dict.fromkeys(("score", "render"), "nrbench.cli.images"),
-    **dict.fromkeys(("check", "new"), "nrbench.cli.authoring"),
+COLLECT_AFTER = 500_000
+"""New objects after which garbage is collected. Imports alone make about 300 000, and none of them is garbage."""
+VERBS: Mapping[str, tuple[str, str]] = {
+    "run": ("runs", "Run SUITE and print the comparison table."),
+    "plan": ("runs", "List the cells that `run` would reuse and those that it would start."),
+    "report": ("runs", "Write the reports of RUN again from its files."),
+    "status": ("runs", "Print the number of cells of RUN with each status."),
+    "label": ("runs", "Write a page on which people label the outputs of RUN."),
+    "compare": ("comparing", "Compare RUN_B with RUN_A: which scores moved by more than noise."),
+    "list": ("listing", "List plugins and suites."),
+    "show": ("listing", "Show a plugin or a suite."),
+    "synth": ("single_images", "Synthesize a texture of any size from IMAGE."),
+    "lattice": ("lattice", "Detect the lattice of IMAGE, or those of all pictures in FOLDER."),
+    "score": ("single_images", "Score any tool's OUTPUT against its SAMPLE."),
+    "render": ("single_images", "Draw the textures of a model or a suite as PNG files."),
+    "check": ("authoring", "Check that PLUGIN fulfils every clause of its form."),
+    "new": ("authoring", "Write a package with a plugin called NAME to start from."),
 }
-"""Each verb, and the module that holds its function ``VERB_command``."""
+"""Each verb, the module of :mod:`nrbench.cli` that holds its function ``VERB_command``, and what it does."""
 
 
 class Verbs(click.Group):
@@ -37,8 +45,14 @@ class Verbs(click.Group):
         """Import a verb's module and return its command."""
         if cmd_name not in VERBS:
             return None
-        command: click.Command = getattr(importlib.import_module(VERBS[cmd_name]), f"{cmd_name}_command")
+        module = importlib.import_module(f"nrbench.cli.{VERBS[cmd_name][0]}")
+        command: click.Command = getattr(module, f"{cmd_name}_command")
         return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write what each verb does, without an import of its module."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(verb, summary) for verb, (_, summary) in VERBS.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -77,7 +91,7 @@ def main(arguments: list[str] | None = None) -> None:
     after an interruption. ``arguments`` are those of the process if None.
     """
     if arguments is None:
-        start_quickly()
+        gc.set_threshold(COLLECT_AFTER)  # only in the process of a command: a program that calls main keeps its own
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 PATIENCE = 2.0
-"""Seconds that a person waits without being told what goes on."""
+"""Delay before the first message of progress, s."""
 PAUSE = 5.0
 """Least seconds between two lines where standard error is no terminal."""
 
@@ -74,7 +74,6 @@ def waiting(what: str) -> Iterator[Callable[[float], None]]:
     finally:
         clock.ended.set()
         ticker.join()
-        clock.clear()
 
 
 class _Clock:
@@ -85,19 +84,21 @@ class _Clock:
         self.start = time.monotonic()
         self.fraction = 0.0
         self.ended = threading.Event()
-        self._is_terminal = sys.stderr.isatty()
-        self._shown = False
 
     def set(self, fraction: float) -> None:
         """Note the fraction that is done."""
         self.fraction = min(1.0, max(self.fraction, float(fraction)))
 
     def tick(self) -> None:
-        """Write a line now and then until the step ends."""
-        pause = PATIENCE
-        while not self.ended.wait(pause):
-            self._write(self.line(time.monotonic() - self.start))
-            pause = 0.5 if self._is_terminal else PAUSE
+        """Write a line now and then until the step ends; on a terminal, remove the last one."""
+        begin, end, pause = ("\r\x1b[2K", "", 0.5) if sys.stderr.isatty() else ("", "\n", PAUSE)
+        if self.ended.wait(PATIENCE):
+            return
+        while True:
+            print(f"{begin}{self.line(time.monotonic() - self.start)}", end=end, file=sys.stderr, flush=True)
+            if self.ended.wait(pause):
+                break
+        print(begin, end="", file=sys.stderr, flush=True)
 
     def line(self, passed: float) -> str:
         """Return what is shown after some seconds."""
@@ -105,17 +106,3 @@ class _Clock:
             return f"{self.what}: {passed:.0f} s"
         left = passed / self.fraction * (1 - self.fraction)
         return f"{self.what}: {100 * self.fraction:.0f} %, about {max(1, round(left))} s left"
-
-    def _write(self, line: str) -> None:
-        self._shown = True
-        if self._is_terminal:
-            sys.stderr.write(f"\r\x1b[2K{line}")
-        else:
-            sys.stderr.write(f"{line}\n")
-        sys.stderr.flush()
-
-    def clear(self) -> None:
-        """Remove the line from the terminal."""
-        if self._shown and self._is_terminal:
-            sys.stderr.write("\r\x1b[2K")
-            sys.stderr.flush()

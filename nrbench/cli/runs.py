@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,7 +12,24 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from nrbench.cli.limits import limit_options
+from nrbench.api import changed
+from nrbench.cli.options import limit_options, split_names
+from nrbench.cli.progress import live_progress
+from nrbench.cli.summary import (
+    check_columns,
+    failures,
+    left_out,
+    parse_formats,
+    plan_lines,
+    plan_summary,
+    print_summary,
+    remove_stale_report,
+    status_counts,
+    write_reports,
+)
+from nrbench.errors import BadInput
+from nrbench.runs.records import Run
+from nrbench.storage import write_text
 
 if TYPE_CHECKING:
     from nrbench.running.pace import Step
@@ -56,7 +74,6 @@ def _plan_options(command: F) -> F:
 
 def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
-    from nrbench.api import changed
     from nrbench.running.guard import Limits
     from nrbench.running.plugin_children import LIMITS, plan_run
     from nrbench.suites.suite import load_suite
@@ -92,18 +109,13 @@ def run_command(**arguments: Any) -> int:
 
     SUITE is the name of a suite, a TOML file, or a directory of pictures.
     """
-    import os
-
-    from nrbench.cli.progress import live_progress
-    from nrbench.cli.summary import check_columns, left_out, print_summary, remove_stale_report, write_reports
     from nrbench.running.cluster import ClusterLost
     from nrbench.running.guard import Limits
     from nrbench.running.pace import first_interrupt
     from nrbench.running.runner import Options, execute
     from nrbench.running.supervisor import print_notice
-    from nrbench.runs.records import Run
 
-    columns = _split(arguments["columns"])
+    columns = split_names(arguments["columns"])
     check_columns(columns)
     plan, root = _make_plan(arguments)
     lacking = left_out(root, plan)
@@ -137,10 +149,6 @@ def run_command(**arguments: Any) -> int:
     return int(failed or broken)
 
 
-def _split(names: str | None) -> list[str]:
-    return [name.strip() for name in (names or "").split(",") if name.strip()]
-
-
 _RUN_OPTIONS = ("scheduler", "worker_wait", "timeout", "memory", "retry_failed", "reuse")
 _INTERRUPTED = "the cells that are running will end; press Ctrl-C again to stop at once"
 
@@ -152,8 +160,6 @@ def _tell_as_json(text: str) -> None:
 @contextmanager
 def _show_steps(as_json: bool) -> Iterator[Callable[[Step], None]]:
     """Show the steps of a run on standard error: as JSON lines, or as :func:`~nrbench.cli.progress.live_progress`."""
-    from nrbench.cli.progress import live_progress
-
     if as_json:
         yield lambda step: print(json.dumps({"event": "cell", **step.as_dict()}), file=sys.stderr, flush=True)
         return
@@ -171,8 +177,6 @@ def _describe_step(step: Step) -> str:
 @_plan_options
 def plan_command(**arguments: Any) -> None:
     """List the cells that `run` would reuse and those that it would start. Nothing is started."""
-    from nrbench.cli.summary import plan_lines, plan_summary
-
     plan, root = _make_plan(arguments)
     summary = plan_summary(plan, root, arguments["retry_failed"])
     print(json.dumps(summary, indent=1) if arguments["as_json"] else "\n".join(plan_lines(summary)))
@@ -212,11 +216,8 @@ def report_command(
 
     The limits hold for reports of other packages.
     """
-    from nrbench.cli.progress import live_progress
-    from nrbench.cli.summary import parse_formats, write_reports
     from nrbench.labelling.labels import read_people
     from nrbench.running.guard import Limits
-    from nrbench.runs.records import Run
 
     if more and not labels:
         raise click.UsageError(f"{more[0]}: only one run is reported; files of answers come after --labels")
@@ -242,9 +243,6 @@ def report_command(
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def status_command(run: Path, as_json: bool) -> None:
     """Print the number of cells of RUN with each status, and the cells that failed."""
-    from nrbench.cli.summary import failures, status_counts
-    from nrbench.runs.records import Run
-
     cells = Run(run).ends()
     counts, failed = status_counts(cells), failures(cells)
     if as_json:
@@ -279,16 +277,13 @@ def label_command(run: Path, output: Path | None, repeat: float, seed: int, ques
     The questions are: is the lattice kept (`lattice`), are the elements whole (`elements`), does it look like more of
     the same (`more`). `nrbench report RUN --labels FILE...` reads the answers that the page saves.
     """
-    from nrbench.errors import BadInput
     from nrbench.labelling.labels import make_page, page_html, write_key
-    from nrbench.runs.records import Run
-    from nrbench.storage import write_text
 
     if output is not None and output.suffix.lower() not in (".html", ".htm"):
         raise BadInput(f"{output}: the page is HTML; end the name in .html")
     if output is not None and not output.absolute().parent.is_dir():
         raise BadInput(f"{output}: its directory does not exist; make it first")
-    page = make_page(Run(run), repeat, seed, [name.strip() for name in questions.split(",")])
+    page = make_page(Run(run), repeat, seed, split_names(questions))
     path = output or page.key_file(run).with_suffix(".html")
     html = page_html(run, page)
     key = write_key(run, page)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from nrbench.cli.lattice_results import Result
+from nrbench.cli.lattice_results import LatticeResult
 
 if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
@@ -48,7 +48,7 @@ def straighten_picture(
         followed = follow_lattice(image, as_lattice(lattice), name, parameters)
     except NoLatticeFound as none:
         click.echo(f"{output}: not written, there is no lattice to straighten by", err=True)
-        Result(name, None, reason=none.reason).print(as_json)
+        LatticeResult(name, None, reason=none.reason).print(as_json)
         return
     found = followed.deformation
     straight, straight_lattice = found.straighten()
@@ -57,11 +57,11 @@ def straighten_picture(
         write_image(overlay, draw_deformed_lattice(image, found))
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)
     click.echo(f"{output}: its lattice is {numbers}", err=True)
-    result = Result.of_followed("" if lattice else name, followed, has_origin=True)
+    result = LatticeResult.of_followed("" if lattice else name, followed, has_origin=True)
     replace(result, straightened=straight_lattice).print(as_json)
 
 
-def find_bent_lattice(image: Image, detector: str) -> Result | None:
+def find_bent_lattice(image: Image, detector: str) -> LatticeResult | None:
     """Return the mean lattice of a bent image in which a detector finds no lattice; None if there is none.
 
     Little time is spent on images without a lattice, and none on large ones (:data:`LARGEST`).
@@ -75,7 +75,7 @@ def find_bent_lattice(image: Image, detector: str) -> Result | None:
         followed = follow_lattice(image, detector=detector, only_promising=True)
     except NoLatticeFound:
         return None
-    return Result.of_followed(detector, followed, has_origin=False) if followed.deformation.bent else None
+    return LatticeResult.of_followed(detector, followed, has_origin=False) if followed.deformation.bent else None
 
 
 def draw_deformed_lattice(image: Image, found: Deformation) -> Image:

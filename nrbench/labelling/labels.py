@@ -5,17 +5,18 @@ from __future__ import annotations
 import base64
 import csv
 import hashlib
+import io
 import json
 import math
-import struct
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import numpy as np
+import PIL.Image
 from markupsafe import Markup
 
 from nrbench.errors import BadInput
@@ -24,20 +25,13 @@ from nrbench.runs.store import RunDirectory
 from nrbench.storage import read_json, write_json
 from nrbench.streams import stream
 
-from .questions import ANSWERS, LATTICE, PRESERVED, QUESTIONS, find_questions
+from .questions import ANSWERS, PRESERVED, QUESTIONS, find_questions
 
 COLUMNS = ("item", "question", "answer", "seconds", "order")
 """The columns of a file of answers. It has one row for each item and question."""
-_ONE_QUESTION_COLUMNS = ("item", "answer", "seconds", "order")
-"""The columns of a file of a page that asked for the lattice only, and had other words for the answers."""
-_WORDS = {
-    COLUMNS: {word: word for word in ANSWERS},
-    _ONE_QUESTION_COLUMNS: dict(zip(("preserved", "lost", "cannot say"), ANSWERS, strict=True)),
-}
 _LETTERS = "bcdfghjkmnpqrstvwxz"
 _LEAST_GAP = 10
 _TEMPLATES = Path(__file__).parent / "templates"
-_PIXEL_CHUNKS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
 
 
 @dataclass(frozen=True)
@@ -240,25 +234,19 @@ def _content(root: Path, page: LabelPage) -> dict[str, Any]:
     items = []
     for item in page.items:
         folder = RunDirectory(root).cell(item.cell)
-        files = (without_metadata(path.read_bytes()) for path in (folder.sample, folder.output))
+        files = (encode_pixels(path) for path in (folder.sample, folder.output))
         pictures = [base64.b64encode(file).decode() for file in files]
         items.append([item.id, *(numbers.setdefault(picture, len(numbers)) for picture in pictures)])
     names = {"sheet": page.name, "questions": list(page.questions), "answers": ANSWERS}
     return {**names, "items": items, "pictures": list(numbers)}
 
 
-def without_metadata(png: bytes) -> bytes:
-    """Return a PNG without texts, times and names of programs, which could reveal the method."""
-    return png[:8] + b"".join(chunk for kind, chunk in _chunks(png) if kind in _PIXEL_CHUNKS)
-
-
-def _chunks(png: bytes) -> Iterator[tuple[bytes, bytes]]:
-    start = 8
-    while start + 12 <= len(png):
-        (length,) = struct.unpack(">I", png[start : start + 4])
-        stop = start + 12 + length
-        yield png[start + 4 : start + 8], png[start:stop]
-        start = stop
+def encode_pixels(path: Path) -> bytes:
+    """Return a picture as PNG without texts, times and names of programs, which could reveal the method."""
+    file = io.BytesIO()
+    with PIL.Image.open(path) as image:
+        PIL.Image.fromarray(np.asarray(image.convert("RGB"))).save(file, "PNG")
+    return file.getvalue()
 
 
 def read_people(run: Run, files: Sequence[Path]) -> list[Person]:
@@ -296,9 +284,8 @@ def _known_items(run: Run) -> dict[str, Item]:
 
 
 def _read_answers(path: Path, items: Mapping[str, Item]) -> list[Answer]:
-    columns, rows = _read_rows(path)
-    words = _WORDS[columns]
-    answers = [_answer(row, items, words, f"{path}, line {number}") for number, row in enumerate(rows, 2)]
+    rows = _read_rows(path)
+    answers = [_answer(row, items, f"{path}, line {number}") for number, row in enumerate(rows, 2)]
     counts = Counter((each.item.id, each.question) for each in answers)
     twice = next((asked for asked, count in counts.items() if count > 1), None)
     if twice:
@@ -308,36 +295,25 @@ def _read_answers(path: Path, items: Mapping[str, Item]) -> list[Answer]:
     return answers
 
 
-def _read_rows(path: Path) -> tuple[tuple[str, ...], list[dict[str, Any]]]:
-    """Return the columns and rows of a file of answers. Spreadsheets may have added a byte order mark.
-
-    A file without the column ``question`` holds answers about the lattice.
-    """
+def _read_rows(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a file of answers. Spreadsheets may have added a byte order mark."""
     try:
-        text = path.read_text("utf-8-sig")
-    except (UnicodeDecodeError, IsADirectoryError, FileNotFoundError) as error:
-        problem = {
-            UnicodeDecodeError: "is no text in UTF-8",
-            IsADirectoryError: "is a directory",
-            FileNotFoundError: "there is no such file",
-        }[type(error)]
-        raise BadInput(f"{path}: {problem}; pass the CSV that the page saved") from error
-    table = csv.DictReader(text.splitlines())
+        table = csv.DictReader(path.read_text("utf-8-sig").splitlines())
+    except (UnicodeDecodeError, OSError) as error:
+        raise BadInput(f"{path} cannot be read ({error}); pass the CSV that the page saved") from error
     found = table.fieldnames or []
-    columns = next((columns for columns in _WORDS if sorted(columns) == sorted(found)), None)
-    if columns is None:
+    if sorted(COLUMNS) != sorted(found):
         raise BadInput(f"{path}: expected columns {', '.join(COLUMNS)}, got {', '.join(found) or 'none'}")
-    return columns, [{"question": LATTICE.name, **row} for row in table if any(row.values())]
+    return [row for row in table if any(row.values())]
 
 
-def _answer(row: Mapping[str, Any], items: Mapping[str, Item], words: Mapping[str, str], where: str) -> Answer:
+def _answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> Answer:
     id, question, answer = row["item"], row["question"], row["answer"]
     if id not in items:
         raise BadInput(f"{where}: item {id!r} is on no page of this run; pass answers to a page made for it")
-    if question not in QUESTIONS:
-        raise BadInput(f"{where}: question {question!r} is not known; use one of: {', '.join(QUESTIONS)}")
-    if answer not in words:
-        raise BadInput(f"{where}: answer {answer!r} is not known; use one of: {', '.join(words)}")
+    for kind, word, known in (("question", question, QUESTIONS), ("answer", answer, ANSWERS)):
+        if word not in known:
+            raise BadInput(f"{where}: {kind} {word!r} is not known; use one of: {', '.join(known)}")
     try:
         seconds, order = float(row["seconds"]), int(row["order"])
     except (TypeError, ValueError) as error:
@@ -346,4 +322,4 @@ def _answer(row: Mapping[str, Any], items: Mapping[str, Item], words: Mapping[st
         raise BadInput(
             f"{where}: is no answer as the page saves it ({', '.join(COLUMNS[:3])}, seconds >= 0, order >= 1)"
         )
-    return Answer(items[id], question, words[answer], seconds, order)
+    return Answer(items[id], question, answer, seconds, order)

@@ -101,6 +101,11 @@ class Lattice:
         If several vectors are equally short (square, rhombic, hexagonal), several bases are reduced, and the basis that
         is returned depends on the given one; see :meth:`canonical`.
 
+        Returns
+        -------
+        Lattice
+            It has the same origin.
+
         Examples
         --------
         >>> from nrbench.lattice.geometry import Lattice

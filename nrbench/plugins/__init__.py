@@ -1,35 +1,16 @@
 """Plugins: their registry, their parameters, and their forms (protocols)."""
 
-from nrbench.plugins.registry import (
-    FORMS,
-    PATCH_TERMS,
-    Form,
-    NamedDetector,
-    Plugin,
-    add_file,
-    build,
-    fault,
-    files,
-    find,
-    inventory,
-    name_of,
-    names,
-    parameters_of,
-)
-
-__all__ = [
-    "FORMS",
-    "PATCH_TERMS",
-    "Form",
-    "NamedDetector",
-    "Plugin",
-    "add_file",
-    "build",
-    "fault",
-    "files",
-    "find",
-    "inventory",
-    "name_of",
-    "names",
-    "parameters_of",
-]
+from nrbench.plugins.registry import FORMS as FORMS
+from nrbench.plugins.registry import PATCH_TERMS as PATCH_TERMS
+from nrbench.plugins.registry import Form as Form
+from nrbench.plugins.registry import NamedDetector as NamedDetector
+from nrbench.plugins.registry import Plugin as Plugin
+from nrbench.plugins.registry import add_file as add_file
+from nrbench.plugins.registry import build as build
+from nrbench.plugins.registry import fault as fault
+from nrbench.plugins.registry import files as files
+from nrbench.plugins.registry import find as find
+from nrbench.plugins.registry import inventory as inventory
+from nrbench.plugins.registry import name_of as name_of
+from nrbench.plugins.registry import names as names
+from nrbench.plugins.registry import parameters_of as parameters_of

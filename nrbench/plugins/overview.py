@@ -5,14 +5,13 @@ from __future__ import annotations
 import ast
 import importlib.util
 import inspect
-import re
 from dataclasses import dataclass
 from functools import cache
 from importlib.machinery import SourceFileLoader
 from importlib.metadata import EntryPoint
 from typing import Any
 
-from nrbench.plugins.registry import Plugin, distribution_of, entry_points_of, from_files, load
+from nrbench.plugins.registry import Plugin, distribution_of, entry_points_of, from_files, load_plugin
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,8 @@ def summaries(kind: str) -> list[Summary]:
     Plugins of nrbench are read from their source. Plugins of others are imported.
     """
     points = [(point, i > 0) for group in entry_points_of(kind).values() for i, point in enumerate(group)]
-    listed = [(not later and _read_source(point)) or _of_plugin(load(kind, point, later)) for point, later in points]
+    read = [(not later and _read_source(point), point, later) for point, later in points]
+    listed = [summary or _of_plugin(load_plugin(kind, point, later)) for summary, point, later in read]
     return listed + [_of_plugin(plugin) for plugin in from_files(kind)]
 
 
@@ -72,40 +72,21 @@ def _read_class(module: str, name: str) -> tuple[str, dict[str, Any]]:
     found = importlib.util.find_spec(module)
     if found is None or not isinstance(found.loader, SourceFileLoader):
         raise LookupError(module)
-    source = found.loader.get_source(module) or ""
-    body = _class_body(source, name)
+    tree = ast.parse(found.loader.get_source(module) or "")
+    body = next((node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name), None)
     page = ast.get_docstring(body) if body else None
     if body is None or not page:
         raise LookupError(name)
-    inherited: dict[str, Any] = {}
+    places = {alias.name: node for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    constants: dict[str, Any] = {}
     for base in map(ast.unparse, reversed(body.bases)):
-        place = re.search(rf"^from (\S+) import (?:\([^)]*|[^\n]*)\b{base}\b", source, re.MULTILINE)
+        place = places.get(base)
         if place is None:
-            inherited |= _read_class(module, base)[1]
-        elif place[1].startswith((".", "nrbench")):
-            inherited |= _read_class(importlib.util.resolve_name(place[1], found.parent), base)[1]
-    return page, inherited | _constants(body)
-
-
-def _class_body(source: str, name: str) -> ast.ClassDef | None:
-    """Return a class of a module down to its first method; None if it is not there or has no such beginning."""
-    start = re.search(rf"^class {name}\b", source, re.MULTILINE)
-    if start is None:
-        return None
-    end = re.compile(r"^    (def |@)", re.MULTILINE).search(source, start.end())
-    try:
-        found = ast.parse(source[start.start() : end.start() if end else None]).body[0]
-    except (SyntaxError, ValueError):
-        return None
-    return found if isinstance(found, ast.ClassDef) else None
-
-
-def _constants(body: ast.ClassDef) -> dict[str, Any]:
-    """Return the annotated class variables that are plain constants."""
-    return {
-        statement.target.id: statement.value.value
-        for statement in body.body
-        if isinstance(statement, ast.AnnAssign)
-        and isinstance(statement.target, ast.Name)
-        and isinstance(statement.value, ast.Constant)
-    }
+            constants |= _read_class(module, base)[1]
+        elif place.level or (place.module or "").startswith("nrbench"):
+            origin = importlib.util.resolve_name("." * place.level + (place.module or ""), found.parent)
+            constants |= _read_class(origin, base)[1]
+    for node in body.body:
+        if isinstance(node, ast.AnnAssign) and isinstance(node.value, ast.Constant):
+            constants[ast.unparse(node.target)] = node.value.value
+    return page, constants

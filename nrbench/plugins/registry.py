@@ -149,7 +149,8 @@ def name_of(kind: str, cls: type[Any]) -> str:
 
 def inventory(kind: str) -> list[Plugin]:
     """Load every plugin of a kind. Broken and duplicate plugins are included, with their errors."""
-    listed = [load(kind, point, i > 0) for points in entry_points_of(kind).values() for i, point in enumerate(points)]
+    groups = entry_points_of(kind).values()
+    listed = [load_plugin(kind, point, later > 0) for points in groups for later, point in enumerate(points)]
     return listed + list(from_files(kind))
 
 
@@ -169,7 +170,7 @@ def find(kind: str, name: str) -> Plugin:
         raise BadInput(
             f"{FORMS[kind].noun} {name!r} is not known{nearest(name, names(kind))}; see `nrbench list {kind}`"
         )
-    plugin = load(kind, points[0], False)
+    plugin = load_plugin(kind, points[0], False)
     if plugin.cls is None:
         last = plugin.error.strip().splitlines()[-1]
         raise BadInput(f"{FORMS[kind].noun} {name!r} of {plugin.distribution} does not load: {last}")
@@ -271,7 +272,7 @@ def _name_and_version(distribution: Distribution) -> tuple[str, str]:
 
 
 @cache
-def load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
+def load_plugin(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
     """Import the plugin of an entry point and check it; a duplicate is reported without an import.
 
     The plugins of nrbench are checked by its tests, not each time they are loaded.

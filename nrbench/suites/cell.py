@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -102,14 +102,7 @@ class Recipe:
 
     def again(self, texture: Texture) -> Again:
         """Return ``again(shape, k)``: the k-th independent draw of ``texture``'s model and lattice."""
-        plugin = self.plugin()
-
-        def draw(shape: Shape, k: int) -> Texture | None:
-            rng = stream("again", self.seed, self.texture, self.replicate, k)
-            drawn: Texture | None = plugin.again(texture, shape, rng)
-            return drawn
-
-        return draw
+        return self._draws("again", self.plugin().again, texture)
 
     def recompose(self, texture: Texture) -> Again | None:
         """Return ``recompose(shape, k)``: the k-th draw made of copies of the elements of ``texture``.
@@ -117,15 +110,11 @@ class Recipe:
         None if the dataset has no method ``recompose``.
         """
         method = getattr(self.plugin(), "recompose", None)
-        if method is None:
-            return None
+        return None if method is None else self._draws("recompose", method, texture)
 
-        def draw(shape: Shape, k: int) -> Texture | None:
-            rng = stream("recompose", self.seed, self.texture, self.replicate, k)
-            drawn: Texture | None = method(texture, shape, rng)
-            return drawn
-
-        return draw
+    def _draws(self, role: str, method: Callable[..., Texture | None], texture: Texture) -> Again:
+        """Return a function that calls a method of the dataset with the stream of the k-th draw."""
+        return lambda shape, k: method(texture, shape, stream(role, self.seed, self.texture, self.replicate, k))
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import fnmatch
 import re
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
@@ -250,7 +250,7 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class PlannedSample:
-    """The sample of cells of a plan. It holds no arrays, so that a plan of many textures needs little memory.
+    """The sample of cells of a plan. It holds no pictures that a model can draw again, so that a plan stays small.
 
     Parameters
     ----------
@@ -263,22 +263,22 @@ class PlannedSample:
     log
         What the dataset printed if drawing failed, else empty.
     kept
-        The pixels of the sample and of the region that does not touch it, compressed, where drawing again might give
-        others: of pictures, and of plugins of others.
+        The 8-bit pixels of the sample and of the region that does not touch it, where drawing again might give others:
+        of pictures, and of plugins of others.
     """
 
     recipe: Recipe
     shape: Shape
     size: Shape | None
     log: str
-    kept: tuple[_Pixels | None, _Pixels | None]
+    kept: tuple[NDArray[np.uint8] | None, NDArray[np.uint8] | None]
 
     @classmethod
     def of(cls, sample: Sample) -> PlannedSample:
-        """Return a sample without its arrays."""
+        """Return a sample without what can be drawn again."""
         image = sample.texture.image if sample.texture else None
         redrawn = sample.recipe.procedural and plugins.find("datasets", sample.recipe.dataset).own
-        kept = (None, None) if redrawn else (_Pixels.of(image), _Pixels.of(sample.region))
+        kept = (None, None) if redrawn else (_to_bytes(image), _to_bytes(sample.region))
         size = image.shape[:2] if image is not None else None
         return cls(sample.recipe, sample.shape, size, sample.log, kept)
 
@@ -288,29 +288,17 @@ class PlannedSample:
 
     def again(self) -> Image | None:
         """Return the region of a photograph that does not touch the sample; None if there is none."""
-        return self.kept[1].image() if self.kept[1] else None
+        return as_image(self.kept[1], "sample", smallest=1) if self.kept[1] is not None else None
 
 
 @lru_cache(maxsize=1)  # the cells of a sample follow each other
 def _drawn_again(sample: PlannedSample) -> Image:
     kept = sample.kept[0]
-    return kept.image() if kept else draw_texture(sample.recipe, sample.shape)[0].image
+    return draw_texture(sample.recipe, sample.shape)[0].image if kept is None else as_image(kept, "sample", smallest=1)
 
 
-@dataclass(frozen=True)
-class _Pixels:
-    """Pixels of 8 bits, compressed."""
-
-    shape: tuple[int, ...]
-    content: bytes
-
-    @classmethod
-    def of(cls, image: Image | None) -> _Pixels | None:
-        return cls(image.shape, zlib.compress(to_bytes(image).tobytes(), 1)) if image is not None else None
-
-    def image(self) -> Image:
-        pixels = np.frombuffer(zlib.decompress(self.content), np.uint8).reshape(self.shape)
-        return as_image(pixels, "sample", smallest=1)
+def _to_bytes(image: Image | None) -> NDArray[np.uint8] | None:
+    return to_bytes(image) if image is not None else None
 
 
 @dataclass(frozen=True)

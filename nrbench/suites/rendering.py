@@ -25,10 +25,8 @@ from nrbench.streams import pixels_hash
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import Sample
 from nrbench.suites.suite import Suite, validated_suite
-from nrbench.truth import TRUTH_FIELDS, TRUTH_FILE, TruthTable, write_table
+from nrbench.truth import KNOWN_FILE, SHEET, TRUTH_FIELDS, TRUTH_FILE, TruthTable, write_table
 
-SHEET = "contact-sheet.png"
-KNOWN_FILE = "truth.json"
 _ELSEWHERE = "pass another -o, or move it away"
 _ByName = dict[str, tuple[Sample, Texture]]
 """Textures to be written, by file name."""

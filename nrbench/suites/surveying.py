@@ -20,8 +20,7 @@ from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Alternative, Detection, Detector, NoLatticeFound
 from nrbench.plugins.parameters import parse_spec
 from nrbench.storage import write_aside
-from nrbench.suites.rendering import KNOWN_FILE, SHEET
-from nrbench.truth import ORIGIN, TRUTH_FILE, VECTORS, TruthRow, TruthTable, write_table
+from nrbench.truth import KNOWN_FILE, ORIGIN, SHEET, TRUTH_FILE, VECTORS, TruthRow, TruthTable, write_table
 
 SHOWN = 3
 """Number of candidates that are drawn and listed."""
@@ -93,7 +92,7 @@ def _number(value: float) -> str:
     return repr(round(float(value), 4) + 0.0)
 
 
-class Finding(NamedTuple):
+class SurveyedPicture(NamedTuple):
     """What a survey found in one picture.
 
     Parameters
@@ -195,7 +194,7 @@ class Survey:
     output: Path | None = None
     least: float = LEAST_CONFIDENCE
     existing: str = "refuse"
-    findings: list[Finding] = field(default_factory=list, init=False)
+    findings: list[SurveyedPicture] = field(default_factory=list, init=False)
     pages: list[Path] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
@@ -245,7 +244,7 @@ class Survey:
             self._write_table()
         self._remove_old_pages()
 
-    def _examine(self, path: Path) -> tuple[Finding, Image | None]:
+    def _examine(self, path: Path) -> tuple[SurveyedPicture, Image | None]:
         """Return what is found in one picture, and the picture; whatever goes wrong is a finding."""
         known = self._known.rows.get(path.name)
         image = None
@@ -256,26 +255,26 @@ class Survey:
                 return _read_row(path.name, known), image
             return self._detect(path.name, image), image
         except UnicodeEncodeError:
-            return Finding(path.name, reason="the name is no Unicode text; rename the file", failed=True), None
+            return SurveyedPicture(path.name, reason="the name is no Unicode text; rename the file", failed=True), None
         except BadInput as error:
             reason = str(error).removeprefix(f"picture {path}: ")
         except Exception as error:
             reason = f"failed: {type(error).__name__}: {error}"
-        return Finding(path.name, reason=reason, failed=True, kept=known), image
+        return SurveyedPicture(path.name, reason=reason, failed=True, kept=known), image
 
-    def _detect(self, name: str, image: Image) -> Finding:
+    def _detect(self, name: str, image: Image) -> SurveyedPicture:
         try:
             detection = self._detector.detect(image)
         except NoLatticeFound as none:
             best = tuple(replace(one, relation=REJECTED) for one in rank_candidates(none.best)[:1]) if none.best else ()
-            return Finding(name, None, none.best.confidence if none.best else None, best, none.reason)
+            return SurveyedPicture(name, None, none.best.confidence if none.best else None, best, none.reason)
         candidates, confidence = tuple(rank_candidates(detection)), float(detection.confidence)
         if confidence < self.least:
             reason = f"confidence below {self.least:g}: choose one of the candidates"
-            return Finding(name, None, confidence, candidates, reason)
-        return Finding(name, detection.lattice, confidence, candidates, has_origin=detection.has_origin)
+            return SurveyedPicture(name, None, confidence, candidates, reason)
+        return SurveyedPicture(name, detection.lattice, confidence, candidates, has_origin=detection.has_origin)
 
-    def _add_to_page(self, finding: Finding, image: Image | None) -> None:
+    def _add_to_page(self, finding: SurveyedPicture, image: Image | None) -> None:
         """Draw a picture with its lattice and the candidates; write the page when it is full."""
         panels = [_BLANK if image is None else draw_overview(image, finding.lattice)]
         captions = [_picture_caption(finding, image)]
@@ -318,15 +317,15 @@ class Survey:
             number += 1
 
 
-def _read_row(name: str, row: TruthRow) -> Finding:
+def _read_row(name: str, row: TruthRow) -> SurveyedPicture:
     """Return the lattice of a line of ``truth.csv``."""
     if not row.vectors:
-        return Finding(name, reason=row.values.get("reason", "") or "no lattice is known", kept=row)
+        return SurveyedPicture(name, reason=row.values.get("reason", "") or "no lattice is known", kept=row)
     lattice = Lattice(row.vectors["t1"], row.vectors["t2"], row.vectors.get("origin", (0.0, 0.0)))
-    return Finding(name, lattice, kept=row, has_origin="origin" in row.vectors)
+    return SurveyedPicture(name, lattice, kept=row, has_origin="origin" in row.vectors)
 
 
-def _picture_caption(finding: Finding, image: Image | None) -> str:
+def _picture_caption(finding: SurveyedPicture, image: Image | None) -> str:
     lines = textwrap.wrap(printable(finding.name), _LETTERS, max_lines=2, placeholder="...") or [""]
     if image is not None:
         lines.append(f"{image.shape[1]} x {image.shape[0]} px")

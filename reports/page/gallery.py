@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 
 from nrbench.labelling.questions import Question
 from nrbench.lattice.geometry import Lattice
@@ -15,7 +14,7 @@ from nrbench.runs.records import CellRecord, Run
 from ..plots.marks import DEFECTS
 from ..statistics.comparison import COSTS, Comparison, Method, TextureRow, headline_columns, sort_headlines_first
 from ..statistics.format import describe_column, format_number
-from ..statistics.verdicts import MARKS, QUALITY, SCORE, explain_valid_baseline, explain_verdict, verdict
+from ..statistics.verdicts import QUALITY, SCORE, explain_verdict, verdict
 from .lattice_overlay import LatticeOverlay, align_basis, draw_lattice
 from .pictures import PagePicture, PictureStore
 
@@ -96,10 +95,8 @@ class OutputFigure:
     ----------
     record, method
         The cell, and its method.
-    verdict, mark, shade, explanation
-        As in the comparison.
-    score
-        The number beside the mark; None if there is none.
+    score, shade
+        The number beside the mark, and its shade; None if there is none.
     limit
         The peril that limits the quality; empty if there is no quality, or no peril.
     output
@@ -112,25 +109,19 @@ class OutputFigure:
         The lattice of the output, as lines over it; None if it is not known.
     headline, scores
         The headline scores, and all scores.
-    valid_baseline
-        The sentence that a baseline is valid on the texture; empty if it is not.
     """
 
     record: CellRecord
     method: Method
-    verdict: str
-    mark: str
     score: float | None
     shade: int | None
     limit: str
-    explanation: str
     output: PagePicture | None
     layers: Sequence[PictureLayer]
     insets: Sequence[tuple[str, PagePicture]]
     lattice: LatticeOverlay | None
     headline: Sequence[ScoreLine]
     scores: Sequence[ScoreLine]
-    valid_baseline: str = ""
 
 
 @dataclass(frozen=True)
@@ -207,28 +198,9 @@ class TextureSection:
 
 @dataclass(frozen=True)
 class WeakOutput:
-    """An output among the weakest of a method.
+    """An output among the weakest of a method: its cell, its quality, the peril that limits it, its worst place."""
 
-    Parameters
-    ----------
-    texture
-        Name of its texture.
-    record
-        Its cell.
-    verdict, mark
-        As in the comparison.
-    quality
-        Its quality.
-    limit
-        The peril that limits the quality.
-    crop
-        Its worst place.
-    """
-
-    texture: str
     record: CellRecord
-    verdict: str
-    mark: str
     quality: float
     limit: str
     crop: PagePicture | None
@@ -317,31 +289,25 @@ def _failings(method: Method, cells: Sequence[Sequence[CellRecord]], pictures: P
 
 
 def _weak_output(record: CellRecord, quality: float, pictures: PictureStore) -> WeakOutput:
-    word = verdict(record)
     layers = [record.pictures[name] for name in DEFECTS if name in record.pictures]
     crop = pictures.worst_crop(record.folder / "output.png", layers)
-    return WeakOutput(record.texture, record, word, MARKS[word], quality, _limiting_peril(record), crop)
+    return WeakOutput(record, quality, _limiting_peril(record), crop)
 
 
 def build_disagreement(run: Run, record: CellRecord, question: Question, pictures: PictureStore) -> DisagreementFigure:
     """Return the figure of a cell on which people and the automatic answer to a question differ."""
     output = pictures.load(record.folder / "output.png")
     names = [name for name in run.columns if name.startswith(f"{question.metric}.")]
+    drawn = (record.pictures.get(name) for name in DEFECTS if name.startswith(f"{question.metric}."))
+    defects = next(filter(None, drawn), None)
     return DisagreementFigure(
         method=_method_of(record),
         sample=pictures.load(record.folder / "sample.png"),
         output=output,
-        layer=pictures.load(_defects_of(record, question.metric)) if output else None,
+        layer=pictures.load(defects) if output else None,
         scale=output.scale if output else 1.0,
         explanation=explain_verdict(record, question.column),
         scores=_ScoreTexts.of(run).select(record, names),
-    )
-
-
-def _defects_of(record: CellRecord, metric: str) -> Path | None:
-    """Return the picture of the defects that a metric found; None if it has none."""
-    return next(
-        (record.pictures[name] for name in DEFECTS if name.startswith(f"{metric}.") and name in record.pictures), None
     )
 
 
@@ -372,29 +338,25 @@ def _texture_draw(
 def _output_figure(
     lines: _ScoreTexts, record: CellRecord, score: str, titles: Sequence[str], pictures: PictureStore
 ) -> OutputFigure:
-    known, word = record.values.get(score), verdict(record)
+    known = record.values.get(score)
     value = None if known is None else float(known)
     shade = score_shade(value)
-    if shade is not None and word == "lost":
+    if shade is not None and verdict(record) == "lost":
         shade = min(shade, _MAX_LOST_SHADE)  # a lost lattice never looks like a preserved one
     output = pictures.load(record.folder / "output.png") if record.status == "ok" else None
     layers, insets = _lay_over(record, titles, pictures)
     return OutputFigure(
         record=record,
         method=_method_of(record),
-        verdict=word,
-        mark=MARKS[word],
         score=value,
         shade=shade,
         limit=_limiting_peril(record),
-        explanation=explain_verdict(record),
         output=output,
         layers=layers,
         insets=insets,
         lattice=_output_lattice(record, (output.height, output.width)) if output else None,
         headline=lines.select(record, lines.headline),
         scores=lines.select(record, lines.every),
-        valid_baseline=explain_valid_baseline(record),
     )
 
 
@@ -455,9 +417,9 @@ def _used_lattices(records: Sequence[CellRecord], truth: Lattice | None, shape: 
         if record.lattice_used is None or _uses(record, truth):
             continue
         used = Lattice.from_dict(record.lattice_used)
-        labels = next((labels for known, labels in groups if known.is_equivalent(used, SAME_LATTICE)), None)
-        if labels is None:
-            labels = []
-            groups.append((used, labels))
-        labels.append(_method_of(record).label)
+        same = (group for group in groups if group[0].is_equivalent(used, SAME_LATTICE))
+        group = next(same, None) or (used, [])
+        if not group[1]:
+            groups.append(group)
+        group[1].append(_method_of(record).label)
     return [UsedLattice(labels, draw_lattice(align_basis(used, truth, shape), shape)) for used, labels in groups]

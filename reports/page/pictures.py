@@ -90,27 +90,29 @@ class PictureStore:
     directory: Path
     single_file: bool = False
     _used: set[str] = field(default_factory=set)
-    _shown: dict[Path, PagePicture | None] = field(default_factory=dict)
-    _laid: dict[tuple[Path, Path | None], PagePicture | None] = field(default_factory=dict)
+    _made: dict[tuple[Path | None, ...], PagePicture | None] = field(default_factory=dict)
     _known: dict[Path, tuple[str, tuple[int, int]]] = field(default_factory=dict)
+
+    def _once(self, make: Callable[..., PagePicture | None], *paths: Path | None) -> PagePicture | None:
+        """Return the picture that is made of some files, which is made once; None if one cannot be read."""
+        if paths not in self._made:
+            try:
+                self._made[paths] = None if None in paths else make(*paths)
+            except _UNREADABLE:
+                self._made[paths] = None
+        return self._made[paths]
 
     def load(self, path: Path | None) -> PagePicture | None:
         """Return the picture in a PNG file; None if there is no readable picture."""
-        if path is None:
-            return None
-        if path not in self._shown:
-            try:
-                self._shown[path] = self._load(path)
-            except _UNREADABLE:
-                self._shown[path] = None
-        return self._shown[path]
+        return self._once(self._load, path)
 
     def _load(self, path: Path) -> PagePicture:
         digest, (width, height) = self._identify(path)
-        kind = "lossless" if self.single_file or width <= 64 else "small"
-        small = self._kept(f"{_name(kind, digest)}.webp", lambda: _shrink(_decode(path, digest), kind == "lossless"))
-        full = "" if kind == "lossless" else f"{FOLDER}/{self._link(path, _name('full', digest))}"
-        return PagePicture(small, width, height, full)
+        if self.single_file or width <= 64:
+            name = self._kept("lossless", [digest], lambda: _webp(_decode(path, digest), 30, lossless=True))
+            return PagePicture(name, width, height)
+        name = self._kept("small", [digest], lambda: _webp(_decode(path, digest), _QUALITY, effort=2))
+        return PagePicture(name, width, height, f"{FOLDER}/{self._link(path, _name('full', digest))}")
 
     def _identify(self, path: Path) -> tuple[str, tuple[int, int]]:
         """Return the hash of a picture's file and its size (width, height); a picture is read once for all layers."""
@@ -128,39 +130,23 @@ class PictureStore:
         PagePicture or None
             None if there is no readable picture, or it has another size than the output: then it is no overlay.
         """
-        key = (output, layer)
-        if key not in self._laid:
-            self._laid[key] = self._overlay(output, layer)
-        return self._laid[key]
+        return self._once(self._overlay, output, layer)
 
-    def _overlay(self, output: Path, layer: Path | None) -> PagePicture | None:
-        try:
-            if layer is None:
-                return None
-            (digest, size), (below, base) = self._identify(layer), self._identify(output)
-            if size != base:
-                return None
-            name = f"{_name('overlay', digest, below)}.webp"
-            kept = self._kept(name, lambda: _encode(_marks(_pixels(layer), _decode(output, below)), _LAYER_QUALITY))
-            return PagePicture(kept, *size)
-        except _UNREADABLE:
+    def _overlay(self, output: Path, layer: Path) -> PagePicture | None:
+        (digest, size), (below, base) = self._identify(layer), self._identify(output)
+        if size != base:
             return None
+        make = lambda: _webp(_marks(_pixels(layer), _decode(output, below)), _LAYER_QUALITY)  # noqa: E731
+        return PagePicture(self._kept("overlay", [digest, below], make), *size)
 
     def source_map(self, output: Path, source: Path) -> PagePicture | None:
         """Return the map of the sample's places that the pixels of an output come from, by color; None without one."""
-        key = (output, source)
-        if key not in self._laid:
-            self._laid[key] = self._source_map(output, source)
-        return self._laid[key]
+        return self._once(self._source_map, output, source)
 
-    def _source_map(self, output: Path, source: Path) -> PagePicture | None:
-        try:
-            content = source.read_bytes()
-            name = f"{_name('source', _digest(content))}.webp"
-            kept = self._kept(name, lambda: _encode(_place_colors(_places(content)), _MAP_QUALITY))
-            return PagePicture(kept, *self._identify(output)[1])  # a source map has the size of its output
-        except _UNREADABLE:
-            return None
+    def _source_map(self, output: Path, source: Path) -> PagePicture:
+        content = source.read_bytes()
+        name = self._kept("source", [_digest(content)], lambda: _webp(_place_colors(_places(content)), _MAP_QUALITY))
+        return PagePicture(name, *self._identify(output)[1])  # a source map has the size of its output
 
     def worst_crop(self, output: Path, layers: Sequence[Path]) -> PagePicture | None:
         """Return the square of an output with the most marks of defects, its middle without marks; None if unreadable.
@@ -172,13 +158,14 @@ class PictureStore:
         layers
             Pictures of defects over the output; the first with any marks decides.
         """
-        try:
-            digest, size = self._identify(output)
-            side = min(CROP, *size)
-            name = f"{_name('crop', digest, *(self._identify(layer)[0] for layer in layers))}.webp"
-            return PagePicture(self._kept(name, lambda: _crop(_decode(output, digest), layers, side)), side, side)
-        except _UNREADABLE:
-            return None
+        return self._once(lambda *_: self._worst_crop(output, layers), output, *layers, Path("worst"))
+
+    def _worst_crop(self, output: Path, layers: Sequence[Path]) -> PagePicture:
+        digest, size = self._identify(output)
+        side = min(CROP, *size)
+        digests = [digest, *(self._identify(layer)[0] for layer in layers)]
+        name = self._kept("crop", digests, lambda: _webp(_crop(_decode(output, digest), layers, side), _QUALITY, 2))
+        return PagePicture(name, side, side)
 
     def sweep(self) -> None:
         """Remove the files of pictures that the page no longer has."""
@@ -199,8 +186,9 @@ class PictureStore:
         content = base64.b64encode((self.directory / FOLDER / picture.name).read_bytes())
         return f"data:image/webp;base64,{content.decode('ascii')}"
 
-    def _kept(self, name: str, make: Callable[[], bytes]) -> str:
-        """Return the name of a file of the folder, which is made if it is absent."""
+    def _kept(self, kind: str, digests: Sequence[str], make: Callable[[], bytes]) -> str:
+        """Return the name of a WebP file of the folder, which is made if it is absent."""
+        name = f"{_name(kind, *digests)}.webp"
         file = self.directory / FOLDER / name
         if not file.exists():
             content = make()
@@ -242,32 +230,19 @@ def _pixels(path: Path) -> Pixels:
         return np.asarray(image.convert("RGB"))
 
 
-def _crop(output: Pixels, layers: Sequence[Path], side: int) -> bytes:
-    height, width = output.shape[:2]
-    x, y = worst_place(output, [_pixels(layer) for layer in layers], side) or (
-        (width - side) // 2,
-        (height - side) // 2,
-    )
-    file = io.BytesIO()
-    PIL.Image.fromarray(output[y : y + side, x : x + side]).save(file, "WEBP", quality=_QUALITY, method=2)
-    return file.getvalue()
+def _crop(output: Pixels, layers: Sequence[Path], side: int) -> Pixels:
+    """Return the square of an output with the most marks of defects, or its middle."""
+    middle = (output.shape[1] - side) // 2, (output.shape[0] - side) // 2
+    x, y = worst_place(output, [_pixels(layer) for layer in layers], side) or middle
+    return output[y : y + side, x : x + side]
 
 
-def _shrink(pixels: Pixels, lossless: bool) -> bytes:
-    """Return a picture as WebP: with all pixels, or reduced to the size on the page."""
-    whole = PIL.Image.fromarray(pixels)
+def _webp(pixels: Pixels, quality: int, effort: int = 0, lossless: bool = False) -> bytes:
+    """Return a picture as WebP, reduced to the size on the page unless it keeps all pixels."""
+    image, file = PIL.Image.fromarray(pixels), io.BytesIO()
     if not lossless:
-        whole.thumbnail((LARGEST, 4 * LARGEST))
-    file = io.BytesIO()
-    whole.save(file, "WEBP", lossless=lossless, quality=30 if lossless else _QUALITY, method=0 if lossless else 2)
-    return file.getvalue()
-
-
-def _encode(pixels: Pixels, quality: int) -> bytes:
-    image = PIL.Image.fromarray(pixels)
-    image.thumbnail((LARGEST, 4 * LARGEST))
-    file = io.BytesIO()
-    image.save(file, "WEBP", quality=quality, method=0)
+        image.thumbnail((LARGEST, 4 * LARGEST))
+    image.save(file, "WEBP", lossless=lossless, quality=quality, method=effort)
     return file.getvalue()
 
 

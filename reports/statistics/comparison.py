@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
+from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
-from .estimates import Estimate, estimate_means, success_rate
+from .estimates import Estimate, estimate_means, mean_of_known, success_rate
 from .format import (
     describe_column,
     format_count,
@@ -172,6 +173,12 @@ class MethodSummary:
     rank: int | None = None
     leading: bool = False
     average_rank: float | None = None
+
+    @property
+    def all_means(self) -> dict[str, Estimate]:
+        """The success rates and the means, by the names of their columns."""
+        rates = {"preserved": self.success, "preserved_refusals_left_out": self.success_answered}
+        return {**rates, **self.means}
 
 
 @dataclass(frozen=True)
@@ -601,7 +608,7 @@ def _summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
         summaries.append(
             MethodSummary(
                 method=method,
-                counts=_count_statuses(own["status"]),
+                counts=count_statuses(own["status"]),
                 success=success_rate(own),
                 success_answered=success_rate(own, leave_refusals_out=True),
                 means=dict(zip(names, itertools.islice(estimates, len(names)), strict=True)),
@@ -720,7 +727,7 @@ class _TextureDraws:
 
     def means(self, method: Method) -> Floats:
         """Return the mean over replicates of each score on each texture, ``(scores, textures)``."""
-        return _mean_of_known(self.values[method.label])
+        return mean_of_known(self.values[method.label], -1)
 
     def count(self, method: Method) -> int:
         """Return the number of textures on which a method has the quality that ranks."""
@@ -728,21 +735,15 @@ class _TextureDraws:
 
     def differences(self, first: Method, second: Method) -> Floats:
         """Return the mean over replicates of first minus second on each texture, ``(scores, textures)``."""
-        return _mean_of_known(self.values[first.label] - self.values[second.label])
+        return mean_of_known(self.values[first.label] - self.values[second.label], -1)
 
     def common(self, first: Method, second: Method) -> int:
         """Return the number of textures that both methods ran on."""
         return int((self.present[first.label] & self.present[second.label]).any(1).sum())
 
 
-def _mean_of_known(values: Floats) -> Floats:
-    """Return the mean over the last axis of the values that are known; NaN if there are none."""
-    known = np.isfinite(values)
-    count = known.sum(-1)
-    return np.where(count > 0, np.where(known, values, 0.0).sum(-1) / np.maximum(count, 1), np.nan)
-
-
-def _count_statuses(status: pd.Series[str]) -> dict[str, int]:
+def count_statuses(status: pd.Series[str]) -> dict[str, int]:
+    """Return the number of ``cells``, and of those that are ``ok``, ``refused``, ``missing`` and ``failed``."""
     by_status = {name: int((status == name).sum()) for name in ("ok", "refused", "missing")}
     return {"cells": len(status), **by_status, "failed": int(status.isin(FAILED).sum())}
 
@@ -797,6 +798,30 @@ def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[Summa
     return [row for row in rows if any(row.estimates)]
 
 
+def choose_rows(run: Run, comparison: Comparison, names: Sequence[str]) -> Sequence[SummaryRow]:
+    """Return the numbers of the named scores in their order, or the headlines if none is named.
+
+    Parameters
+    ----------
+    run, comparison
+        The run and its comparison.
+    names
+        Names of columns, as in ``columns.csv``, or titles of headlines.
+
+    Raises
+    ------
+    BadInput
+        For a score that no method has.
+    """
+    if not names:
+        return comparison.summary_rows
+    rows = {row.name: row for row in (*comparison.summary_rows, *other_score_rows(run, comparison.summaries))}
+    rows = {row.title: row for row in comparison.summary_rows} | rows
+    if unknown := [name for name in names if name not in rows]:
+        raise BadInput(f"column {unknown[0]!r}: no method of this run has such a score{nearest(unknown[0], rows)}")
+    return [rows[name] for name in names]
+
+
 def _row(
     name: str,
     column: Column,
@@ -849,11 +874,12 @@ def perils_points(summaries: Sequence[MethodSummary]) -> list[PerilsPoint]:
 
 def perils_table(points: Sequence[PerilsPoint]) -> pd.DataFrame:
     """Return one row a point, with intervals and the number of textures that each coordinate rests on."""
-    parts = ("value", "low", "high", "n", "of")
-    names = [f"{axis}_{part}" for axis in ("structure", "randomness") for part in parts]
-    rows = [
-        [point.method.name, point.method.lattice_source, point.method.reference]
-        + [getattr(estimate, part) for estimate in (point.structure, point.randomness) for part in parts]
+    return pd.DataFrame(
+        {
+            **{"method": point.method.name, "lattice_source": point.method.lattice_source},
+            "reference": point.method.reference,
+            **point.structure.columns("structure_value", "structure_"),
+            **point.randomness.columns("randomness_value", "randomness_"),
+        }
         for point in points
-    ]
-    return pd.DataFrame(rows, columns=["method", "lattice_source", "reference", *names])
+    )

@@ -233,11 +233,16 @@ def _group_answers(answers: pd.DataFrame, keys: list[str]) -> list[AnswerGroup]:
     groups = []
     for key, part in answers.groupby(keys, sort=False):
         family, departure, *level = cast(tuple[Any, ...], key)
-        own = {str(name): rows for name, rows in part.groupby("detector", sort=False)}
-        rates = {name: estimate_share(rows["right"]) for name, rows in own.items()}
-        errors = {name: median_of_known(rows[rows["right"]]["vector_error"]) for name, rows in own.items()}
+        own = {str(name): _detector_row(rows) for name, rows in part.groupby("detector", sort=False)}
+        rates = {name: right for name, (right, _) in own.items()}
+        errors = {name: error for name, (_, error) in own.items()}
         groups.append(AnswerGroup(str(family), str(departure), float(level[0]) if level else None, rates, errors))
     return groups
+
+
+def _detector_row(answers: pd.DataFrame) -> tuple[Estimate, float | None]:
+    """Return the share of right answers, and their median vector error, px."""
+    return estimate_share(answers["right"]), median_of_known(answers[answers["right"]]["vector_error"])
 
 
 def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
@@ -248,31 +253,27 @@ def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
     answers
         The table of :func:`tabulate_answers`.
     """
-    keys = ["family", "departure", "level"]
-    regular = answers[answers["departure"] != STOCHASTIC]
-    rows = [_detector_row(name, {}, part) for name, part in regular.groupby("detector", sort=False)]
-    for depth in (1, 2, 3):
-        table = answers if depth < 3 else answers[answers["level"].notna()]
-        for (name, *group), part in table.groupby(["detector", *keys[:depth]], sort=False):
-            rows.append(_detector_row(name, dict(zip(keys, group, strict=False)), part))
+    keys = ["detector", "family", "departure", "level"]
+    leveled = answers[answers["level"].notna()]
+    tables = [answers[answers["departure"] != STOCHASTIC], answers, answers, leveled]
+    rows = []
+    for depth, table in enumerate(tables, 1):
+        for group, part in table.groupby(keys[:depth], sort=False):
+            right, error = _detector_row(part)
+            rows.append({
+                **dict.fromkeys(keys),
+                **dict(zip(keys, cast(tuple[Any, ...], group), strict=False)),
+                **{"n": len(part), "right": int(part["right"].sum()), "found": int(part["found"].sum())},
+                **right.columns("share_right", "share_right_", ("low", "high")),
+                "median_vector_error": error,
+                "median_seconds": median_of_known(part["seconds"]),
+            })  # fmt: skip
     return pd.DataFrame(rows)
-
-
-def _detector_row(name: Any, group: Mapping[str, Any], part: pd.DataFrame) -> dict[str, Any]:
-    right = estimate_share(part["right"])
-    return {
-        "detector": name,
-        **{key: group.get(key) for key in ("family", "departure", "level")},
-        **{"n": len(part), "right": int(part["right"].sum()), "found": int(part["found"].sum())},
-        **{"share_right": right.value, "share_right_low": right.low, "share_right_high": right.high},
-        "median_vector_error": median_of_known(part[part["right"]]["vector_error"]),
-        "median_seconds": median_of_known(part["seconds"]),
-    }
 
 
 def median_of_known(values: Iterable[float | None]) -> float | None:
     """Return the median of the known values; None if there are none."""
-    known = pd.Series([value for value in values if value is not None and not math.isnan(value)], dtype=float)
+    known = pd.Series(list(values), dtype=float).dropna()
     return None if known.empty else float(known.median())
 
 
@@ -288,9 +289,10 @@ def calibrate(confidence: NDArray[np.float64], right: NDArray[np.bool_]) -> Cali
     """
     n = len(confidence)
     index = np.clip((confidence * BINS).astype(int), 0, BINS - 1)
-    bins = []
-    for i in np.unique(index):
-        own, count = estimate_share(right[index == i]), int((index == i).sum())
-        bins.append(CalibrationBin(i / BINS, (i + 1) / BINS, float(confidence[index == i].mean()), own, count / n))
+    bins = [
+        CalibrationBin(i / BINS, (i + 1) / BINS, float(confidence[own].mean()), estimate_share(right[own]), own.mean())
+        for i in np.unique(index)
+        for own in [index == i]
+    ]
     gaps = [one.share * abs((one.right.value or 0.0) - one.confidence) for one in bins]
     return Calibration(bins, math.fsum(gaps) if bins else None, n)

@@ -60,6 +60,12 @@ class Estimate:
         """Whether zero lies outside the interval; None if there is no interval."""
         return None if self.ends is None else self.ends[0] > 0 or self.ends[1] < 0
 
+    def columns(
+        self, name: str, prefix: str = "", parts: Sequence[str] = ("low", "high", "n", "of")
+    ) -> dict[str, float | int | None]:
+        """Return the value under a name, and other parts under their own names with a prefix, for a row of a table."""
+        return {name: self.value, **{prefix + part: getattr(self, part) for part in parts}}
+
 
 def wilson_interval(successes: float, n: int) -> tuple[float, float] | None:
     """Compute Wilson's score interval of a proportion.
@@ -104,26 +110,6 @@ def estimate_share(outcomes: ArrayLike) -> Estimate:
     known = np.asarray(outcomes, bool)
     interval = wilson_interval(float(known.sum()), known.size)
     return Estimate(None) if interval is None else Estimate(float(known.mean()), *interval, known.size, known.size)
-
-
-def bootstrap_interval(values: ArrayLike) -> tuple[float, float] | None:
-    """Compute the bootstrap interval of one mean, as :func:`bootstrap_intervals` does for many.
-
-    Parameters
-    ----------
-    values
-        One-dimensional; their order does not matter. Equal values give an equal interval.
-
-    Returns
-    -------
-    tuple of float or None
-        The ends of the interval; None for fewer than two values.
-    """
-    sample = np.asarray(values, np.float64)
-    if sample.size < 2:
-        return None
-    low, high = bootstrap_intervals(sample[None])[0]
-    return float(low), float(high)
 
 
 def bootstrap_intervals(samples: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -187,13 +173,6 @@ def _resample_counts(n: int) -> NDArray[np.float64]:
     places = np.arange(RESAMPLES)[:, None] * n + chosen
     counts = np.bincount(places.ravel(), minlength=RESAMPLES * n).reshape(RESAMPLES, n)
     return np.ascontiguousarray(counts.T / n)
-
-
-def _expanded_percentiles(draws: NDArray[np.float64], n: int) -> tuple[float, float]:
-    """Return the expanded percentile interval of bootstrap ``draws`` that each resample ``n`` > 1 units."""
-    tail = expanded_tail(n)
-    low, high = np.quantile(draws, [tail, 1 - tail])
-    return float(low), float(high)
 
 
 def means_over_textures(cells: pd.DataFrame, names: Sequence[str]) -> dict[str, Estimate]:
@@ -292,33 +271,6 @@ def as_numbers(values: Sequence[Any]) -> NDArray[np.float64]:
     return np.array([np.nan if value is None else float(value) for value in values], np.float64)
 
 
-def count_answers(
-    first: Sequence[str], second: Sequence[str], units: Sequence[str], words: Sequence[str], known: Sequence[str]
-) -> ConfusionTables:
-    """Count the answers of two raters in one confusion table a unit.
-
-    Parameters
-    ----------
-    first, second
-        The answer of each rater to each item.
-    units
-        The unit (texture) that each item belongs to.
-    words
-        The k possible answers, in the order of the table.
-    known
-        All units, in the order of the result.
-
-    Returns
-    -------
-    numpy.ndarray
-        ``(len(known), k, k)``.
-    """
-    counts = np.zeros((len(known), len(words), len(words)))
-    for a, b, unit in zip(first, second, units, strict=True):
-        counts[known.index(unit), words.index(a), words.index(b)] += 1
-    return counts
-
-
 def kappa(tables: ConfusionTables) -> NDArray[np.float64]:
     """Compute Cohen's kappa of confusion tables, in [-1, 1]; NaN if both raters always gave the same single answer.
 
@@ -340,15 +292,15 @@ def kappa(tables: ConfusionTables) -> NDArray[np.float64]:
 def mean_kappa(pairs: ConfusionTables) -> Estimate:
     """Compute the mean kappa over pairs of raters, with a bootstrap interval over textures.
 
-    Textures are drawn with replacement, and with each texture all answers of all pairs, because outputs of one texture
-    are not independent evidence; the intervals of statistical packages treat every item as independent. Percentiles are
-    expanded as in :func:`bootstrap_interval`. Resamples in which no pair has a kappa are left out. Time and memory grow
-    with pairs times textures times resamples.
+    Textures are drawn with replacement, and with each texture all answers of all pairs, because outputs of one
+    texture are not independent evidence; the intervals of statistical packages treat every item as independent.
+    Percentiles are expanded as in :func:`bootstrap_intervals`. Resamples in which no pair has a kappa are left out.
+    Time and memory grow with pairs times textures times resamples.
 
     Parameters
     ----------
     pairs
-        ``(pairs, textures, k, k)``: the tables of each pair, from :func:`count_answers`.
+        ``(pairs, textures, k, k)``: the table of each pair on each texture.
 
     Returns
     -------
@@ -358,17 +310,19 @@ def mean_kappa(pairs: ConfusionTables) -> Estimate:
     """
     answered = pairs.sum((-2, -1)) > 0
     n, of = int(answered.all(0).sum()) if len(pairs) else 0, pairs.shape[1]
-    value = _mean_of_known(kappa(pairs.sum(1))[:, None])
+    value = mean_of_known(kappa(pairs.sum(1))[:, None], 0)
     if not np.isfinite(value).all() or int(answered.any(0).sum()) < 2:
         return Estimate(float(value[0]) if np.isfinite(value).all() else None, n=n, of=of)
     tables = pairs[:, answered.any(0)]
     units = tables.shape[1]
     weights = stream("bootstrap").multinomial(units, np.full(units, 1 / units), RESAMPLES).astype(np.float64)
-    draws = _mean_of_known(kappa(np.einsum("bt,ptij->pbij", weights, tables, optimize=True)))
+    draws = mean_of_known(kappa(np.einsum("bt,ptij->pbij", weights, tables, optimize=True)), 0)
     draws = draws[np.isfinite(draws)]
     if len(draws) < RESAMPLES / 2:
         return Estimate(float(value[0]), n=n, of=of)
-    return Estimate(float(value[0]), *_expanded_percentiles(draws, units), n, of)
+    tail = expanded_tail(units)
+    low, high = np.quantile(draws, [tail, 1 - tail]).tolist()
+    return Estimate(float(value[0]), low, high, n, of)
 
 
 def rank_agreement(scores: NDArray[np.float64], answers: NDArray[np.float64]) -> tuple[float, float]:
@@ -408,8 +362,8 @@ def rank_agreement(scores: NDArray[np.float64], answers: NDArray[np.float64]) ->
     return tau, float((1 + signs.mean()) / 2)
 
 
-def _mean_of_known(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean over the first axis of the finite values; NaN if there are none (``nanmean`` would warn)."""
+def mean_of_known(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Return the mean of the finite values along an axis; NaN if there are none (``nanmean`` would warn)."""
     known = np.isfinite(values)
-    count = known.sum(0)
-    return np.where(count > 0, np.where(known, values, 0).sum(0) / np.maximum(count, 1), np.nan)
+    count = known.sum(axis)
+    return np.where(count > 0, np.where(known, values, 0).sum(axis) / np.maximum(count, 1), np.nan)

@@ -114,28 +114,26 @@ def _level_series(method: Method, names: dict[float, list[str]], cells: pd.DataF
 
 def levels_table(panels: Sequence[LevelPanel]) -> pd.DataFrame:
     """Return one row a departure, level and method: the mean quality with its interval."""
-    names = ["departure", "level", "method", "lattice_source", "reference", "quality", "low", "high", "n", "of"]
-    rows = [
-        [
-            *(panel.departure, level, one.method.name, one.method.lattice_source, one.method.reference),
-            *(estimate.value, estimate.low, estimate.high, estimate.n, estimate.of),
-        ]
+    return pd.DataFrame(
+        {
+            **{"departure": panel.departure, "level": level, "method": one.method.name},
+            **{"lattice_source": one.method.lattice_source, "reference": one.method.reference},
+            **estimate.columns("quality"),
+        }
         for panel in panels
         for one in panel.series
         for level, estimate in zip(panel.levels, one.estimates, strict=True)
-    ]
-    return pd.DataFrame(rows, columns=names)
+    )
 
 
 def breaking_points_table(panels: Sequence[LevelPanel]) -> pd.DataFrame:
     """Return one row a departure and method: the level at which it breaks, and the number of levels with a quality."""
-    names = ["departure", "method", "lattice_source", "reference", "breaks_at", "levels_scored", "levels"]
-    rows = [
-        [
-            *(panel.departure, one.method.name, one.method.lattice_source, one.method.reference),
-            *(one.breaks_at, len(one.scored), len(panel.levels)),
-        ]
+    return pd.DataFrame(
+        {
+            **{"departure": panel.departure, "method": one.method.name, "lattice_source": one.method.lattice_source},
+            **{"reference": one.method.reference, "breaks_at": one.breaks_at},
+            **{"levels_scored": len(one.scored), "levels": len(panel.levels)},
+        }
         for panel in panels
         for one in panel.series
-    ]
-    return pd.DataFrame(rows, columns=names)
+    )

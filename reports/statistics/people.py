@@ -17,17 +17,12 @@ from nrbench.labelling.questions import ANSWERS, QUESTIONS, Question
 from nrbench.runs.records import CellRecord, Run
 from nrbench.streams import pixels_hash
 
-from .estimates import Estimate, as_numbers, count_answers, mean_kappa, means_over_textures, rank_agreement
+from .estimates import Estimate, as_numbers, mean_kappa, means_over_textures, rank_agreement
 from .verdicts import method_label
 
 JUDGE = "judge"
 """The name of the automatic score among the raters."""
 DECIDED = YES, NO = ANSWERS[:2]
-LABEL_COLUMNS = (
-    *("person", "suite", "texture", "method", "lattice_source", "replicate", "again", "question", "answer", "judge"),
-    *("score", "seconds", "order", "key", "pixels"),
-)
-"""The columns of :func:`labels_table`."""
 
 
 @dataclass(frozen=True)
@@ -172,10 +167,10 @@ def compare_people(run: Run, files: Sequence[Path]) -> PeopleComparison | None:
     people = read_people(run, files)
     if not people:
         return None
-    answered = {one.question for person in people for one in person.answers}
+    answered = {answer.question for person in people for answer in person.answers}
     return PeopleComparison(
         people=people,
-        outputs=len({one.item.cell for person in people for one in person.answers}),
+        outputs=len({answer.item.cell for person in people for answer in person.answers}),
         questions={name: _compare(run, people, QUESTIONS[name]) for name in QUESTIONS if name in answered},
     )
 
@@ -183,40 +178,31 @@ def compare_people(run: Run, files: Sequence[Path]) -> PeopleComparison | None:
 def _compare(run: Run, people: Sequence[Person], question: Question) -> QuestionComparison:
     """Compare the people who answered a question."""
     textures = {record.key: record.texture for record in run.cells}
-    asked = [person for person in people if any(one.question == question.name for one in person.answers)]
-    answers = {person.name: person.by_cell(question.name) for person in asked}
+    shown = {person.name: person.by_cell(question.name) for person in people}
+    answers = {name: by_cell for name, by_cell in shown.items() if by_cell}
+    again = {person.name: person.by_cell(question.name, again=True) for person in people if person.name in answers}
     known = ((record.key, question.automatic_answer(record)) for record in run.cells)
     verdicts = {key: answer for key, answer in known if answer is not None}
-    names = list(answers)
-    pairs = [(a, b, answers[a], answers[b]) for a, b in itertools.combinations(names, 2)]
-    repeats = [
-        (person.name, "shown again", answers[person.name], person.by_cell(question.name, again=True))
-        for person in asked
-    ]
-    judged = [(JUDGE, name, verdicts, answers[name]) for name in names] if question.rule else []
+    pairs = [(a, b, answers[a], answers[b]) for a, b in itertools.combinations(answers, 2)]
+    judged = [(JUDGE, name, verdicts, own) for name, own in answers.items()] if question.rule else []
+    groups = {name: [own] for name, own in answers.items()}
+    if len(groups) > 1:
+        groups["all people"] = list(answers.values())
     return QuestionComparison(
         question=question,
         outputs=len(set().union(*answers.values())),
         with_verdict=_agreements(judged, textures, JUDGE),
-        ranks=[] if question.rule else _rank_agreements(run, question, answers),
+        ranks=[] if question.rule else [_rank_agreement(run, question, *group) for group in groups.items()],
         between=_agreements(pairs, textures, "people"),
-        selves=[_agreement([pair], textures) for pair in repeats],
+        selves=[_agreement([(name, "shown again", own, again[name])], textures) for name, own in answers.items()],
         disagreements=_list_disagreements(run, verdicts, answers),
     )
-
-
-def _rank_agreements(run: Run, question: Question, answers: Mapping[str, Answers]) -> list[RankAgreement]:
-    """Return the agreement of the score with each person, and with the answers of several people together last."""
-    groups = {name: [one] for name, one in answers.items()}
-    if len(groups) > 1:
-        groups["all people"] = list(answers.values())
-    return [_rank_agreement(run, question, name, group) for name, group in groups.items()]
 
 
 def _rank_agreement(run: Run, question: Question, name: str, people: Sequence[Answers]) -> RankAgreement:
     rows = []
     for record in run.cells:
-        said = [one[record.key] for one in people if one.get(record.key) in DECIDED]
+        said = [own[record.key] for own in people if own.get(record.key) in DECIDED]
         score = record.values.get(question.column)
         if said and score is not None:
             label = method_label(record.method, record.lattice_source)
@@ -239,14 +225,12 @@ def _agreements(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: 
 
 
 def _agreement(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: str = "") -> RaterAgreement:
-    units = list(dict.fromkeys(textures.values()))
-    tables = []
-    for _, _, first, second in pairs:
-        both = [cell for cell in second if cell in first]
-        answers = ([first[cell] for cell in both], [second[cell] for cell in both])
-        tables.append(count_answers(*answers, [textures[cell] for cell in both], ANSWERS, units))
-    counts = np.stack(tables)
-    total = counts.sum((0, 1))
+    units = {texture: i for i, texture in enumerate(dict.fromkeys(textures.values()))}
+    counts = np.zeros((len(pairs), len(units), len(ANSWERS), len(ANSWERS)))
+    for table, (_, _, first, second) in zip(counts, pairs, strict=True):
+        for cell in second.keys() & first.keys():
+            table[units[textures[cell]], ANSWERS.index(first[cell]), ANSWERS.index(second[cell])] += 1
+    total = counts.sum((0, 1)).astype(int)
     n = int(total.sum())
     one, another = (group, f"mean of {len(pairs)}") if group else pairs[0][:2]
     return RaterAgreement(
@@ -256,7 +240,7 @@ def _agreement(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: s
         decided=mean_kappa(counts[..., :2, :2]),
         equal=float(np.trace(total)) / n if n else None,
         n=n,
-        table=[[int(count) for count in row] for row in total],
+        table=total.tolist(),
     )
 
 
@@ -265,10 +249,11 @@ def _list_disagreements(run: Run, verdicts: Answers, answers: Mapping[str, Answe
     for record in run.cells:
         own = {name: by_cell[record.key] for name, by_cell in answers.items() if record.key in by_cell}
         verdict = verdicts.get(record.key)
-        if verdict is not None and any(answer != verdict for answer in own.values()):
-            opposite = verdict in DECIDED and any(answer in DECIDED and answer != verdict for answer in own.values())
+        others = {answer for answer in own.values() if answer != verdict}
+        if verdict is not None and others:
+            opposite = verdict in DECIDED and not others.isdisjoint(DECIDED)
             disagreements.append(Disagreement(record, verdict, own, opposite))
-    return sorted(disagreements, key=lambda one: not one.opposite)
+    return sorted(disagreements, key=lambda found: not found.opposite)
 
 
 def labels_table(run: Run, files: Sequence[Path]) -> pd.DataFrame:
@@ -279,17 +264,20 @@ def labels_table(run: Run, files: Sequence[Path]) -> pd.DataFrame:
     """
     records = {record.key: record for record in run.cells}
     people = read_people(run, files)
-    shown = {one.item.cell for person in people for one in person.answers}
-    pixels = {key: _hash_output(records[key]) for key in shown}
+    pixels = {key: _hash_output(records[key]) for key in {one.item.cell for person in people for one in person.answers}}
     rows = []
     for person in people:
-        for one in person.answers:
-            record, question = records[one.item.cell], QUESTIONS[one.question]
-            output = [record.suite, record.texture, record.method, record.lattice_source, record.replicate]
-            said = [one.item.again, question.name, one.answer, question.automatic_answer(record)]
-            score = as_numbers([record.values.get(question.column)])[0]
-            rows.append([person.name, *output, *said, score, one.seconds, one.order, record.key, pixels[record.key]])
-    return pd.DataFrame(rows, columns=list(LABEL_COLUMNS))
+        for answer in person.answers:
+            record, question = records[answer.item.cell], QUESTIONS[answer.question]
+            rows.append({
+                **{"person": person.name, "suite": record.suite, "texture": record.texture, "method": record.method},
+                **{"lattice_source": record.lattice_source, "replicate": record.replicate},
+                **{"again": answer.item.again, "question": question.name, "answer": answer.answer},
+                "judge": question.automatic_answer(record),
+                "score": as_numbers([record.values.get(question.column)])[0],
+                **{"seconds": answer.seconds, "order": answer.order, "key": record.key, "pixels": pixels[record.key]},
+            })  # fmt: skip
+    return pd.DataFrame(rows)
 
 
 def _hash_output(record: CellRecord) -> str | None:
@@ -304,22 +292,23 @@ def agreement_table(comparison: PeopleComparison) -> pd.DataFrame:
     Pairs with answers have the share of equal answers and kappa; a question without an automatic answer has the
     agreement of the orders of methods in their place.
     """
-    names = [f"{name}{part}" for name in ("kappa", "kappa_decided", "tau", "ordered") for part in ("", "_low", "_high")]
-    rows = [
-        [name, *row[:5], *(part for each in row[5:] for part in (each.value, each.low, each.high))]
-        for name, one in comparison.questions.items()
-        for row in _agreement_rows(one)
-    ]
-    return pd.DataFrame(rows, columns=["question", "kind", "first", "second", "items", "share_equal", *names])
+    return pd.DataFrame(
+        {"question": name, **row} for name, one in comparison.questions.items() for row in _agreement_rows(one)
+    )
 
 
-def _agreement_rows(comparison: QuestionComparison) -> Iterator[list[Any]]:
+def _agreement_rows(comparison: QuestionComparison) -> Iterator[dict[str, Any]]:
     """Yield the kind, the raters, the number of items, the share of equal answers and four estimates of each pair."""
-    nothing = Estimate(None)
-    for order in comparison.ranks:
-        estimates = [nothing, nothing, order.tau, order.ordered]
-        yield ["judge and people", order.first, order.second, order.n, None, *estimates]
-    kinds = {"judge and people": comparison.with_verdict, "people": comparison.between, "self": comparison.selves}
+    kinds: dict[str, Sequence[Any]] = {
+        "judge and people": [*comparison.ranks, *comparison.with_verdict],
+        "people": comparison.between,
+        "self": comparison.selves,
+    }
+    estimates = {"kappa": "kappa", "kappa_decided": "decided", "tau": "tau", "ordered": "ordered"}
     for kind, agreements in kinds.items():
         for one in agreements:
-            yield [kind, one.first, one.second, one.n, one.equal, one.kappa, one.decided, nothing, nothing]
+            row: dict[str, Any] = {"kind": kind, "first": one.first, "second": one.second, "items": one.n}
+            row["share_equal"] = getattr(one, "equal", None)
+            for name, part in estimates.items():
+                row |= getattr(one, part, Estimate(None)).columns(name, f"{name}_", ("low", "high"))
+            yield row

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -13,15 +12,7 @@ import PIL.Image
 import pytest
 import skimage.data
 import skimage.io
-
-from nrbench.cli.main import main
-
-
-def call(line: str) -> int:
-    """Run a command line in this process and return its exit code."""
-    with pytest.raises(SystemExit) as left:
-        main(shlex.split(line))
-    return int(left.value.code or 0)
+from commands import call
 
 
 @pytest.fixture(autouse=True)
@@ -119,13 +110,6 @@ def test_unusual_pictures_simply_work(name: str, tmp_path: Path) -> None:
     """Gray, 16-bit, palette and EXIF-rotated pictures are synthesized from."""
     assert call(f"synth {name} -m scatter --size 70x50 -o out.png") == 0
     assert skimage.io.imread("out.png").shape[:2] == (50, 70)
-
-
-def test_exif_rotation_is_applied() -> None:
-    """A picture stored lying down is read standing up."""
-    from nrbench.imaging.files import read_image
-
-    assert read_image("rotated.jpg").shape[:2] == (120, 160)
 
 
 def test_a_constant_image_has_no_lattice(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import PIL.Image
 import pytest
+from commands import call
 
 import nrbench
 from nrbench.api import run
-from nrbench.cli.main import main
 from nrbench.cli.progress import _Clock, live_progress, waiting
 from nrbench.cli.summary import parse_formats
 from nrbench.errors import BadInput
@@ -19,13 +19,6 @@ from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detection, NoLatticeFound
 from nrbench.running.runner import Options
-
-
-def call(command: str) -> int:
-    """Run the command line and return its exit code."""
-    with pytest.raises(SystemExit) as ended:
-        main(command.split())
-    return int(ended.value.code or 0)
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -11,24 +10,17 @@ import numpy as np
 import pytest
 import skimage.io
 from candidates import OTHERS, Ranked
+from commands import call
 from numpy.typing import NDArray
 
 from nrbench import plugins
 from nrbench.api import synthesize, texture
 from nrbench.cli.lattice_figures import lattice_of
-from nrbench.cli.main import main
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Observation
 from nrbench.suites.cell import Recipe
-
-
-def call(line: str) -> int:
-    """Run a command line in this process and return its exit code."""
-    with pytest.raises(SystemExit) as left:
-        main(shlex.split(line))
-    return int(left.value.code or 0)
 
 
 @pytest.fixture(autouse=True)
@@ -51,14 +43,26 @@ def pictures() -> None:
         ("brick.png --pick", "no window can be opened"),
         ("brick.png -o ./brick.png", "is the picture itself"),
         ("brick.png --diagnostics brick.png", "is the picture itself"),
+        ("walls --all", "--all: needs one picture"),
+        ("walls --pick", "--pick: needs one picture"),
+        ("walls --lattice 20,0,0,20", "--lattice: needs one picture"),
+        ("walls --diagnostics d.png", "--diagnostics: needs one picture"),
+        ("walls --keep --force", "choose one"),
+        ("walls -o sheet.png", "give a directory"),
+        ("walls", "has no picture"),
+        ("brick.png --keep", "is for a folder"),
+        ("brick.png --least 0.3", "is for a folder"),
+        ("nowhere --force", "no such file"),
     ],
 )
 def test_misuse(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each is one line that says what to do, with exit code 2."""
+    """Each, for one picture or for a folder, is one line that says what to do, with exit code 2; nothing is written."""
     plt.switch_backend("Agg")
+    Path("walls").mkdir()
     assert call(f"lattice {line}") == 2
     shown = capsys.readouterr()
     assert message in shown.err and not shown.out and len(shown.err.splitlines()) == 1
+    assert not list(Path("walls").iterdir())
 
 
 def enlarged(name: str, times: int) -> NDArray[np.float32]:
@@ -120,16 +124,6 @@ def test_all_detectors_as_json(capsys: pytest.CaptureFixture[str]) -> None:
         keys |= {"probabilities", "alternatives"} if "t1" in answer else set()
         keys |= {"origin"} if answer["detector"] == "frdft" else set()
         assert set(answer) == {"detector", "seconds", *keys} and answer["seconds"] > 0
-
-
-def test_all_detectors_as_a_table_and_a_sheet(capsys: pytest.CaptureFixture[str]) -> None:
-    """`--all -o` prints a line a detector under a head, and writes a captioned picture of each."""
-    assert call("lattice small.png --all -o sheet.png") == 0
-    lines = capsys.readouterr().out.splitlines()
-    first = [line.split()[0] for line in lines[1:] if line[0] != " "]  # further candidates are indented
-    assert lines[0].split()[0] == "detector" and first == plugins.names("detectors")
-    height, width = read_image("sheet.png").shape[:2]
-    assert height > 40 and width > 180 * min(3, len(lines) - 1)
 
 
 def test_all_detectors_without_a_lattice(capsys: pytest.CaptureFixture[str]) -> None:
@@ -251,27 +245,3 @@ def test_a_folder(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
     assert [each["file"] for each in answer["pictures"]] == ["bright.png", "text.png"]
     assert answer["pictures"][0]["lattice"] is None and answer["pictures"][0]["candidates"][1]["t1"] == [32, 0]
     assert answer["pictures"][1]["failed"] and answer["truth"] == "walls/truth.csv"
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("walls --all", "--all: needs one picture"),
-        ("walls --pick", "--pick: needs one picture"),
-        ("walls --lattice 20,0,0,20", "--lattice: needs one picture"),
-        ("walls --diagnostics d.png", "--diagnostics: needs one picture"),
-        ("walls --keep --force", "choose one"),
-        ("walls -o sheet.png", "give a directory"),
-        ("walls", "has no picture"),
-        ("brick.png --keep", "is for a folder"),
-        ("brick.png --least 0.3", "is for a folder"),
-        ("nowhere --force", "no such file"),
-    ],
-)
-def test_misuse_of_folders(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Options of one picture for a folder, and the reverse, are one line that says what to do; the exit code is 2."""
-    Path("walls").mkdir()
-    assert call(f"lattice {line}") == 2
-    shown = capsys.readouterr()
-    assert message in shown.err and not shown.out and len(shown.err.splitlines()) == 1
-    assert not list(Path("walls").iterdir())

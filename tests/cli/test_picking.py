@@ -18,11 +18,13 @@ IMAGE = np.random.default_rng(0).random((60, 80, 1), np.float32)
 class Hand:
     """A user before a figure."""
 
-    def __init__(self) -> None:
+    def __init__(self, *clicked: tuple[float, float]) -> None:
         self.figure = Figure(figsize=(6, 6))
         self.canvas = FigureCanvasAgg(self.figure)
         self.picker = Picker(self.figure, IMAGE)
         self.canvas.draw()
+        for x, y in clicked:
+            self.click(x, y)
 
     def click(self, x: float, y: float, button: int = 1) -> None:
         """Click on a point of the image, px."""
@@ -48,13 +50,12 @@ def test_three_points_are_origin_and_ends() -> None:
         lattice_of([(0.0, 0.0), (8.0, 8.0), (16.0, 16.0)])
 
 
-def test_clicks_give_the_lattice_and_enter_accepts() -> None:
-    """Three left clicks give the lattice in px of the image, Enter accepts it; a fourth click changes nothing."""
-    hand = Hand()
-    for point in ((10, 10), (30, 12), (12, 35), (70, 50)):
-        hand.click(*point)
-    hand.press("enter")
-    assert hand.picker.lattice is not None and hand.picker.accepted
+@pytest.mark.parametrize("key", ["enter", "escape"])
+def test_clicks_give_the_lattice_and_enter_accepts(key: str) -> None:
+    """Three left clicks give the lattice in px, Enter accepts it, Escape does not; a fourth click changes nothing."""
+    hand = Hand((10, 10), (30, 12), (12, 35), (70, 50))
+    hand.press(key)
+    assert hand.picker.lattice is not None and hand.picker.accepted == (key == "enter")
     np.testing.assert_allclose(hand.picker.lattice.matrix, [(20, 2), (2, 25)], atol=1e-9)
 
 
@@ -80,9 +81,7 @@ def test_the_lattice_is_drawn_over_the_image() -> None:
 
 def test_backspace_takes_a_point_back() -> None:
     """After Backspace the third point may be clicked again."""
-    hand = Hand()
-    for point in ((10, 10), (30, 12), (12, 35)):
-        hand.click(*point)
+    hand = Hand((10, 10), (30, 12), (12, 35))
     hand.press("backspace")
     assert hand.picker.lattice is None and "t2" in hand.title
     hand.click(14, 40)
@@ -91,9 +90,7 @@ def test_backspace_takes_a_point_back() -> None:
 
 def test_points_on_one_line_are_not_taken() -> None:
     """A third point on the line of the first two is refused, and the title says why."""
-    hand = Hand()
-    for point in ((10, 10), (20, 10), (40, 10)):
-        hand.click(*point)
+    hand = Hand((10, 10), (20, 10), (40, 10))
     assert hand.picker.lattice is None and "on one line" in hand.title
     hand.click(10, 40)
     assert hand.picker.lattice is not None
@@ -106,15 +103,6 @@ def test_what_does_not_count() -> None:
     hand.click(-500, 10)
     hand.press("enter")
     assert "1 of 3" in hand.title and not hand.picker.accepted
-
-
-def test_escape_cancels() -> None:
-    """Escape after three points leaves nothing accepted."""
-    hand = Hand()
-    for point in ((10, 10), (30, 12), (12, 35)):
-        hand.click(*point)
-    hand.press("escape")
-    assert not hand.picker.accepted
 
 
 def test_without_a_window_it_says_what_to_do() -> None:

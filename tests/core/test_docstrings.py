@@ -7,6 +7,7 @@ import importlib
 import inspect
 from collections.abc import Iterator
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import pytest
@@ -31,7 +32,8 @@ def public_names() -> Iterator[str]:
         if inspect.isclass(value) or inspect.isfunction(value):
             yield f"{value.__module__}.{value.__qualname__}"
         for method, function in vars(value).items() if inspect.isclass(value) else ():
-            if not method.startswith("_") and isinstance(function, classmethod | staticmethod | type(public_names)):
+            is_default = method in getattr(value, "__dataclass_fields__", {})
+            if isinstance(function, classmethod | FunctionType) and not method.startswith("_") and not is_default:
                 yield f"{value.__module__}.{value.__qualname__}.{method}"
 
 

@@ -13,6 +13,7 @@ import json
 import os
 import tempfile
 import tomllib
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +24,18 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from nrbench import plugins
+from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.datasets_procedural.images import read_rendered, read_truth
 from nrbench.errors import BadInput
 from nrbench.imaging.files import MOST_PIXELS, read_image, read_shape
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Task
+from nrbench.plugins.forms import Refused, Task
 from nrbench.plugins.parameters import parse_size, parse_spec
+from nrbench.running.runner import Options
 from nrbench.runs.records import Run
 from nrbench.suites.plan import LatticeSource, PlannedMethod
-from nrbench.suites.suite import directory_suite, load_suite
+from nrbench.suites.suite import directory_suite, load_suite, validated_suite
 from nrbench.synthesizers.precomputed import Precomputed
 
 INPUTS = int(os.environ.get("NRBENCH_FUZZ", "60"))
@@ -110,8 +113,6 @@ def bomb(width: int, height: int) -> bytes:
     """Return a PNG of a few hundred bytes whose header promises a picture of this size."""
     content = bytearray(encoded("PNG"))
     content[16:24] = width.to_bytes(4, "big") + height.to_bytes(4, "big")
-    import zlib
-
     content[29:33] = zlib.crc32(bytes(content[12:29])).to_bytes(4, "big")
     return bytes(content)
 
@@ -190,8 +191,6 @@ KEYS = st.sampled_from(
 @example({}, "methods", [["rsgf"]])
 def test_suites_with_odd_values(changes: dict[str, Any], key: str, value: Any) -> None:
     """Whatever a key of a suite holds, the suite is valid or bad input."""
-    from nrbench.suites.suite import validated_suite
-
     content = {**tomllib.loads(SUITE), **changes}
     rows = content["texture"]
     for whole in ({**content, key: value}, {**content, "texture": [{**row, key: value} for row in _tables(rows)]}):
@@ -206,25 +205,8 @@ def _tables(rows: Any) -> list[dict[str, Any]]:
 
 
 TRUTH = b"file,t1x,t1y,t2x,t2y,originx,originy,family\na.png,16,0,0,12,3,2,wall\nb.png,,,,,,,\n"
-RENDERED = json.dumps(
-    {
-        "sheet": "sheet.png",
-        "textures": {
-            "a.png": {
-                "family": "wall",
-                "level": 1.0,
-                "recipe": {
-                    "dataset": "brick",
-                    "parameters": {"color": 0.2},
-                    "seed": 0,
-                    "texture": "wall",
-                    "replicate": 0,
-                    "shape": "64x64",
-                },
-            }
-        },
-    }
-).encode()
+RENDERED = b"""{"sheet": "sheet.png", "textures": {"a.png": {"family": "wall", "level": 1.0, "recipe": {
+"dataset": "brick", "parameters": {"color": 0.2}, "seed": 0, "texture": "wall", "replicate": 0, "shape": "64x64"}}}}"""
 
 
 @fuzz
@@ -250,8 +232,6 @@ def test_damaged_truth(table: bytes, rendered: bytes) -> None:
 @given(mutated(st.just(b"sample,output\na.png,b.png\nb.png,a.png\n")))
 def test_a_damaged_index(table: bytes) -> None:
     """A table of outputs that was changed gives an output, a refusal, or bad input."""
-    from nrbench.plugins.forms import Refused
-
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for picture in ("a.png", "b.png"):
@@ -320,10 +300,6 @@ def test_parameters_of_plugins(place: tuple[str, str, str], value: str) -> None:
 @functools.cache
 def run_file() -> bytes:
     """Return the ``run.json`` of a small run."""
-    from nrbench.api import run
-    from nrbench.running.runner import Options
-    from nrbench.suites.suite import validated_suite
-
     texture = [{"name": "wall", "dataset": "brick"}]
     suite = {"name": "x", "sample": "32x32", "size": "40x40", "methods": ["scatter"], "metrics": ["cost"]}
     with tempfile.TemporaryDirectory() as folder:

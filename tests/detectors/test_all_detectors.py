@@ -19,7 +19,7 @@ CHEAP: dict[str, dict[str, Any]] = {"frdft": {"reject": "none"}, "ssdn": {"surro
 WITH_COPIES = ("gncc", "frdft", "ssdn", "dominance")
 """The detectors that are tested against phase-randomized copies."""
 REASONS = {
-    "consensus": "",
+    "consensus": "no two peaks|chance|explains only|stripes",
     "gncc": "no two peaks|chance",
     "frdft": "waves|chance",
     "ssdn": "only rectangular",

@@ -7,7 +7,7 @@ import inspect
 import pytest
 
 from nrbench import plugins
-from nrbench.plugins.overview import _class_body, summaries
+from nrbench.plugins.overview import summaries
 
 pytestmark = pytest.mark.parametrize("kind", plugins.FORMS)
 
@@ -28,11 +28,3 @@ def test_the_plugins_of_nrbench_keep_their_forms(kind: str) -> None:
     """The plugins of nrbench have no fault. They are not checked again when they are loaded."""
     for plugin in plugins.inventory(kind):
         assert plugins.fault(kind, plugin.cls) == "", plugin.name
-
-
-def test_what_cannot_be_read_is_left_to_the_import(kind: str) -> None:
-    """A class that is not there, or whose page holds what looks like a method, is not read from the source."""
-    assert _class_body("x = 1\n", "X") is None
-    assert _class_body('class X:\n    """Page.\n\n    def f(): ...\n    """\n', "X") is None
-    found = _class_body('class X:\n    """Page."""\n\n    a: int = 1\n\n    def f(self): ...\n\n\ny = 2\n', "X")
-    assert found is not None and len(found.body) == 2, kind

@@ -206,13 +206,6 @@ def test_tables_can_be_copied(visit: Open) -> None:
         assert page.evaluate("navigator.clipboard.readText()").startswith(first)
 
 
-def test_scores_have_tooltips(visit: Open) -> None:
-    """The scores below an output have the descriptions of the glossary."""
-    page = visit()
-    titles = page.locator(".scores th").evaluate_all("heads => heads.map((one) => one.title)")
-    assert titles and all("unit:" in title for title in titles)
-
-
 @pytest.mark.parametrize("width", [1440, 390])
 def test_the_page_does_not_scroll_sideways(visit: Open, width: int) -> None:
     """Only boxes scroll sideways, on a phone too."""

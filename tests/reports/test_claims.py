@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nrbench.plugins.forms import Column
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
-from nrbench.reports.plots.series_plot import _claim_figure, plot_claim
-from nrbench.reports.statistics.claims import ClaimResult, evaluate_claims
+from nrbench.reports.plots.series_plot import plot_claim
+from nrbench.reports.statistics.expectations import ClaimResult, evaluate_claims
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
@@ -156,16 +155,3 @@ def test_the_reports_quote_the_sentence_and_say_what_came_out(make_claims: Make,
     assert len(tables["claims.csv"].splitlines()) == 3
     result = only(run)
     assert plot_claim(result, "svg") == plot_claim(result, "svg")
-
-
-@pytest.mark.parametrize(("score", "high"), [("appearance.seam_step", 0.01), ("randomness.variation", 1.0)])
-def test_the_scale_of_a_plot_fits_its_score(make_claims: Make, score: str, high: float) -> None:
-    """It ends near the largest value, but shows 1 where 1 is the best value; 0 is always on it."""
-    run = make_claims(lambda method, i: 0.01 + 0.1 * noise(i), {"relation": "less", "other_at": 24}, score)
-    columns = {"appearance.seam_step": Column("A step.", "gray levels", (0.0, float("inf")), "lower")}
-    object.__setattr__(run, "columns", {**run.columns, **columns})
-    result = only(run)
-    axes = _claim_figure(result, 4.3, 150.0).axes[0]
-    low, top = axes.get_ylim()
-    assert low < 0 and high <= top < 1.3 * high
-    assert axes.get_ylabel() == {"appearance.seam_step": "appearance.seam_step, gray levels"}.get(score, score)

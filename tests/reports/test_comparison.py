@@ -26,12 +26,6 @@ from .conftest import COLUMNS, PERILS
 Make = Callable[..., Any]
 
 
-def test_every_cell_has_one_entry(every_ending: Run, every_comparison: Comparison) -> None:
-    """Each cell of the run is in exactly one entry."""
-    keys = [record.key for row in every_comparison.rows for entry in row.entries if entry for record in entry.records]
-    assert sorted(keys) == sorted(record.key for record in every_ending.cells)
-
-
 def test_the_patches_of_a_run_are_those_of_its_plugins(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
     """Methods that copy patches are listed once each, in the plugins' words; all three formats have the table."""
     methods = ("tile-set", "ann-pixel", "nowhere", "rsgf", "tile-set")
@@ -166,30 +160,10 @@ def test_success_rates_count_textures(make_cell: Make, make_run: Make) -> None:
     assert (answered.values, answered.counts) == (["50 %"], ["1 of 2, 1 left out"])
 
 
-def test_columns_differ_by_lattice_source(make_cell: Make, make_run: Make) -> None:
-    """One method with two lattice sources is two columns with a paired difference."""
-    cells = [
-        make_cell(texture, "rsgf", source, score=score)
-        for texture in "ab"
-        for source, score in (("given", 0.9), ("own", 0.5))
-    ]
-    comparison = compare_methods(make_run(cells))
-    assert [method.label for method in comparison.methods] == ["rsgf (given)", "rsgf (own)"]
-    difference = next(one for one in comparison.differences if one.score == "regularity.score")
-    assert difference.estimate.value == pytest.approx(0.4)
-    assert difference.estimate.excludes_zero
-
-
 def test_a_run_without_cells_has_no_rows(make_run: Make) -> None:
     """A run without cells has no methods, no rows and no summary rows."""
     comparison = compare_methods(make_run([]))
     assert not [*comparison.methods, *comparison.rows, *comparison.summary_rows, *comparison.notes, *comparison.legend]
-
-
-def test_a_run_without_metrics_is_compared_by_time(make_cell: Make, make_run: Make) -> None:
-    """A run without scores has success rates and seconds."""
-    rows = compare_methods(make_run([make_cell()], columns={})).summary_rows
-    assert [line.name for line in rows] == ["preserved", "seconds"]
 
 
 def test_other_scores_have_their_own_rows(

@@ -89,20 +89,3 @@ def test_every_column_of_the_cells_is_declared(written: dict[str, Path]) -> None
     line = declared.loc["randomness.variation"]
     assert (line["low"], line["high"], line["better"]) == (0, float("inf"), "one")
     assert declared.loc["seconds", "unit"] == "s"
-
-
-def test_tables_are_the_same_bytes_again(every_ending: Run, written: dict[str, Path], tmp_path: Path) -> None:
-    """Writing twice gives equal bytes, intervals included."""
-    first = [path.read_bytes() for path in written.values()]
-    assert first == [path.read_bytes() for path in CsvTables().write(every_ending, tmp_path)]
-
-
-def test_ranks_and_qualities_are_written(ranked: Run, tmp_path: Path) -> None:
-    """``summary.csv`` has rank and leading group; ``quality`` counts refusals as 0, ``quality.score`` does not."""
-    tables = {path.stem: _read(path) for path in CsvTables().write(ranked, tmp_path)}
-    summary = tables["summary"].set_index("method")
-    assert summary.loc["close", "rank"] == 1 and summary.loc["close", "leading"]
-    assert np.isnan(summary.loc["oracle", "rank"])
-    assert summary.loc["refuser", "quality"] < summary.loc["refuser", "quality.score"]
-    assert {"quality", "quality.regularity"} <= set(tables["differences"]["score"])
-    assert tables["comparison"]["good (own) quality"].iloc[0] == 0.7

@@ -9,7 +9,7 @@ import pytest
 from nrbench.lattice.geometry import Lattice
 from nrbench.reports.page.gallery import TextureSection, build_gallery, score_shade
 from nrbench.reports.page.pictures import PagePicture, PictureStore
-from nrbench.reports.statistics.comparison import Comparison, compare_methods
+from nrbench.reports.statistics.comparison import compare_methods
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
@@ -28,13 +28,6 @@ def test_every_cell_has_a_figure(every_ending: Run, tmp_path: Path) -> None:
     assert all((one.output is not None) == (one.record.status == "ok") for one in figures)
 
 
-def test_figures_follow_the_comparison(every_ending: Run, every_comparison: Comparison, tmp_path: Path) -> None:
-    """Outputs are in the order of the comparison's columns."""
-    figures = _gallery(every_ending, tmp_path)[0].draws[0].figures
-    assert [one.method.label for one in figures] == ["rsgf (given)", "rsgf (own)", "oracle"]
-    assert [head.label for head in every_comparison.methods][:2] == ["rsgf (given)", "rsgf (own)"]
-
-
 def test_equal_lattices_are_drawn_once(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
     """Methods that used the same lattice share a drawing, whatever its basis; the true one is not drawn again."""
     wrong, same = Lattice((9.9, 0.0), (0.0, 7.0)), Lattice((9.9, 7.0), (9.9, 0.0), (3.0, 3.0))
@@ -44,16 +37,6 @@ def test_equal_lattices_are_drawn_once(make_cell: Make, make_run: Make, tmp_path
     assert [list(one.labels) for one in draw.used] == [["a (own)", "b (own)"]]
     assert draw.truth is not None
     assert list(draw.agreeing) == ["d (own)"]
-
-
-def test_lattices_are_read_from_records(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """A recorded lattice without an origin has its origin at 0; a record without a lattice has no drawing."""
-    first, second = make_cell(method="a"), make_cell(method="b", lattice_used=None)
-    first.result["lattice_used"] = {"t1": [1, 0], "t2": [0, 2]}
-    draw = _gallery(make_run([first, second]), tmp_path)[0].draws[0]
-    assert [(list(one.labels), one.overlay.vectors) for one in draw.used] == [
-        (["a (own)"], ("t1 = (1.00, 0.00)", "t2 = (0.00, 2.00)"))
-    ]
 
 
 def test_missing_scores_show_the_reason(every_ending: Run, tmp_path: Path) -> None:

@@ -78,11 +78,23 @@ def page(text: str) -> Page:
     return Page(text)
 
 
-def test_it_is_well_formed(page: Page) -> None:
-    """Every element is closed in order, and every id occurs once."""
+def _check_form(page: Page) -> None:
+    """Check that elements are closed in order, ids occur once, links lead to elements, and titles have tooltips."""
     assert page.open == []
     ids = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
     assert len(ids) == len(set(ids))
+    assert {one["href"].removeprefix("#") for one in page.all("a")} <= set(ids)
+    heads = [one for one in page.all("th") if one.get("scope") == "col"]
+    assert len(heads) > 30 and all(one.get("title") for one in heads)
+
+
+def test_pages_are_well_formed(page: Page, ranked_page: Page) -> None:
+    """A page with every status and a page with a ranking are well formed; the title of a score says its unit."""
+    _check_form(page)
+    _check_form(ranked_page)
+    titles = [one["title"] for one in page.all("th") if one.get("scope") == "col"]
+    for words in ("unit: none; range: 0 to 1; better: higher", "unit: none; range: 0 to ∞; better: nearest to 1"):
+        assert any(words in title for title in titles)
 
 
 def test_it_loads_nothing(page: Page) -> None:
@@ -106,12 +118,6 @@ def test_nothing_but_its_own_script_can_run(page: Page) -> None:
     assert len(re.findall(r"'sha256-[A-Za-z0-9+/=]{44}'", policy)) == 2
     assert len(page.all("script")) == len(page.all("style")) == 1
     assert not [attributes for _, attributes in page.elements if "style" in attributes]
-
-
-def test_links_within_the_page_lead_somewhere(page: Page) -> None:
-    """Every link leads to an element of the page."""
-    ids = {attributes["id"] for _, attributes in page.elements if "id" in attributes}
-    assert {one["href"].removeprefix("#") for one in page.all("a")} <= ids
 
 
 def test_every_status_is_a_row(page: Page) -> None:
@@ -153,14 +159,6 @@ def test_screen_readers_read_verdicts(page: Page) -> None:
 def _decode(source: str) -> np.ndarray:
     content = base64.b64decode(source.partition(",")[2])
     return np.asarray(PIL.Image.open(io.BytesIO(content)).convert("RGB"))
-
-
-def test_full_pictures_are_the_runs_own_bytes(every_ending: Run, page: Page) -> None:
-    """Each output has a copy on the page that is magnified without smoothing, or all its pixels if it is tiny."""
-    output = np.asarray(PIL.Image.open(every_ending.cells[0].folder / "output.png").convert("RGB"))
-    shown = [one for one in page.all("img") if one.get("class", "").startswith("base")]
-    assert all("magnified" in one["class"] and one["loading"] == "lazy" for one in shown)
-    assert any(np.array_equal(_decode(one["src"]), output) for one in shown)
 
 
 @pytest.mark.parametrize("single", [False, True])
@@ -226,15 +224,6 @@ def test_a_bare_run_record_is_enough(make_cell: Make, make_run: Make, tmp_path: 
     assert "not recorded" in Page(HtmlReport().render(run, tmp_path)).text
 
 
-def test_a_single_failed_cell_is_a_page(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """A single failed cell has a row and an entry, and no output."""
-    run = make_run([make_cell(status="error", message="boom", phase="synthesize")])
-    page = Page(HtmlReport().render(run, tmp_path))
-    assert "boom" in page.text
-    assert "error in synthesize: boom" in page.text
-    assert not [one for one in page.all("button") if "stack" in one.get("class", "")]
-
-
 def test_a_missing_picture_is_no_error(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
     """A picture that was deleted or truncated leaves a placeholder."""
     first, second = make_cell("a"), make_cell("b")
@@ -251,15 +240,6 @@ def test_lattices_are_drawn_over_the_sample(page: Page) -> None:
     assert "truth" in classes
     assert classes.count("found") == 1
     assert "lattice used by rsgf (own)" in page.text
-
-
-def test_every_column_has_its_meaning(page: Page) -> None:
-    """Each column title has a tooltip; that of a score contains its unit, range and which values are better."""
-    heads = [one for one in page.all("th") if one.get("scope") == "col"]
-    assert len(heads) > 30
-    assert all(one.get("title") for one in heads)
-    for words in ("unit: none; range: 0 to 1; better: higher", "unit: none; range: 0 to ∞; better: nearest to 1"):
-        assert any(words in one["title"] for one in heads)
 
 
 def test_every_score_of_a_cell_is_in_the_glossary(page: Page, every_ending: Run) -> None:
@@ -284,33 +264,10 @@ def test_the_plots_are_on_the_page(ranked_page: Page) -> None:
     assert not [one for _, one in ranked_page.elements if "style" in one]
 
 
-def test_a_ranked_page_is_well_formed(ranked_page: Page) -> None:
-    """Every element is closed, every id occurs once, every link leads to an element, every title has a tooltip."""
-    assert ranked_page.open == []
-    ids = [attributes["id"] for _, attributes in ranked_page.elements if "id" in attributes]
-    assert len(ids) == len(set(ids))
-    assert {one["href"].removeprefix("#") for one in ranked_page.all("a")} <= set(ids)
-    assert all(one.get("title") for one in ranked_page.all("th") if one.get("scope") == "col")
-
-
 def test_outputs_say_what_limits_them(ranked_page: Page) -> None:
     """Each output shows the peril that limits its quality, except outputs of full quality and of no quality."""
     text = ranked_page.text
     assert text.count("quality limited by randomness") == 14  # close, good, copier, tiling: 3 each; refuser: 2
-
-
-def test_replicates_have_their_own_pictures(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """Each replicate has its own sample and outputs, below its number."""
-    run = make_run([make_cell(replicate=i, method=m) for i in range(2) for m in ("a", "b")])
-    page = Page(HtmlReport().render(run, tmp_path))
-    assert "replicate 0" in page.text
-    assert "replicate 1" in page.text
-    assert len([one for one in page.all("button") if "stack" in one.get("class", "")]) == 4
-
-
-def test_the_page_is_the_same_again(every_ending: Run, text: str) -> None:
-    """Rendering twice gives the same page."""
-    assert HtmlReport().render(every_ending, every_ending.root / "report") == text
 
 
 def test_the_weakest_outputs_of_each_method_are_shown(ranked: Run, ranked_page: Page) -> None:

@@ -60,14 +60,6 @@ def test_a_detector_is_named(make_cell: Make, make_run: Make, tmp_path: Path) ->
     assert r"rsgf\textsuperscript{gncc} &" in text
 
 
-def test_verdicts_have_their_marks(written: dict[str, str]) -> None:
-    """Each verdict that occurs is a command with its score or status, and the caption explains the command."""
-    text = written["comparison"]
-    for mark in (r"\nrbPreserved{} 0.90", r"\nrbLost{} 0.20", r"\nrbUndecided{} 0.60", r"\nrbRefused{}"):
-        assert mark in text
-    assert r"\nrbLost{} lost" in text
-
-
 def test_many_methods_follow_below(every_ending: Run, tmp_path: Path) -> None:
     """Methods beyond the number of columns follow in further blocks, which repeat every texture."""
     text = _written(every_ending, tmp_path, columns=2)["comparison"]
@@ -91,10 +83,3 @@ def test_pdflatex_reads_it(every_ending: Run, tmp_path: Path) -> None:
     line = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-draftmode", "paper.tex"]
     done = subprocess.run(line, cwd=tmp_path, capture_output=True, timeout=60)
     assert done.returncode == 0, done.stdout.decode(errors="replace")[-2000:]
-
-
-def test_the_leading_group_is_bold(ranked: Run, tmp_path: Path) -> None:
-    """The quality of each method of the leading group is marked, and the caption explains the mark."""
-    text = _written(ranked, tmp_path)["summary"]
-    assert r"\nrbBest{0.69}" in text and r"\nrbTie{tied}" in text
-    assert r"\nrbTie{0.00}" not in text

@@ -1,17 +1,11 @@
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import PIL.Image
 import pytest
 
-from nrbench.reports.csv import CsvTables
-from nrbench.reports.html import HtmlReport
-from nrbench.reports.plots.series_plot import plot_levels
 from nrbench.reports.statistics.comparison import compare_methods
 from nrbench.reports.statistics.levels import (
     LevelPanel,
@@ -84,19 +78,3 @@ def test_tables_hold_every_level(panel: LevelPanel) -> None:
     points = breaking_points_table([panel]).set_index("method")
     assert points.loc["refuser", "breaks_at"] == 1
     assert np.isnan(points.loc["good", "breaks_at"])
-
-
-def test_reports_have_the_levels(ranked: Run, tmp_path: Path) -> None:
-    """The CSV tables and the page show where each method breaks."""
-    assert {"levels.csv", "breaking_points.csv"} <= {path.name for path in CsvTables().write(ranked, tmp_path)}
-    page = HtmlReport().render(ranked, tmp_path)
-    assert "Where each method breaks" in page
-    assert "refuser (own) breaks at 1," in page
-
-
-def test_the_plot_is_the_same_again(panel: LevelPanel) -> None:
-    """Equal panels give equal bytes, in color, for any width."""
-    for width in (3.0, 8.7):
-        assert plot_levels([panel] * 3, "svg", width) == plot_levels([panel] * 3, "svg", width)
-    pixels = np.asarray(PIL.Image.open(io.BytesIO(plot_levels([panel], "png"))).convert("RGB")).astype(int)
-    assert np.ptp(pixels, axis=2).max() > 100

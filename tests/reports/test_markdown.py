@@ -43,17 +43,6 @@ def test_tables_are_even(text: str) -> None:
         assert {len(row) for row in table} == {len(table[0])}
 
 
-def test_entries_and_references_are_marked(text: str) -> None:
-    """Each entry shows verdict and score, each method its lattice source; references are marked."""
-    rows = _rows(text)
-    head = next(row for row in rows if row[0] == "texture")
-    brick = next(row for row in rows if row[0] == "brick")
-    assert brick[head.index("rsgf (own)")] == "✗ 0.20"
-    assert brick[head.index("rsgf (given)")].startswith("✓ 0.90 <sup>")
-    assert "*oracle* †" in head
-    assert "a note of its own" in text and "unit: none; range: 0 to 1; better: higher" in text
-
-
 def test_no_hostile_markup_survives(text: str) -> None:
     """The text contains no HTML tag but footnote marks."""
     assert set(re.findall(r"(?<!\\)<(\w+)", text)) == {"sup"}

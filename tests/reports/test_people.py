@@ -150,19 +150,6 @@ def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
     assert len(labels_table(judged, files)) == 120
 
 
-def test_elements_are_compared_with_integrity(judged: Run, tmp_path: Path) -> None:
-    """The judge says yes above the score of fresh draws, no below, and "cannot say" where integrity has no value."""
-    path = _person(judged, tmp_path / "a.csv", lambda i, again: None, question="elements")
-    one = _compare(judged, path, question="elements").with_verdict[0]
-    assert one.table == [[20, 0, 0], [0, 10, 0], [0, 0, 10]]
-    assert one.kappa.value == one.decided.value == 1.0
-    always = _person(judged, tmp_path / "b.csv", lambda i, again: "yes", question="elements")
-    comparison = _compare(judged, always, question="elements")
-    assert comparison.with_verdict[0].table == [[20, 0, 0], [10, 0, 0], [10, 0, 0]]
-    assert [one.opposite for one in comparison.disagreements] == [True] * 10 + [False] * 10
-    assert comparison.ranks == []
-
-
 def _answers_by_method(judged: Run, path: Path, answers: Mapping[str, str]) -> Path:
     """Write the answers of a person who answers the question ``more`` by the method."""
     methods = {record.key: record.method for record in judged.cells}
@@ -249,15 +236,6 @@ def test_the_page_has_a_part_for_each_question(judged: Run, tmp_path: Path) -> N
     part = page.partition('id="people-more"')[2].partition('<section id="gallery"')[0]
     assert "Kendall's tau" in part and "<b>0.82</b>" in part and "<b>100 %</b>" in part
     assert "Counts of answers" not in part and "Disagreements" not in part
-
-
-def test_the_page_shows_every_disagreement(judged: Run, tmp_path: Path) -> None:
-    """The page shows each disagreement with its pictures, scores and answers."""
-    path = _person(judged, tmp_path / "ada.csv", lambda i, again: "cannot say" if i < 3 else None)
-    page = HtmlReport(labels=(path,)).render(judged, tmp_path)
-    assert page.count('class="disagreement') == 3
-    assert page.count("· ada: cannot say") == 3
-    assert 'href="#people"' in page
 
 
 def test_without_files_there_is_no_section(judged: Run, tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ from nrbench.reports.statistics.comparison import (
     PerilsPoint,
     compare_methods,
     perils_points,
-    perils_table,
 )
 from nrbench.runs.records import Run
 
@@ -64,13 +63,6 @@ def test_a_lost_lattice_has_no_height(comparison: Comparison) -> None:
     assert not lost.has_height and lost.structure.n == 3 and "not scored" in lost.words
     assert shaky.has_height and (shaky.randomness.n, shaky.structure.n) == (2, 3)
     assert caption_text([shaky]) == "shaky (own) [2 of 3]"
-
-
-def test_references_are_points(comparison: Comparison) -> None:
-    """Reference methods, with the copier, are points of the plane and are marked in the table."""
-    table = perils_table(perils_points(comparison.summaries)).set_index("method")
-    assert set(table.index[table["reference"]]) == {"oracle", "copier", "tiling"}
-    assert table.loc["copier", "randomness_value"] == pytest.approx(0.69)
 
 
 def test_files_are_vector_graphics_and_the_same_again(ranked: Run, comparison: Comparison, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.statistics.comparison import compare_methods
-from nrbench.reports.statistics.published import (
+from nrbench.reports.statistics.expectations import (
     GROUPS,
     SENTENCE,
     PublishedComparison,

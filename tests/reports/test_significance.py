@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -182,26 +180,3 @@ def test_without_tests_nothing_is_tested(ranked: Run) -> None:
     assert not found.against and found.tests is None and not found.leading_legend
     assert not any(one.leading for one in found.summaries)
     assert [one.rank for one in found.summaries] == [one.rank for one in compare_methods(ranked).summaries]
-
-
-def test_the_comparison_is_computed_once(ranked: Run) -> None:
-    """All reports of a run share one comparison."""
-    assert compare_methods(ranked) is compare_methods(ranked)
-
-
-def test_forty_methods_are_compared_in_seconds(make_cell: Make, make_run: Make) -> None:
-    """The comparison of 40 methods on 12 textures takes under six seconds of CPU."""
-    base = make_cell("t", "m", perils=dict.fromkeys(PERILS, 0.5))
-    rng = np.random.default_rng(0)
-    cells = [
-        replace(
-            base,
-            cell=replace(base.cell, texture=f"t{t}", label=f"m{m}"),
-            values=base.values | {f"quality.{name}": float(rng.random()) for name in ("score", *PERILS)},
-        )
-        for m in range(40)
-        for t in range(12)
-    ]
-    start = time.process_time()
-    assert len(compare_methods(make_run(cells)).differences) == 780 * 5
-    assert time.process_time() - start < 6

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,13 +16,6 @@ Make = Callable[..., Any]
 def text(every_ending: Run) -> str:
     """Return the table of a run with every status, as the terminal shows it."""
     return TextTable().render(every_ending)
-
-
-def test_it_names_every_texture_method_and_mark(every_ending: Run) -> None:
-    """The text has every texture, every method, the marks and the success rate."""
-    text = TextTable(200).render(every_ending)
-    for word in ("brick", "weave", "t-crash", "rsgf", "oracle", "reference", "✓ 0.90", "✗ 0.20", "N/A", "preserved"):
-        assert word in text
 
 
 def test_no_line_is_wider_than_the_width(every_ending: Run, text: str) -> None:
@@ -46,13 +38,6 @@ def test_it_has_no_escapes_and_no_markup(make_cell: Make, make_run: Make) -> Non
     assert not {"\x1b", "\x07"} & set(text)
 
 
-def test_written_file_is_the_rendered_text(every_ending: Run, text: str, tmp_path: Path) -> None:
-    """The file contains what the terminal shows."""
-    (path,) = TextTable().write(every_ending, tmp_path / "tables")
-    assert path.name == "comparison.txt"
-    assert path.read_text("utf-8") == text
-
-
 def test_an_empty_run_says_so(make_run: Make) -> None:
     """A run without cells gives one sentence."""
     assert "There are no cells." in TextTable().render(make_run([]))
@@ -69,17 +54,6 @@ def test_a_width_too_small_is_refused() -> None:
     """A width below 40 is an error that states the minimum."""
     with pytest.raises(BadInput, match="at least 40"):
         TextTable(10)
-
-
-def test_methods_are_ranked(ranked: Run) -> None:
-    """Methods are listed from the highest mean quality to the lowest, the leading group has its sign."""
-    lines = TextTable().render(ranked).splitlines()
-    first = [
-        next(i for i, line in enumerate(lines) if line.startswith(f" {name}")) for name in ("close", "shaky", "oracle")
-    ]
-    assert first == sorted(first)
-    assert lines[first[0]].startswith(" close ★")
-    assert any("leading group" in line for line in lines)
 
 
 def test_reasons_are_counted(every_ending: Run) -> None:

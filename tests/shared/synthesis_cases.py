@@ -20,6 +20,15 @@ def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
     return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
 
 
+def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
+    """Return a smooth image of three channels that has exactly this lattice."""
+    y, x = np.indices(shape)
+    u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
+    first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
+    third = np.cos(2 * math.pi * (u + 2 * v + 0.3))
+    return np.stack([0.5 + 0.2 * first + 0.2 * second, 0.5 + 0.3 * third, 0.5 + 0.4 * first * second], -1).astype("f4")
+
+
 def synthesize(
     method: Synthesizer, sample: Image, shape: tuple[int, int], lattice: Lattice | None = None, seed: int = 1
 ) -> Synthesis:

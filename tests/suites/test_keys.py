@@ -40,7 +40,7 @@ def fresh_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def forget() -> None:
     """Empty the caches of what was read from plugins."""
-    registry.load.cache_clear()
+    registry.load_plugin.cache_clear()
     metric_key.cache_clear()
 
 

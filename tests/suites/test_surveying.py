@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import PIL.Image
 import pytest
-from candidates import CHOSEN, OTHERS, Ranked
+from candidates import CHOSEN, Ranked
 
 from nrbench import Lattice, plugins, texture
 from nrbench.errors import BadInput
-from nrbench.imaging.files import read_image, write_image
+from nrbench.imaging.files import write_image
 from nrbench.suites.suite import load_suite
 from nrbench.suites.surveying import FIELDS, Survey, lattice_text, printable
 from nrbench.truth import TruthTable
@@ -231,18 +231,6 @@ def test_pages_hold_eight_pictures(count: int) -> None:
     done = survey()
     assert [path.name for path in done.pages] == [f"page-{k}.png" for k in range(1, 2 + (count > 8))]
     assert {path.name for path in folder.iterdir()} == {*(path.name for path in done.pages), "page-x.png"}
-
-
-def test_the_sheet_shows_the_picture_and_three_candidates() -> None:
-    """Right of the picture there are three panels of one part of it, each with the lines of its candidate."""
-    write_image(PICTURES / "a.png", np.full((120, 120, 3), 0.9, np.float32))
-    sheet = read_image(survey().pages[0])
-    columns = [np.flatnonzero((np.abs(sheet[..., 1] - 0.1) < 0.02).any(0))]
-    panels = [columns[0][(columns[0] > 8 + 256 * k) & (columns[0] < 256 * (k + 1))] for k in range(4)]
-    assert all(len(panel) for panel in panels)
-    lines = [(np.abs(sheet[80:300, 8 + 256 * k : 256 * (k + 1), 1] - 0.1) < 0.05).mean() for k in range(4)]
-    assert lines[2] < lines[1] < lines[3]  # double has fewer lines than the chosen one, half has more
-    assert len(OTHERS) == 3
 
 
 def test_the_origin_is_written() -> None:

@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -51,14 +50,6 @@ def test_each_wedge_belongs_to_the_nearest_neighbor(there: Sides) -> None:
     np.testing.assert_array_equal(distances[border.owner, np.arange(len(border.owner))], distances.min(0))
 
 
-def test_the_four_wedges_are_equal_trapezoids() -> None:
-    """Around a full gap each neighbor owns as much of the border, but for the pixels on the diagonals."""
-    border = gap_border(40, 10, ALL)
-    counts = np.bincount(border.owner, minlength=4)
-    assert counts.sum() == 40**2 - 20**2
-    np.testing.assert_allclose(counts, 300, atol=20)
-
-
 @given(sides)
 def test_weights_sum_to_one_and_draw_on_neighbors_that_are_there(there: Sides) -> None:
     """Blending is a partition of unity over the gap's own patch and existing neighbors."""
@@ -74,34 +65,6 @@ def test_the_gaps_own_patch_fades_in_linearly() -> None:
     border = gap_border(40, 10, ALL)
     middle = (border.pixels[:, 1] == 20) & (border.pixels[:, 0] < 10)
     np.testing.assert_allclose(border.weights[0, middle], (np.arange(10) + 0.5) / 10, atol=1e-6)
-
-
-def test_at_the_gaps_edge_each_neighbor_is_nearly_whole() -> None:
-    """At the gap's edge, except near corners, the neighbor's weight is over 0.9."""
-    border = gap_border(40, 10, ALL)
-    edge = (border.pixels[:, 0] == 0) & (border.pixels[:, 1] >= 10) & (border.pixels[:, 1] < 30)
-    assert (border.weights[1, edge] > 0.9).all()
-    assert (border.layers[1, edge] == 0).all()
-
-
-def test_patches_that_continue_each_other_compose_without_a_trace() -> None:
-    """Patches that continue each other compose the image that they come from, with its source map."""
-    sample = np.random.default_rng(0).random((70, 90, 3), np.float32)
-    grid = BlockGrid((49, 65), 16, 5)
-    rows, columns = np.indices(grid.counts)
-    image, source = compose(Patches(sample), grid, np.stack([columns, rows], -1) * 16.0 + (5, 4))
-    np.testing.assert_allclose(image, sample[4:53, 5:70], atol=1e-6)
-    x, y = np.meshgrid(np.arange(5, 70), np.arange(4, 53))
-    np.testing.assert_array_equal(source[..., :2], np.stack([x, y], -1))
-
-
-@pytest.mark.parametrize("shape", [(1, 33), (50, 1), (16, 16), (7, 9)])
-def test_any_shape_is_composed(shape: tuple[int, int]) -> None:
-    """Outputs may end inside a block, and may be one row or column."""
-    grid = BlockGrid(shape, 16, 4)
-    image, source = compose(Patches(np.zeros((40, 40, 1), np.float32)), grid, np.full((*grid.counts, 2), 4.0))
-    assert image.shape == (*shape, 1)
-    assert source.shape == (*shape, 3)
 
 
 def test_squares_of_placed_blocks_are_untouched_copies() -> None:

@@ -76,9 +76,3 @@ def test_the_lattice_costs_no_draw_of_the_sample() -> None:
     again = Draws()
     plant("phase-step", 0.3, again=again)
     assert [image.shape[:2] for image in again.seen[:-1]] == [(8, 8)]
-
-
-@pytest.mark.parametrize("kind", DEFECTS)
-def test_size_zero_covers_nothing(kind: str) -> None:
-    """A defect of size 0 covers no pixel."""
-    assert not plant(kind, 0).extras["covered"].any()

@@ -50,12 +50,6 @@ def test_colors_and_their_covariance_are_kept(shape: tuple[int, int]) -> None:
     assert np.abs(found - expected).max() < 0.25 * expected.max()
 
 
-def test_the_phases_are_the_streams() -> None:
-    """Equal seeds give equal outputs, others other ones."""
-    assert np.array_equal(made((64, 64)), made((64, 64)))
-    assert not np.array_equal(made((64, 64)), made((64, 64), 1))
-
-
 def test_jumps_across_the_borders_are_taken_out() -> None:
     """Of a ramp across the picture the periodic component keeps under a tenth of the jump, and the mean."""
     ramp = np.broadcast_to(np.arange(64) / 6.4, (1, 64, 64))

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
-from synthesis_cases import noise
+from synthesis_cases import noise, waves
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
@@ -18,15 +18,6 @@ TURNED = Lattice((21.37 * math.cos(TURN), 21.37 * math.sin(TURN)), (-18.81 * mat
 UPRIGHT = Lattice((21.37, 0), (0, 18.81))
 BOND = Lattice((27.3, 0), (13.65, 12.2))
 OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
-
-
-def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
-    """Return a smooth image with exactly this lattice."""
-    x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
-    u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
-    first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
-    third = np.cos(2 * math.pi * (u + 2 * v + 0.3))
-    return np.stack([0.5 + 0.2 * first + 0.2 * second, 0.5 + 0.3 * third, 0.5 + 0.4 * first * second], -1).astype("f4")
 
 
 def synthesize(
@@ -178,20 +169,3 @@ def test_what_the_source_map_calls_a_copy_is_one(
     expected = sample[y[copied].astype(int), x[copied].astype(int)]
     np.testing.assert_allclose(made.image[copied], expected, atol=1e-5)
     assert ((made.image >= 0) & (made.image <= 1)).all()
-
-
-def test_progress_rises_to_one() -> None:
-    """Progress is reported during the search and while tiles are laid."""
-    reports: list[float] = []
-    task = Task(noise(80, 90), (500, 900), UPRIGHT, np.random.default_rng(0), progress=reports.append)
-    RepresentativeTile().synthesize(task)
-    assert reports == sorted(reports) and reports[-1] == 1 and len(reports) > 2
-
-
-def test_the_search_without_p_is_no_worse_than_any_with_it() -> None:
-    """Every place rated finds a tile with no larger S than the paper's pre-selection does."""
-    for seed in range(5):
-        sample = noise(60, 60, 1, seed)
-        every = synthesize(sample, (8, 8), BOND.shifted((3, 4)), tolerance=0.1).extras["best"][0, 4]
-        some = synthesize(sample, (8, 8), BOND, rated_share=0.02).extras["best"][0, 4]
-        assert every <= some

@@ -4,7 +4,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.detectors.ssdn import ssdn
-from nrbench.imaging.box_sums import box_sums
 from nrbench.synthesizers.representative_tile import Costs, Mask, Size, Values, continuity, resemblance
 
 
@@ -74,11 +73,3 @@ def test_a_periodic_image_costs_nothing_and_any_other_something() -> None:
     np.testing.assert_allclose(resemblance(image, (6, 7)), 0, atol=1e-12)
     image[11, 17] += 0.5
     assert resemblance(image, (6, 7)).min() > 1e-4
-
-
-def test_box_sums_are_sums_over_boxes() -> None:
-    """A box of the whole image holds its sum, one of a pixel the pixel."""
-    values = np.random.default_rng(0).random((5, 8))
-    np.testing.assert_allclose(box_sums(values, (5, 8)), [[values.sum()]])
-    np.testing.assert_allclose(box_sums(values, (1, 1)), values)
-    assert box_sums(values, (2, 3))[1, 4] == pytest.approx(values[1:3, 4:7].sum())

@@ -1,4 +1,3 @@
-import math
 from pathlib import Path
 from typing import Any
 
@@ -6,7 +5,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from nrbench.cli.images import synth_command
+from nrbench.cli.single_images import synth_command
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
@@ -51,13 +50,6 @@ def test_samples_with_less_than_two_periods_are_refused() -> None:
     """The refusal says how far the lattice reaches, and how much there is of it."""
     with pytest.raises(Refused, match="less than two periods"):
         synthesize(noise(70, 70), (256, 256), Lattice((36, 0), (0, 20)))
-
-
-def test_turned_tiles_that_do_not_fit_are_refused() -> None:
-    """Where the turned rectangle of several cells is larger than the sample, the refusal says so."""
-    long = Lattice((20 * math.cos(0.7), 20 * math.sin(0.7)), (15 * math.cos(1.6), 15 * math.sin(1.6)))
-    with pytest.raises(Refused, match="larger than the sample"):
-        synthesize(noise(40, 40), (64, 64), long, tolerance=0.0)
 
 
 @pytest.mark.parametrize(

@@ -122,22 +122,6 @@ def test_every_parameter_changes_something() -> None:
         assert (synthesize(Rsgf(**change), sample, (128, 128), FRACTIONAL).image != base).any(), change
 
 
-def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
-    """All randomness comes from the task."""
-    first, second, other = (synthesize(SMALL, noise(60, 60), (50, 50), FRACTIONAL, k).image for k in (1, 1, 2))
-    np.testing.assert_array_equal(first, second)
-    assert (first != other).any()
-
-
-def test_progress_rises_to_one() -> None:
-    """Progress never falls and ends at 1."""
-    reported: list[float] = []
-    task = Task(noise(60, 60), (50, 50), FRACTIONAL, np.random.default_rng(0), progress=reported.append)
-    SMALL.synthesize(task)
-    assert reported == sorted(reported)
-    assert reported[-1] == 1
-
-
 def test_a_sample_smaller_than_a_block_with_borders_is_refused() -> None:
     """The refusal says what would fit."""
     with pytest.raises(Refused, match="block \\+ 2 border <= 50"):
@@ -180,11 +164,3 @@ def test_a_sample_of_less_than_two_periods_works_or_is_refused() -> None:
     assert synthesize(Rsgf(block=8, border=2), sample, (90, 90), lattice).image.shape == (90, 90, 3)
     with pytest.raises(Refused, match="choose a smaller block"):
         synthesize(Rsgf(block=24, border=6), sample, (90, 90), lattice)
-
-
-@pytest.mark.parametrize("shape", [(1, 500), (500, 1), (3, 40), (50, 60)])
-def test_outputs_smaller_than_the_sample_and_lines_work(shape: tuple[int, int]) -> None:
-    """Any shape is filled with values in the sample's range."""
-    made = synthesize(Rsgf(), noise(128, 128, 1), shape, FRACTIONAL)
-    assert made.image.shape == (*shape, 1)
-    assert 0 <= made.image.min() < made.image.max() <= 1

@@ -41,13 +41,6 @@ def test_the_patches_come_from_anywhere() -> None:
     assert made.source[..., 0].max() >= 65
 
 
-def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
-    """All randomness comes from the task."""
-    first, second, other = (scatter(noise(3), (90, 90), seed).image for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first, second)
-    assert (first != other).any()
-
-
 def test_a_sample_smaller_than_a_block_is_refused_with_a_way_out() -> None:
     """The refusal says what would fit."""
     with pytest.raises(Refused, match="block \\+ 2 border <= 30"):

@@ -56,13 +56,6 @@ def test_cuts_run_through_the_middle_of_the_motif() -> None:
     assert (np.abs(columns - 8) <= 3).all()
 
 
-def test_the_stream_chooses_the_tiles() -> None:
-    """Equal seeds give equal outputs, others other ones."""
-    images = [made(plates(), SQUARE, seed).image for seed in (0, 0, 1)]
-    assert np.array_equal(images[0], images[1])
-    assert not np.array_equal(images[0], images[2])
-
-
 def test_without_a_tile_it_refuses() -> None:
     """The refusal says what is missing."""
     with pytest.raises(Refused, match="holds no whole tile"):

@@ -1,7 +1,6 @@
-import math
-
 import numpy as np
 import pytest
+from synthesis_cases import waves
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
@@ -17,13 +16,6 @@ WHOLE = Lattice((20, 4), (-3, 16))
 def noise(shape: tuple[int, int]) -> Image:
     """Return a random image of 3 channels."""
     return quantize(np.random.default_rng(0).random((*shape, 3), np.float32))
-
-
-def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
-    """Return a smooth image with exactly this lattice."""
-    x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
-    u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
-    return (0.5 + 0.2 * np.cos(2 * math.pi * u) + 0.2 * np.cos(2 * math.pi * (u + v)))[..., np.newaxis].astype("f4")
 
 
 def made(sample: Image, shape: tuple[int, int], lattice: Lattice) -> Synthesis:

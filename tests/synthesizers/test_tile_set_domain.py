@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import nrbench
-from nrbench.cli.images import synth_command
+from nrbench.cli.single_images import synth_command
 from nrbench.errors import BadInput
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice

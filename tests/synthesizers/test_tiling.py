@@ -1,8 +1,8 @@
-import math
 from typing import Any
 
 import numpy as np
 import pytest
+from synthesis_cases import waves
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
@@ -11,15 +11,6 @@ from nrbench.synthesizers.baselines.voronoi_cell import half_extent
 from nrbench.synthesizers.tiling import Tiling
 
 OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
-
-
-def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
-    """Return a smooth image with exactly this lattice."""
-    x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
-    u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
-    first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
-    third = np.cos(2 * math.pi * (u + 2 * v + 0.3))
-    return np.stack([0.5 + 0.2 * first + 0.2 * second, 0.5 + 0.3 * third, 0.5 + 0.4 * first * second], -1).astype("f4")
 
 
 def tile(sample: Image, shape: tuple[int, int], lattice: Lattice | None, seed: int = 0) -> Synthesis:
@@ -98,12 +89,3 @@ def test_every_tile_continues_a_fractional_lattice(tile: Any) -> None:
     made = Tiling(tile=tile).synthesize(Task(sample, (800, 800), OBLIQUE, np.random.default_rng(3)))
     error = (made.image - waves((800, 800), OBLIQUE))[-100:, -100:]
     assert np.sqrt((error**2).mean()) < 1 / 255
-
-
-@pytest.mark.parametrize("shape", [(1, 300), (9, 5)])
-def test_one_channel_and_lines_work(shape: tuple[int, int]) -> None:
-    """A sample of one channel and barely more than a tile fills any shape."""
-    sample = quantize(waves((30, 32), OBLIQUE))[..., :1]
-    made = Tiling().synthesize(Task(sample, shape, OBLIQUE, np.random.default_rng(0)))
-    assert made.image.shape == (*shape, 1)
-    assert np.abs(made.image - waves(shape, OBLIQUE)[..., :1]).max() < 0.1

@@ -14,9 +14,8 @@ from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import Run
-from nrbench.runs.store import FAILED
 
-from .comparison import describe_scores, headline_columns
+from .comparison import count_statuses, describe_scores, headline_columns
 from .estimates import Estimate, means_over_textures, paired_differences
 from .format import format_interval, format_number, format_signed, pluralize
 from .verdicts import method_label, tabulate_cells
@@ -34,6 +33,8 @@ PRESERVED = "preserved"
 """The score that is 1 where the lattice is preserved, and 0 where it is lost or the cell failed or was refused."""
 COSTS = ("seconds", "peak_mib")
 """Costs of a method. They depend on the machine, so they are no reason to fail unless they are named."""
+HEADS = ("method", "score", "first", "second", "difference", "textures", "change")
+"""The headings of the table of changes."""
 LEGEND = (
     "Differences are second minus first, paired by texture and draw: means over the textures that both runs have, with "
     "95 % intervals over these textures. Better or worse: the interval excludes zero. One test in twenty does so by "
@@ -51,8 +52,8 @@ class Change:
         The method with its lattice source.
     reference
         Whether it is a reference method.
-    score, column
-        Name of the score, and its declaration.
+    score
+        Name of the score.
     before, after
         Means over the textures of both runs that have a value in each.
     difference
@@ -65,7 +66,6 @@ class Change:
     method: str
     reference: bool
     score: str
-    column: Column
     before: float | None
     after: float | None
     difference: Estimate
@@ -73,27 +73,15 @@ class Change:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the change for JSON."""
-        one = self.difference
-        return {
-            "method": self.method,
-            "reference": self.reference,
-            "score": self.score,
-            "before": self.before,
-            "after": self.after,
-            "difference": one.value,
-            "low": one.low,
-            "high": one.high,
-            "textures": one.n,
-            "state": self.state,
-        }
+        difference = self.difference.columns("difference", parts=("low", "high"))
+        return {**vars(self), **difference, "textures": self.difference.n}
 
     @property
     def cells(self) -> list[str]:
         """The change as the texts of a table's row."""
-        one = self.difference
-        gap = f"{format_signed(one.value)} {format_interval(one)}".strip()
+        gap = f"{format_signed(self.difference.value)} {format_interval(self.difference)}".strip()
         numbers = (format_number(self.before), format_number(self.after))
-        return [self.method, self.score, *numbers, gap, str(one.n), WORDS[self.state]]
+        return [self.method, self.score, *numbers, gap, str(self.difference.n), WORDS[self.state]]
 
 
 @dataclass(frozen=True)
@@ -111,7 +99,7 @@ class RunChanges:
     only_first, only_second
         Methods that only one of the runs has.
     counts
-        For each method of both runs how its cells ended: ``ok``, ``refused``, ``failed`` and ``missing``, in the first
+        For each method of both runs how its cells ended: ``ok``, ``refused``, ``missing`` and ``failed``, in the first
         and in the second run.
     pairs, equal_samples
         Number of cells of the second run that the first one has, too, and how many of them have the same sample.
@@ -133,18 +121,17 @@ class RunChanges:
     @property
     def worse(self) -> list[Change]:
         """The changes for the worse of methods that are no references; costs only if the caller named them."""
-        counted = (one for one in self.changes if self.named or one.score not in COSTS)
-        return [one for one in counted if one.state == "worse" and not one.reference]
+        counted = (change for change in self.changes if self.named or change.score not in COSTS)
+        return [change for change in counted if change.state == "worse" and not change.reference]
 
     @property
     def newly_failed(self) -> list[str]:
         """The methods of which more cells fail or are refused in the second run."""
-        bad = ("refused", "failed", "missing")
-        return [
-            method
-            for method, (before, after) in self.counts.items()
-            if sum(after[word] for word in bad) > sum(before[word] for word in bad)
-        ]
+
+        def bad(counts: Mapping[str, int]) -> int:
+            return counts["refused"] + counts["failed"] + counts["missing"]
+
+        return [method for method, (before, after) in self.counts.items() if bad(after) > bad(before)]
 
     def below(self, score: str, limit: float) -> dict[str, float]:
         """Return the methods of the second run whose mean of a score is below a limit, with their means.
@@ -159,16 +146,10 @@ class RunChanges:
         return {method: value for method, value in self.means[score].items() if not value >= limit}
 
     @property
-    def heads(self) -> list[str]:
-        """The headings of the table."""
-        return ["method", "score", "first", "second", "difference", "textures", "change"]
-
-    @property
     def notes(self) -> list[str]:
         """What the table does not say: methods of one run, failures, other samples."""
-        lines = [f"only in {self.first.root}: {', '.join(self.only_first)}"] if self.only_first else []
-        if self.only_second:
-            lines.append(f"only in {self.second.root}: {', '.join(self.only_second)}")
+        alone = ((self.first, self.only_first), (self.second, self.only_second))
+        lines = [f"only in {run.root}: {', '.join(methods)}" for run, methods in alone if methods]
         for method, (before, after) in self.counts.items():
             if before != after:
                 lines.append(f"{method}: {_count_text(before)} in the first run, {_count_text(after)} in the second")
@@ -183,10 +164,11 @@ class RunChanges:
         lines = []
         if not self.pairs:
             lines.append("the runs have no method on the same texture and draw in common: there is nothing to compare")
-        versions = [run.info.get("results_version") for run in (self.first, self.second)]
-        if versions[0] != versions[1]:
-            known = f"{versions[0]} and {versions[1]}"
-            lines.append(f"the runs were made by results versions {known}, whose scores are not comparable")
+        first, second = (run.info.get("results_version") for run in (self.first, self.second))
+        if first != second:
+            lines.append(
+                f"the runs were made by results versions {first} and {second}, whose scores are not comparable"
+            )
         return lines
 
     def as_dict(self) -> dict[str, Any]:
@@ -219,78 +201,61 @@ def compare_runs(first: Run, second: Run, scores: Sequence[str] = ()) -> RunChan
     BadInput
         For a score that neither run has.
     """
-    columns = {
-        **describe_scores(first),
-        **describe_scores(second),
-        **headline_columns(first),
-        **headline_columns(second),
-    }
+    headlines = headline_columns(second) | headline_columns(first)
+    columns = describe_scores(first) | describe_scores(second) | headlines
     columns[PRESERVED] = Column("Whether the lattice is preserved; failures and refusals count as no.", better="higher")
-    usual = dict.fromkeys([*headline_columns(second), *headline_columns(first)])
-    chosen = list(scores) or [name for name in usual if name != "seconds"] + [PRESERVED, "seconds"]
-    for name in chosen:
-        if name not in columns:
-            raise BadInput(f"score {name!r} is not known{nearest(name, columns)}")
-    tables = [_tabulate(run, chosen) for run in (first, second)]
-    labels = [list(dict.fromkeys(table["label"])) for table in tables]
-    common = [label for label in labels[0] if label in labels[1]]
-    changes = [
-        change
-        for label in common
-        for change in _changes(label, *(_rows_of(table, label) for table in tables), scores=chosen, columns=columns)
-    ]
-    hashes = [_sample_hashes(run) for run in (first, second)]
-    both = hashes[0].keys() & hashes[1].keys()
-    own = tables[1][~tables[1]["reference"]]
-    by_method = {label: means_over_textures(rows, chosen) for label, rows in own.groupby("label", sort=False)}
+    chosen = list(scores) or [name for name in headlines if name != "seconds"] + [PRESERVED, "seconds"]
+    if unknown := [name for name in chosen if name not in columns]:
+        raise BadInput(f"score {unknown[0]!r} is not known{nearest(unknown[0], columns)}")
+    before, after = ({str(label): rows for label, rows in _tabulate(run, chosen)} for run in (first, second))
+    common = [label for label in before if label in after]
+    samples, others = (_sample_hashes(run) for run in (first, second))
+    both = samples.keys() & others.keys()
+    contestants = {label: rows for label, rows in after.items() if not rows["reference"].any()}
+    means = {label: means_over_textures(rows, chosen) for label, rows in contestants.items()}
     return RunChanges(
         first,
         second,
-        changes,
-        {name: {str(label): _number(means[name].value) for label, means in by_method.items()} for name in chosen},
-        [label for label in labels[0] if label not in labels[1]],
-        [label for label in labels[1] if label not in labels[0]],
-        {label: (_count(tables[0], label), _count(tables[1], label)) for label in common},
+        [change for label in common for change in _changes(label, before[label], after[label], columns, chosen)],
+        {name: {label: _number(means[label][name].value) for label in means} for name in chosen},
+        [label for label in before if label not in after],
+        [label for label in after if label not in before],
+        {label: (_count(before[label]), _count(after[label])) for label in common},
         len(both),
-        sum(hashes[0][pair] == hashes[1][pair] for pair in both),
+        sum(samples[pair] == others[pair] for pair in both),
         bool(scores),
     )
 
 
-def _tabulate(run: Run, scores: Sequence[str]) -> pd.DataFrame:
-    """Return the table of cells with the preserved lattices as numbers, and NaN for scores that the run lacks."""
+def _tabulate(run: Run, scores: Sequence[str]) -> Any:
+    """Return the cells by method, with the preserved lattices as numbers, and NaN for scores that the run lacks."""
     table = tabulate_cells(run)
     known = table["verdict"].map({"preserved": 1.0, "lost": 0.0, "failed": 0.0, "refused": 0.0})
     table[PRESERVED] = known.astype(float).where(table["applicable"].astype(bool))
     for name in scores:
         if name not in table:
             table[name] = np.nan
-    return table
-
-
-def _rows_of(table: pd.DataFrame, label: str) -> pd.DataFrame:
-    return table[table["label"] == label]
+    return table.groupby("label", sort=False)
 
 
 def _changes(
-    label: str, before: pd.DataFrame, after: pd.DataFrame, *, scores: Sequence[str], columns: Mapping[str, Column]
+    label: str, before: pd.DataFrame, after: pd.DataFrame, columns: Mapping[str, Column], scores: Sequence[str]
 ) -> list[Change]:
     """Return the change of each score of one method that has a value in any of the runs."""
     reference = bool(before["reference"].any() or after["reference"].any())
-    on = ["texture", "replicate"]
-    both = before[[*on, *scores]].merge(after[[*on, *scores]], on=on, suffixes=("_before", "_after"))
+    both = before.merge(after, on=["texture", "replicate"], suffixes=("_before", "_after"))
     differences = paired_differences(after, before, scores)
     merits = paired_differences(_merit(after, scores, columns), _merit(before, scores, columns), scores)
     found = []
     for name in scores:
+        if before[name].isna().all() and after[name].isna().all():
+            continue
         pair = both[["texture", f"{name}_before", f"{name}_after"]].dropna()
-        means = pair.groupby("texture", sort=False)[[f"{name}_before", f"{name}_after"]].mean().mean()
+        means = pair.groupby("texture", sort=False).mean().mean()
         equal = len(pair) > 0 and bool((pair[f"{name}_before"] == pair[f"{name}_after"]).all())
         state = "same" if equal else _state(merits[name], columns[name])
         values = [None if math.isnan(value) else float(value) for value in means]
-        if pair.empty and before[name].isna().all() and after[name].isna().all():
-            continue
-        found.append(Change(label, reference, name, columns[name], values[0], values[1], differences[name], state))
+        found.append(Change(label, reference, name, values[0], values[1], differences[name], state))
     return found
 
 
@@ -314,10 +279,8 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _count(table: pd.DataFrame, label: str) -> dict[str, int]:
-    status = table.loc[table["label"] == label, "status"]
-    named = {word: int((status == word).sum()) for word in ("ok", "refused", "missing")}
-    return {**named, "failed": int(status.isin(FAILED).sum())}
+def _count(cells: pd.DataFrame) -> dict[str, int]:
+    return {word: count for word, count in count_statuses(cells["status"]).items() if word != "cells"}
 
 
 def _count_text(counts: Mapping[str, int]) -> str:

@@ -4,39 +4,23 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-if TYPE_CHECKING:
-    from nrbench.api import Sheet
-    from nrbench.imaging.convert import Image
-    from nrbench.lattice.geometry import Lattice
+from nrbench import plugins
+from nrbench.api import Sheet, as_lattice, changed, detect_lattice, score, synthesize
+from nrbench.cli.options import check_output, split_names
+from nrbench.cli.progress import live_progress, waiting
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image
+from nrbench.imaging.files import read_image, write_image
+from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.relation import relate
+from nrbench.plugins.forms import NoLatticeFound
+from nrbench.plugins.parameters import nearest, parse_size, parse_spec
+from nrbench.running.output_checks import is_picture
 
 _PATH = click.Path(path_type=Path)
-
-
-def check_output(path: Path) -> None:
-    """Raise :class:`~nrbench.errors.BadInput` unless a picture can be written to ``path``.
-
-    A temporary file is made beside it, because the rights of a directory do not tell whether its file system takes
-    files.
-    """
-    import tempfile
-
-    from nrbench.errors import BadInput
-
-    if path.suffix.lower() != ".png":
-        raise BadInput(f"{path}: outputs are PNG; end the name in .png")
-    if not path.absolute().parent.is_dir():
-        raise BadInput(f"{path}: its directory does not exist; make it first")
-    if path.is_dir():
-        raise BadInput(f"{path}: is a directory; give the name of a file")
-    try:
-        with tempfile.TemporaryFile(dir=path.absolute().parent):
-            pass
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be written: {error.strerror or error}; choose another directory") from None
 
 
 @click.command("synth")
@@ -52,14 +36,6 @@ def check_output(path: Path) -> None:
 @click.option("-o", "--output", required=True, type=_PATH, metavar="OUT.png", help="The output.")
 def synth_command(image: Path, method: str, size: str, lattice: str | None, seed: int, output: Path) -> None:
     """Synthesize a texture of any size from IMAGE."""
-    from nrbench import plugins
-    from nrbench.api import synthesize
-    from nrbench.cli.progress import waiting
-    from nrbench.errors import BadInput
-    from nrbench.imaging.files import read_image, write_image
-    from nrbench.plugins.parameters import parse_size, parse_spec
-    from nrbench.running.output_checks import is_picture
-
     name, parameters = parse_spec(method)
     check_output(output)
     if output.resolve() == image.resolve():
@@ -86,13 +62,6 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
     BadInput
         If the text is neither, or the detector finds no lattice.
     """
-    from nrbench import plugins
-    from nrbench.api import as_lattice, detect_lattice
-    from nrbench.cli.progress import waiting
-    from nrbench.errors import BadInput
-    from nrbench.plugins.forms import NoLatticeFound
-    from nrbench.plugins.parameters import nearest, parse_spec
-
     if text is None or "," in text.partition(":")[0]:
         return as_lattice(text)
     name, parameters = parse_spec(text)
@@ -110,11 +79,6 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
 
 def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
     """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
-    from nrbench.api import detect_lattice
-    from nrbench.cli.progress import waiting
-    from nrbench.lattice.relation import relate
-    from nrbench.plugins.forms import NoLatticeFound
-
     try:
         with waiting("consensus checks the lattice"):
             found = detect_lattice(sample).lattice
@@ -155,17 +119,12 @@ def score_command(
     Print whether the lattice is preserved, the quality, and its three parts: the regularity, the integrity and the
     randomness. --all prints all scores.
     """
-    from nrbench.api import score
-    from nrbench.cli.progress import live_progress
-    from nrbench.errors import BadInput
-    from nrbench.imaging.files import read_image
-
     if metrics and every:
         raise BadInput("--metrics and --all: choose one of them")
     pictures = read_image(sample), read_image(output)
     given = _given_lattice(pictures[0], lattice)
     brief = not (metrics or every or as_json)
-    names = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES)) if brief else _split(metrics)
+    names = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES)) if brief else split_names(metrics)
     with live_progress(patience=True) as progress:
         sheet = score(*pictures, given, names, progress)
     if as_json:
@@ -179,10 +138,6 @@ def score_command(
         print(f"{', '.join(missing)}: {reason}")
     if brief:
         print(f"{len(sheet.values) - len(first)} more scores of these metrics, and the other metrics: --all")
-
-
-def _split(names: str | None) -> list[str]:
-    return [name.strip() for name in (names or "").split(",") if name.strip()]
 
 
 def _verdict_line(sheet: Sheet) -> str:
@@ -225,7 +180,6 @@ def render_command(
     The command also writes truth.csv, truth.json and a contact sheet to DIR. It keeps pictures of an earlier render,
     and draws a picture of the same name again.
     """
-    from nrbench.api import changed
     from nrbench.suites.plan import draw_samples
     from nrbench.suites.rendering import model_suite, write_textures
     from nrbench.suites.suite import builtin, load_suite

@@ -1,0 +1,533 @@
+"""Compare scores with what papers say: the claims of a suite, and the published verdicts of the report of 2004.
+
+A claim is a sentence of a paper, tested on the scores of a run. The published verdicts are tables 2 and 3 of the
+report. The textures of a run are analogues of its figures: they were drawn from the descriptions. Rates over many
+figures can be compared. A single figure cannot, so the agreement by figure is shown beside the agreement that chance
+reaches.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from nrbench.errors import BadInput
+from nrbench.plugins.forms import Column
+from nrbench.runs.records import Run
+from nrbench.streams import stream
+from nrbench.suites.claims import Claim, Expectation, Series
+from nrbench.suites.plan import PlannedMethod
+from nrbench.suites.suite import validated_suite
+
+from .comparison import Comparison, Method
+from .estimates import (
+    Estimate,
+    estimate_mean,
+    estimate_rate,
+    kappa,
+    means_over_textures,
+    paired_differences,
+    success_rate,
+)
+from .verdicts import PRESERVED, QUALITY, RANKING, tabulate_cells
+
+_WORDS = {"less": "less than", "greater": "greater than", "equal": "equal to"}
+SENTENCE = (
+    "The textures are analogues, not the report's images: they were drawn from the descriptions of its figures. "
+    "They are a fixed list and no sample of a population of textures."
+)
+GROUPS: Mapping[str, tuple[int, int, tuple[str, ...]]] = {
+    "figures 3-7": (3, 7, ("graph-cuts", "tile-set", "regularized-patch", "patch-based")),
+    "figures 8-29": (8, 29, ("graph-cuts", "tile-set", "regularized-patch", "patch-based")),
+    "figures 8-45": (8, 45, ("graph-cuts", "tile-set")),
+    "six figures": (16, 36, ("quilting",)),
+}
+"""The figures on which the report ran methods: the first, the last, and the methods that ran on all of them. Image
+quilting ran on six of the figures 16 to 36."""
+LATTICES: Mapping[str, tuple[str, ...]] = {
+    "tile-set": ("own", "given"),
+    "regularized-patch": ("given", "own"),
+}
+"""The sources of the lattice as in the report, preferred one first: tile-set found its own, and the user drew that of
+the regularized patch-based method."""
+_SHUFFLES = 2000
+
+
+@dataclass(frozen=True)
+class ClaimSeries:
+    """The means of one series of a claim, one for each level."""
+
+    name: str
+    levels: Sequence[float]
+    methods: Sequence[str]
+    estimates: Sequence[Estimate]
+
+
+@dataclass(frozen=True)
+class ExpectationResult:
+    """What the scores show of one expectation.
+
+    Parameters
+    ----------
+    words
+        The expectation as a sentence.
+    difference
+        The first number minus the second, with a 95 % interval over textures.
+    outcome
+        ``held``, ``failed`` or ``undecided``.
+    """
+
+    words: str
+    difference: Estimate
+    outcome: str
+
+
+@dataclass(frozen=True)
+class ClaimResult:
+    """A claim with its measured scores.
+
+    Parameters
+    ----------
+    claim
+        The claim.
+    series, expectations
+        Its series and expectations, measured.
+    column
+        The declaration of its score; None if the run does not have the score.
+    """
+
+    claim: Claim
+    series: Sequence[ClaimSeries]
+    expectations: Sequence[ExpectationResult]
+    column: Column | None = None
+
+    @property
+    def score_with_unit(self) -> str:
+        """The name of the score, and its unit if it has one."""
+        return f"{self.claim.score}, {self.column.unit}" if self.column and self.column.unit else self.claim.score
+
+    @property
+    def outcome(self) -> str:
+        """``failed`` if any expectation failed, ``held`` if all held, else ``undecided``."""
+        outcomes = {test.outcome for test in self.expectations}
+        return "failed" if "failed" in outcomes else "held" if outcomes == {"held"} else "undecided"
+
+
+def evaluate_claims(run: Run) -> list[ClaimResult]:
+    """Return the claims of a run's suite with what the scores show of them; none if the suite has no claims.
+
+    A mean over textures has Wilson's interval for ``regularity.preserved``, else a bootstrap interval. A difference of
+    two series, or of two levels, is paired by texture and replicate; by family and replicate if the two have no
+    texture in common, for example where the levels are sizes of the output.
+    """
+    content = run.info.get("suite", {}).get("content", {})
+    if not content.get("claim"):
+        return []
+    suite = validated_suite(content, "suite")
+    cells = tabulate_cells(run).assign(
+        method=[record.method for record in run.cells],
+        family=[record.family or record.texture for record in run.cells],
+    )
+    return [_evaluate(claim, cells, run.columns.get(claim.score)) for claim in suite.claim]
+
+
+def _evaluate(claim: Claim, cells: pd.DataFrame, column: Column | None) -> ClaimResult:
+    """Measure a claim; failures and refusals have the worst score."""
+    name = RANKING if claim.score == QUALITY and RANKING in cells else claim.score
+    values = cells[name] if name in cells else pd.Series(float("nan"), cells.index)
+    if claim.score == PRESERVED:
+        values = values.mask(cells["verdict"].isin(["failed", "refused"]), 0.0)
+    cells = cells.assign(value=values)
+    series = [
+        ClaimSeries(
+            line.name,
+            line.levels,
+            [line.method_at(level) for level in line.levels],
+            [_estimate(claim, _select(claim, line, level, cells)) for level in line.levels],
+        )
+        for line in claim.series
+    ]
+    return ClaimResult(claim, series, [_test(claim, expected, cells) for expected in claim.expect], column)
+
+
+def _select(claim: Claim, series: Series, level: float, cells: pd.DataFrame) -> pd.DataFrame:
+    """Return the cells of a series at a level; none if its method is not installed."""
+    try:
+        label = PlannedMethod.parse(series.method_at(level)).label
+    except BadInput:
+        return cells.iloc[:0]
+    textures = cells["texture"].map(lambda name: claim.uses(series, level, name))
+    return cells[textures.astype(bool) & cells["method"].eq(label)]
+
+
+def _estimate(claim: Claim, cells: pd.DataFrame) -> Estimate:
+    if cells.empty:
+        return Estimate(None)
+    return success_rate(cells) if claim.score == PRESERVED else means_over_textures(cells, ["value"])["value"]
+
+
+def _test(claim: Claim, expected: Expectation, cells: pd.DataFrame) -> ExpectationResult:
+    lines = {series.name: series for series in claim.series}
+    first = _select(claim, lines[expected.series], expected.at, cells)
+    words = f"{expected.series} at {expected.at:g} is {_WORDS[expected.relation]} "
+    if expected.value is not None:
+        difference = _subtract(_estimate(claim, first), expected.value)
+        words += f"{expected.value:g}"
+    else:
+        name = expected.other or expected.series
+        level = expected.at if expected.other_at is None else expected.other_at
+        difference = _difference(first, _select(claim, lines[name], level, cells))
+        words += f"{name} at {level:g}"
+    if expected.relation == "equal":
+        words += f", within {expected.margin:g}"
+    return ExpectationResult(words, difference, _outcome(expected, difference))
+
+
+def _subtract(mean: Estimate, value: float) -> Estimate:
+    """Return an estimate less a number."""
+    known, low, high = (None if end is None else end - value for end in (mean.value, mean.low, mean.high))
+    return Estimate(known, low, high, mean.n, mean.of)
+
+
+def _difference(first: pd.DataFrame, second: pd.DataFrame) -> Estimate:
+    if first.empty or second.empty:
+        return Estimate(None)
+    if not set(first["texture"]) & set(second["texture"]):
+        first, second = first.assign(texture=first["family"]), second.assign(texture=second["family"])
+    return paired_differences(first, second, ["value"])["value"]
+
+
+def _outcome(expected: Expectation, difference: Estimate) -> str:
+    """Return whether the interval of a difference lies where the expectation puts it, elsewhere, or on both sides."""
+    if difference.ends is None:
+        return "undecided"
+    low, high = difference.ends
+    if expected.relation == "equal":
+        margin = expected.margin
+        held, failed = -margin <= low and high <= margin, low > margin or high < -margin
+    else:
+        held, failed = (high < 0, low > 0) if expected.relation == "less" else (low > 0, high < 0)
+    return "held" if held else "failed" if failed else "undecided"
+
+
+def claims_table(results: Sequence[ClaimResult]) -> pd.DataFrame:
+    """Return one row a claim, series and level: the mean with its interval."""
+    rows = [
+        {
+            **{"claim": result.claim.name, "score": result.claim.score, "axis": result.claim.axis},
+            **{"series": series.name, "level": level, "method": method},
+            **estimate.columns("mean"),
+        }
+        for result in results
+        for series in result.series
+        for level, method, estimate in zip(series.levels, series.methods, series.estimates, strict=True)
+    ]
+    return pd.DataFrame(rows)
+
+
+def claim_tests_table(results: Sequence[ClaimResult]) -> pd.DataFrame:
+    """Return one row an expectation: the claim, its quote and outcome, the difference with its interval."""
+    rows = [
+        {
+            **{"claim": result.claim.name, "source": result.claim.source, "quote": result.claim.quote},
+            **{"claim_outcome": result.outcome, "expectation": test.words, "outcome": test.outcome},
+            **test.difference.columns("difference", parts=("low", "high", "n")),
+        }
+        for result in results
+        for test in result.expectations
+    ]
+    return pd.DataFrame(rows)
+
+
+@dataclass(frozen=True)
+class PublishedFigure:
+    """One figure of the report (tables 2 and 3).
+
+    Parameters
+    ----------
+    number, description
+        As printed.
+    kind
+        Class of the texture: brick, woven, tiles, motif or damaged. The class is ours, made from the description.
+    verdicts
+        ``preserved`` or ``lost`` by method; a method that the report did not run on this figure is absent.
+    """
+
+    number: int
+    description: str
+    kind: str
+    verdicts: Mapping[str, str]
+
+
+@cache
+def read_published() -> tuple[PublishedFigure, ...]:
+    """Return the verdicts of the report's tables 2 and 3, in the order of the figures."""
+    text = files(__package__).joinpath("published_verdicts.csv").read_text("utf-8")
+    return tuple(
+        PublishedFigure(
+            int(row.pop("figure")),
+            row.pop("description"),
+            row.pop("class"),
+            {method: word for method, word in row.items() if word},
+        )
+        for row in csv.DictReader(text.splitlines())
+    )
+
+
+@dataclass(frozen=True)
+class FigureRow:
+    """One figure: the published verdict and the measured share of each method.
+
+    Parameters
+    ----------
+    figure
+        The figure.
+    texture
+        Name of the analogue.
+    measured
+        Share of the replicates that preserve the lattice, for each method of the comparison; None without a verdict.
+    """
+
+    figure: PublishedFigure
+    texture: str
+    measured: Sequence[float | None]
+
+
+@dataclass(frozen=True)
+class RateRow:
+    """The published and the measured success rate of a method over the same figures.
+
+    Parameters
+    ----------
+    group
+        A key of :data:`GROUPS`.
+    method
+        The method as measured.
+    published
+        The published rate over all figures of the group, with its interval: a bootstrap over figures, or Wilson's
+        interval if all figures agree.
+    same, measured
+        The published and the measured rate over the figures with a measured verdict, with such intervals.
+    difference
+        Measured minus published over these figures, with a bootstrap interval over figures.
+    """
+
+    group: str
+    method: Method
+    published: Estimate
+    same: Estimate
+    measured: Estimate
+    difference: Estimate
+
+
+@dataclass(frozen=True)
+class ClassRow:
+    """The agreement of measured with published verdicts on one class of textures.
+
+    Parameters
+    ----------
+    kind
+        The class; "all" for all figures.
+    pairs
+        Number of published verdicts with a measured one.
+    agreement
+        Mean over figures of the share of agreeing verdicts, with a bootstrap interval over figures.
+    """
+
+    kind: str
+    pairs: int
+    agreement: Estimate
+
+
+@dataclass(frozen=True)
+class PublishedComparison:
+    """A run beside the report of 2004.
+
+    Parameters
+    ----------
+    methods
+        The methods that the report ran and the run has.
+    figures
+        The figures of which the run has an analogue.
+    rates, classes
+        Rates over groups of figures, and the agreement by class of texture.
+    kappa
+        Cohen's kappa of measured and published verdicts, figure by figure; None if it does not exist. A share of
+        one half or more counts as preserved.
+    chance
+        Mean and 95th percentile of kappa if the published verdicts are paired at random with measured ones of figures
+        of the same description; None if kappa does not exist.
+    """
+
+    methods: Sequence[Method]
+    figures: Sequence[FigureRow]
+    rates: Sequence[RateRow]
+    classes: Sequence[ClassRow]
+    kappa: float | None
+    chance: tuple[float, float] | None
+
+    def table(self, regular: bool) -> list[FigureRow]:
+        """Return the rows of table 2 (regular textures, figures 3 to 7) or of table 3 (figures 8 to 45)."""
+        return [row for row in self.figures if (row.figure.number <= 7) == regular]
+
+
+def compare_with_published(run: Run, comparison: Comparison) -> PublishedComparison | None:
+    """Compare a run with the report; None if it has no analogue of a figure, or none of the report's methods.
+
+    Parameters
+    ----------
+    run
+        The run. The rows of its suite say which texture is the analogue of which figure.
+    comparison
+        The comparison of the run, which gives the methods.
+    """
+    rows = run.info.get("suite", {}).get("content", {}).get("texture", [])
+    names = {row["figure"]: row["name"] for row in rows if row.get("figure")}
+    ran = dict.fromkeys(method for figure in read_published() for method in figure.verdicts)
+    methods = [found for name in ran if (found := _find_method(name, comparison.methods)) is not None]
+    known = [figure for figure in read_published() if figure.number in names]
+    if not known or not methods:
+        return None
+    cells = tabulate_cells(run)
+    shares = [_measured_shares(cells[cells["label"] == method.label]) for method in methods]
+    figures = [
+        FigureRow(figure, names[figure.number], [own.get(names[figure.number]) for own in shares]) for figure in known
+    ]
+    pairs = _pair_verdicts(figures, methods)
+    observed, chance = _compare_cells(pairs)
+    return PublishedComparison(
+        methods=methods,
+        figures=figures,
+        rates=[
+            _compare_rates(group, method, part)
+            for group, (first, last, names_of_group) in GROUPS.items()
+            for method in methods
+            if method.base in names_of_group
+            and not (part := pairs[pairs["number"].between(first, last) & pairs["method"].eq(method.base)]).empty
+        ],
+        classes=[
+            _class_agreement(kind, figures, pairs) for kind in [*dict.fromkeys(figure.kind for figure in known), "all"]
+        ],
+        kappa=observed,
+        chance=chance,
+    )
+
+
+def _find_method(name: str, methods: Sequence[Method]) -> Method | None:
+    """Return the column of a method, with default parameters and the report's source of the lattice if it exists."""
+    sources = LATTICES.get(name, ())
+
+    def preference(method: Method) -> tuple[bool, int]:
+        source = method.lattice_source
+        return method.name != name, sources.index(source) if source in sources else len(sources)
+
+    return min((method for method in methods if method.base == name), key=preference, default=None)
+
+
+def _measured_shares(cells: pd.DataFrame) -> dict[str, float]:
+    """Return the share of preserved replicates by texture; failures and refusals count as lost."""
+    decided = cells[cells["verdict"].isin(["preserved", "lost", "failed", "refused"])]
+    shares = decided["verdict"].eq("preserved").groupby(decided["texture"]).mean()
+    return {str(texture): float(share) for texture, share in shares.items()}
+
+
+def _pair_verdicts(figures: Sequence[FigureRow], methods: Sequence[Method]) -> pd.DataFrame:
+    """Return one row a published verdict: figure, class, method, 1 if it is preserved, and the measured share."""
+    rows = [
+        [row.figure.number, row.figure.kind, row.figure.description, method.base, float(word == "preserved"), share]
+        for row in figures
+        for method, share in zip(methods, row.measured, strict=True)
+        if (word := row.figure.verdicts.get(method.base))
+    ]
+    pairs = pd.DataFrame(rows, columns=["number", "class", "description", "method", "published", "measured"])
+    return pairs.astype({"measured": float})
+
+
+def _compare_rates(group: str, method: Method, pairs: pd.DataFrame) -> RateRow:
+    same, of = pairs.dropna(), len(pairs)
+    return RateRow(
+        group=group,
+        method=method,
+        published=estimate_rate(pairs["published"], of),
+        same=estimate_rate(same["published"], of),
+        measured=estimate_rate(same["measured"], of),
+        difference=estimate_mean(same["measured"] - same["published"], of),
+    )
+
+
+def _class_agreement(kind: str, figures: Sequence[FigureRow], pairs: pd.DataFrame) -> ClassRow:
+    known = pairs[pairs["class"].eq(kind) | (kind == "all")].dropna()
+    means = (1 - (known["published"] - known["measured"]).abs()).groupby(known["number"]).mean()
+    of = sum(kind in (row.figure.kind, "all") for row in figures)
+    return ClassRow(kind, len(known), estimate_mean(means, of))
+
+
+def _compare_cells(pairs: pd.DataFrame) -> tuple[float | None, tuple[float, float] | None]:
+    """Return kappa figure by figure, and its mean and 95th percentile under random pairing within a description."""
+    known = pairs.dropna()
+    published, measured = known["published"].to_numpy() > 0, known["measured"].to_numpy() >= 0.5
+    observed = float(_kappa_of(published, measured))
+    if not np.isfinite(observed):
+        return None, None
+    rng = stream("bootstrap", "published")
+    stratum = known.groupby(["description", "method"], sort=False).ngroup().to_numpy()
+    groups = [np.flatnonzero(stratum == i) for i in range(stratum.max() + 1)]
+    shuffled = np.empty((_SHUFFLES, len(known)), bool)
+    for row in shuffled:
+        for group in groups:
+            row[group] = published[rng.permutation(group)]
+    values = _kappa_of(shuffled, measured)
+    values = values[np.isfinite(values)]
+    return observed, (float(values.mean()), float(np.quantile(values, 0.95)))
+
+
+def _kappa_of(published: NDArray[np.bool_], measured: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return Cohen's kappa of published verdicts, ``(..., n)``, with the measured ones, ``(n,)``."""
+    first, second = (np.stack([words, ~words], -1).astype(float) for words in (published, measured))
+    return kappa(np.einsum("...ni,nj->...ij", first, second))
+
+
+def published_table(published: PublishedComparison) -> pd.DataFrame:
+    """Return one row a figure and method: the published verdict and the measured share of preserved replicates."""
+    rows = [
+        {
+            **{"figure": row.figure.number, "description": row.figure.description, "class": row.figure.kind},
+            **{"texture": row.texture, "method": method.name, "lattice_source": method.lattice_source},
+            **{"published": row.figure.verdicts.get(method.base), "measured_share": share},
+        }
+        for row in published.figures
+        for method, share in zip(published.methods, row.measured, strict=True)
+    ]
+    return pd.DataFrame(rows)
+
+
+def published_rates_table(published: PublishedComparison) -> pd.DataFrame:
+    """Return one row a group of figures and method: published and measured rates, and their difference."""
+    parts = ("published", "same", "measured", "difference")
+    rows = []
+    for rate in published.rates:
+        row = {"figures": rate.group, "method": rate.method.name, "lattice_source": rate.method.lattice_source}
+        for part in parts:
+            row |= getattr(rate, part).columns(part, f"{part}_", ("low", "high", "n"))
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def published_classes_table(published: PublishedComparison) -> pd.DataFrame:
+    """Return one row a class of textures: the agreement with its interval; kappa and its chance on the last row."""
+    rows = [
+        {"class": row.kind, "pairs": row.pairs, **row.agreement.columns("agreement", parts=("low", "high", "n"))}
+        for row in published.classes
+    ]
+    table = pd.DataFrame(rows).rename(columns={"n": "figures"})
+    chance = published.chance or (None, None)
+    for name, value in {"kappa": published.kappa, "chance_mean": chance[0], "chance_95": chance[1]}.items():
+        table[name] = pd.Series([value], [len(table) - 1], dtype=object)
+    return table
