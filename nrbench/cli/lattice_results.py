@@ -141,16 +141,7 @@ class LatticeResult:
         return texts
 
 
-<<<<<<< HEAD
-def _of_alternative(candidate: Alternative) -> Result:
-=======
-def _notes(candidate: Alternative) -> str:
-    """Return how a candidate relates to the chosen lattice, and its role."""
-    return ", ".join(filter(None, (candidate.relation, candidate.role and f"{candidate.role} lattice")))
-
-
 def _of_alternative(candidate: Alternative) -> LatticeResult:
->>>>>>> main
     """Return a result without a detector, for the forms of its vectors."""
     return LatticeResult("", candidate.lattice, has_origin=candidate.has_origin)
 
