@@ -2,7 +2,7 @@
 
 import lazy_loader
 
-from nrbench.checkout import add_plugin_folders
+from nrbench.source_tree import add_plugin_folders
 
 add_plugin_folders(__path__)
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -13,13 +13,6 @@ import pandas as pd
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
-from .statistics.comparison import (
-    Comparison,
-    compare_methods,
-    describe_scores,
-    perils_points,
-    perils_table,
-)
 from .statistics.detections import detectors_table, tabulate_answers
 from .statistics.expectations import (
     claim_tests_table,
@@ -31,7 +24,9 @@ from .statistics.expectations import (
     published_table,
 )
 from .statistics.levels import breaking_points_table, compare_levels, levels_table
+from .statistics.method_comparison import Comparison, compare_methods
 from .statistics.people import agreement_table, compare_people, labels_table
+from .statistics.summaries import describe_scores, perils_points, perils_table
 from .statistics.verdicts import QUALITY, is_valid_baseline
 
 OWN_COLUMNS: Mapping[str, str] = {

@@ -13,7 +13,8 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_bytes
 
 from .plots.picture_grid import plot_pictures
-from .statistics.comparison import Comparison, Method, TextureRow, compare_methods
+from .statistics.method_comparison import Comparison, ComparisonRow, compare_methods
+from .statistics.summaries import Method
 
 
 @dataclass(frozen=True)
@@ -71,12 +72,14 @@ class PictureGrid:
         return paths
 
 
-def choose_textures(comparison: Comparison, patterns: tuple[str, ...], methods: Sequence[Method]) -> list[TextureRow]:
+def choose_textures(
+    comparison: Comparison, patterns: tuple[str, ...], methods: Sequence[Method]
+) -> list[ComparisonRow]:
     """Return the rows that a pattern names, or the four on which the scores of the methods differ most."""
     if not patterns:
         shown = [i for i, method in enumerate(comparison.methods) if method in methods]
 
-        def spread(row: TextureRow) -> float:
+        def spread(row: ComparisonRow) -> float:
             scores = [entry.score for i in shown if (entry := row.entries[i]) and entry.score is not None]
             return max(scores) - min(scores) if scores else -1.0
 

@@ -32,18 +32,12 @@ from .plots.critical_difference import plot_ranks
 from .plots.heat_map import plot_heat_map
 from .plots.perils_plane import plot_perils_plane
 from .plots.series_plot import plot_claim, plot_levels
-from .statistics.comparison import (
-    LEADING_SIGN,
-    compare_methods,
-    describe_scores,
-    list_patch_terms,
-    other_score_rows,
-    perils_points,
-)
 from .statistics.detections import KINDS, STOCHASTIC, DetectorComparison, compare_detectors
 from .statistics.expectations import SENTENCE, compare_with_published, evaluate_claims
 from .statistics.levels import BROKEN, compare_levels
+from .statistics.method_comparison import LEADING_SIGN, compare_methods
 from .statistics.people import compare_people
+from .statistics.summaries import describe_scores, list_patch_terms, other_score_rows, perils_points
 from .statistics.verdicts import (
     BASELINE_LEGEND,
     BASELINE_SIGN,

@@ -12,7 +12,8 @@ from nrbench.errors import strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
-from .statistics.comparison import Comparison, MethodSummary, compare_methods, describe_scores
+from .statistics.method_comparison import Comparison, compare_methods
+from .statistics.summaries import MethodSummary, describe_scores
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
 from .page.environment import make_environment
-from .statistics.comparison import Comparison, SummaryRow, choose_rows, compare_methods, list_patch_terms
 from .statistics.expectations import SENTENCE, compare_with_published
+from .statistics.method_comparison import Comparison, choose_rows, compare_methods
+from .statistics.summaries import SummaryRow, list_patch_terms
 from .statistics.verdicts import BASELINE_LEGEND, SHARES_LEGEND
 
 _SPECIAL: Mapping[str, str] = {

@@ -12,7 +12,8 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
 from .page.environment import make_environment
-from .statistics.comparison import LEADING_SIGN, compare_methods, list_patch_terms
+from .statistics.method_comparison import LEADING_SIGN, compare_methods
+from .statistics.summaries import list_patch_terms
 from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, SHARES_LEGEND, count_reasons
 
 _ACTIVE = re.compile(r"([\\`*_\[\]<>|~&@#]|:(?=//)|(?<=www)\.|^[-+=])")

@@ -15,8 +15,9 @@ from .plots.critical_difference import plot_ranks
 from .plots.heat_map import plot_heat_map
 from .plots.perils_plane import plot_perils_plane
 from .plots.series_plot import plot_levels
-from .statistics.comparison import compare_methods, perils_points
 from .statistics.levels import compare_levels
+from .statistics.method_comparison import compare_methods
+from .statistics.summaries import perils_points
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,8 @@ def compare_command(
         for method, value in changes.below(name, limit).items()
     ]
     if fail_on_worse:
-        reasons += [f"{one.method}: {one.score} is worse by {abs(one.difference.value):.3g}" for one in changes.worse]
+        for change in changes.worse:
+            reasons.append(f"{change.method}: {change.score} is worse by {abs(change.difference.value):.3g}")
         reasons += [f"{method}: more cells fail or are refused" for method in changes.newly_failed]
     if as_json:
         print(json.dumps({**changes.as_dict(), "failures": reasons}, indent=1))

@@ -74,14 +74,10 @@ def show_command(name: str, as_json: bool, as_toml: bool) -> None:
         return
     pages = _pages(name)
     if not pages:
-        raise BadInput(
-            f"{name!r}: no plugin or suite has that name{nearest(name, [*_all_names(), *_scores(name), *builtin()])}"
-        )
+        known = [each for kind in plugins.FORMS for each in plugins.names(kind)]
+        near = nearest(name, [*known, *_scores(name), *builtin()])
+        raise BadInput(f"{name!r}: no plugin or suite has that name{near}")
     print(json.dumps(pages, indent=1) if as_json else "\n\n".join(_text(page) for page in pages))
-
-
-def _all_names() -> list[str]:
-    return [name for kind in plugins.FORMS for name in plugins.names(kind)]
 
 
 def _scores(name: str) -> list[str]:

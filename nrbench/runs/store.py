@@ -275,7 +275,7 @@ def _is_suite(content: Any) -> bool:
     if not isinstance(content, dict):
         return False
     metrics, rows = content.get("metrics") or [], content.get("texture", [])
-    if not isinstance(metrics, list) or not isinstance(rows, list) or not all(isinstance(one, str) for one in metrics):
+    if not (isinstance(metrics, list) and isinstance(rows, list) and all(isinstance(name, str) for name in metrics)):
         return False
     return all(isinstance(row, dict) and isinstance(row.get("name"), str) for row in rows)
 

@@ -37,10 +37,10 @@ def _check_types(cls: type, values: Mapping[str, Any]) -> None:
 
     Importing pydantic for it would slow down short commands, as ``nrbench status``.
     """
-    for one in dataclasses.fields(cls):
-        kinds = _TYPES.get(str(one.type))
-        if kinds and one.name in values and not isinstance(values[one.name], kinds):
-            raise TypeError(f"{one.name} is {values[one.name]!r}, not {one.type}")
+    for field in dataclasses.fields(cls):
+        kinds = _TYPES.get(str(field.type))
+        if kinds and field.name in values and not isinstance(values[field.name], kinds):
+            raise TypeError(f"{field.name} is {values[field.name]!r}, not {field.type}")
     for name in ("shape", "region"):
         if not all(isinstance(number, int) for number in values.get(name) or ()):
             raise TypeError(f"{name} is {values[name]!r}")

@@ -191,7 +191,7 @@ class SampleOrigin:
         try:
             model = dataclasses.replace(model, parameters=plugins.parameters_of(model.plugin()))
             uncropped = dataclasses.replace(own, shape=model.shape)
-            texture, picture = (_chosen(draw, one)(one, one.shape)[0] for one in (model, uncropped))
+            texture, picture = (_chosen(draw, recipe)(recipe, recipe.shape)[0] for recipe in (model, uncropped))
             equal = pixels_hash(texture.image) == pixels_hash(picture.image) and _has_lattice_of(texture, picture)
         except Exception:  # the recipe is of another version, or of a plugin that is not installed
             return cls(own)

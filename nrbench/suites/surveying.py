@@ -266,8 +266,10 @@ class Survey:
         try:
             detection = self._detector.detect(image)
         except NoLatticeFound as none:
-            best = tuple(replace(one, relation=REJECTED) for one in rank_candidates(none.best)[:1]) if none.best else ()
-            return SurveyedPicture(name, None, none.best.confidence if none.best else None, best, none.reason)
+            if none.best is None:
+                return SurveyedPicture(name, reason=none.reason)
+            best = replace(rank_candidates(none.best)[0], relation=REJECTED)
+            return SurveyedPicture(name, None, none.best.confidence, (best,), none.reason)
         candidates, confidence = tuple(rank_candidates(detection)), float(detection.confidence)
         if confidence < self.least:
             reason = f"confidence below {self.least:g}: choose one of the candidates"

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from nrbench.plugins.forms import Column
 
-from ..statistics.comparison import COSTS, SummaryRow
 from ..statistics.format import format_number, format_percent
+from ..statistics.summaries import COSTS, SummaryRow
 
 Scale = Callable[[float | None], float | None]
 """Maps a value to its place on an axis, from 0 to 100."""

@@ -12,10 +12,11 @@ from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 
 from ..plots.marks import DEFECTS
-from ..statistics.comparison import COSTS, Comparison, Method, TextureRow, headline_columns, sort_headlines_first
 from ..statistics.format import describe_column, format_number
+from ..statistics.method_comparison import Comparison, ComparisonRow
+from ..statistics.summaries import COSTS, Method, headline_columns, sort_headlines_first
 from ..statistics.verdicts import QUALITY, SCORE, explain_verdict, verdict
-from .lattice_overlay import LatticeOverlay, align_basis, draw_lattice
+from .lattice_overlay import LatticeOverlay, align_basis, trace_lattice
 from .pictures import PagePicture, PictureStore
 
 SAME_LATTICE = 0.05
@@ -192,7 +193,7 @@ class TextureDraw:
 class TextureSection:
     """A texture of the gallery: its row of the comparison, and its replicates."""
 
-    row: TextureRow
+    row: ComparisonRow
     draws: Sequence[TextureDraw]
 
 
@@ -324,7 +325,7 @@ def _texture_draw(
         replicate=records[0].replicate,
         sample=sample,
         scale=outputs[0].scale if outputs else 1.0,
-        truth=draw_lattice(truth, shape) if truth and sample else None,
+        truth=trace_lattice(truth, shape) if truth and sample else None,
         agreeing=[
             _method_of(record).label
             for record in records
@@ -388,7 +389,7 @@ def _output_lattice(record: CellRecord, shape: tuple[int, int]) -> LatticeOverla
         lattice = Lattice.from_dict(judged["lattice"])
         x, y = (float(value) for value in judged.get("phase") or (0.0, 0.0))
         origin = (lattice.origin[0] + x, lattice.origin[1] + y)
-        return draw_lattice(Lattice(lattice.t1, lattice.t2, origin).reduced(), shape)
+        return trace_lattice(Lattice(lattice.t1, lattice.t2, origin).reduced(), shape)
     except (KeyError, TypeError, ValueError, AttributeError):
         return None
 
@@ -422,4 +423,4 @@ def _used_lattices(records: Sequence[CellRecord], truth: Lattice | None, shape: 
         if not group[1]:
             groups.append(group)
         group[1].append(_method_of(record).label)
-    return [UsedLattice(labels, draw_lattice(align_basis(used, truth, shape), shape)) for used, labels in groups]
+    return [UsedLattice(labels, trace_lattice(align_basis(used, truth, shape), shape)) for used, labels in groups]

@@ -31,7 +31,7 @@ class LatticeOverlay:
     vectors: tuple[str, str]
 
 
-def draw_lattice(lattice: Lattice, shape: tuple[int, int]) -> LatticeOverlay:
+def trace_lattice(lattice: Lattice, shape: tuple[int, int]) -> LatticeOverlay:
     """Return the lines of a lattice along its two vectors, over an image of ``shape`` (height, width)."""
     start = _nearest_point(lattice, _middle(shape) - lattice.matrix.sum(0) / 2)
     first, second = (_line(start, start + vector) for vector in lattice.matrix)

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from ..statistics.comparison import Comparison, MethodSummary
+from ..statistics.method_comparison import Comparison
+from ..statistics.summaries import MethodSummary
 from ..statistics.verdicts import RANKING
 from .captions import choose_named, describe_unnamed, draw_captions
 from .figure_file import FAINT, GRAY, INK, SMALL, add_axes, make_figure, render_figure

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.textpath import TextPath
 
-from ..statistics.comparison import Comparison
+from ..statistics.method_comparison import Comparison
 from .figure_file import GRAY, INK, SMALL, make_figure, render_figure
 
 _ROW = 13.0
@@ -25,7 +25,7 @@ def plot_ranks(comparison: Comparison, kind: str = "svg", width: float = 5.5) ->
     Parameters
     ----------
     comparison
-        A comparison with :attr:`~nrbench.reports.statistics.comparison.Comparison.tests`.
+        A comparison with :attr:`~nrbench.reports.statistics.method_comparison.Comparison.tests`.
     kind
         The kind of file.
     width

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..statistics.comparison import Comparison, Entry
+from ..statistics.method_comparison import Comparison, Entry
 from .figure_file import GRAY, INK, add_axes, make_figure, render_figure
 
 _SIDE = 17.0

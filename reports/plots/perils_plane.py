@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ..statistics.comparison import PerilsPoint
+from ..statistics.summaries import PerilsPoint
 from ..statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, SHARES_LEGEND, method_label
 from .captions import choose_named, describe_unnamed, draw_captions
 from .figure_file import FAINT, GRAY, INK, SMALL, add_axes, make_figure, render_figure

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from nrbench.runs.records import CellRecord
 
-from ..statistics.comparison import Comparison, Method, TextureRow
+from ..statistics.method_comparison import Comparison, ComparisonRow
+from ..statistics.summaries import Method
 from ..statistics.verdicts import MARKS, verdict
 from .figure_file import GRAY, INK, add_axes, make_figure, render_figure
 from .marks import DEFECTS, worst_place
@@ -31,7 +32,7 @@ Pixels = NDArray[np.uint8]
 
 def plot_pictures(
     comparison: Comparison,
-    rows: Sequence[TextureRow],
+    rows: Sequence[ComparisonRow],
     methods: Sequence[Method],
     kind: str,
     replicate: int = 0,
@@ -60,7 +61,7 @@ def plot_pictures(
 
 def _figure(
     comparison: Comparison,
-    rows: Sequence[TextureRow],
+    rows: Sequence[ComparisonRow],
     methods: Sequence[Method],
     replicate: int,
     width: float,
@@ -97,7 +98,7 @@ def _wrap(name: str, side: float, font: float) -> str:
     return "\n".join(textwrap.wrap(name, max(6, int(side / (0.6 * font))), break_long_words=False))
 
 
-def _record(row: TextureRow, place: int, replicate: int) -> CellRecord | None:
+def _record(row: ComparisonRow, place: int, replicate: int) -> CellRecord | None:
     entry = row.entries[place]
     return next((one for one in entry.records if one.replicate == replicate), None) if entry else None
 

@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..statistics.comparison import Method
 from ..statistics.estimates import Estimate
 from ..statistics.expectations import ClaimResult
 from ..statistics.levels import BROKEN, LevelPanel
+from ..statistics.summaries import Method
 from .captions import LINE, draw_captions
 from .figure_file import COLORS, FAINT, GRAY, SIGNS, SMALL, add_axes, make_figure, open_frame, render_figure
 

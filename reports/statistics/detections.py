@@ -16,7 +16,7 @@ from nrbench.lattice.relation import lattice_error
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
-from .estimates import Estimate, estimate_share
+from .estimates import Estimate, estimate_proportion
 
 ANSWER_COLUMNS = (
     *("detector", "texture", "family", "departure", "level", "regular_share", "replicate", "answer", "right", "found"),
@@ -218,9 +218,9 @@ def _summarize_detector(name: str, answers: pd.DataFrame) -> DetectorSummary:
     families = regular.groupby("family", sort=False)["right"]
     return DetectorSummary(
         detector=name,
-        exact=estimate_share(regular["right"]),
-        false=estimate_share(answers[stochastic]["found"]),
-        families={str(family): estimate_share(right) for family, right in families},
+        exact=estimate_proportion(regular["right"]),
+        false=estimate_proportion(answers[stochastic]["found"]),
+        families={str(family): estimate_proportion(right) for family, right in families},
         vector_error=median_of_known(regular[regular["right"]]["vector_error"]),
         seconds=median_of_known(answers["seconds"]),
         slowest=None if answers["seconds"].isna().all() else float(answers["seconds"].max()),
@@ -242,7 +242,7 @@ def _group_answers(answers: pd.DataFrame, keys: list[str]) -> list[AnswerGroup]:
 
 def _detector_row(answers: pd.DataFrame) -> tuple[Estimate, float | None]:
     """Return the share of right answers, and their median vector error, px."""
-    return estimate_share(answers["right"]), median_of_known(answers[answers["right"]]["vector_error"])
+    return estimate_proportion(answers["right"]), median_of_known(answers[answers["right"]]["vector_error"])
 
 
 def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
@@ -289,10 +289,10 @@ def calibrate(confidence: NDArray[np.float64], right: NDArray[np.bool_]) -> Cali
     """
     n = len(confidence)
     index = np.clip((confidence * BINS).astype(int), 0, BINS - 1)
-    bins = [
-        CalibrationBin(i / BINS, (i + 1) / BINS, float(confidence[own].mean()), estimate_share(right[own]), own.mean())
-        for i in np.unique(index)
-        for own in [index == i]
-    ]
+    bins = []
+    for i in np.unique(index):
+        own = index == i
+        share, rate = float(own.mean()), estimate_proportion(right[own])
+        bins.append(CalibrationBin(i / BINS, (i + 1) / BINS, float(confidence[own].mean()), rate, share))
     gaps = [one.share * abs((one.right.value or 0.0) - one.confidence) for one in bins]
     return Calibration(bins, math.fsum(gaps) if bins else None, n)

@@ -105,7 +105,7 @@ def wilson_interval(successes: float, n: int) -> tuple[float, float] | None:
     return max(0.0, min(share, center - half)), min(1.0, max(share, center + half))
 
 
-def estimate_share(outcomes: ArrayLike) -> Estimate:
+def estimate_proportion(outcomes: ArrayLike) -> Estimate:
     """Return the share of true ``outcomes`` with Wilson's interval; the unit is the outcome, not the texture."""
     known = np.asarray(outcomes, bool)
     interval = wilson_interval(float(known.sum()), known.size)

@@ -26,7 +26,6 @@ from nrbench.suites.claims import Claim, Expectation, Series
 from nrbench.suites.plan import PlannedMethod
 from nrbench.suites.suite import validated_suite
 
-from .comparison import Comparison, Method
 from .estimates import (
     Estimate,
     estimate_mean,
@@ -36,6 +35,8 @@ from .estimates import (
     paired_differences,
     success_rate,
 )
+from .method_comparison import Comparison
+from .summaries import Method
 from .verdicts import PRESERVED, QUALITY, RANKING, tabulate_cells
 
 _WORDS = {"less": "less than", "greater": "greater than", "equal": "equal to"}

@@ -47,7 +47,7 @@ def format_interval(estimate: Estimate, as_percent: bool = False) -> str:
 
 
 def round_small(estimate: Estimate) -> Estimate:
-    """Return an estimate in which numbers below 0.001 are 0, for scores up to 1: ``1.2e-04`` only widens a table."""
+    """Round values below 0.001 to 0. Use it for scores in [0, 1]."""
     low, value, high = (
         0.0 if number is not None and number < 0.001 else number
         for number in (estimate.low, estimate.value, estimate.high)

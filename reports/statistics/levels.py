@@ -9,8 +9,9 @@ import pandas as pd
 
 from nrbench.runs.records import Run
 
-from .comparison import Comparison, Method
 from .estimates import Estimate, means_over_textures
+from .method_comparison import Comparison
+from .summaries import Method
 from .verdicts import RANKING, has_quality, tabulate_cells
 
 BROKEN = 0.5

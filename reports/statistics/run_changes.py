@@ -15,9 +15,9 @@ from nrbench.plugins.forms import Column
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import Run
 
-from .comparison import count_statuses, describe_scores, headline_columns
 from .estimates import Estimate, means_over_textures, paired_differences
 from .format import format_interval, format_number, format_signed, pluralize
+from .summaries import count_statuses, describe_scores, headline_columns
 from .verdicts import method_label, tabulate_cells
 
 State = Literal["same", "better", "worse", "changed", "noise", "unknown"]

@@ -113,6 +113,7 @@ class BadMethod:
         return Synthesis(image, task.lattice, source)
 
 
+@dataclass(frozen=True)
 class Tiler:
     """A method that repeats the sample."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
 from nrbench.cli.lattice_figures import diagram
 from nrbench.plugins.forms import Curve, Surface
@@ -13,36 +14,37 @@ SURFACE = Surface(np.random.default_rng(0).random((21, 11)), (0, 10), PEAKS, np.
 CURVE = Curve(np.arange(5.0), np.arange(5.0) ** 2, (2.5,), "lag in px")
 
 
+def drawn(diagnostics: dict[str, object], title: str = "") -> Figure:
+    """Return the figure of some diagnostics."""
+    figure = diagram(diagnostics, title)
+    assert figure is not None
+    return figure
+
+
 def test_every_surface_and_curve_has_a_panel() -> None:
     """One panel a diagnostic that can be drawn, titled by its name; numbers stand below, the rest is left out."""
-    figure = diagram({"a": SURFACE, "goodness": 0.125, "raw": np.zeros(3), "b": CURVE}, "title")
-    assert figure is not None
+    figure = drawn({"a": SURFACE, "goodness": 0.125, "raw": np.zeros(3), "b": CURVE}, "title")
     assert [axes.get_title() for axes in figure.axes if axes.get_title()] == ["a", "b"]
     assert figure.get_supxlabel() == "goodness 0.125" and figure.get_suptitle() == "title"
 
 
 def test_a_surface_counts_from_its_zero() -> None:
     """The picture's coordinates are lags: candidates lie where they are given, the edges half a sample outside."""
-    figure = diagram({"a": SURFACE})
-    assert figure is not None
-    axes = figure.axes[0]
+    axes = drawn({"a": SURFACE}).axes[0]
     assert tuple(axes.images[0].get_extent()) == (-0.5, 10.5, 10.5, -10.5)
     np.testing.assert_array_equal(np.column_stack(axes.lines[0].get_data()), PEAKS)
 
 
 def test_a_vector_outside_is_drawn_as_its_negative() -> None:
     """A right half holds -v where it does not hold v."""
-    figure = diagram({"a": SURFACE})
-    assert figure is not None
+    figure = drawn({"a": SURFACE})
     tips = [text.xy for text in figure.axes[0].texts]
     np.testing.assert_array_equal(tips, [(3, -4), (6, 2)])
 
 
 def test_a_curve_shows_its_marks() -> None:
     """Each mark is a vertical line with its value, and the axis says what it is."""
-    figure = diagram({"b": CURVE})
-    assert figure is not None
-    axes = figure.axes[0]
+    axes = drawn({"b": CURVE}).axes[0]
     assert axes.get_xlabel() == "lag in px" and list(axes.lines[1].get_xdata()) == [2.5, 2.5]
     assert [text.get_text() for text in axes.texts] == ["2.5"]
 

@@ -37,7 +37,7 @@ FLOORS = (
     ("nrbench.tracking",),
     ("nrbench.imaging", "nrbench.truth"),
     ("nrbench.lattice",),
-    ("nrbench.errors", "nrbench.streams", "nrbench.storage", "nrbench.jit", "nrbench.checkout", "nrbench.version"),
+    ("nrbench.errors", "nrbench.streams", "nrbench.storage", "nrbench.jit", "nrbench.source_tree", "nrbench.version"),
 )
 """From the highest to the lowest. A module imports its own floor and those below; docs/structure.md shows the same."""
 

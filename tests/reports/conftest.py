@@ -13,7 +13,7 @@ import pytest
 from nrbench.imaging.files import write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Column
-from nrbench.reports.statistics.comparison import Comparison, compare_methods
+from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.cell import Cell, Recipe
 

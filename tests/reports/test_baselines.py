@@ -12,7 +12,8 @@ from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
 from nrbench.reports.plots.perils_plane import caption_text
-from nrbench.reports.statistics.comparison import Comparison, compare_methods, perils_points
+from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
+from nrbench.reports.statistics.summaries import perils_points
 from nrbench.reports.statistics.verdicts import (
     BASELINE_LEGEND,
     BASELINE_SIGN,

@@ -9,14 +9,8 @@ import pytest
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
-from nrbench.reports.statistics.comparison import (
-    COSTS,
-    Comparison,
-    compare_methods,
-    list_patch_terms,
-    other_score_rows,
-    sort_headlines_first,
-)
+from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
+from nrbench.reports.statistics.summaries import COSTS, list_patch_terms, other_score_rows, sort_headlines_first
 from nrbench.reports.statistics.verdicts import SCORE
 from nrbench.runs.records import Run
 from nrbench.synthesizers.tile_set import TileSet

@@ -23,7 +23,7 @@ from nrbench.reports.plots.cost_plane import has_cost, plot_cost
 from nrbench.reports.plots.critical_difference import plot_ranks
 from nrbench.reports.plots.heat_map import plot_heat_map
 from nrbench.reports.plots.marks import find_marks, worst_place
-from nrbench.reports.statistics.comparison import compare_methods
+from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
 
 from .conftest import PERILS

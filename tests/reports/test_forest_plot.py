@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from nrbench.reports.page.forest_plot import forest_axes
-from nrbench.reports.statistics.comparison import compare_methods
+from nrbench.reports.statistics.method_comparison import compare_methods
 
 Make = Callable[..., Any]
 

@@ -9,7 +9,7 @@ import pytest
 from nrbench.lattice.geometry import Lattice
 from nrbench.reports.page.gallery import TextureSection, build_gallery, score_shade
 from nrbench.reports.page.pictures import PagePicture, PictureStore
-from nrbench.reports.statistics.comparison import compare_methods
+from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]

@@ -15,7 +15,7 @@ import pytest
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.page.gallery import list_failings
 from nrbench.reports.page.pictures import PictureStore
-from nrbench.reports.statistics.comparison import compare_methods
+from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
 
 from .conftest import PERILS

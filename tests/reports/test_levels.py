@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nrbench.reports.statistics.comparison import compare_methods
 from nrbench.reports.statistics.levels import (
     LevelPanel,
     LevelSeries,
@@ -14,6 +13,7 @@ from nrbench.reports.statistics.levels import (
     compare_levels,
     levels_table,
 )
+from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
 
 from .conftest import PERILS

@@ -12,12 +12,8 @@ import pytest
 from nrbench.errors import BadInput
 from nrbench.reports.perils import PerilsPlane
 from nrbench.reports.plots.perils_plane import caption_text, plot_perils_plane
-from nrbench.reports.statistics.comparison import (
-    Comparison,
-    PerilsPoint,
-    compare_methods,
-    perils_points,
-)
+from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
+from nrbench.reports.statistics.summaries import PerilsPoint, perils_points
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]

@@ -11,7 +11,6 @@ import pytest
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
-from nrbench.reports.statistics.comparison import compare_methods
 from nrbench.reports.statistics.expectations import (
     GROUPS,
     SENTENCE,
@@ -19,6 +18,7 @@ from nrbench.reports.statistics.expectations import (
     compare_with_published,
     read_published,
 )
+from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
 from nrbench.suites.suite import load_suite
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.stats import bootstrap, chi2, rankdata
 
 from nrbench.errors import BadInput
-from nrbench.reports.statistics.comparison import compare_methods
 from nrbench.reports.statistics.estimates import bootstrap_intervals, expanded_tail
+from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.reports.statistics.significance import (
     adjust_holm,
     compare_ranks,

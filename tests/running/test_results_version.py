@@ -43,10 +43,10 @@ Image.fromarray(pixels[rows][:, columns]).save(output)
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8"))
 METHODS = PROJECT["project"]["entry-points"]["nrbench.synthesizers"]
 DETECTORS = PROJECT["project"]["entry-points"]["nrbench.detectors"]
-TEXTURES = {"brick": 0.0, "weave": 12.0, "hexagon": 33.0}
+TEXTURES = {"brick": 0.0, "weave": 12.0, "hexagon": 33.0, "squares": 0.0}
 """Models, and the rotations by which they are drawn, degrees."""
 ON_EVERY_TEXTURE = ("oracle", "rsgf:block=24,border=6,subpixel=false", "scatter")
-"""Methods that are pinned on all three textures; the default of every method is pinned on the weave."""
+"""Methods that are pinned on all textures; the default of every method is pinned on the weave."""
 
 
 def suite_of(methods: list[str], *textures: str, lattice: str = "given", metrics: tuple[str, ...] = ("cost",)) -> Suite:
@@ -117,12 +117,14 @@ def measure_papers(place: Path) -> dict[str, str]:
 
 
 def measure_own(place: Path) -> dict[str, dict[str, Any]]:
-    """Return the hash of the output, and the lattice, of each method that calls a detector, on the weave."""
+    """Return the hash of the output, and the lattice, of each method that calls a detector, on upright squares."""
     methods = [spec for spec in default_methods(place / "files") if PlannedMethod.parse(spec).finder]
     return {
-        record.cell.method: {"output": output_hash(record), "lattice": numbers(Lattice.from_dict(record.lattice_used))}
-        for record in cells_of(suite_of(methods, "weave", lattice="own"), place / "own")
-        if record.lattice_used is not None
+        record.cell.method: {
+            "output": output_hash(record),
+            "lattice": numbers(Lattice.from_dict(record.lattice_used)) if record.lattice_used else None,
+        }
+        for record in cells_of(suite_of(methods, "squares", lattice="own"), place / "own")
     }
 
 
@@ -180,7 +182,7 @@ def test_results_are_those_of_this_version(part: str, tmp_path: Path) -> None:
 
 
 def test_every_plugin_is_pinned() -> None:
-    """The output of each registered method is pinned on at least one texture, and each detector on four."""
+    """The output of each registered method is pinned on at least one texture, and each detector on five."""
     assert set(METHODS) == {key.partition("/")[2].partition(":")[0] for key in PINNED["outputs"]}
     assert {key.partition("/")[2] for key in PINNED["detections"]} == set(DETECTORS)
 

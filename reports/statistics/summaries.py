@@ -1,0 +1,422 @@
+"""Summarize each method of a run: its means over textures, its rank, and its point in the perils plane."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from nrbench import plugins
+from nrbench.plugins.forms import Column
+from nrbench.runs.records import Run
+from nrbench.runs.store import FAILED
+
+from .estimates import Estimate, estimate_means, success_rate
+from .format import (
+    describe_column,
+    format_count,
+    format_interval,
+    format_number,
+    format_percent,
+    format_successes,
+    round_small,
+)
+from .verdicts import (
+    DERIVED_COLUMNS,
+    PERILS,
+    PRESERVED,
+    QUALITY,
+    RANDOMNESS,
+    RANKING,
+    SCORE,
+    STRUCTURE,
+    BaselineValidity,
+    count_valid_textures,
+    has_quality,
+    method_label,
+)
+
+HEADLINES = (RANKING, *PERILS)
+HEADLINES_WITHOUT_QUALITY = (SCORE, "randomness.variation", "randomness.repetition", "randomness.distance")
+HEADLINE_METRICS = ("quality", "regularity", "integrity", "randomness")
+COSTS: Mapping[str, Column] = {
+    "seconds": Column("Wall time of the synthesis, including its own lattice detection.", "s", (0, math.inf), "lower"),
+    "peak_mib": Column("Peak memory above the idle worker.", "MiB", (0, math.inf), "lower"),
+}
+RATE = Column("Share of textures whose lattice is preserved.", better="higher")
+RATE_MEANING = (
+    "With a 95 % bootstrap interval over textures (Wilson's if all textures agree). A texture counts as the mean over "
+    "its replicates. Failures and refusals count as not preserved. Undecided cells are left out."
+)
+MEAN_MEANING = "Mean over textures, with a 95 % bootstrap interval. A texture counts as the mean over its replicates."
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method with its lattice source: one column of the comparison.
+
+    Parameters
+    ----------
+    name, lattice_source
+        As in the cells.
+    reference
+        Whether it calibrates the scores and is never ranked.
+    parameters
+        All parameters of the method.
+    """
+
+    name: str
+    lattice_source: str
+    reference: bool
+    parameters: Mapping[str, Any]
+
+    @property
+    def base(self) -> str:
+        """The name without parameters."""
+        return self.name.partition(":")[0]
+
+    @property
+    def label(self) -> str:
+        """The name, with the lattice source in parentheses."""
+        return method_label(self.name, self.lattice_source)
+
+
+@dataclass(frozen=True)
+class PatchTerms:
+    """How a method that copies patches works: a row of the table of patches (Lin et al. 2004, table 1).
+
+    Parameters
+    ----------
+    method
+        The name of the plugin.
+    shape, placement, stitching
+        What a patch is, how its place is chosen, and how it is joined to the others, as the plugin says.
+    """
+
+    method: str
+    shape: str
+    placement: str
+    stitching: str
+
+
+def list_patch_terms(run: Run) -> list[PatchTerms]:
+    """Return the terms of each installed patch-copying method of a run, in the order of the run."""
+    names = dict.fromkeys(record.cell.method for record in run.cells if not record.cell.reference)
+    installed = set(plugins.names("synthesizers"))
+    classes = {name: plugins.find("synthesizers", name).cls for name in names if name in installed}
+    said = {name: [getattr(cls, term, "") for term in plugins.PATCH_TERMS] for name, cls in classes.items()}
+    return [PatchTerms(name, *terms) for name, terms in said.items() if all(terms)]
+
+
+@dataclass(frozen=True)
+class MethodSummary:
+    """One method in numbers.
+
+    Parameters
+    ----------
+    method
+        The method.
+    counts
+        Number of ``cells``, and of those that are ``ok``, ``refused``, ``failed`` and ``missing``.
+    success, success_answered
+        Success rate; refusals count as not preserved, or are left out.
+    means
+        Mean over textures of every score and cost.
+    validity, validity_scored
+        On how many textures a baseline is valid: of all, and of those with a quality.
+    rank
+        Position by mean quality, 1 the best; None for a reference, without a quality, and if the method has a quality
+        on fewer than half as many textures as the method with the most.
+    leading
+        Whether it is in the leading group.
+    average_rank
+        Mean over textures of its rank on each texture, among the ranked methods; None without :class:`RankTests`.
+    """
+
+    method: Method
+    counts: Mapping[str, int]
+    success: Estimate
+    success_answered: Estimate
+    means: Mapping[str, Estimate]
+    validity: BaselineValidity
+    validity_scored: BaselineValidity
+    rank: int | None = None
+    leading: bool = False
+    average_rank: float | None = None
+
+    @property
+    def all_means(self) -> dict[str, Estimate]:
+        """The success rates and the means, by the names of their columns."""
+        rates = {"preserved": self.success, "preserved_refusals_left_out": self.success_answered}
+        return {**rates, **self.means}
+
+
+@dataclass(frozen=True)
+class SummaryRow:
+    """One number for each method.
+
+    Parameters
+    ----------
+    name, column
+        Its name, and the column that describes it.
+    note
+        How it is computed from the cells.
+    estimates
+        One for each method; None if there is none.
+    rate
+        Whether it is a success rate.
+    variant
+        Whether it is the number of the row before, computed without some of the cells.
+    """
+
+    name: str
+    column: Column
+    note: str
+    estimates: Sequence[Estimate | None]
+    rate: bool = False
+    variant: bool = False
+
+    @property
+    def title(self) -> str:
+        """The name, without the metric for the three perils."""
+        return self.name.rpartition(".")[2] if self.name in PERILS else self.name
+
+    @property
+    def meaning(self) -> str:
+        """The description of the column, and how the number is computed."""
+        return f"{describe_column(self.column)}\n{self.note}"
+
+    @property
+    def values(self) -> list[str]:
+        """The values as text; a dash if there is none."""
+        text = format_percent if self.rate else format_number
+        return [text(estimate.value) if estimate else "–" for estimate in self.shown]
+
+    @property
+    def intervals(self) -> list[str]:
+        """The intervals as text; empty if there is none."""
+        return [format_interval(estimate, self.rate) if estimate else "" for estimate in self.shown]
+
+    @property
+    def shown(self) -> list[Estimate | None]:
+        """The estimates as tables show them."""
+        share = self.column.range == (0.0, 1.0)
+        return [round_small(one) if one and share else one for one in self.estimates]
+
+    @property
+    def counts(self) -> list[str]:
+        """How many textures succeed for a rate; how many are counted for other rows."""
+        text = format_successes if self.rate else format_count
+        return [text(estimate) if estimate else "" for estimate in self.estimates]
+
+
+@dataclass(frozen=True)
+class PerilsPoint:
+    """One method with its lattice source in the perils plane.
+
+    Parameters
+    ----------
+    method
+        The method.
+    structure
+        Mean over textures of the smaller of ``quality.regularity`` and ``quality.integrity``: the horizontal
+        coordinate.
+    randomness
+        Mean of ``quality.randomness`` over textures: the vertical coordinate. It rests only on the textures on which
+        randomness is scored. It is not scored where the lattice is lost.
+    validity
+        On how many of the textures with a quality a baseline is valid.
+    """
+
+    method: Method
+    structure: Estimate
+    randomness: Estimate
+    validity: BaselineValidity
+
+    @property
+    def has_height(self) -> bool:
+        """Whether the randomness is scored on any texture."""
+        return self.randomness.value is not None
+
+    @property
+    def rests_on(self) -> str:
+        """``" [k of n]"`` if randomness is scored on k of the n textures with a quality; empty if on all."""
+        fewer = self.has_height and self.randomness.n < self.structure.n
+        return f" [{self.randomness.n} of {self.structure.n}]" if fewer else ""
+
+    @property
+    def words(self) -> str:
+        """The point in one sentence."""
+        randomness = f"{format_number(self.randomness.value)} {format_interval(self.randomness)}"
+        height = f"{randomness} (on {self.randomness.n} of {self.structure.n})" if self.has_height else "not scored"
+        across = f"{format_number(self.structure.value)} {format_interval(self.structure)}"
+        valid = f"; {self.validity.words}" if self.validity.n else ""
+        return f"{self.method.label}: in place and whole {across}, randomness {height}{valid}"
+
+
+def list_methods(run: Run) -> list[Method]:
+    """Return the methods in the order of the suite, reference methods last."""
+    methods: dict[tuple[str, str], Method] = {}
+    for record in run.cells:
+        key = (record.method, record.lattice_source)
+        methods.setdefault(key, Method(*key, record.reference, dict(record.parameters)))
+    return sorted(methods.values(), key=lambda method: method.reference)
+
+
+def summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
+    """Return each method of a run in numbers, from the rows of its cells, in the order of the suite."""
+    names, methods = list(describe_scores(run)), list_methods(run)
+    by_texture = cells.groupby(["label", "texture"], sort=False)[names].mean()
+    own_cells = dict(iter(cells.groupby("label", sort=False)))
+    columns = [column for one in methods for column in by_texture.loc[one.label].to_numpy(np.float64).T]
+    estimates = iter(estimate_means(columns))
+    summaries = []
+    for method in methods:
+        own = own_cells[method.label]
+        scored = own[own[STRUCTURE].notna()] if STRUCTURE in own else own.iloc[:0]
+        summaries.append(
+            MethodSummary(
+                method=method,
+                counts=count_statuses(own["status"]),
+                success=success_rate(own),
+                success_answered=success_rate(own, leave_refusals_out=True),
+                means=dict(zip(names, itertools.islice(estimates, len(names)), strict=True)),
+                validity=count_valid_textures(own),
+                validity_scored=count_valid_textures(scored),
+            )
+        )
+    return summaries
+
+
+def rank_methods(summaries: Sequence[MethodSummary]) -> list[MethodSummary]:
+    """Return the summaries by mean quality, best first, then methods without a rank, then references.
+
+    Means over different textures are not comparable. A suite may give each method its own textures; a method that has
+    a quality on fewer than half as many textures as the method with the most is therefore listed without a rank.
+    """
+    known = {
+        one.method.label: (mean.value, mean.n)
+        for one in summaries
+        if not one.method.reference and RANKING in one.means and (mean := one.means[RANKING]).value is not None
+    }
+    most = max((n for _, n in known.values()), default=0)
+    means = {label: value for label, (value, n) in known.items() if value is not None and 2 * n >= most}
+
+    def rank(one: MethodSummary) -> MethodSummary:
+        value = means.get(one.method.label)
+        return one if value is None else replace(one, rank=1 + sum(other > value for other in means.values()))
+
+    last = len(means) + 1
+    return sorted(map(rank, summaries), key=lambda one: (one.method.reference, one.rank or last))
+
+
+def count_statuses(status: pd.Series[str]) -> dict[str, int]:
+    """Return the number of ``cells``, and of those that are ``ok``, ``refused``, ``missing`` and ``failed``."""
+    by_status = {name: int((status == name).sum()) for name in ("ok", "refused", "missing")}
+    return {"cells": len(status), **by_status, "failed": int(status.isin(FAILED).sum())}
+
+
+def summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRow]:
+    """Return the rows: quality and perils, or without quality the success rate and other scores, then seconds."""
+    if not summaries:
+        return []
+    refused = any(one.counts["refused"] for one in summaries)
+    rates = [_row("preserved", RATE, RATE_MEANING, [one.success for one in summaries], rate=True)]
+    if refused:
+        note = RATE_MEANING.replace("Failures and refusals count", "Refusals are left out. Failures count")
+        estimates = [one.success_answered for one in summaries]
+        rates.append(_row("preserved (without refusals)", RATE, note, estimates, rate=True, variant=True))
+    columns = headline_columns(run)
+    means = []
+    for name, column in columns.items():
+        undecided = " Undecided cells are left out." if name in (SCORE, *HEADLINES) else ""
+        means.append(_row(name, column, MEAN_MEANING + undecided, [one.means[name] for one in summaries]))
+        if name == RANKING and (refused or any(one.counts["failed"] for one in summaries)):
+            estimates = [one.means[QUALITY] for one in summaries]
+            note = f"{MEAN_MEANING} Failures, refusals and undecided cells are left out."
+            means.append(_row("quality (without failures)", run.columns[QUALITY], note, estimates, variant=True))
+    seconds = len(means) - 1 if RANKING in columns else 0
+    return [*means[:seconds], *rates, *means[seconds:]]
+
+
+def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRow]:
+    """Return a row of means for each further score that any method has.
+
+    Wall time and peak memory appear once: the columns of the metric ``cost`` that repeat them are left out.
+    """
+    shown = {*headline_columns(run), PRESERVED, QUALITY, STRUCTURE, *(f"cost.{name}" for name in COSTS)}
+    columns = describe_scores(run)
+    rows = [
+        _row(name, columns[name], MEAN_MEANING, [one.means[name] for one in summaries])
+        for name in sort_headlines_first(columns)
+        if name not in shown
+    ]
+    return [row for row in rows if any(row.estimates)]
+
+
+def _row(
+    name: str,
+    column: Column,
+    note: str,
+    estimates: Sequence[Estimate | None],
+    rate: bool = False,
+    variant: bool = False,
+) -> SummaryRow:
+    known = [estimate if estimate and estimate.n else None for estimate in estimates]
+    return SummaryRow(name, column, note, known, rate, variant)
+
+
+def describe_scores(run: Run) -> dict[str, Column]:
+    """Return the column of every score and cost by name, and of what is derived from the quality if the run has it."""
+    return {**run.columns, **(DERIVED_COLUMNS if has_quality(run) else {}), **COSTS}
+
+
+def headline_columns(run: Run) -> dict[str, Column]:
+    """Return the columns by which methods are compared, as far as the run has them.
+
+    The columns of metrics that are not part of nrbench follow: their authors want to see them beside the headlines.
+    """
+    columns = describe_scores(run)
+    names = HEADLINES if RANKING in columns else HEADLINES_WITHOUT_QUALITY
+    added_metrics = {metric for metric in {name.partition(".")[0] for name in columns} if _is_added(metric)}
+    added = [name for name in columns if name.partition(".")[0] in added_metrics]
+    return {name: columns[name] for name in (*names, "seconds", *added) if name in columns}
+
+
+def _is_added(metric: str) -> bool:
+    """Return whether a metric is installed that is not part of nrbench."""
+    return metric in plugins.names("metrics") and not plugins.find("metrics", metric).own
+
+
+def sort_headlines_first(names: Iterable[str]) -> list[str]:
+    """Return ``metric.name`` sorted so that the metrics of the headlines come first; otherwise in the given order."""
+    order = {metric: i for i, metric in enumerate(HEADLINE_METRICS)}
+    return sorted(names, key=lambda name: order.get(name.partition(".")[0], len(order)))
+
+
+def perils_points(summaries: Sequence[MethodSummary]) -> list[PerilsPoint]:
+    """Return the point of every method that has a quality, in the order of the summaries."""
+    points = [
+        PerilsPoint(one.method, one.means[STRUCTURE], one.means[RANDOMNESS], one.validity_scored)
+        for one in summaries
+        if STRUCTURE in one.means
+    ]
+    return [point for point in points if point.structure.value is not None]
+
+
+def perils_table(points: Sequence[PerilsPoint]) -> pd.DataFrame:
+    """Return one row a point, with intervals and the number of textures that each coordinate rests on."""
+    return pd.DataFrame(
+        {
+            **{"method": point.method.name, "lattice_source": point.method.lattice_source},
+            "reference": point.method.reference,
+            **point.structure.columns("structure_value", "structure_"),
+            **point.randomness.columns("randomness_value", "randomness_"),
+        }
+        for point in points
+    )
