@@ -32,14 +32,10 @@ BENCHMARKS = {
     "validation.py alarms detection without-model --count 6 --replicates 1": (
         "validation.py alarms detection without-model --count 108 --replicates 3 --sides 256 512 1024"
     ),
-    "validation.py response silence invariance departures --replicates 1 --sides 192": (
-        "validation.py response silence invariance departures --replicates 8"
-    ),
+    "validation.py response silence --replicates 1 --sides 192": ("validation.py response silence --replicates 8"),
     "validation.py references --count 2 --replicates 3": "validation.py references --count 43 --replicates 100",
     "labels.py": "the same",
-    "variation_band.py score runs/variation.csv --replicates 1 --draws 2 --textures core/brick-*": (
-        "variation_band.py score runs/variation.csv, then variation_band.py table runs/variation.csv"
-    ),
+    "validation.py variation --count 2 --replicates 1": "validation.py variation --methods rsgf tile-set",
 }
 """The command of each short form, and that of the full figures, as the docs quote them."""
 

@@ -29,16 +29,14 @@ to it, and ``nrbench report`` shows its pictures.
 ``sample-integrity``
     Fresh draws and outputs with broken elements of the textures of ``core`` and ``report2004`` at 256 px, in color and
     in gray, judged by sample and lattice alone. Prints how often ``integrity`` speaks and what it says.
-``invariance``
-    Fresh draws of the textures of ``response``, described by another basis, another origin, and at another phase.
-    Prints the largest change of each column of ``regularity`` over its standard deviation over fresh draws.
-``departures``
-    The textures of ``response``, bent, jittered and colored at eight levels. Prints Spearman's correlation of the level
-    with the columns of ``deformation``, ``geometry_appearance`` and ``self_similarity`` over fresh draws.
 ``bends``
     Brick, weave and hexagon, bent by 0.25, 0.5 and 1, each sample with a fresh draw, a fresh draw with a phase step of
     0.25 s, and a draw of the same model that is not bent. Prints how they are judged, and the quality of the fresh draw
     of the first sample. ``--bends`` takes some of them. This study is no run.
+``variation``
+    Fresh draws, an ideal copier (``copier``) and ``--methods`` on the textures of ``core``. Prints the mean of
+    ``randomness.variation``, the share of outputs outside the 95 % prediction interval of the fresh draws of all
+    samples of a texture, and the mean ratio to the copier of the same sample.
 ``references``
     Fresh draws and the baselines on the textures of type I of ``core`` and ``report2004``. Prints how many of a second
     set of fresh draws lie in the 95 % band of the first, and in which columns each baseline lies outside the 99 % band.
@@ -49,7 +47,7 @@ Limits are set on the textures of ``--half calibration``; figures are reported f
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -72,8 +70,9 @@ from nrbench.metrics.integrity import Integrity
 from nrbench.metrics.quality import Quality
 from nrbench.metrics.regularity import Regularity
 from nrbench.metrics.verdict.bent import bent_reference_from_model, compute_bent_verdict
-from nrbench.plugins.forms import Again, Observation, Shape, Task, Texture
+from nrbench.plugins.forms import Observation, Shape, Task, Texture
 from nrbench.running.pace import Step
+from nrbench.runs.records import CellRecord
 from nrbench.streams import stream
 from nrbench.suites.suite import load_suite, validated_suite
 from nrbench.synthesizers.planted import Planted
@@ -104,6 +103,14 @@ DEFECTS: Mapping[str, tuple[float, ...]] = {
 }
 """The sizes at which ``detection`` plants each defect; ``silence`` takes the middle one."""
 
+
+def planted(kind: str, size: float) -> str:
+    """Return the method that plants a defect."""
+    return f"planted:kind={kind},size={size:g}"
+
+
+DETECTED = ["oracle", *(planted(kind, size) for kind, sizes in DEFECTS.items() for size in sizes)]
+"""The methods of ``detection``."""
 RESPONSES: Mapping[str, tuple[float, tuple[str, ...]]] = {
     "phase-step": (0.45, ("regularity.misplacement_p95",)),
     "slipped-course": (0.45, ("regularity.worst_tile_displacement",)),
@@ -139,8 +146,6 @@ PLANTED: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
 }
 """For each defect its sizes, the column that is meant for it, and whether the column grows with it."""
 
-LEVELS = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
-"""Levels of the departures of a model in ``departures``."""
 BASELINES = ("tiling", "supertile", "shuffle", "random-phase", "scatter")
 HEADLINES = (
     "regularity.preserved",
@@ -190,13 +195,8 @@ def at_share(model: Model, mix: NDArray[np.float64], share: float) -> Model:
     return at(low)
 
 
-def planted(kind: str, size: float) -> str:
-    """Return the method that plants a defect."""
-    return f"planted:kind={kind},size={size:g}"
-
-
 def run_study(name: str, options: argparse.Namespace, rows: list[Row], methods: list[str], **keys: Any) -> pd.DataFrame:
-    """Run a study on textures, and return its table with the defect's ``kind`` and ``size`` and the excesses."""
+    """Run a study; return its table with the defect's ``kind`` and ``size``, the excesses and the ``record``."""
     content = {
         **{"name": f"validation-{name}", "seed": FIRST_SEED[options.half], "sample": "128x128", "lattice": ["given"]},
         **{"replicates": options.replicates, "texture": rows, "methods": methods},
@@ -206,17 +206,12 @@ def run_study(name: str, options: argparse.Namespace, rows: list[Row], methods: 
     chosen = nrbench.Options(jobs=options.jobs)
     run = nrbench.run(validated_suite(content, name), out=out, options=chosen, progress=show_progress)
     table = run.table()
-    parameters = [record.parameters for record in run.cells]
-    table["defect"] = [each.get("kind", "none") for each in parameters]
-    table["size"] = [float(each.get("size", 0)) for each in parameters]
+    table["record"] = pd.Series(run.cells, dtype=object)
+    table["defect"] = [record.parameters.get("kind", "none") for record in run.cells]
+    table["size"] = [float(record.parameters.get("size", 0)) for record in run.cells]
     table["excess"] = [record.records.get("regularity", {}).get("excess", {}) for record in run.cells]
     table["worst_excess"] = [max(each.values(), default=np.nan) for each in table["excess"]]
     return table[table["status"] == "ok"]
-
-
-def run_folder(name: str, options: argparse.Namespace, size: str) -> Path:
-    """Return the run directory of a study."""
-    return Path(options.out) / f"{name}-{options.half}-{size}"
 
 
 def show_progress(step: Step) -> None:
@@ -256,9 +251,8 @@ def study_alarms(options: argparse.Namespace) -> None:
 
 def study_detection(options: argparse.Namespace) -> None:
     """Print how well each defect is detected on textures of all regular shares."""
-    methods = ["oracle", *(planted(kind, size) for kind, sizes in DEFECTS.items() for size in sizes)]
     for side in options.sides:
-        table = run_verdicts("detection", options, side, methods)
+        table = run_verdicts("detection", options, side, DETECTED)
         print(f"\nOutputs of {side} x {side} px.")
         print_detection(table, table[table["defect"] == "none"])
 
@@ -434,27 +428,27 @@ def detection(fresh: pd.DataFrame, defective: pd.DataFrame, kind: str) -> str:
 def study_without_model(options: argparse.Namespace) -> None:
     """Print the tables of ``detection`` for outputs that are judged by their sample and its lattice alone."""
     for side in options.sides:
-        run = nrbench.Run(run_folder("detection", options, f"{side}x{side}"))
         rows = []
-        for record in run.cells:
-            if record.status == "ok":
-                sample, output = (read_image(record.folder / f"{name}.png") for name in ("sample", "output"))
-                known = record.cell.lattice_truth
-                truth = nrbench.Texture(sample, known, (known,) if known else ())
-                score = Regularity().score(nrbench.Observation(sample, output, truth))
-                excess = score.records.get("excess", {})
-                rows.append(
-                    {
-                        **{"family": record.family, "defect": record.parameters.get("kind", "none")},
-                        **{"size": float(record.parameters.get("size", 0)), "excess": excess},
-                        **{f"regularity.{name}": value for name, value in score.values.items()},
-                        **{"worst_excess": max(excess.values(), default=np.nan), "integrity.broken_tiles": np.nan},
-                    }
-                )
+        for _, row in run_verdicts("detection", options, side, DETECTED).iterrows():
+            score = Regularity().score(bare_observation(row["record"]))
+            excess = score.records.get("excess", {})
+            values = {f"regularity.{name}": value for name, value in score.values.items()}
+            worst = max(excess.values(), default=np.nan)
+            known = {"excess": excess, "worst_excess": worst, "integrity.broken_tiles": np.nan}
+            rows.append({**row[["family", "defect", "size"]], **known, **values})
         table = pd.DataFrame(rows)
         fresh = table[table["defect"] == "none"]
         print_alarms(fresh, side)
         print_detection(table, fresh)
+
+
+def bare_observation(record: CellRecord, gray: bool = False) -> Observation:
+    """Return the output of a cell with its sample and the lattice alone, in color or as the mean of the channels."""
+    sample, output = (read_image(record.folder / f"{name}.png") for name in ("sample", "output"))
+    if gray:
+        sample, output = (quantize(np.repeat(each.mean(-1, keepdims=True), 3, -1)) for each in (sample, output))
+    lattice = record.cell.lattice_truth
+    return Observation(sample, output, Texture(sample, lattice, (lattice,) if lattice else ()))
 
 
 SMALL_PICTURE = 400
@@ -481,7 +475,7 @@ def study_photographs(options: argparse.Namespace) -> None:
             if output is None:
                 cells += ["refused", "-", "-"]
                 continue
-            scores = sample_scores(sample, output, lattice)
+            scores = sample_scores(Observation(sample, output, Texture(sample, lattice, (lattice,))))
             cells += [show_verdict(scores["preserved"]), show_value(scores["score"]), show_value(scores["power"])]
             reason = scores["reason"] or reason
         print_row(Path(row["file"]).stem, f"{wide} x {tall}", *cells, reason)
@@ -498,9 +492,8 @@ def shuffle_sample(sample: Image, lattice: nrbench.Lattice) -> Image | None:
     return quantize(made.image)
 
 
-def sample_scores(sample: Image, output: Image, lattice: nrbench.Lattice) -> Row:
+def sample_scores(observation: Observation) -> Row:
     """Return the verdict and the integrity of an output that is judged by its sample and the lattice."""
-    observation = nrbench.Observation(sample, output, nrbench.Texture(sample, lattice, (lattice,)))
     integrity = Integrity().score(observation)
     return {
         "preserved": Regularity().score(observation).values["preserved"],
@@ -528,15 +521,14 @@ def study_sample_integrity(options: argparse.Namespace) -> None:
         rows += [{key: value for key, value in row.items() if key not in ("sample", "size")} for row in own]
     rows = rows[:: max(len(rows) // options.count, 1)]
     methods = ["oracle", planted("two-tone", 0.3), "shuffle", "rsgf:block=20,border=5,seam=blend,subpixel=false"]
-    run_study("sample-integrity", options, rows, methods, sample="256x256", size="256x256", metrics=["cost"])
-    found = []
-    for record in nrbench.Run(run_folder("sample-integrity", options, "256x256")).cells:
-        if record.status == "ok" and record.cell.lattice_truth is not None:
-            sample, output = (read_image(record.folder / f"{name}.png") for name in ("sample", "output"))
-            for color, pair in (("color", (sample, output)), ("gray", tuple(map(grayed, (sample, output))))):
-                scores = sample_scores(*pair, record.cell.lattice_truth)
-                found.append({"texture": record.texture, "method": record.method, "color": color, **scores})
-    table = pd.DataFrame(found)
+    sizes = {"sample": "256x256", "size": "256x256"}
+    made = run_study("sample-integrity", options, rows, methods, metrics=["cost"], **sizes)
+    table = pd.DataFrame(
+        {"method": record.method, "color": color, **sample_scores(bare_observation(record, color == "gray"))}
+        for record in made["record"]
+        if record.cell.lattice_truth is not None
+        for color in ("color", "gray")
+    )
     names = ("output", "n", "verdict", "integrity speaks", "median power", "median score", "least, largest")
     print_head("", *names, f"below {SMALLEST_SCORE}", "AUC against fresh draws")
     for color, own in table.groupby("color"):
@@ -549,64 +541,6 @@ def study_sample_integrity(options: argparse.Namespace) -> None:
             power = show_value(some["power"].astype(float).median())
             cells = (len(some), judged, len(known), power, *values, below, f"{auc(-fresh, -known):.3f}")
             print_row(color, method, *cells)
-
-
-def grayed(image: Image) -> Image:
-    """Return the mean of the channels, in all channels."""
-    return quantize(np.repeat(image.mean(-1, keepdims=True), image.shape[-1], -1))
-
-
-def study_invariance(options: argparse.Namespace) -> None:
-    """Print by how much the columns of regularity change under another description of the same texture."""
-    columns = ("misplacement_median", "misplacement_p95", "pairwise_displacement", "worst_neighborhood", "structure")
-    print_head("texture", "change", *columns)
-    for number in RESPONSE_TEXTURES:
-        row = texture_row(FIRST_SEED["report"] + number)
-        model = plugins.build("datasets", row["dataset"], row["parameters"])
-        texture = model.render((128, 128), stream("render", "invariance", number))
-
-        def draw(shape: Shape, k: int, texture: nrbench.Texture = texture, model: Model = model) -> nrbench.Texture:
-            drawn = model.again(texture, shape, stream("again", "invariance", model.s.hex(), k))
-            return replace(drawn, image=quantize(drawn.image))
-
-        outputs = [draw((options.sides[0], options.sides[0]), k).image for k in range(options.replicates)]
-        usual = regularity_values(texture, draw, outputs, columns)
-        for change, lattice, crop in described_anew(texture.lattice):
-            other = replace(texture, lattice=lattice)
-            away = np.abs(regularity_values(other, cropped(draw, crop), outputs, columns) - usual).max(0)
-            cells = (f"{one:.3f} ({size:.1e})" for one, size in zip(away / usual.std(0), away, strict=True))
-            print_row(row["name"], change, *cells)
-
-
-def regularity_values(
-    texture: nrbench.Texture, again: Again, outputs: Sequence[Image], columns: Sequence[str]
-) -> NDArray[np.float64]:
-    """Return columns of ``regularity`` for outputs of one texture, ``(n, columns)``."""
-    sample = quantize(texture.image)
-    scores = [Regularity().score(nrbench.Observation(sample, output, texture, again=again)) for output in outputs]
-    return np.array([[score.values[name] for name in columns] for score in scores], np.float64)
-
-
-def described_anew(lattice: nrbench.Lattice) -> list[tuple[str, nrbench.Lattice, tuple[int, int]]]:
-    """Return the lattice in another basis, from another origin, and for an image that is cropped at left and top."""
-    (a, b), (c, d), (x, y) = lattice.t1, lattice.t2, lattice.origin
-    return [
-        ("basis", nrbench.Lattice((a + 2 * c, b + 2 * d), (-a - c, -b - d), lattice.origin), (0, 0)),
-        ("origin", lattice.shifted((3 * a - 2 * c, 3 * b - 2 * d)), (0, 0)),
-        ("phase", nrbench.Lattice(lattice.t1, lattice.t2, (x - 5, y - 3)), (5, 3)),
-    ]
-
-
-def cropped(again: Again, crop: tuple[int, int]) -> Again:
-    """Return fresh draws of which some columns at the left and rows at the top are cut off."""
-    left, top = crop
-
-    def draw(shape: Shape, k: int) -> nrbench.Texture:
-        drawn = again((shape[0] + top, shape[1] + left), k)
-        assert drawn is not None and drawn.ideal is not None
-        return replace(drawn, image=drawn.image[top:, left:], ideal=drawn.ideal[top:, left:])
-
-    return draw
 
 
 def study_response(options: argparse.Namespace) -> None:
@@ -708,24 +642,23 @@ def judge_bent(model: Model, side: int, options: argparse.Namespace) -> None:
     print_row(name, model.bend, side, len(fresh), verdicts, found, sum(straight), spread, show_value(quality))
 
 
-def study_departures(options: argparse.Namespace) -> None:
-    """Print how deformation, geometry, appearance and self-similarity follow the departures of a model."""
-    bases = [texture_row(FIRST_SEED["report"] + number) for number in RESPONSE_TEXTURES]
-    rows = [
-        {**base, "name": f"{base['name']}-{kind}-{level:g}", "family": kind, "level": level}
-        | {"parameters": {**base["parameters"], kind: level}}
-        for base in bases
-        for kind in ("bend", "jitter", "color")
-        for level in LEVELS
-    ]
-    metrics = ["deformation", "geometry_appearance", "self_similarity"]
-    table = run_study("departures", options, rows, ["oracle"], metrics=metrics)
-    levels = {row["name"]: row["level"] for row in rows}
-    table["level"] = [levels[name] for name in table["texture"]]
-    columns = ["deformation.amplitude", "geometry_appearance.g", "geometry_appearance.a", "self_similarity.score"]
-    print_head("departure", *columns)
-    for kind, own in table.groupby("family"):
-        print_row(kind, *(correlation(own["level"], own[column]) for column in columns))
+def study_variation(options: argparse.Namespace) -> None:
+    """Print whether outputs of methods vary as the texture does, and as an ideal copier of the same sample."""
+    rows = load_suite("core").model_dump(mode="json")["texture"][: options.count]
+    methods = list(dict.fromkeys(["oracle", "copier", *options.methods]))
+    table = run_study("variation", options, rows, methods, metrics=["regularity", "randomness"])
+    table["defect"] = table["method"].replace("oracle", "none")
+    table["variation"] = table["randomness.variation"].astype(float)
+    sample = ["texture", "replicate"]
+    copier = table[table["method"] == "copier"].set_index(sample)["variation"]
+    table["ratio"] = table["variation"] / copier.reindex(pd.MultiIndex.from_frame(table[sample])).to_numpy()
+    print_head("method", "variation", "outside of fresh draws (n)", "over the copier's", "95 % interval over textures")
+    for method, own in table.groupby("method", sort=False):
+        ratios = own.groupby("texture")["ratio"].mean().dropna()
+        reach = student.ppf(0.975, len(ratios) - 1) * ratios.std() / np.sqrt(len(ratios))
+        outside = outside_share(table, "variation", own["defect"].iloc[0])
+        interval = f"{ratios.mean() - reach:.2f} to {ratios.mean() + reach:.2f}"
+        print_row(method, f"{own['variation'].mean():.2f}", outside, f"{ratios.mean():.2f}", interval)
 
 
 def study_references(options: argparse.Namespace) -> None:
@@ -791,9 +724,8 @@ STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "sample-integrity": study_sample_integrity,
     "response": study_response,
     "silence": study_silence,
-    "invariance": study_invariance,
-    "departures": study_departures,
     "bends": study_bends,
+    "variation": study_variation,
     "references": study_references,
 }
 
@@ -810,7 +742,7 @@ def main() -> None:
     parser.add_argument("--textures", nargs="*", help="of references: patterns of texture names")
     parser.add_argument("--pictures", help="of photographs: a folder with truth.csv")
     parser.add_argument("--suites", nargs="*", default=[*SUITES, TYPES], help="of perils")
-    parser.add_argument("--methods", nargs="*", default=["oracle"], help="of perils: oracle and baselines")
+    parser.add_argument("--methods", nargs="*", default=["oracle"], help="of perils, variation")
     parser.add_argument("--jobs", type=int, default=2, help="cells at the same time")
     parser.add_argument("--out", default="runs/validation", help="where the runs lie")
     options = parser.parse_args()

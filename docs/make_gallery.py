@@ -52,11 +52,11 @@ def draw(records: list[CellRecord], path: Path) -> None:
 
 def page(run: Run) -> str:
     """Return the page, and draw its pictures."""
-    suite = run.info["suite"]
     lines = [
         "# Gallery",
         "",
-        f"Outputs of a run of the suite `{suite['name']}`, version {suite['version']} ({suite['hash']}).",
+        f"Outputs on textures of the suite `{run.info['suite']['name']}`, with the lattice given.",
+        "They show what methods do; scores of the present version may differ.",
         "In each picture the sample comes first. A method that refused the texture is left out.",
         "",
         "The page is made by `python docs/make_gallery.py RUN`.",

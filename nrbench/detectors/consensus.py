@@ -21,7 +21,7 @@ from nrbench.detectors.consensus_rating.candidates import (
 from nrbench.detectors.consensus_rating.lattice_evidence import Evidence
 from nrbench.detectors.consensus_rating.self_similarity_map import (
     SIDE,
-    SelfSimilarity,
+    SimilarityMap,
     compute_self_similarity,
     make_view,
     view_factors,
@@ -235,9 +235,9 @@ class _Proposer:
         self._find_waves = functools.cache(self._find_waves_of_middle)
         self._compute = functools.cache(lambda factor, side: compute_self_similarity(make_view(image, factor, side)))
 
-    def compute_similarity(self, factor: int, side: int) -> SelfSimilarity:
+    def compute_similarity(self, factor: int, side: int) -> SimilarityMap:
         """Return the self-similarity map of the middle of the shrunk image; ``side`` px in its pixels."""
-        similarity: SelfSimilarity = self._compute(factor, max(SIDE, min(side, max(self.image.shape[:2]) // factor)))
+        similarity: SimilarityMap = self._compute(factor, max(SIDE, min(side, max(self.image.shape[:2]) // factor)))
         return similarity
 
     def list_bases(self, factor: int) -> tuple[list[Points], dict[str, list[Points]]]:

@@ -79,7 +79,7 @@ def test_bad_grids(grid: Any, message: str) -> None:
         ("frontier", "79c6c29e9724c398"),
         ("integer", "1bf655853a8029fd"),
         ("spectrum", "59af64198089eccf"),
-        ("validation", "c21b350cb23e9977"),
+        ("validation", "344d40b0aed92ea3"),
     ],
 )
 def test_installed_suites_keep_their_content(name: str, content: str) -> None:

@@ -24,7 +24,7 @@ MIN_SIDE = 24
 """px; no view is shrunk below this side."""
 
 
-class SelfSimilarity(NamedTuple):
+class SimilarityMap(NamedTuple):
     """Right halves of autocorrelations, ``(2H-1, W)`` each.
 
     Parameters
@@ -39,7 +39,7 @@ class SelfSimilarity(NamedTuple):
     colors: Correlation
 
 
-def compute_self_similarity(image: Image) -> SelfSimilarity:
+def compute_self_similarity(image: Image) -> SimilarityMap:
     """Compute the similarity of an image to its shifted self at each lag.
 
     Colors distinguish tiles that differ in hue only. Slopes show the joints of a wall whose bricks all differ in color.
@@ -53,7 +53,7 @@ def compute_self_similarity(image: Image) -> SelfSimilarity:
     slopes = _slopes(image)
     edges = _without_lighting(np.sqrt(np.hypot(slopes[..., :1], slopes[..., 1:])))
     surfaces = [half_autocorrelation(values) for values in (_without_lighting(image), slopes, edges)]
-    return SelfSimilarity(np.asarray(np.mean(surfaces, 0), np.float32), surfaces[0])
+    return SimilarityMap(np.asarray(np.mean(surfaces, 0), np.float32), surfaces[0])
 
 
 def _without_lighting(values: Values) -> Values:
