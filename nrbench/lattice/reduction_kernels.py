@@ -1,4 +1,4 @@
-"""The compiled twin of :func:`nrbench.lattice.geometry.shortest_pair`, for many lattices at once."""
+"""The compiled twin of :func:`nrbench.lattice.geometry.reduce_pairs`."""
 
 from __future__ import annotations
 
