@@ -361,12 +361,12 @@ def _improve_by_index(score: float, basis: Array, peaks: SpectrumPeaks) -> Array
     while True:
         found = _basis(basis, peaks)
         if not _span(found.orders[found.explained]):
-            return reduce_bases(basis[np.newaxis], False)[0]
+            return np.asarray(reduce_bases(basis[np.newaxis], False)[0])
         relatives = [_fit_basis(related, peaks) for related in reduce_bases(_CHANGES @ basis, False)]
         relatives = [r for r in relatives if _is_usable(r)]
         scores = [float(_evidence(r[np.newaxis], peaks, 1.0).sum()) for r in relatives]
         if not scores or max(scores) <= score + 1e-6:
-            return reduce_bases(basis[np.newaxis], False)[0]
+            return np.asarray(reduce_bases(basis[np.newaxis], False)[0])
         score, basis = max(scores), relatives[int(np.argmax(scores))]
 
 
