@@ -128,8 +128,10 @@ def test_score_is_brief(brick: Lattice, capsys: pytest.CaptureFixture[str]) -> N
     ]
     assert "--all" in lines[-1]
     assert call("score brick.png out.png --metrics appearance --json") == 0
-    names = set(json.loads(capsys.readouterr().out)) - {"reasons"}
-    assert names and all(name.startswith("appearance.") for name in names)
+    shown = json.loads(capsys.readouterr().out)
+    reasons = shown.pop("reasons")
+    assert shown and all(name.startswith("appearance.") for name in shown)
+    assert all(reasons[name] for name, value in shown.items() if value is None)
     assert call("score brick.png out.png --metrics appearanc") == 2
     assert call("score brick.png out.png --metrics appearance --all") == 2
 

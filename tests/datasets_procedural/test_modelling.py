@@ -86,17 +86,6 @@ def test_hats_are_a_partition() -> None:
         assert len(np.unique(i % 2)) == len(np.unique(j % 2)) == 1
 
 
-def test_margin_and_displacement() -> None:
-    """A margin adds pixels on every side; content that moved by (2, -1) comes from that much to the left and below."""
-    frame = Frame((1.5, -0.5), 30.0)
-    x, y = frame.grid((4, 5))
-    wide = frame.grid((4, 5), margin=2)
-    np.testing.assert_array_equal(wide[0][2:-2, 2:-2], x)
-    moved = frame.grid((4, 5), moved=np.broadcast_to([2.0, -1.0], (4, 5, 2)))
-    np.testing.assert_allclose(moved[0][:3, 2:], x[1:, :3])
-    np.testing.assert_allclose(moved[1][:3, 2:], y[1:, :3])
-
-
 CORNER = 10 / math.sqrt(3)
 DISTANCES: list[tuple[Callable[[Field, Field], Field], list[tuple[float, float]], list[float]]] = [
     (lambda x, y: box(x, y, 10, 6), [(0, 0), (5, 0), (8, 0), (8, 7), (0, 3)], [-3, 0, 3, 5, 0]),
@@ -206,13 +195,6 @@ def test_ideal() -> None:
     np.testing.assert_allclose(PATTERN.ideal()[0], [(0.4, 0.1, 0.3), (0.4, 0.25, 0.35), (0.4, 0.4, 0.4)], atol=1e-6)
 
 
-def test_tinted() -> None:
-    """A matrix turns the colors of ground and elements alike, and what leaves [0, 1] is cut off."""
-    turned = PATTERN.recolor(np.array([[0.0, 0, 1], [1, 0, 0], [0, 2, 0]]))
-    assert turned.layers[0].color == pytest.approx(np.array((0.6, 0.8, 0.4)))
-    assert turned.ground == pytest.approx(np.array((0.4, 0.4, 0.8)))
-
-
 def test_hash_knows_its_index_alone() -> None:
     """A number depends on seed and index only: any part of a grid is the same part of the whole, negative or not."""
     y, x = np.arange(-20, 30)[:, np.newaxis], np.arange(-10, 50)
@@ -239,14 +221,6 @@ def test_fields_are_smoothed_as_scipy_does(dtype: type[np.floating[Any]]) -> Non
     smooth = smooth_inside(field, kernel)
     assert smooth.dtype == dtype
     np.testing.assert_array_equal(smooth, scipy.ndimage.correlate1d(field, kernel, 0)[2:-2])
-
-
-def test_hash_bits_are_fair() -> None:
-    """Each of the 64 bits is set half of the time, and neighbors share half of their bits."""
-    words = hash_bits(3, np.arange(200)[:, np.newaxis], np.arange(200))
-    bits = np.unpackbits(words.view(np.uint8).reshape(200, 200, 8), axis=-1)
-    assert np.abs(bits.mean((0, 1)) - 0.5).max() < 0.0125
-    assert abs((bits[1:] == bits[:-1]).mean() - 0.5) < 0.002 and abs((bits[:, 1:] == bits[:, :-1]).mean() - 0.5) < 0.002
 
 
 def test_uniform_moments() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import math
@@ -20,6 +19,7 @@ from nrbench.streams import pixels_hash
 from nrbench.suites.plan import Sample, draw_samples
 from nrbench.suites.suite import Suite, TextureRow, load_suite
 
+SPECTRA = ("white", "pink", "brown", "blobs", "grass")
 SHARES = {"mild": (0.9, 1.0), "middle": (0.6, 0.9), "strong": (0.3, 0.6)}
 HARD = ("brick-bent", "weave-faint", "hexagon-few")
 """The rows of the default suite that core does not have."""
@@ -206,44 +206,10 @@ def write_frozen() -> None:
     FROZEN.write_text(json.dumps(found, indent=None, separators=(",", ":")).replace('},"', '},\n"') + "\n", "utf-8")
 
 
-SUITE = load_suite("detectors")
-REGULAR = [row for row in SUITE.texture if row.dataset != "noise"]
-
-
-def test_families_by_departures() -> None:
-    """Each family comes under each of six departures, at three levels; stack bond, a rectangular lattice, at one."""
-    counts = Counter((row.family, row.departure) for row in REGULAR)
-    departures = {"color", "noise", "jitter", "lighting", "rotation", "periods"}
-    levels = {"brick": 3, "weave": 3, "hexagon": 3, "stack": 1}
-    assert counts == {(family, name): n for family, n in levels.items() for name in departures}
-    assert all(row.name == f"{row.family}-{row.departure}-{row.level:g}" for row in REGULAR)
-
-
 def test_stochastic_textures() -> None:
     """Twelve rows of noise, of every spectrum, and none of them has a lattice."""
-    rows = [row for row in SUITE.texture if row.dataset == "noise"]
-    assert len(rows) == 12 and {row.parameters["spectrum"] for row in rows} == {
-        "white",
-        "pink",
-        "brown",
-        "blobs",
-        "grass",
-    }
+    rows = [row for row in load_suite("detectors").texture if row.dataset == "noise"]
+    assert len(rows) == 12 and {row.parameters["spectrum"] for row in rows} == set(SPECTRA)
     for row in rows:
         drawn = plugins.build("datasets", row.dataset, row.parameters).render((32, 32), np.random.default_rng(0))
         assert drawn.lattice is None and drawn.kind == "stochastic"
-
-
-def test_rows_are_frozen() -> None:
-    """The 72 rows keep their names, parameters and order, so that the cells of older runs keep their keys."""
-    keys = ("name", "dataset", "family", "departure", "level", "parameters", "sample", "size", "figure", "recipe")
-    rows = [row.model_dump(mode="json") for row in SUITE.texture]
-    content = json.dumps([[row[key] for key in keys] for row in rows], sort_keys=True)
-    assert len(rows) == 72
-    assert hashlib.blake2b(content.encode(), digest_size=8).hexdigest() == "a5a99f85c671ec9a"
-
-
-def test_it_costs_no_synthesis() -> None:
-    """The only method hands the lattice on, and only the scores of lattices are made."""
-    assert SUITE.methods == ("lattice-only",) and SUITE.metrics == ("lattice_recovery", "cost")
-    assert set(SUITE.lattice).isdisjoint({"own", "given"})

@@ -14,17 +14,14 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.overlap import Overlap
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
-from nrbench.metrics.bending import tracked_image
 from nrbench.metrics.bending.covariance import Covariance, SampledField, Variogram
 from nrbench.metrics.bending.field_tests import drop_outliers, measure_faults, smooth_field
-from nrbench.metrics.bending.tracked_image import TrackedImage, straighten
 from nrbench.metrics.quality import Quality
 from nrbench.metrics.randomness import Randomness
 from nrbench.metrics.regularity import Regularity
 from nrbench.metrics.verdict.bent import BentReference, compute_bent_verdict
 from nrbench.metrics.verdict.examination import examine
 from nrbench.plugins.forms import Observation
-from nrbench.tracking.known_texture import FollowedImage
 
 from .conftest import Case
 
@@ -210,19 +207,6 @@ def test_an_output_on_a_slightly_larger_lattice_has_no_phase_step() -> None:
     zoomed = ndimage.zoom(fresh().output, (1.04, 1.04, 1), order=3)[:192, :192]
     score = Regularity().score(CASES[BENT][0].observe(quantize(np.clip(zoomed, 0, 1))))
     assert score.values["preserved"] is True and score.records["excess"]["phase step"] < 1
-
-
-def test_places_of_a_straightened_image_lie_in_the_image(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the content of a place in the middle lies beyond the image, its place is at the border."""
-    x, y = np.meshgrid(np.arange(0, 97, 8.0), np.arange(0, 97, 8.0))
-    nodes = np.stack([x, y], -1)
-    followed = FollowedImage(np.zeros((97, 97, 1), np.float32), nodes, np.zeros_like(nodes), np.ones(x.shape))
-    places = np.stack(np.meshgrid(np.arange(97.0), np.arange(97.0)), -1)
-    places[40:44, 40:44] = (-3, 99)
-    monkeypatch.setattr(tracked_image, "_invert", lambda tracked: places)
-    sources = straighten(TrackedImage(followed, 12.0, 0.5)).sources
-    assert sources.shape == (97, 97, 2)
-    assert sources.min() >= 0 and sources.max() <= 96
 
 
 def test_places_are_mapped_to_the_output() -> None:

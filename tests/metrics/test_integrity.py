@@ -18,9 +18,7 @@ from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.metrics.integrity import LEAST_POWER, Integrity, learn_references
 from nrbench.metrics.verdict.reference import Reference
-from nrbench.metrics.whole_elements.composite_tiles import Discriminant, WholeTiles, compose_tiles
-from nrbench.metrics.whole_elements.elements import Box, Cutter, find_elements
-from nrbench.metrics.whole_elements.joint_test import Cuts, JointTest
+from nrbench.metrics.whole_elements.elements import Cutter, find_elements
 from nrbench.plugins.forms import Observation, Task
 from nrbench.suites.suite import TextureRow, load_suite
 from nrbench.synthesizers.rsgf import Rsgf
@@ -232,37 +230,6 @@ def test_missing_scores_have_reasons() -> None:
     """With few tiles the scores are undecided."""
     small = integrity(case("brick").observe(case("brick").fresh()[:60, :60]))
     assert all(reason.startswith("undecided") for reason in small.reasons.values())
-
-
-def test_the_discriminant_separates_composite_from_whole_tiles() -> None:
-    """For tiles of one tone each, composite tiles have five times the evidence of whole ones."""
-    rng = np.random.default_rng(0)
-    one, other = (np.repeat(rng.normal(size=(200, 1)), 49, 1) + 0.1 * rng.normal(size=(200, 49)) for _ in range(2))
-    discriminant = Discriminant.fit(
-        *(WholeTiles(rows, np.zeros((49, 49))) for rows in (one, other)), np.full(49, 1e-4), (7, 7)
-    )
-    whole, composite = discriminant.evidence(other), discriminant.evidence(compose_tiles(other, (7, 7)))
-    assert np.median(composite) > 5 * np.quantile(whole, 0.95)
-    assert (discriminant.composite > 2 * discriminant.whole).all()
-
-
-def test_the_joint_test_weighs_each_cut_by_the_tones_on_both_sides() -> None:
-    """The test separates whole elements from joined ones along any cut; elements without tones give no evidence."""
-    rng = np.random.default_rng(0)
-    cuts = Cuts.through(Box(np.array([[20.0, 0.0], [0.0, 12.0]]), (4, 4)))
-    grain = 0.05 * rng.normal(size=(60, 240))
-    toned = 0.1 * rng.normal(size=(60, 1)) + grain
-    rows = [one - one.mean(0) for one in (toned, grain)]
-    found = []
-    for one in rows:
-        test = JointTest.fit(cuts, one[::2], None)
-        whole, joined = test.evidence(one[1::2]), test.evidence(compose_tiles(one[1::2], cuts.box.samples))
-        found.append(float((joined > np.quantile(whole, 0.9)).mean()))
-    assert found[0] > 0.8
-    assert found[1] < 0.2
-    step = np.where(np.arange(240) % 20 < 10, 0.1, -0.1)[np.newaxis]
-    lit = JointTest.fit(cuts, rows[0], np.ones(1))
-    assert lit.evidence(step)[0] < 0.1 * JointTest.fit(cuts, rows[0], None).evidence(step)[0]
 
 
 def test_elements_are_found_beneath_strong_grain() -> None:

@@ -134,12 +134,16 @@ def test_an_output_without_the_texture_is_lost(output: str) -> None:
     assert values["score"] < 0.3
 
 
+def stretched_brick(factor: float) -> Image:
+    """Return a fresh draw of the wall, enlarged."""
+    wide, at = case("brick").fresh(240), np.indices((192, 192)) / factor
+    planes = [ndimage.map_coordinates(wide[..., c], at, order=3) for c in range(3)]
+    return np.clip(np.stack(planes, -1), 0, 1).astype(np.float32)
+
+
 def test_drift_of_a_photograph_is_reported_and_left_out() -> None:
     """With the lattice only, a stretch of 1 % is drift and no misplacement; with the model it is a fault."""
-    wide = case("brick").fresh(240)
-    at = np.indices((192, 192)) / 1.01
-    stretched = np.stack([ndimage.map_coordinates(wide[..., c], at, order=3) for c in range(3)], -1)
-    image: Image = np.clip(stretched, 0, 1).astype(np.float32)
+    image = stretched_brick(1.01)
     free, held = (regularity(case("brick").observe(image, model)).values for model in (False, True))
     assert free["drift"] == pytest.approx(1, abs=0.15)
     assert free["preserved"] is True
@@ -151,10 +155,7 @@ def test_the_drift_of_a_photograph_is_allowed_once() -> None:
     """The uncertainty of 2 % includes the fit of the lattice to the sample; the output has only the rest."""
     one, true = case("brick"), case("brick").lattice
     given = Lattice(*((x / 1.015, y / 1.015) for x, y in (true.t1, true.t2)), true.origin)
-    at = np.indices((192, 192)) / 1.015
-    wide = one.fresh(240)
-    stretched = np.stack([ndimage.map_coordinates(wide[..., c], at, order=3) for c in range(3)], -1)
-    image: Image = np.clip(stretched, 0, 1).astype(np.float32)
+    image = stretched_brick(1.015)
     truth = Texture(one.texture.image, given)
     fresh = regularity(Observation(one.texture.image, one.fresh(), truth)).values
     beyond = regularity(Observation(one.texture.image, image, truth)).values

@@ -186,7 +186,6 @@ def test_an_interrupted_render_goes_on(folder: Path) -> None:
         ("truth.csv", None, r"line 2: '12,zero,0,9' are not four numbers.*Fix truth.csv first"),
         ("truth.json", "{", r"truth\.json: is no JSON .*pass another -o, or move it away"),
         ("truth.json", "[1]", r"truth\.json: was not written by `nrbench render`; pass another -o"),
-        ("truth.json", '{"sheet": "contact-sheet.png", "textures": {"wall.png": 3}}', "was not written by"),
         ("truth.json", '{"sheet": "contact-sheet.png", "textures": {"wall.png": {"recipe": 3}}}', "was not written by"),
         ("wall.png", "mine", r"wall\.png: exists, and no model drew it; pass another -o, or move it away, or rename"),
         ("contact-sheet.png", "mine", r"contact-sheet\.png: exists, and was not written by `nrbench render`"),
@@ -204,15 +203,11 @@ def test_what_is_not_of_a_render_is_left_alone(tmp_path: Path, name: str, text: 
 
 
 def test_pictures_of_two_folders(tmp_path: Path) -> None:
-    """Pictures of the same name from two folders get different names, or the second render is refused."""
+    """The render of a picture of the same name from another folder is refused."""
     rng = np.random.default_rng(0)
     for name in "ab":
         (tmp_path / name).mkdir()
         write_image(tmp_path / name / "p.png", rng.random((70, 70, 3)).astype(np.float32))
-    rows = [{"name": f"p-{n}", "dataset": "images", "parameters": {"path": str(tmp_path / n / "p.png")}} for n in "ab"]
-    write_textures(draw_samples(_suite(texture=rows, replicates=1)), tmp_path / "both")
-    first, second = (read_image(tmp_path / "both" / f"p-{name}.png") for name in "ab")
-    assert (first != second).any() and set(_rows(tmp_path / "both")) == {"p-a.png", "p-b.png"}
     write_textures(draw_samples(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
     before = _contents(tmp_path / "one")
     with pytest.raises(BadInput, match=r"images\.png: exists, and no model drew it"):
@@ -235,7 +230,6 @@ def test_two_files_of_one_name(names: tuple[str, str]) -> None:
         (None, "3 is no table"),
         ([1, 2], "recipe: "),
         ({"seed": 3}, "recipe.dataset: "),
-        ({"seed": "three"}, "recipe.seed: "),
         ({"seed": [3]}, "recipe.seed: "),
         ({"shape": 7}, "size 7"),
     ],

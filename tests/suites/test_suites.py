@@ -148,6 +148,7 @@ def test_bad_grids(grid: Any, message: str) -> None:
     [
         ("core", "780b36770bccd8c9"),
         ("default", "117e3501a8740179"),
+        ("detectors", "fd5456d95e2150ed"),
         ("frontier", "79c6c29e9724c398"),
         ("integer", "1bf655853a8029fd"),
         ("spectrum", "59af64198089eccf"),
