@@ -15,6 +15,7 @@ from .pixel_growing.pixel_growth import (
     Growth,
     Neighborhood,
     SearchParameters,
+    Stock,
     list_candidates,
     scatter_pixels,
     stack_layers,
@@ -72,7 +73,7 @@ class AnnPixel(SearchParameters):
         (height, width), (left, top, right, bottom) = task.shape, neighborhood.box
         start = scatter_pixels(layers, (height + top + bottom, width + left + right), task.rng)
         growth = Growth(task, start, (top, left))
-        growth.grow(candidates.build_stock(layers, neighborhood, self, 1.0), range(height), range(width))
+        growth.grow(Stock(layers, candidates, neighborhood, self), range(height), range(width))
         image, source = growth.result()
         task.progress(1.0)
         return Synthesis(image, source=source)

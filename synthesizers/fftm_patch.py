@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from nrbench.detectors.frdft import Frdft
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.spectra.harmonics import lowest_period
 
@@ -19,7 +18,6 @@ from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
 from .patchwork.patchwork import PatchPlacer, Patchwork, SeamHeat, scan_windows
 from .patchwork.translations import to_gray_levels
 
-SeamValues = Literal["color", "mask"]
 PatchRule = Literal["period", "lowest"]
 
 LEAST_PATCH = 24
@@ -27,8 +25,6 @@ LEAST_PATCH = 24
 PATCH_WITHOUT_TILE = 40
 """px: side of an automatic patch if no upright rectangle is a tile (the example in section 5 of the paper)."""
 LARGEST_WEIGHT = 10.0
-HALF_PIXEL = 0.5
-"""px: the largest distance of whole-pixel sides from a period of the mask."""
 
 
 @dataclass(frozen=True)
@@ -83,13 +79,10 @@ class FftmPatch(MaskParameters):
         0: one of the patches of least cost.
     refinements
         Number of windows that are covered again, as a multiple of the number of windows.
-    seam
-        The values from which the cost of a seam is computed. ``"mask"``: color and weighted mask, as in the paper.
-        ``"color"``: color alone.
     normalized
-        Whether the cost of a seam is divided by the gradients along it (section 5 of Kwatra et al.), so that seams
-        prefer places where the texture varies strongly. False: the differences alone, as in the paper (equation 1 of
-        Kwatra et al.).
+        Whether the cost of a seam is the square of the differences, in color and weighted mask, divided by the
+        gradients along the seam (after section 5 of Kwatra et al.), so that seams prefer places where the texture
+        varies strongly. False: the differences alone, as in the paper (equation 1 of Kwatra et al.).
 
     References
     ----------
@@ -104,7 +97,6 @@ class FftmPatch(MaskParameters):
     reach: float = 1.0
     randomness: float = 0.1
     refinements: int = 1
-    seam: SeamValues = "mask"
     normalized: bool = True
 
     reference: ClassVar[bool] = False
@@ -120,7 +112,6 @@ class FftmPatch(MaskParameters):
             "reach": 0.0,
             "randomness": 0.1,
             "refinements": 1,
-            "seam": "mask",
             "normalized": False,
             **MASK_OF_THE_PAPER,
         }
@@ -145,42 +136,15 @@ class FftmPatch(MaskParameters):
         if self.refinements < 0:
             raise BadInput(f"refinements {self.refinements}; choose 0 or more passes")
 
-    def synthesize(self, task: Task) -> Synthesis:
-        """Return the synthesis; see :class:`FftmPatch`. The mask is the extra picture ``mask``.
-
-        Raises
-        ------
-        Refused
-            If the sample has no regular part or is smaller than the patch, or if the output cannot tile.
-        """
-        mask, seconds = self.find_mask_of(task)
-        return replace(self.synthesize_with_mask(task, mask), detection_seconds=seconds)
-
     def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
         """Return the synthesis guided by a given mask of the sample. Exceptions are those of :meth:`synthesize`."""
         output_mask = self.fit_to_output(mask, task.shape).draw(task.shape)
-        image, source = self.lay_patches(task, mask, output_mask).result()
-        task.progress(1.0)
-        return Synthesis(image, mask.lattice, source, {"mask": output_mask})
-
-    def lay_patches(self, task: Task, mask: TextureMask, output_mask: Image) -> Patchwork:
-        """Return the output after all windows are covered and refined. Exceptions are those of :meth:`synthesize`.
-
-        Parameters
-        ----------
-        task
-            The sample, the output's shape, the random generator.
-        mask
-            The mask of the sample.
-        output_mask
-            The mask drawn at the size of the output, ``(H, W, C)``.
-        """
         size = self._patch_size(mask, task)
         colors = to_gray_levels(task.sample)
-        sample_mask = to_gray_levels(mask.draw(_shape(task.sample)), self.weight)
+        sample_mask = to_gray_levels(mask.draw(task.sample.shape[:2]), self.weight)
         guide = to_gray_levels(output_mask, self.weight), sample_mask
-        features = colors if self.seam == "color" else np.concatenate([colors, sample_mask], -1)
-        work = Patchwork(task.sample, features, task.shape, self.normalized, self.tileable)
+        features = np.concatenate([colors, sample_mask], -1)
+        work = Patchwork(task.sample, features, task.shape, self.normalized, 2 if self.normalized else 1, self.tileable)
         placer = PatchPlacer(work, colors, self.randomness, task.rng, guide, round(self.reach * min(size)))
         step_y, step_x = (max(1, round(side * (1 - self.overlap))) for side in size)
         windows = list(scan_windows(task.shape, size, (step_y, step_x), self.tileable))
@@ -192,11 +156,13 @@ class FftmPatch(MaskParameters):
         for number in range(len(windows), steps):
             placer.improve_worst_window(heat)
             task.progress(number / steps)
-        return work
+        image, source = work.result()
+        task.progress(1.0)
+        return Synthesis(image, mask.lattice, source, {"mask": output_mask})
 
     def _patch_size(self, mask: TextureMask, task: Task) -> Shape:
         """Return the (height, width) of the patches, px."""
-        height, width = _shape(task.sample)
+        height, width = task.sample.shape[:2]
         if self.patch > min(height, width):
             raise Refused(
                 f"the sample is {width}x{height} px, a patch {self.patch}x{self.patch} px; "
@@ -209,10 +175,6 @@ class FftmPatch(MaskParameters):
         return min(size[0], task.shape[0] - margin), min(size[1], task.shape[1] - margin)
 
 
-def _shape(image: Image) -> Shape:
-    return image.shape[0], image.shape[1]
-
-
 def automatic_size(mask: TextureMask, shape: Shape, rule: PatchRule = "period") -> Shape:
     """Return the (height, width) px of automatic patches for a mask and a sample of ``shape``."""
     half = (max(shape[0] // 2, 1), max(shape[1] // 2, 1))
@@ -221,9 +183,9 @@ def automatic_size(mask: TextureMask, shape: Shape, rule: PatchRule = "period") 
         lengths = (down or across or math.inf, across or down or math.inf)
         height, width = (round(min(max(side, 3), most)) for side, most in zip(lengths, half, strict=True))
         return height, width
-    tile = mask.find_period(HALF_PIXEL, float(max(half)))
+    tile = mask.find_period(limit=max(half))
     if tile is None:
         return min(PATCH_WITHOUT_TILE, half[0]), min(PATCH_WITHOUT_TILE, half[1])
-    sides = (side * math.ceil(LEAST_PATCH / side) for side in tile.size[::-1])
+    sides = (side * math.ceil(LEAST_PATCH / side) for side in tile[::-1])
     height, width = (min(round(side), most) for side, most in zip(sides, half, strict=True))
     return height, width

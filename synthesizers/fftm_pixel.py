@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -31,7 +30,7 @@ from .pixel_growing.pixel_growth import (
 Match = Literal["full", "cluster"]
 
 CLUSTERS = 64
-"""Default number of clusters. In a sample of 128 x 128 px, each cluster holds a few hundred pixels."""
+"""Number of clusters. In a sample of 128 x 128 px, each cluster holds a few hundred pixels."""
 CLUSTER_BAND = 32
 """Number of output rows that are sorted into clusters at a time."""
 CLUSTER_CHANGE = 0.1
@@ -78,10 +77,9 @@ class FftmPixel(MaskParameters, SearchParameters):
         c, 0 to 100: the weight of squared differences in the mask; those in the texture have weight 1. (The paper uses
         about 1. Below 0.1 the mask has no effect; above 5 it is too strong.) Only for match ``full``.
     match
-        ``"full"``: as above. ``"cluster"``: pixels are clustered by the mask in the whole window around them (k-means).
-        The candidates for an output pixel are the sample's pixels of the same cluster; only d_TT compares them.
-    clusters
-        Number of clusters, 2 to 4096, only for match ``cluster``. None: 64.
+        ``"full"``: as above. ``"cluster"``: pixels are sorted into 64 clusters by the mask in the whole window around
+        them (k-means). The candidates for an output pixel are the sample's pixels of the same cluster; only d_TT
+        compares them.
 
     References
     ----------
@@ -92,7 +90,6 @@ class FftmPixel(MaskParameters, SearchParameters):
     neighborhood: int = 3
     weight: float = 1.0
     match: Match = "full"
-    clusters: int | None = None
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -112,73 +109,36 @@ class FftmPixel(MaskParameters, SearchParameters):
             self.match == "full" or self.weight == 1.0,
             f"weight {self.weight} with match 'cluster', which uses no mask; choose match 'full', or leave weight out",
         )
-        _check(
-            self.match == "cluster" or self.clusters is None,
-            f"clusters {self.clusters} with match 'full'; choose match 'cluster', or leave clusters out",
-        )
-        _check(self.clusters is None or 2 <= self.clusters <= 4096, f"clusters {self.clusters}; choose from 2 to 4096")
-
-    def synthesize(self, task: Task) -> Synthesis:
-        """Return the synthesis; see :class:`FftmPixel`. The mask is the extra picture ``mask``.
-
-        Raises
-        ------
-        Refused
-            If the sample has no regular part or is smaller than a neighborhood, or if the output cannot tile.
-        """
-        mask, seconds = self.find_mask_of(task)
-        return replace(self.synthesize_with_mask(task, mask), detection_seconds=seconds)
 
     def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
         """Return the synthesis guided by a given mask of the sample. Exceptions are those of :meth:`synthesize`."""
-        synthesis = _GuidedGrowth(self, task, mask)
-        synthesis.grow()
-        image, source = synthesis.growth.result()
+        (height, width), size = task.shape, self.neighborhood
+        window = Neighborhood.of_mask(size // 2 * 2 + 1 if self.tileable else size)
+        left, top, right, bottom = window.box
+        layers = stack_layers(task.sample, mask.draw(task.sample.shape[:2]))
+        fitted = self.fit_to_output(mask, task.shape)
+        bordered = fitted.draw((height + top + bottom, width + left + right), (-left, -top))
+        growth = Growth(task, stack_layers(bordered, bordered), (top, left), self.tileable)
+        candidates, groups = list_candidates(layers, window, task.rng), None
+        if self.match == "cluster":
+            clusters = Clusters.fit(layers, Neighborhood.of_mask(size), candidates.pixels, task.rng)
+            candidates = replace(candidates, groups=clusters.labels)
+            groups = clusters.label_output(growth.layers, task.shape, growth.corner)
+        masked = self.match == "full"
+        stock = Stock(layers, candidates, Neighborhood.first_pass(size, masked), self, self.weight)
+        growth.grow(stock, range(height), range(width), groups)
+        if self.tileable:
+            stock = Stock(layers, candidates, Neighborhood.second_pass(size, masked), self, self.weight)
+            for rows in _border(height, size):
+                growth.grow(stock, rows, range(width), groups)
+            for columns in _border(width, size):
+                growth.grow(stock, range(height), columns, groups)
+        image, source = growth.result()
         task.progress(1.0)
-        return Synthesis(image, mask.lattice, source, {"mask": synthesis.mask_picture})
+        return Synthesis(image, mask.lattice, source, {"mask": bordered[top : top + height, left : left + width]})
 
 
 _check = checker("fftm-pixel")
-
-
-class _GuidedGrowth:
-    """One synthesis: the sample and the output, each with its mask."""
-
-    def __init__(self, method: FftmPixel, task: Task, mask: TextureMask) -> None:
-        self.method, self.task = method, task
-        size = method.neighborhood
-        window = Neighborhood.of_mask(size // 2 * 2 + 1 if method.tileable else size)
-        self.layers = stack_layers(task.sample, mask.draw(task.sample.shape[:2]))
-        (height, width), (left, top, right, bottom) = task.shape, window.box
-        output_mask = method.fit_to_output(mask, task.shape)
-        bordered = output_mask.draw((height + top + bottom, width + left + right), (-left, -top))
-        self.mask_picture = bordered[top : top + height, left : left + width]
-        self.growth = Growth(task, stack_layers(bordered, bordered), (top, left), method.tileable)
-        self.candidates = list_candidates(self.layers, window, task.rng)
-        if method.match == "cluster":
-            self.candidates = replace(self.candidates, groups=self.clusters.labels)
-
-    @cached_property
-    def clusters(self) -> Clusters:
-        """The clusters of the sample's pixels by the mask around them."""
-        window, count = Neighborhood.of_mask(self.method.neighborhood), self.method.clusters or CLUSTERS
-        return Clusters.fit(self.layers, window, self.candidates.pixels, count, self.task.rng)
-
-    def grow(self) -> None:
-        """Synthesize all pixels, and then, for a tileable output, those near the border again."""
-        size, masked = self.method.neighborhood, self.method.match == "full"
-        height, width = self.task.shape
-        groups = None if masked else self.clusters.label_output(self.growth.layers, self.task.shape, self.growth.corner)
-        self.growth.grow(self._stock(Neighborhood.first_pass(size, masked)), range(height), range(width), groups)
-        if self.method.tileable:
-            stock = self._stock(Neighborhood.second_pass(size, masked))
-            for rows in _border(height, size):
-                self.growth.grow(stock, rows, range(width), groups)
-            for columns in _border(width, size):
-                self.growth.grow(stock, range(height), columns, groups)
-
-    def _stock(self, neighborhood: Neighborhood) -> Stock:
-        return self.candidates.build_stock(self.layers, neighborhood, self.method, self.method.weight)
 
 
 def _border(length: int, reach: int) -> tuple[range, range]:
@@ -205,13 +165,11 @@ class Clusters:
     labels: Integers
 
     @classmethod
-    def fit(
-        cls, layers: Layers, neighborhood: Neighborhood, pixels: Integers, count: int, rng: np.random.Generator
-    ) -> Clusters:
-        """Cluster the neighborhoods of some pixels by k-means, starting from ``count`` random ones (or all)."""
+    def fit(cls, layers: Layers, neighborhood: Neighborhood, pixels: Integers, rng: np.random.Generator) -> Clusters:
+        """Cluster the neighborhoods of some pixels by k-means, starting from :data:`CLUSTERS` random ones (or all)."""
         vectors = neighborhood.vectors(layers, pixels).astype(np.float64)
         distinct = np.unique(vectors, axis=0)
-        guess = distinct[np.sort(rng.permutation(len(distinct))[:count])]
+        guess = distinct[np.sort(rng.permutation(len(distinct))[:CLUSTERS])]
         centers = np.unique(np.rint(scipy.cluster.vq.kmeans(vectors, guess, thresh=CLUSTER_CHANGE)[0]), axis=0)
         used, labels = np.unique(scipy.cluster.vq.vq(vectors, centers)[0], return_inverse=True)
         return cls(neighborhood, centers[used], labels.astype(np.int64))

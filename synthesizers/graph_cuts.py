@@ -83,14 +83,9 @@ class GraphCuts:
         ``"none"``: the output is only filled.
     passes
         The most passes of refinement, 0 or more.
-    force
-        Whether a region that is covered again must show the patch at the pixel of its costliest seam, even if the total
-        cost then increases (section 3.2). Otherwise a patch that does not reduce the cost is dropped.
     normalized
         Whether the cost of a seam is divided by the gradients along it (section 5), so that seams prefer places where
         the texture varies strongly.
-    power
-        Exponent of the differences in the cost of a seam: 1 (the paper) or 2.
     feather
         Standard deviation in px of the Gaussian that weights the patches around a pixel near a seam (section 5); 0.1
         to 8. 0: every pixel is a copy.
@@ -106,9 +101,7 @@ class GraphCuts:
     region: float = 0.5
     refine: Refine = "worst"
     passes: int = 4
-    force: bool = True
     normalized: bool = True
-    power: int = 1
     feather: float = 1.0
 
     reference: ClassVar[bool] = False
@@ -119,9 +112,7 @@ class GraphCuts:
             "placement": "entire",
             "randomness": 0.01,
             "refine": "worst",
-            "force": True,
             "normalized": True,
-            "power": 1,
         }
     }
     patch_shape: ClassVar[str] = "input texture image"
@@ -146,8 +137,6 @@ class GraphCuts:
             raise BadInput(f"region {self.region}; choose a share of the sample above 0, at most 0.8")
         if self.passes < 0:
             raise BadInput(f"passes {self.passes}; choose 0 or more")
-        if self.power not in (1, 2):
-            raise BadInput(f"power {self.power}; choose 1 (the paper) or 2")
         if self.feather != 0 and not LEAST_FEATHER <= self.feather <= 8:
             raise BadInput(f"feather {self.feather}; choose 0 (copies only), or {LEAST_FEATHER:g} to 8 px")
 
@@ -175,7 +164,7 @@ class GraphCuts:
         """Return the empty output, and what lays patches over it. Exceptions are those of :meth:`synthesize`."""
         size = self._region_size(task)
         colors = to_gray_levels(task.sample)
-        work = Patchwork(task.sample, colors, task.shape, self.normalized, power=self.power)
+        work = Patchwork(task.sample, colors, task.shape, self.normalized)
         margin = size[0] // MARGIN, size[1] // MARGIN
         return work, WholePatches(work, colors, size, self.placement, self.randomness, LEAST_OVERLAP, margin, task.rng)
 
@@ -201,7 +190,7 @@ class GraphCuts:
                 return
             for step in range(steps):
                 region = self._choose_region(heat, task.rng)
-                patches.cover_region(region, _costliest_pixel(work, region) if self.force else None)
+                patches.cover_region(region, _costliest_pixel(work, region))
                 heat.update(region, reach)
                 task.progress(filled * (1 + number + step / steps))
             after = work.cost

@@ -15,19 +15,23 @@ from nrbench.plugins.forms import Synthesis, Task
 
 from .gap_filling.blocks import Box
 from .gap_filling.matching import FrameMatcher, frame_mask
-from .patch_laying.choice import LARGEST_SHARE, draw_within
-from .patch_laying.raster_canvas import Place, RasterCanvas, RasterGrid, check_patch, require_patch
+from .patch_laying.raster_canvas import (
+    LARGEST_SHARE,
+    Place,
+    RasterCanvas,
+    RasterGrid,
+    check_patch,
+    choose_size,
+    draw_within,
+)
 from .patch_laying.zone_tree import ZoneTree
 
 Search = Literal["exhaustive", "kdtree"]
 
-PATCH_SHARE = 0.5
-"""Side of an automatic patch as a share of the sample's shorter side.
-
-Mean quality on the suite core with other seeds: 0.41 with a half, 0.34 with three eighths.
-"""
-LEAST_PATCH = 3
-"""px: least side of an automatic patch."""
+NEIGHBORS = 40
+"""Number of patches that the k-d tree finds."""
+SEARCH_ERROR = 1.0
+"""The tree may return a patch whose distance is up to 1 + this times that of the one which it stands for."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +68,8 @@ class PatchBased:
         The largest relative error of a patch that fits, 0 to 1e6. (The paper: 0.2.) 0: always one of the patches of
         least distance.
     search
-        ``"exhaustive"``: all patches are compared. ``"kdtree"``: only the neighbors that the tree finds.
-    neighbors
-        Number of patches that the tree finds, from 1 on; without effect in an exhaustive search.
-    search_error
-        The tree may return a patch whose distance, in the space of the components, is up to 1 + ``search_error`` times
-        that of the one it stands for; 0 to 1e6. Without effect in an exhaustive search.
+        ``"exhaustive"``: all patches are compared. ``"kdtree"``: only the 40 nearest neighbors that the tree
+        finds. A neighbor may be up to twice as far, in the space of the components, as the one that it stands for.
 
     References
     ----------
@@ -81,8 +81,6 @@ class PatchBased:
     zone: int = 8
     epsilon: float = 0.01
     search: Search = "exhaustive"
-    neighbors: int = 40
-    search_error: float = 1.0
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
@@ -109,10 +107,6 @@ class PatchBased:
         check_patch("patch", self.patch, "zone", self.zone)
         if not 0 <= self.epsilon <= LARGEST_SHARE:
             raise BadInput(f"epsilon {self.epsilon}; choose 0 (only the best patches) to {LARGEST_SHARE:g}")
-        if self.neighbors < 1:
-            raise BadInput(f"neighbors {self.neighbors}; choose 1 or more")
-        if not 0 <= self.search_error <= LARGEST_SHARE:
-            raise BadInput(f"search_error {self.search_error}; choose 0 (exact) to {LARGEST_SHARE:g}")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis.
@@ -122,7 +116,8 @@ class PatchBased:
         Refused
             If the sample does not hold a patch.
         """
-        grid = self.find_grid(task)
+        patch = choose_size("patch", self.patch, "zone", self.zone, task.sample.shape)
+        grid = RasterGrid(task.shape, patch, self.zone)
         canvas, matcher = RasterCanvas(task.sample, grid), FrameMatcher(task.sample, grid.size)
         tree = lru_cache(maxsize=3)(lambda hole: ZoneTree(matcher, hole))
 
@@ -132,18 +127,11 @@ class PatchBased:
                 index = draw_within(-matcher.rate_everywhere(old, hole), limit, task.rng)
                 y, x = divmod(index, matcher.search_shape[1])
             else:
-                places = tree(hole).find_nearest(old, self.neighbors, self.search_error)
+                places = tree(hole).find_nearest(old, NEIGHBORS, SEARCH_ERROR)
                 x, y = places[draw_within(-matcher.rate(old, hole, places), limit, task.rng)].tolist()
             return x, y
 
         return canvas.cover(task, matcher.search_shape, choose, canvas.join_by_feathering)
-
-    def find_grid(self, task: Task) -> RasterGrid:
-        """Return the spots of the patches. Raise :class:`Refused` if the sample does not hold a patch."""
-        side = min(task.sample.shape[:2])
-        patch = self.patch or max(round(PATCH_SHARE * side), LEAST_PATCH, 2 * self.zone)
-        require_patch("patch", patch, "zone", self.zone, task.sample.shape)
-        return RasterGrid(task.shape, patch, self.zone)
 
 
 def squared_limit(zone: NDArray[np.float32], epsilon: float) -> float:

@@ -14,17 +14,16 @@ from nrbench.plugins.forms import Synthesis, Task
 
 from .gap_filling.blocks import Box
 from .gap_filling.matching import FrameMatcher
-from .patch_laying.choice import LARGEST_SHARE, draw_within
-from .patch_laying.raster_canvas import Place, RasterCanvas, RasterGrid, check_patch, require_patch
+from .patch_laying.raster_canvas import (
+    LARGEST_SHARE,
+    Place,
+    RasterCanvas,
+    RasterGrid,
+    check_patch,
+    choose_size,
+    draw_within,
+)
 
-BLOCK_SHARE = 0.5
-"""Side of an automatic block as a share of the sample's shorter side.
-
-Mean quality on the suite core with other seeds: 0.43 with a half, 0.35 with three eighths; a third and a quarter are
-worse still.
-"""
-LEAST_BLOCK = 3
-"""px: least side of an automatic block."""
 PARTS = 6
 """An automatic overlap is this part of the block: a sixth (section 2.2)."""
 
@@ -93,7 +92,8 @@ class Quilting:
         Refused
             If the sample does not hold a block.
         """
-        grid = self.find_grid(task)
+        block = choose_size("block", self.block, "overlap", self.overlap, task.sample.shape)
+        grid = RasterGrid(task.shape, block, self.overlap or max(round(block / PARTS), 1))
         canvas, matcher = RasterCanvas(task.sample, grid), FrameMatcher(task.sample, grid.size)
 
         def choose(old: NDArray[np.float32], hole: Box) -> Place:
@@ -104,10 +104,3 @@ class Quilting:
             return x, y
 
         return canvas.cover(task, matcher.search_shape, choose, canvas.join_along_seam)
-
-    def find_grid(self, task: Task) -> RasterGrid:
-        """Return the spots of the blocks. Raise :class:`Refused` if the sample does not hold a block."""
-        side = min(task.sample.shape[:2])
-        block = self.block or max(round(BLOCK_SHARE * side), LEAST_BLOCK, 2 * self.overlap)
-        require_patch("block", block, "overlap", self.overlap, task.sample.shape)
-        return RasterGrid(task.shape, block, self.overlap or max(round(block / PARTS), 1))

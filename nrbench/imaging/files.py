@@ -179,6 +179,12 @@ def _sixteen_bits(pixels: NDArray[Any], transparent: int | None, where: str) -> 
     return np.stack([values, np.where(values == transparent, 0, 65535).astype(np.uint16)], -1)
 
 
+def to_pil(image: Image) -> PIL.Image.Image:
+    """Return an image as a picture of Pillow, of 8 bits a channel; gray if it has one channel."""
+    pixels = to_bytes(image)
+    return PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
+
+
 def write_image(path: str | Path, image: Image) -> Path:
     """Write a PNG file of 8 bits a channel, marked as sRGB, in one step: no reader sees an incomplete file.
 
@@ -212,12 +218,10 @@ def write_image(path: str | Path, image: Image) -> Path:
     target = Path(path)
     if target.suffix.lower() != ".png":
         raise BadInput(f"picture {path}: only PNG is written, which keeps every pixel; end its name in .png")
-    pixels = to_bytes(image)
-    chunks = PIL.PngImagePlugin.PngInfo()
+    picture, chunks = to_pil(image), PIL.PngImagePlugin.PngInfo()
     chunks.add(b"sRGB", b"\x00")
     aside = target.with_name(f".{target.name[:80]}.{uuid.uuid4().hex}.part")
     try:
-        picture = PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
         picture.save(aside, "PNG", compress_level=1, pnginfo=chunks)
         aside.replace(target)
     except OSError as error:

@@ -11,7 +11,8 @@ import PIL.ImageDraw
 import PIL.ImageFont
 import skimage
 
-from nrbench.imaging.convert import Image, to_bytes
+from nrbench.imaging.convert import Image
+from nrbench.imaging.files import to_pil
 from nrbench.lattice.geometry import Lattice, Points
 
 COLOR = (1.0, 0.1, 0.6)
@@ -179,9 +180,7 @@ def _scale(image: Image, side: int) -> tuple[Image, float]:
         times = side // longer
         return np.repeat(np.repeat(image, times, axis=0), times, axis=1), float(times)
     size = (max(1, round(n * side / longer)) for n in image.shape[1::-1])
-    pixels = to_bytes(image)
-    picture = PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
-    small = np.asarray(picture.resize(tuple(size), PIL.Image.Resampling.BOX), np.float32) / np.float32(255)
+    small = np.asarray(to_pil(image).resize(tuple(size), PIL.Image.Resampling.BOX), np.float32) / np.float32(255)
     return small.reshape(*small.shape[:2], -1), side / longer
 
 
@@ -209,16 +208,7 @@ def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: i
         One for each image; lines that are too long for their column are cut.
     columns
         Largest number of images in a row.
-
-    Raises
-    ------
-    ValueError
-        If there are no images, or the numbers of images and captions differ.
     """
-    if not pictures or len(pictures) != len(captions):
-        raise ValueError(
-            f"{len(pictures)} pictures and {len(captions)} captions: a contact sheet needs as many of both"
-        )
     columns = min(columns, len(pictures))
     lines = max(caption.count("\n") + 1 for caption in captions)
     width = max(6 * _LETTERS, *(picture.shape[1] for picture in pictures)) + _MARGIN
@@ -230,20 +220,14 @@ def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: i
         for column, k in enumerate(row):
             left = _MARGIN + column * width
             _write(pen, (left, top), captions[k], width - _MARGIN)
-            sheet.paste(_to_pil(pictures[k]), (left, top + lines * _LINE))
+            sheet.paste(to_pil(pictures[k]).convert("RGB"), (left, top + lines * _LINE))
         top += height
     return np.asarray(sheet, np.float32) / np.float32(255)
-
-
-def _to_pil(picture: Image) -> PIL.Image.Image:
-    pixels = to_bytes(picture)
-    return PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).convert("RGB")
 
 
 def _write(pen: PIL.ImageDraw.ImageDraw, corner: tuple[int, int], caption: str, width: int) -> None:
     font = PIL.ImageFont.load_default(size=11)
     for i, line in enumerate(caption.split("\n")):
-        letters = ceil(len(line) * min(1.0, width / max(1.0, font.getlength(line))))
-        while font.getlength(line[:letters]) > width:
-            letters -= 1
-        pen.text((corner[0], corner[1] + i * _LINE), line[:letters], fill="black", font=font)
+        while font.getlength(line) > width:
+            line = line[:-1]
+        pen.text((corner[0], corner[1] + i * _LINE), line, fill="black", font=font)

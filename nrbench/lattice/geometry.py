@@ -23,6 +23,8 @@ Points = NDArray[np.float64]
 
 LONGEST = 1e9
 """px; the longest vector of a lattice: squares and products of longer ones may overflow."""
+MOST_STEPS = 64
+"""Most steps of a reduction. Each shortens a vector, and vectors up to :data:`LONGEST` need fewer."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,10 @@ class Lattice:
         a, b = self.reduced().matrix
         return float(np.hypot(*a) * np.hypot(*b) * np.hypot(*(b - a))) / (2 * self.area)
 
+    @cached_property
+    def _shortest(self) -> tuple[Points, Points]:
+        return shortest_pair(self.matrix)
+
     def reduced(self) -> Lattice:
         """Return the same lattice in a Lagrange-Gauss basis: t1 shortest, t2 next, angle in [60, 90] degrees.
 
@@ -112,7 +118,7 @@ class Lattice:
         >>> Lattice((30.0, 1.0), (90.0, 15.0)).reduced()
         Lattice(t1=(0.0, 12.0), t2=(30.0, 1.0), origin=(0.0, 0.0))
         """
-        a, b = shortest_pair(self.matrix)
+        a, b = self._shortest
         a, b = _make_acute(_point_right(a), _point_right(b))
         return Lattice.from_basis((a, b), self.origin)
 
@@ -128,7 +134,7 @@ class Lattice:
         Lattice
             It has the same origin.
         """
-        a, b = _break_ties(*shortest_pair(self.matrix))
+        a, b = _break_ties(*self._shortest)
         a, b = _make_acute(_point_down(a), _point_down(b))
         return Lattice.from_basis((a, b), self.origin)
 
@@ -408,37 +414,27 @@ def require_visible(lattice: Lattice, given: object) -> Lattice:
 
 
 def shortest_pair(basis: Points) -> tuple[Points, Points]:
-    """Return a shortest vector of a lattice and a shortest vector independent of it, by Lagrange and Gauss.
-
-    ``basis`` is ``(2, 2)``, rows (x, y).
-    """
-    a, b = basis
-    if a @ a > b @ b:
-        a, b = b, a
-    while True:
-        b = b - np.rint((a @ b) / (a @ a)) * a
-        if b @ b >= a @ a * (1 - 1e-12):
-            return a, b
-        a, b = b, a
+    """Return a shortest vector of a lattice and a shortest vector independent of it; ``basis`` is ``(2, 2)``."""
+    a, b = reduce_pairs(basis[:1], basis[1:])
+    return a[0], b[0]
 
 
 def reduce_pairs(a: Points, b: Points) -> tuple[Points, Points]:
-    """Return the Lagrange-Gauss reduced bases of many lattices at once; :func:`shortest_pair` is faster for one.
+    """Return the Lagrange-Gauss reduced bases of many lattices at once: the shortest vectors and the next ones.
 
     Parameters
     ----------
     a, b
         ``(n, 2)`` each, rows (x, y): the two vectors of each basis; they may be parallel or 0.
     """
-    for _ in range(12):
-        swap = ((a**2).sum(1) > (b**2).sum(1))[:, np.newaxis]
-        a, b = np.where(swap, b, a), np.where(swap, a, b)
-        steps = np.rint((a * b).sum(1) / np.maximum((a**2).sum(1), 1e-12))
-        if not steps.any():
-            break
-        b = b - steps[:, np.newaxis] * a
     swap = ((a**2).sum(1) > (b**2).sum(1))[:, np.newaxis]
-    return np.where(swap, b, a), np.where(swap, a, b)
+    for _ in range(MOST_STEPS):
+        a, b = np.where(swap, b, a), np.where(swap, a, b)
+        b = b - np.rint((a * b).sum(1) / np.maximum((a**2).sum(1), 1e-12))[:, np.newaxis] * a
+        swap = ((b**2).sum(1) < (a**2).sum(1) * (1 - 1e-12))[:, np.newaxis]
+        if not swap.any():
+            break
+    return a, b
 
 
 def _make_acute(a: Points, b: Points) -> tuple[Points, Points]:
@@ -500,9 +496,7 @@ def hermite_matrices(index: int) -> Integers:
     >>> hermite_matrices(2).tolist()
     [[[2, 0], [0, 1]], [[1, 0], [0, 2]], [[1, 1], [0, 2]]]
     """
-    if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or index < 1:
-        raise BadInput(f"lattice: index is {index!r}; give a whole number of cells, 1 or more")
-    divisors = [d for d in range(1, int(index) + 1) if index % d == 0]
+    divisors = [d for d in range(1, index + 1) if index % d == 0]
     return np.array([((index // d, b), (0, d)) for d in divisors for b in range(d)], np.int64)
 
 

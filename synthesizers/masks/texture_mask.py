@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.lattice.geometry import Lattice, Points, Vector
-from nrbench.plugins.forms import Refused, Shape, Task
+from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.plugins.parameters import append_parameters
 from nrbench.spectra.harmonics import Channels, Harmonic, Harmonics, Signal, analyze
 
@@ -112,18 +112,55 @@ class MaskParameters:
             raise Refused(f"no wave of the sample exceeds its noise{limit}: there is no regular part for a mask")
         return TextureMask(waves, self.harmonics == "tied")
 
-    def find_mask_of(self, task: Task) -> tuple[TextureMask, float]:
-        """Return the mask of a task's sample, and the seconds that the search took; 0 if a lattice is given.
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the synthesis. The mask is the extra picture ``mask``.
 
-        Exceptions are those of :meth:`find_mask`.
+        Raises
+        ------
+        Refused
+            If the sample has no regular part or is too small, or if the output cannot tile.
         """
         start = time.perf_counter()
         mask = self.find_mask(task.sample, task.lattice)
-        return mask, 0.0 if task.lattice else time.perf_counter() - start
+        seconds = 0.0 if task.lattice else time.perf_counter() - start
+        return replace(self.synthesize_with_mask(task, mask), detection_seconds=seconds)
+
+    def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
+        """Return the synthesis guided by a given mask of the sample; each method has its own."""
+        raise NotImplementedError
 
     def fit_to_output(self, mask: TextureMask, shape: Shape) -> TextureMask:
-        """Return the mask for an output of (height, width); if it is tileable, fitted by :func:`tileable_mask`."""
-        return tileable_mask(mask, shape) if self.tileable else mask
+        """Return the mask for an output; if it is tileable, with a whole number of waves along each side of the output.
+
+        Equation 7 divides by the components of one frequency pair, which can be 0. Here a side is accepted if it is a
+        vector of the mask's lattice (or a period of its stripes) up to :data:`SLACK`, and the lattice is then fitted to
+        it. Other groups of waves are stretched by at most half a period over the whole output.
+
+        Parameters
+        ----------
+        mask
+            A mask, of tied harmonics if the output is tileable.
+        shape
+            (height, width) px of the output.
+
+        Raises
+        ------
+        Refused
+            If a side is no period; the message names the nearest valid size.
+        """
+        if not self.tileable:
+            return mask
+        height, width = shape
+        fundamentals = mask.groups[0] if mask.lattice is None else mask.lattice.dual().matrix
+        near = [_nearest_period(fundamentals, axis, side) for axis, side in enumerate((width, height))]
+        if near != [width, height]:
+            sides = "x".join("?" if side is None else str(side) for side in near)
+            raise Refused(
+                f"{width}x{height} px is no period of the mask, so the output cannot tile; nearest valid size: {sides}"
+            )
+        harmonics = mask.harmonics
+        fitted = np.rint(harmonics.fundamentals * (width, height)) / (width, height)
+        return replace(mask, harmonics=replace(harmonics, fundamentals=fitted, frequencies=harmonics.orders @ fitted))
 
 
 @dataclass(frozen=True)
@@ -183,89 +220,42 @@ class TextureMask:
         pairs += [np.stack([lone[0], other]) for other in lone[1:] if _are_crossed(lone[0], other)]
         return Lattice.from_basis(np.linalg.inv(pairs[0]).T).reduced() if pairs else None
 
-    def find_period(self, tolerance: float, limit: float = 1024.0) -> CommonPeriod | None:
-        """Return the smallest upright rectangle of whole px that is a period of all groups within ``tolerance`` px.
+    def find_period(self, tolerance: float = 0.5, limit: int = 1024) -> tuple[int, int] | None:
+        """Return the (width, height) px of the smallest upright rectangle that is a period of all groups of waves.
 
-        None if no side up to ``limit`` px is a period, or if the waves are free and thus have no common period.
+        Each side is the shortest length that is near a period of every group. A period of a lattice is a lattice
+        vector; a period of stripes is the distance between stripes along the side. The paper (equation 7) divides by
+        the components of the lowest frequency, which may be 0. Here a side along which nothing varies gets the length
+        of the other one.
+
+        Parameters
+        ----------
+        tolerance
+            px: the largest allowed distance of a side from a period; at least 0, and less than half the shortest
+            period.
+        limit
+            The longest side that is examined, px.
+
+        Returns
+        -------
+        tuple of int or None
+            None if no length up to ``limit`` is a period, or if the waves are free and thus have no common period.
         """
-        return find_common_period(self.groups, tolerance, int(limit)) if self.tied else None
+        if not self.tied:
+            return None
+        errors = [np.max([_period_errors(group, axis, limit) for group in self.groups], 0) for axis in (0, 1)]
+        across, down = (_shortest_side(along, max(tolerance, 1e-6)) for along in errors)
+        if across is None or down is None:
+            return None
+        (width, free_x), (height, free_y) = across, down
+        width = min(width, height) if free_x else width
+        return width, min(height, width) if free_y else height
 
 
 def _are_crossed(first: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
     """Return whether two frequencies differ in direction by more than 10 degrees."""
     area = abs(first[0] * other[1] - first[1] * other[0])
     return bool(area > 0.17 * np.hypot(*first) * np.hypot(*other))
-
-
-@dataclass(frozen=True)
-class CommonPeriod:
-    """An upright rectangle that is a period of several lattices and stripes at once.
-
-    Parameters
-    ----------
-    size
-        (width, height), whole px.
-    error
-        px: the largest distance of a side from the nearest period, over all groups.
-    free
-        For width and height, whether any length is a period, because nothing varies along this side (stripes).
-    """
-
-    size: tuple[int, int]
-    error: float
-    free: tuple[bool, bool] = (False, False)
-
-    @property
-    def sides(self) -> Points:
-        """``(2, 2)``: the two sides (x, y), px."""
-        return np.diag(np.array(self.size, np.float64))
-
-
-def find_common_period(
-    groups: Sequence[NDArray[np.float64]], tolerance: float = 0.5, limit: int = 1024
-) -> CommonPeriod | None:
-    """Return the smallest upright rectangle of whole px that is a period of all groups of frequencies.
-
-    Each side is the shortest length that is near a period of every group. A period of a lattice is a lattice vector; a
-    period of stripes is the distance between stripes along the side. The paper (Nicoll et al. 2005, equation 7) divides
-    by the components of the lowest frequency, which may be 0. Here a side along which nothing varies is free, and gets
-    the length of the other one.
-
-    Parameters
-    ----------
-    groups
-        The fundamentals of each group, ``(1 or 2, 2)`` cycles/px.
-    tolerance
-        px: the largest allowed distance of a side from a period; at least 0, and less than half the shortest period.
-    limit
-        The longest side that is examined, px.
-
-    Returns
-    -------
-    CommonPeriod or None
-        None if there is no group, or if no length up to ``limit`` is a period.
-
-    Raises
-    ------
-    BadInput
-        If the tolerance would accept any rectangle, or the limit is below 1.
-    """
-    if not limit >= 1:
-        raise BadInput(f"common period: limit is {limit} px; give the longest side allowed, at least 1")
-    shortest = min((1 / float(np.linalg.svd(g)[1][0]) for g in groups), default=np.inf)
-    if not 0 <= tolerance < shortest / 2:
-        raise BadInput(f"common period: tolerance is {tolerance} px; give 0 or more, less than {shortest / 2:.4g} px")
-    if not groups:
-        return None
-    errors = np.stack([np.max([_period_errors(g, axis, int(limit)) for g in groups], 0) for axis in (0, 1)])
-    across, down = (_shortest_side(along, max(tolerance, 1e-6)) for along in errors)
-    if across is None or down is None:
-        return None
-    (width, free_x), (height, free_y) = across, down
-    width = min(width, height) if free_x else width
-    height = min(height, width) if free_y else height
-    error = float(max(errors[0, width - 1], errors[1, height - 1]))
-    return CommonPeriod((width, height), error, (free_x, free_y))
 
 
 def _period_errors(fundamentals: NDArray[np.float64], axis: int, limit: int) -> NDArray[np.float64]:
@@ -290,38 +280,6 @@ def _shortest_side(errors: NDArray[np.float64], tolerance: float) -> tuple[int, 
         return first, True
     within = np.flatnonzero(errors[first:] <= tolerance)
     return (first + int(within[0]) + 1, False) if len(within) else None
-
-
-def tileable_mask(mask: TextureMask, shape: Shape) -> TextureMask:
-    """Return the mask with fundamentals that have a whole number of waves along each side of the output.
-
-    Equation 7 divides by the components of one frequency pair, which can be 0. Here a side is accepted if it is a
-    vector of the mask's lattice (or a period of its stripes) up to :data:`SLACK`, and the lattice is then fitted to it.
-    Other groups of waves are stretched by at most half a period over the whole output.
-
-    Parameters
-    ----------
-    mask
-        A mask of tied harmonics.
-    shape
-        (height, width) px of the output.
-
-    Raises
-    ------
-    Refused
-        If a side is no period; the message names the nearest valid size.
-    """
-    height, width = shape
-    fundamentals = mask.groups[0] if mask.lattice is None else mask.lattice.dual().matrix
-    near = [_nearest_period(fundamentals, axis, side) for axis, side in enumerate((width, height))]
-    if near != [width, height]:
-        sides = "x".join("?" if side is None else str(side) for side in near)
-        raise Refused(
-            f"{width}x{height} px is no period of the mask, so the output cannot tile; nearest valid size: {sides}"
-        )
-    harmonics = mask.harmonics
-    fitted = np.rint(harmonics.fundamentals * (width, height)) / (width, height)
-    return replace(mask, harmonics=replace(harmonics, fundamentals=fitted, frequencies=harmonics.orders @ fitted))
 
 
 def _nearest_period(fundamentals: NDArray[np.float64], axis: int, side: int) -> int | None:

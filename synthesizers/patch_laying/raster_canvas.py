@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,16 @@ Place = tuple[int, int]
 Weights = NDArray[np.int64]
 """``int64 (h, w)``: weights in units of 1 / (zone + 1), from 1 to zone + 1. They are integers, so that blends are
 rounded alike on every machine."""
+SHARE = 0.5
+"""Side of an automatic patch as a share of the sample's shorter side.
+
+Mean quality on the suite core with other seeds: quilting 0.43 with a half, 0.35 with three eighths, less with a third
+and a quarter; patch-based 0.41 with a half, 0.34 with three eighths.
+"""
+LEAST = 3
+"""px: least side of an automatic patch."""
+LARGEST_SHARE = 1e6
+"""The largest relative error that a method accepts as a parameter. Its square times an error is finite."""
 
 
 class Spot(NamedTuple):
@@ -94,24 +104,30 @@ def check_patch(what: str, size: int, margin: str, overlap: int) -> None:
         raise BadInput(f"{margin} {overlap} with {what} {size}; choose a width from 1 px to half of the {what}")
 
 
-def require_patch(what: str, size: int, margin: str, overlap: int, sample_shape: tuple[int, ...]) -> None:
-    """Raise :class:`Refused` if the sample does not hold a patch, and say which parameters would do.
+def choose_size(what: str, size: int, margin: str, overlap: int, sample_shape: tuple[int, ...]) -> int:
+    """Return the side of a patch, px. An automatic one is half the sample's shorter side, at least twice the overlap.
 
     Parameters
     ----------
     what, margin
         The names of the two parameters.
     size
-        Side of the patch, px.
+        Side of the patch, px. 0: automatic.
     overlap
         Width of the overlap, px. 0: automatic.
     sample_shape
         Height and width of the sample, px.
+
+    Raises
+    ------
+    Refused
+        If the sample does not hold a patch; the message names parameters that would do.
     """
     height, width = sample_shape[:2]
     side = min(height, width)
+    size = size or max(round(SHARE * side), LEAST, 2 * overlap)
     if size <= side:
-        return
+        return size
     if 2 * overlap > side:
         raise Refused(
             f"the sample is {width}x{height} px, a {what} at least twice the {margin} of {overlap} px; "
@@ -120,6 +136,29 @@ def require_patch(what: str, size: int, margin: str, overlap: int, sample_shape:
     raise Refused(
         f"the sample is {width}x{height} px, a {what} {size}x{size} px; choose {what} <= {side}, or leave it out"
     )
+
+
+def draw_within(errors: NDArray[Any], limit: float, rng: np.random.Generator) -> int:
+    """Draw one of the entries that are at most ``limit``, all with the same probability.
+
+    If there are none, one of the least entries is drawn, so that there is always a result.
+
+    Parameters
+    ----------
+    errors
+        At least one, of any shape.
+    limit
+        The largest accepted error, in the unit of ``errors``.
+    rng
+        The generator; at most one number is drawn from it.
+
+    Returns
+    -------
+    int
+        Flat index of the entry.
+    """
+    accepted = np.flatnonzero(errors <= max(limit, errors.min()))
+    return int(accepted[rng.integers(len(accepted))])
 
 
 class RasterCanvas:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from ..sampling.patches import Source
 from ..seams.minimum_cut import Mask
 from .feather_kernels import feather_seams
 from .patchwork_kernels import UNIT, cut_links, link_choices, show_patch
-from .translations import Features, Layer, Translations, draw_translation
+from .translations import Features, Translations, draw_translation
 
 Window = tuple[int, int, int, int]
 """(y0, y1, x0, x1), half-open: rows and columns of the output."""
@@ -52,16 +51,16 @@ class Patchwork:
         (height, width) of the output, px.
     normalized
         False: a seam between patch A at pixel s and patch B at pixel t costs ``|A(s) - B(s)| + |A(t) - B(t)|``,
-        Euclidean over the features, to the power ``power`` (equation 1). True: this is divided by the sum of the
+        Euclidean over the features (equation 1). True: this, to the power ``power``, is divided by the sum of the
         gradients of both patches at both pixels along the link, plus one gray level (after section 5). This is no
-        metric, nor is a sum to the power 2. In the cut, an old seam that costs more than the two seams that could
-        replace it then counts only as much as these. The cut may therefore miss the minimum, but the total cost never
-        increases unless a pixel is forced.
+        metric. In the cut, an old seam that costs more than the two seams that could replace it then counts only as
+        much as these. The cut may therefore miss the minimum, but the total cost never increases unless a pixel is
+        forced.
+    power
+        Exponent of the sum of differences if ``normalized``: 1 (the paper) or 2. The normalized cost of power 1 is a
+        ratio; it is stored :data:`UNIT` times larger than other costs, so that rounding is negligible.
     wrap
         Whether opposite edges of the output are adjacent.
-    power
-        Exponent of the sum of differences: 1 (the paper) or 2. None: 2 if ``normalized``, else 1. The normalized cost
-        of power 1 is a ratio; it is stored :data:`UNIT` times larger than other costs, so that rounding is negligible.
 
     Attributes
     ----------
@@ -80,12 +79,11 @@ class Patchwork:
         features: Features,
         shape: tuple[int, int],
         normalized: bool = False,
+        power: int = 1,
         wrap: bool = False,
-        power: int | None = None,
     ) -> None:
         self.sample, self.features, self.shape = sample, features, shape
-        self.normalized, self.wrap = normalized, wrap
-        self.power = (2 if normalized else 1) if power is None else power
+        self.normalized, self.power, self.wrap = normalized, power, wrap
         self.origin = np.zeros((*shape, 2), np.int64)
         self.known = np.zeros(shape, np.bool_)
         self.seams = np.zeros((2, *shape), np.int64)
@@ -94,7 +92,7 @@ class Patchwork:
             np.gradient(values, axis=axis) if values.shape[axis] > 1 else np.zeros_like(values) for axis in (1, 0)
         ]
         lengths = [np.rint(UNIT * np.sqrt((gradient**2).sum(-1))) for gradient in gradients]
-        self._slopes = np.stack(lengths).astype(np.int32)
+        self._rule = (features, np.stack(lengths).astype(np.int32), normalized, power)
 
     @property
     def cost(self) -> float:
@@ -172,8 +170,8 @@ class Patchwork:
         if forced_pixel is not None:
             forced[forced_pixel[0] - around[0], forced_pixel[1] - around[2]] = True
         x, y = place[0] + around[2] - window[2], place[1] + around[0] - window[0]
-        choices = link_choices(self.features, self._slopes, self.normalized, self.power, origin, known, x, y)
-        new = cut_least_seams(choices, (ring | ~known) & ~forced, forced)
+        choices = link_choices(self._rule, origin, known, x, y)
+        new = cut_links(choices, (ring | ~known) & ~forced, forced)
         rows, columns = pixels[0].ravel(), pixels[1].ravel()
         return show_patch(choices, new, ring, rows, columns, x, y, self.origin, self.known, self.seams)
 
@@ -206,26 +204,6 @@ def _within(window: Window, around: Window) -> tuple[slice, slice]:
     """Return the slices of a window inside a larger one around it."""
     y0, y1, x0, x1 = window
     return slice(y0 - around[0], y1 - around[0]), slice(x0 - around[2], x1 - around[2])
-
-
-def cut_least_seams(choices: NDArray[np.int64], fixed_old: Mask, fixed_new: Mask) -> Mask:
-    """Return the pixels of a window that become new, so that the total cost of its links is least.
-
-    Parameters
-    ----------
-    choices
-        Costs from :func:`~nrbench.synthesizers.patchwork.patchwork_kernels.link_choices`.
-    fixed_old, fixed_new
-        ``bool (h, w)``: pixels that must stay, and pixels that must become new; none is both.
-
-    Notes
-    -----
-    Let a link cost c if both its pixels s and t stay, b if only s becomes new, a if only t becomes new, and 0 if both
-    do. Up to a constant, this is a link of cost (a + b - c) / 2 between s and t, plus (b - a - c) / 2 if s becomes new,
-    plus (a - b - c) / 2 if t becomes new. If c exceeds a + b, which no metric allows, c is replaced by a + b. All costs
-    are doubled, so that they stay integers.
-    """
-    return cut_links(choices, fixed_old, fixed_new)
 
 
 class SeamHeat:
@@ -331,7 +309,7 @@ class PatchPlacer:
         The generator that draws places.
     guide
         Values that are compared at all pixels, known or not: ``int32 (H, W, M)`` of the output, and the same of the
-        sample. None: there is no guide.
+        sample.
     reach
         See :meth:`Patchwork.lay_patch`.
     """
@@ -342,21 +320,19 @@ class PatchPlacer:
         colors: Features,
         randomness: float,
         rng: np.random.Generator,
-        guide: tuple[Features, Features] | None = None,
+        guide: tuple[Features, Features],
         reach: int = 0,
     ) -> None:
         self.work, self.colors, self.randomness, self.rng = work, colors, randomness, rng
-        self.guide, self.reach = guide, reach
-        self._translations = Translations((colors,) if guide is None else (colors, guide[1]))
+        self.guide, self.reach, self._variance = guide, reach, summed_variance(colors)
+        self._translations = Translations(np.concatenate([colors, guide[1]], -1), colors.shape[2])
 
     def cover_window(self, window: Window) -> int:
         """Lay a patch into a window, and return the number of replaced pixels; 0 if no replacement reduces the cost."""
         pixels = self.work.pixels(window)
         known = self.work.known[pixels]
-        layers = [Layer(self.work.read(self.colors, window), None if known.all() else known)]
-        if self.guide is not None:
-            layers.append(Layer(self.guide[0][pixels]))
-        costs = self._translations.compute_costs(layers)
+        values = np.concatenate([self.work.read(self.colors, window), self.guide[0][pixels]], -1)
+        costs = self._translations.compute_costs(values, known)
         scale = self.randomness * self._variance * known.size
         return self.work.lay_patch(window, draw_translation(costs, scale, self.rng), self.reach)
 
@@ -366,10 +342,6 @@ class PatchPlacer:
         new = self.cover_window(window)
         heat.update(window, self.reach)
         return new
-
-    @cached_property
-    def _variance(self) -> float:
-        return summed_variance(self.colors)
 
 
 def summed_variance(colors: Features) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Boolx2, Int32x3, Int64x1, Int64x3, Int64x4, kernel
+from nrbench.jit import Boolx2, Float64x2, Int32x3, Int64x1, Int64x3, Int64x4, kernel
 
 from ..seams.seam_kernels import SOURCE, grow_trees
 
@@ -15,54 +15,80 @@ STAY, SECOND, FIRST = 0, 1, 2
 link costs nothing."""
 
 
+SeamRule = tuple[Int32x3, Int32x3, bool, int]
+"""How a seam is rated: the sample's ``features``, their gradients ``(2, H, W)``, and the parameters ``normalized`` and
+``power`` of :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`."""
+
+
 @kernel
-def seam_cost(apart: float, busy: int, normalized: bool, power: int) -> int:
+def seam_cost(rule: SeamRule, apart: float, busy: int) -> int:
     """Return the cost of a seam on a link, from the summed differences and gradients of two patches at its pixels."""
-    if normalized:
-        if power == 2:
-            return int(np.rint(UNIT * UNIT * apart * apart / (busy + UNIT)))
-        return int(np.rint(UNIT * UNIT * UNIT * apart / (busy + UNIT)))
-    return int(np.rint(UNIT * apart * apart if power == 2 else UNIT * apart))
+    normalized, power = rule[2], rule[3]
+    if not normalized:
+        return int(np.rint(UNIT * apart))
+    return int(np.rint(UNIT * UNIT * apart * (apart if power == 2 else UNIT) / (busy + UNIT)))
 
 
 @kernel
-def step_cost(
-    features: Int32x3, slopes: Int32x3, axis: int, normalized: bool, power: int, y: int, x: int, v: int, u: int
-) -> int:
+def feature_distance(features: Int32x3, y: int, x: int, v: int, u: int) -> float:
+    """Return the Euclidean distance of the features of two pixels, (y, x) and (v, u)."""
+    squares = 0
+    for c in range(features.shape[2]):
+        difference = int(features[y, x, c]) - int(features[v, u, c])
+        squares += difference * difference
+    return float(np.sqrt(np.float64(squares)))
+
+
+@kernel
+def step_cost(rule: SeamRule, axis: int, y: int, x: int, v: int, u: int) -> int:
     """Return the cost of a seam between two patches on a link to the right (axis 0) or downward (axis 1).
 
-    See :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`. (y, x) and (v, u) are the places of the link's
-    first pixel in the sample, for either patch. Beyond the sample's edges its outermost pixels are repeated.
+    (y, x) and (v, u) are the places of the link's first pixel in the sample, for either patch. Beyond the sample's
+    edges its outermost pixels are repeated.
     """
     if y == v and x == u:
         return 0
-    height, width, channels = features.shape
+    features, slopes = rule[0], rule[1]
+    last_row, last_column = features.shape[0] - 1, features.shape[1] - 1
     apart, busy = 0.0, 0
     for k in range(2):
-        j, i = y + k * axis, x + k * (1 - axis)
-        m, n = v + k * axis, u + k * (1 - axis)
-        j, i = min(max(j, 0), height - 1), min(max(i, 0), width - 1)
-        m, n = min(max(m, 0), height - 1), min(max(n, 0), width - 1)
-        squares = 0
-        for c in range(channels):
-            difference = int(features[j, i, c]) - int(features[m, n, c])
-            squares += difference * difference
-        apart += np.sqrt(np.float64(squares))
-        busy += slopes[axis, j, i] + slopes[axis, m, n]
-    return seam_cost(apart, busy, normalized, power)
+        down, right = k * axis, k * (1 - axis)
+        j, i = min(max(y + down, 0), last_row), min(max(x + right, 0), last_column)
+        n, m = min(max(v + down, 0), last_row), min(max(u + right, 0), last_column)
+        apart += feature_distance(features, j, i, n, m)
+        busy += slopes[axis, j, i] + slopes[axis, n, m]
+    return seam_cost(rule, apart, busy)
 
 
 @kernel
-def link_choices(
-    features: Int32x3, slopes: Int32x3, normalized: bool, power: int, source: Int64x3, known: Boolx2, x: int, y: int
-) -> Int64x4:
+def measure_pixels(
+    rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int, apart: Float64x2, busy: Int64x3
+) -> None:
+    """Write each known pixel's distance from the new patch, ``(h, w)``, and the sums of both gradients, ``(2, h, w)``.
+
+    Most links join pixels of one patch; their costs follow from these numbers. Parameters are those of
+    :func:`link_choices`.
+    """
+    features, slopes = rule[0], rule[1]
+    for j in range(known.shape[0]):
+        for i in range(known.shape[1]):
+            if not known[j, i]:
+                continue
+            v, u = source[j, i, 1], source[j, i, 0]
+            n, m = min(max(y + j, 0), features.shape[0] - 1), min(max(x + i, 0), features.shape[1] - 1)
+            apart[j, i] = feature_distance(features, v, u, n, m)
+            for axis in range(2):
+                busy[axis, j, i] = slopes[axis, v, u] + slopes[axis, n, m]
+
+
+@kernel
+def link_choices(rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int) -> Int64x4:
     """Return the cost of each link of a window for each case of replaced pixels.
 
     Parameters
     ----------
-    features, slopes, normalized, power
-        The sample's features, their gradients ``(2, H, W)``, and the type of cost: see
-        :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`.
+    rule
+        See :data:`SeamRule`.
     source
         ``(h, w, 2)``: (x, y) in the sample of the window's pixels.
     known
@@ -78,24 +104,9 @@ def link_choices(
         The time is O(h w F).
     """
     height, width = known.shape
-    rows, columns, channels = features.shape
-    costs = np.zeros((2, 3, height, width), np.int64)
-    # Most links join pixels of one patch. Their cost depends on how far each pixel is from the new one.
-    apart = np.zeros((height, width))
+    costs, apart = np.zeros((2, 3, height, width), np.int64), np.zeros((height, width))
     busy = np.zeros((2, height, width), np.int64)
-    for j in range(height):
-        for i in range(width):
-            if not known[j, i]:
-                continue
-            v, u = source[j, i, 1], source[j, i, 0]
-            n, m = min(max(y + j, 0), rows - 1), min(max(x + i, 0), columns - 1)
-            squares = 0
-            for c in range(channels):
-                difference = int(features[v, u, c]) - int(features[n, m, c])
-                squares += difference * difference
-            apart[j, i] = np.sqrt(np.float64(squares))
-            for axis in range(2):
-                busy[axis, j, i] = slopes[axis, v, u] + slopes[axis, n, m]
+    measure_pixels(rule, source, known, x, y, apart, busy)
     for axis in range(2):
         down, right = axis, 1 - axis
         for j in range(height - down):
@@ -106,26 +117,36 @@ def link_choices(
                 by, bx = source[n, m, 1] - down, source[n, m, 0] - right
                 if first and second and ay == by and ax == bx:
                     if ay != y + j or ax != x + i:
-                        steep = busy[axis, j, i] + busy[axis, n, m]
-                        cost = seam_cost(apart[j, i] + apart[n, m], steep, normalized, power)
+                        cost = seam_cost(rule, apart[j, i] + apart[n, m], busy[axis, j, i] + busy[axis, n, m])
                         costs[axis, SECOND, j, i] = costs[axis, FIRST, j, i] = cost
                     continue
                 if first and second:
-                    costs[axis, STAY, j, i] = step_cost(features, slopes, axis, normalized, power, ay, ax, by, bx)
+                    costs[axis, STAY, j, i] = step_cost(rule, axis, ay, ax, by, bx)
                 if first:
-                    costs[axis, SECOND, j, i] = step_cost(
-                        features, slopes, axis, normalized, power, ay, ax, y + j, x + i
-                    )
+                    costs[axis, SECOND, j, i] = step_cost(rule, axis, ay, ax, y + j, x + i)
                 if second:
-                    costs[axis, FIRST, j, i] = step_cost(
-                        features, slopes, axis, normalized, power, y + j, x + i, by, bx
-                    )
+                    costs[axis, FIRST, j, i] = step_cost(rule, axis, y + j, x + i, by, bx)
     return costs
 
 
 @kernel
 def cut_links(choices: Int64x4, fixed_old: Boolx2, fixed_new: Boolx2) -> Boolx2:
-    """Return the pixels of a window that become new: :func:`~.patchwork.cut_least_seams` describes the graph."""
+    """Return the pixels of a window that become new, so that the total cost of its links is least.
+
+    Parameters
+    ----------
+    choices
+        Costs from :func:`link_choices`.
+    fixed_old, fixed_new
+        ``bool (h, w)``: pixels that must stay, and pixels that must become new; none is both.
+
+    Notes
+    -----
+    Let a link cost c if both its pixels s and t stay, b if only s becomes new, a if only t becomes new, and 0 if both
+    do. Up to a constant, this is a link of cost (a + b - c) / 2 between s and t, plus (b - a - c) / 2 if s becomes new,
+    plus (a - b - c) / 2 if t becomes new. If c exceeds a + b, which no metric allows, c is replaced by a + b. All costs
+    are doubled, so that they stay integers.
+    """
     height, width = fixed_old.shape
     stride = width + 2
     residual, terminal = np.zeros((4, (height + 2) * stride)), np.zeros((height + 2) * stride)

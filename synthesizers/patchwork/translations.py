@@ -5,16 +5,15 @@ Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video syn
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.box_sums import box_sums, box_sums_from, integral_image
+from nrbench.imaging.box_sums import Table, box_sums, box_sums_from, integral_image
 from nrbench.imaging.convert import Image
 
 from ..seams.minimum_cut import Mask
@@ -33,41 +32,31 @@ def to_gray_levels(image: Image, weight: float = 1.0) -> Features:
     return np.ascontiguousarray(np.rint(image.astype(np.float64) * (255 * weight)), np.int32)
 
 
-class Layer(NamedTuple):
-    """A group of channels of a window, and the pixels at which they are compared.
-
-    Parameters
-    ----------
-    values
-        ``int32 (h, w, C)``.
-    known
-        ``bool (h, w)``: the pixels that are compared. None: all.
-    """
-
-    values: Features
-    known: Mask | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class Translations:
     """The translations of a sample that cover a window (sub-patch matching), with the sample's precomputed spectra.
 
     Parameters
     ----------
-    layers
-        Groups of the sample's channels, ``int32 (H, W, C)`` each, for example its colors and the values of a mask. Each
-        group has its own set of compared pixels. Sums of squares over the sample must be below 2^47.
+    values
+        ``int32 (H, W, F)``: the sample, for example its colors and the values of a mask. Sums of squares over it must
+        be below 2^47.
+    colors
+        The number of leading channels that are compared at known pixels only. The others are compared at all pixels.
     """
 
-    layers: tuple[Features, ...]
+    values: Features
+    colors: int
 
-    def compute_costs(self, window: Sequence[Layer]) -> Costs:
+    def compute_costs(self, window: Features, known: Mask) -> Costs:
         """Return the sum of squared differences between a window and the part of the sample at each place.
 
         Parameters
         ----------
         window
-            One layer for each of the sample's, all ``(h, w)``, not larger than the sample.
+            ``int32 (h, w, F)``, not larger than the sample.
+        known
+            ``bool (h, w)``: the pixels at which the leading channels are compared.
 
         Returns
         -------
@@ -80,51 +69,38 @@ class Translations:
         Integral images compute the sums of squares, or transforms if not all pixels are compared. The time is
         O(F H W log(H W)) for windows of any size.
         """
-        height, width = window[0].values.shape[:2]
-        rows, columns = self.layers[0].shape[0] - height + 1, self.layers[0].shape[1] - width + 1
-        planes, total = [], np.zeros((rows, columns))
-        for number, layer in enumerate(window):
-            values = np.moveaxis(layer.values, -1, 0).astype(np.float64)
-            if layer.known is None:
-                total += self._box_sums(number, (height, width))
-            else:
-                values *= layer.known
-                planes.append(layer.known[np.newaxis].astype(np.float64))
-            total += float((values**2).sum())
-            planes.append(-2 * values)
-        spectra = self._stacked(tuple(layer.known is not None for layer in window))
-        product = np.einsum("chw,chw->hw", spectra, _transform_planes(np.concatenate(planes), self._fast_shape))
-        products = scipy.fft.irfft(scipy.fft.ifft(product.conj(), axis=0)[:rows], self._fast_shape[1], axis=1)
-        return np.asarray(total + np.rint(products[:, :columns]))
+        size, sides = (known.shape[0], known.shape[1]), self.values.shape
+        counts = sides[0] - size[0] + 1, sides[1] - size[1] + 1
+        seen = window.astype(np.float64)
+        seen[~known, : self.colors] = 0
+        total = float((seen**2).sum()) + box_sums_from(self._tables[1], size)
+        planes, spectra = -2 * seen, self._spectra
+        if known.all():
+            total, spectra = total + box_sums_from(self._tables[0], size), spectra[:-1]
+        else:
+            planes = np.concatenate([planes, known[..., np.newaxis]], -1)
+        product = np.einsum("chw,chw->hw", spectra, _transform(planes, self._fast_shape))
+        return np.asarray(total + _invert(product.conj(), self._fast_shape, counts))
 
     @cached_property
-    def _stacked(self) -> Callable[[tuple[bool, ...]], _Spectra]:
-        """The conjugate spectra of all layers; of each whose flag is set, first that of its summed squares."""
-        return lru_cache(1 << len(self.layers))(self._stack)
-
-    def _stack(self, masked: tuple[bool, ...]) -> _Spectra:
-        planes = []
-        for layer, with_squares in zip(self.layers, masked, strict=True):
-            planes += [(layer.astype(np.int64) ** 2).sum(-1)[np.newaxis]] if with_squares else []
-            planes.append(np.moveaxis(layer, -1, 0))
-        return _transform_planes(np.concatenate(planes), self._fast_shape).conj()
+    def _squares(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The squares, summed over the leading channels and over the others."""
+        squares = self.values.astype(np.int64) ** 2
+        return squares[..., : self.colors].sum(-1), squares[..., self.colors :].sum(-1)
 
     @cached_property
-    def _box_sums(self) -> Callable[[int, tuple[int, int]], Costs]:
-        """The sums of a layer's squares over all boxes of a size; those of the latest sizes are kept."""
-        return lru_cache(2 * len(self.layers))(self._sum_boxes)
-
-    def _sum_boxes(self, number: int, size: tuple[int, int]) -> Costs:
-        return box_sums_from(self._tables[number], size)
+    def _tables(self) -> tuple[Table, Table]:
+        return integral_image(self._squares[0]), integral_image(self._squares[1])
 
     @cached_property
-    def _tables(self) -> list[Costs]:
-        """The integral image of each layer's squares."""
-        return [integral_image((layer.astype(np.int64) ** 2).sum(-1)) for layer in self.layers]
+    def _spectra(self) -> _Spectra:
+        """The conjugate spectra of all channels, and last that of the squares of the leading ones."""
+        planes = np.concatenate([self.values, self._squares[0][..., np.newaxis]], -1)
+        return _transform(planes, self._fast_shape).conj()
 
     @cached_property
     def _fast_shape(self) -> tuple[int, int]:
-        return _fast_shape(*self.layers[0].shape[:2])
+        return _find_fast_shape(*self.values.shape[:2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,14 +118,15 @@ class EntirePatch:
     patch: Features
     counts: tuple[int, int]
 
-    def compute_costs(self, window: Layer) -> tuple[Costs, Costs]:
+    def compute_costs(self, window: Features, known: Mask) -> tuple[Costs, Costs]:
         """Compare the patch with the known pixels that it overlaps, at each translation.
 
         Parameters
         ----------
         window
-            ``(H + rows - 1, W + columns - 1)``: the part of the output that the patch can reach. Pixels beyond the
-            output's edges are unknown.
+            ``int32 (H + rows - 1, W + columns - 1, C)``: the part of the output that the patch can reach.
+        known
+            ``bool (H + rows - 1, W + columns - 1)``: the known pixels. Those beyond the output's edges are unknown.
 
         Returns
         -------
@@ -164,41 +141,37 @@ class EntirePatch:
         With M = 1 at known pixels, the sum over M (O - I)^2 is that of M O^2, a box sum, minus twice the correlation of
         M O with I, plus the correlation of M with I^2. The time is O(C n log n) for windows of n pixels.
         """
-        known = np.ones(window.values.shape[:2], np.bool_) if window.known is None else window.known
-        values = window.values * known[..., np.newaxis]
+        seen = window * known[..., np.newaxis]
+        planes = np.concatenate([-2 * seen, known[..., np.newaxis]], -1)
+        product = np.einsum("chw,chw->hw", self._spectra, _transform(planes, self._fast_shape))
         size = self.patch.shape[0], self.patch.shape[1]
-        spectra, squares = self._prepared
-        product = np.einsum("chw,chw->hw", spectra, _transform(-2 * values, self._fast_shape))
-        product += squares * _transform(known[..., np.newaxis], self._fast_shape)[0]
-        rows, columns = self.counts
-        products = scipy.fft.irfft(scipy.fft.ifft(product, axis=0)[:rows], self._fast_shape[1], axis=1)[:, :columns]
-        energy = box_sums((values.astype(np.int64) ** 2).sum(-1), size)
-        return np.asarray(energy + np.rint(products)), box_sums(known, size)
+        energy = box_sums((seen.astype(np.int64) ** 2).sum(-1), size)
+        return np.asarray(energy + _invert(product, self._fast_shape, self.counts)), box_sums(known, size)
 
     @cached_property
-    def _prepared(self) -> tuple[_Spectra, _Spectra]:
-        """The conjugate spectra of the patch's channels and of its squares, summed over channels."""
+    def _spectra(self) -> _Spectra:
+        """The conjugate spectra of the patch's channels, and last that of its squares, summed over channels."""
         squares = (self.patch.astype(np.int64) ** 2).sum(-1, keepdims=True)
-        shape = self._fast_shape
-        return _transform(self.patch, shape).conj(), _transform(squares, shape)[0].conj()
+        return _transform(np.concatenate([self.patch, squares], -1), self._fast_shape).conj()
 
     @cached_property
     def _fast_shape(self) -> tuple[int, int]:
-        return _fast_shape(*(side + n - 1 for side, n in zip(self.patch.shape, self.counts, strict=False)))
+        return _find_fast_shape(*(side + n - 1 for side, n in zip(self.patch.shape, self.counts, strict=False)))
 
 
 def _transform(pixels: NDArray[Any], shape: tuple[int, int]) -> _Spectra:
     """Return the spectra ``(C, rows, columns)`` of ``(h, w, C)``, padded with zeros to a shape."""
-    return _transform_planes(np.moveaxis(pixels, -1, 0), shape)
+    planes = np.ascontiguousarray(np.moveaxis(pixels, -1, 0), np.float64)
+    return np.asarray(scipy.fft.fft(scipy.fft.rfft(planes, shape[1], axis=2), shape[0], axis=1))
 
 
-def _transform_planes(planes: NDArray[Any], shape: tuple[int, int]) -> _Spectra:
-    """Return the spectra ``(C, rows, columns)`` of planes ``(C, h, w)``, padded with zeros to a shape."""
-    lines = scipy.fft.rfft(planes.astype(np.float64, copy=False), shape[1], axis=2)
-    return np.asarray(scipy.fft.fft(lines, shape[0], axis=1))
+def _invert(product: _Spectra, shape: tuple[int, int], counts: tuple[int, int]) -> Costs:
+    """Return the first ``counts`` rows and columns of a real picture, whole numbers, from its spectrum."""
+    lines = scipy.fft.ifft(product, axis=0)[: counts[0]]
+    return np.rint(scipy.fft.irfft(lines, shape[1], axis=1)[:, : counts[1]])
 
 
-def _fast_shape(height: int, width: int) -> tuple[int, int]:
+def _find_fast_shape(height: int, width: int) -> tuple[int, int]:
     return scipy.fft.next_fast_len(height, real=True), scipy.fft.next_fast_len(width, real=True)
 
 

@@ -5,6 +5,7 @@ Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video syn
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -12,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .patchwork import Patchwork, Window, summed_variance
-from .translations import Costs, EntirePatch, Features, Layer, Translations, draw_translation
+from .translations import Costs, EntirePatch, Features, Translations, draw_translation
 
 Placement = Literal["entire", "sub-patch", "random"]
 
 
+@dataclass(eq=False)
 class WholePatches:
     """Lays the whole sample over regions of an output; a minimum cut decides which of its pixels are shown.
 
@@ -49,19 +51,14 @@ class WholePatches:
         The generator that draws translations.
     """
 
-    def __init__(
-        self,
-        work: Patchwork,
-        colors: Features,
-        size: tuple[int, int],
-        placement: Placement,
-        randomness: float,
-        least_overlap: float,
-        margin: tuple[int, int],
-        rng: np.random.Generator,
-    ) -> None:
-        self.work, self.colors, self.size, self.placement = work, colors, size, placement
-        self.randomness, self.least_overlap, self.margin, self.rng = randomness, least_overlap, margin, rng
+    work: Patchwork
+    colors: Features
+    size: tuple[int, int]
+    placement: Placement
+    randomness: float
+    least_overlap: float
+    margin: tuple[int, int]
+    rng: np.random.Generator
 
     def find_unknown(self) -> Window | None:
         """Return the region at the first unknown pixel, line by line; None if all pixels are known."""
@@ -124,7 +121,7 @@ class WholePatches:
         known, values = np.zeros(self._reach, np.bool_), np.zeros((*self._reach, self.colors.shape[2]), np.int32)
         known[part] = self.work.known[self.work.pixels(inside)]
         values[part] = self.work.read(self.colors, inside)
-        costs, areas = self._entire.compute_costs(Layer(values, known))
+        costs, areas = self._entire.compute_costs(values, known)
         considered = areas >= self.least_overlap * areas.max()
         return np.where(considered, costs / np.maximum(areas, 1), np.inf)
 
@@ -137,7 +134,7 @@ class WholePatches:
             window += [max(start - more, 0), min(stop + more, self.work.shape[axis])]
         y0, y1, x0, x1 = window
         known = self.work.known[y0:y1, x0:x1]
-        sums = self._parts.compute_costs([Layer(self.work.read(self.colors, (y0, y1, x0, x1)), known)])
+        sums = self._parts.compute_costs(self.work.read(self.colors, (y0, y1, x0, x1)), known)
         costs = np.full(self._counts, np.inf)
         # A part that starts in row r of the sample lies there at translation y0 - r of the sample's first pixel.
         top, left = self._first(region)
@@ -164,7 +161,7 @@ class WholePatches:
 
     @cached_property
     def _parts(self) -> Translations:
-        return Translations((self.colors,))
+        return Translations(self.colors, self.colors.shape[2])
 
     @cached_property
     def _variance(self) -> float:

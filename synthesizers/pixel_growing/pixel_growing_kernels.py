@@ -279,7 +279,6 @@ def grow_box(
     groups: Int64x2,
     box: Int64x1,
     factor: float,
-    shrink: float,
     everywhere: bool,
 ) -> None:
     """Synthesize the pixels of a box in scan-line order.
@@ -297,8 +296,6 @@ def grow_box(
     factor
         The continuation of a neighbor's source is preferred if its squared distance is at most this multiple of the
         least one; 0: it is not preferred.
-    shrink
-        See :func:`search_tree`.
     everywhere
         Whether the tree is searched for every pixel. If not, the candidates are the continuations of the neighbors'
         sources and the places similar to them; the tree is searched only if there are no candidates.
@@ -343,7 +340,7 @@ def grow_box(
             if everywhere or (near < 0 and best[0] < 0):
                 if factor > 0 and near >= 0:
                     keys[0] = np.int64(math.ceil((nearest >> 32) / factor)) << 32
-                search_tree(tree, group, roots[group], point, shrink, keys, best, stack, gaps)
+                search_tree(tree, group, roots[group], point, 1.0, keys, best, stack, gaps)
             elif near >= 0 and (nearest < keys[0] or (factor > 0 and (nearest >> 32) <= factor * (keys[0] >> 32))):
                 best[0] = -1
             chosen = pixels[near if best[0] < 0 else best[0]]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -25,8 +24,8 @@ Layers = NDArray[np.uint8]
 BAND = 8
 """Number of rows that are synthesized between two reports of progress."""
 SIMILAR = 4
-"""Default number of similar pixels of search ``k-coherence``."""
-SEARCH_OF_THE_PAPER: Final[Mapping[str, Any]] = {"search": "ann", "coherence": 2.5, "eps": 0.0, "dimensions": 16}
+"""Number of similar pixels for each continuation in search ``k-coherence``."""
+SEARCH_OF_THE_PAPER: Final[Mapping[str, Any]] = {"search": "ann", "coherence": 2.5, "dimensions": 16}
 """The search of Nicoll et al. (2005), section 4.1, in terms of :class:`SearchParameters`. Their library favors the
 neighbors of a source (figure 5) by an amount that they do not state; ``coherence`` stands for it."""
 LEAF = 8
@@ -42,27 +41,20 @@ class SearchParameters:
     Parameters
     ----------
     search
-        How sources are searched. ``"ann"``: by a k-d tree, exactly if ``eps`` is 0. ``"exhaustive"``: among all pixels
-        of the sample. ``"k-coherence"``: among the continuations of the sources of the pixels in the window, and the
-        pixels of the sample most similar to these (Tong et al. 2002). The continuation of a neighbor's source is the
-        pixel that lies beside that source as the current pixel lies beside the neighbor.
+        How sources are searched. ``"ann"``: by a k-d tree, exactly. ``"exhaustive"``: among all pixels of the sample.
+        ``"k-coherence"``: among the continuations of the sources of the pixels in the window, and the four pixels of
+        the sample most similar to each (Tong et al. 2002). The continuation of a neighbor's source is the pixel that
+        lies beside that source as the current pixel lies beside the neighbor.
     coherence
         1 or more: the continuation of a neighbor's source is preferred if its distance is at most this multiple of the
         least distance. 0: it is not preferred.
-    eps
-        0 or more, only for search ``ann``: the distance of a source may be (1 + eps) times the least distance. For the
-        continuation of a neighbor's source, the factor is multiplied by ``coherence``.
     dimensions
         Number of principal components that are compared. 0, or at least the number of values: all values are compared.
-    similar
-        Number of similar pixels for each continuation, 1 to 64, only for search ``k-coherence``. None: 4.
     """
 
     search: Search = "ann"
     coherence: float = 2.5
-    eps: float = 0.0
     dimensions: int = 16
-    similar: int | None = None
 
     def __init_subclass__(cls) -> None:
         """Append these parameters to the method's page."""
@@ -70,20 +62,9 @@ class SearchParameters:
         append_parameters(cls, SearchParameters)
 
     def __post_init__(self) -> None:
-        _check(
-            self.coherence == 0 or 1 <= self.coherence < np.inf, f"coherence {self.coherence}; choose 0, or 1 or more"
-        )
-        _check(0 <= self.eps < np.inf, f"eps {self.eps}; choose 0 or more")
-        _check(
-            self.search == "ann" or self.eps == 0,
-            f"eps {self.eps} with search {self.search!r}; choose search 'ann', or leave it out",
-        )
+        allowed = self.coherence == 0 or 1 <= self.coherence < np.inf
+        _check(allowed, f"coherence {self.coherence}; choose 0, or 1 or more")
         _check(self.dimensions >= 0, f"dimensions {self.dimensions}; choose 1 or more, or 0 for all")
-        _check(
-            self.search == "k-coherence" or self.similar is None,
-            f"similar {self.similar} with search {self.search!r}; choose search 'k-coherence', or leave it out",
-        )
-        _check(self.similar is None or 1 <= self.similar <= 64, f"similar {self.similar}; choose from 1 to 64")
 
 
 _check = checker("pixels")
@@ -199,38 +180,6 @@ class Candidates:
     ranks: Integers
     groups: Integers | None = None
 
-    def build_stock(self, layers: Layers, neighborhood: Neighborhood, rules: SearchParameters, weight: float) -> Stock:
-        """Return the search tree of the candidates' neighborhoods, O(n D dimensions + n log n).
-
-        Parameters
-        ----------
-        layers
-            The sample and its mask.
-        neighborhood
-            The offsets that are compared.
-        rules
-            The parameters of the search.
-        weight
-            Weight of the mask's squared differences.
-        """
-        vectors = neighborhood.vectors(layers, self.pixels)
-        projection = Projection.fit(vectors, neighborhood.weights(weight, layers.shape[3]), rules.dimensions)
-        points = projection.points(vectors)
-        leaf = len(points) if rules.search == "exhaustive" else LEAF
-        tree = KdTree.build(points, self.ranks, self.groups, leaf)
-        similar = np.zeros((len(points), 0), np.int64)
-        if rules.search == "k-coherence":
-            similar = self._similar_places(tree, points, rules.similar or SIMILAR)
-        return Stock(layers, neighborhood, rules, projection, tree, self.pixels, similar)
-
-    def _similar_places(self, tree: KdTree, points: NDArray[np.int16], k: int) -> Integers:
-        numbers, _ = tree.nearest(points, k + 1, groups=self.groups)
-        own = numbers == np.arange(len(points))[:, np.newaxis]
-        others = np.take_along_axis(numbers, np.argsort(own, 1, kind="stable"), 1)[:, :k]
-        place = np.empty(len(points) + 1, np.int64)
-        place[tree.order], place[-1] = np.arange(len(points)), -1
-        return np.ascontiguousarray(place[others][tree.order])
-
 
 def list_candidates(layers: Layers, neighborhood: Neighborhood, rng: np.random.Generator) -> Candidates:
     """Return the pixels of a sample whose neighborhoods lie inside, with random ranks.
@@ -251,45 +200,67 @@ def list_candidates(layers: Layers, neighborhood: Neighborhood, rng: np.random.G
     return Candidates(pixels, rng.permutation(len(pixels)))
 
 
-@dataclass(frozen=True, eq=False)
 class Stock:
-    """The sample's neighborhoods, with the structures that the search needs.
+    """The neighborhoods of candidates in a search tree, which is built in O(n D dimensions + n log n).
 
     Parameters
     ----------
-    layers, neighborhood, rules
-        As in :meth:`Candidates.stock`.
-    projection
-        The mapping of neighborhood vectors to points.
+    layers
+        The sample and its mask.
+    candidates
+        The pixels that may be sources.
+    neighborhood
+        The offsets that are compared.
+    rules
+        The parameters of the search.
+    weight
+        Weight of the mask's squared differences.
+
+    Attributes
+    ----------
     tree
-        The tree of the points of ``pixels``.
-    pixels
-        ``(n,)``: row * width + column.
-    similar
-        ``(n, k)``: for each place of the tree, the k most similar places; -1 if there are fewer.
+        The tree of the points of ``candidates``.
+    arrays
+        The arrays of the stock for compiled loops.
     """
 
-    layers: Layers
-    neighborhood: Neighborhood
-    rules: SearchParameters
-    projection: Projection
-    tree: KdTree
-    pixels: Integers
-    similar: Integers
-
-    @cached_property
-    def arrays(self) -> StockArrays:
-        """The arrays of the stock for compiled loops."""
-        _, height, width, channels = self.layers.shape
-        placed = self.pixels[self.tree.order]
+    def __init__(
+        self,
+        layers: Layers,
+        candidates: Candidates,
+        neighborhood: Neighborhood,
+        rules: SearchParameters,
+        weight: float = 1.0,
+    ) -> None:
+        self.neighborhood, self.rules = neighborhood, rules
+        _, height, width, channels = layers.shape
+        vectors = neighborhood.vectors(layers, candidates.pixels)
+        self._projection = Projection.fit(vectors, neighborhood.weights(weight, channels), rules.dimensions)
+        points = self._projection.points(vectors)
+        leaf = len(points) if rules.search == "exhaustive" else LEAF
+        self.tree = KdTree.build(points, candidates.ranks, candidates.groups, leaf)
+        similar = np.zeros((len(points), 0), np.int64)
+        if rules.search == "k-coherence":
+            similar = _find_similar_places(self.tree, points, candidates.groups)
+        placed = candidates.pixels[self.tree.order]
         places = np.full(height * width, -1, np.int64)
         places[placed] = np.arange(len(placed))
-        return self.layers[0].reshape(-1, channels), placed, places, self.similar, width
+        self.arrays: StockArrays = layers[0].reshape(-1, channels), placed, places, similar, width
 
     def query_arrays(self, layers: Layers) -> QueryArrays:
         """Return the arrays of the neighborhood and the projection for compiled loops, for the layers of an output."""
-        steps, projection = self.neighborhood.steps(layers), self.projection
+        steps, projection = self.neighborhood.steps(layers), self._projection
         return steps, projection.matrix, projection.shift, projection.bits, self.neighborhood.texture_offsets
+
+
+def _find_similar_places(tree: KdTree, points: NDArray[np.int16], groups: Integers | None) -> Integers:
+    """Return, for each place of the tree, the :data:`SIMILAR` most similar places; -1 if there are fewer."""
+    numbers = tree.nearest(points, SIMILAR + 1, groups=groups)[0]
+    own = numbers == np.arange(len(points))[:, np.newaxis]
+    others = np.take_along_axis(numbers, np.argsort(own, 1, kind="stable"), 1)[:, :SIMILAR]
+    place = np.empty(len(points) + 1, np.int64)
+    place[tree.order], place[-1] = np.arange(len(points)), -1
+    return np.ascontiguousarray(place[others][tree.order])
 
 
 class Growth:
@@ -338,7 +309,7 @@ class Growth:
                 among[:] = groups[start : box[1], columns.start : columns.stop]
             grow_box(
                 self.arrays, stock.arrays, query, stock.tree.arrays, stock.tree.roots, among, box,
-                float(rules.coherence) ** 2, (1.0 + rules.eps) ** 2, rules.search != "k-coherence",
+                float(rules.coherence) ** 2, rules.search != "k-coherence",
             )  # fmt: skip
             self.progress = max(self.progress, float(box[1]) / self.task.shape[0])
             self.task.progress(self.progress)

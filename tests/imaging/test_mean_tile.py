@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import ndimage
 
 from nrbench.imaging.mean_tile import cell_coordinates, cut_tiles, fold, interpolate
@@ -39,14 +37,6 @@ def test_many_cells_tell_what_lies_between_the_pixels() -> None:
     assert errors[1] < errors[0] / 2
 
 
-def test_noise_averages_out() -> None:
-    """Folding n cells leaves 1/n of the noise's variance or less."""
-    image, rng = waves((200, 200), OBLIQUE), np.random.default_rng(0)
-    clean = fold(image, OBLIQUE).values
-    noisy = fold(image + 0.3 * rng.standard_normal(image.shape).astype(np.float32), OBLIQUE).values
-    assert np.var(noisy - clean) < 0.3**2 / (200 * 200 / OBLIQUE.area)
-
-
 def test_every_pixel_is_counted_once() -> None:
     """The counts add up to the pixels used; a tile that nothing reached is filled by the mean of the rest."""
     image = waves((50, 60), OBLIQUE)
@@ -56,15 +46,6 @@ def test_every_pixel_is_counted_once() -> None:
     assert tile.counts.sum() == pytest.approx(160)
     assert (tile.counts == 0).any()
     assert np.isfinite(tile.values).all()
-
-
-@settings(max_examples=15)
-@given(st.floats(-30, 30), st.floats(-30, 30))
-def test_unfolding_with_an_offset_moves_the_content(x: float, y: float) -> None:
-    """An offset moves the periodic image by so many px, modulo the lattice."""
-    tile = fold(waves((120, 120), OBLIQUE), OBLIQUE)
-    moved = tile.unfold((40, 50), (x, y))
-    np.testing.assert_allclose(moved, waves((40, 50), OBLIQUE.shifted((x, y))), atol=0.04)
 
 
 def test_equal_cells_are_cut_alike() -> None:
@@ -86,16 +67,6 @@ def test_a_frozen_image_is_cut_like_any_other() -> None:
     np.testing.assert_array_equal(cut_tiles(frozen, OBLIQUE, points)[0], cut_tiles(image, OBLIQUE, points)[0])
     image.setflags(write=False)
     np.testing.assert_array_equal(cut_tiles(image, OBLIQUE, points)[0], cut_tiles(frozen, OBLIQUE, points)[0])
-
-
-def test_images_that_must_not_be_written_fold_alike() -> None:
-    """A read-only image, such as the sample of a task, can be folded and unfolded."""
-    image = waves((50, 60), OBLIQUE)
-    free = fold(image, OBLIQUE)
-    image.setflags(write=False)
-    held = fold(image, OBLIQUE)
-    held.values.setflags(write=False)
-    np.testing.assert_array_equal(held.unfold((20, 20)), free.unfold((20, 20)))
 
 
 def test_cell_coordinates_are_those_of_every_pixel() -> None:

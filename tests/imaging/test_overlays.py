@@ -99,10 +99,3 @@ def test_long_captions_are_cut() -> None:
     sheet = contact_sheet(pictures, ["W" * 300, ""], columns=2)
     middle = sheet.shape[1] // 2
     assert sheet[:20, : middle - 8].min() < 0.5 and sheet[:20, middle + 4 :].min() == 1
-
-
-@pytest.mark.parametrize("captions", [[], ["a"]])
-def test_as_many_captions(captions: list[str]) -> None:
-    """Nothing to show, and captions that do not match, are refused."""
-    with pytest.raises(ValueError, match="as many of both"):
-        contact_sheet([np.ones((10, 10, 3), np.float32)] * 2 * bool(captions), captions)

@@ -239,12 +239,6 @@ def test_the_kind_has_a_tolerance() -> None:
     assert lattice.kind == "rectangular" and lattice.classify(0.03) == "square"
 
 
-def test_a_shift_moves_the_origin_only() -> None:
-    """The shifted lattice is equivalent; its origin has moved."""
-    shifted = HEXAGONAL.shifted((3.0, -2.0))
-    assert shifted.origin == (3.0, -2.0) and shifted.is_equivalent(HEXAGONAL)
-
-
 def test_a_lattice_is_written_and_read() -> None:
     """from_dict undoes as_dict, and the command line's form is understood."""
     assert Lattice.from_dict(HEXAGONAL.as_dict()) == HEXAGONAL
@@ -335,13 +329,6 @@ def test_there_are_as_many_forms_as_the_divisors_add_up_to(index: int) -> None:
         assert a * d == index and a > 0 and d > 0 and zero == 0 and 0 <= b < d
 
 
-@pytest.mark.parametrize("index", [0, -2, 2.0, True, "2"])
-def test_an_index_is_a_count(index: object) -> None:
-    """Anything but a whole number from 1 on is refused."""
-    with pytest.raises(BadInput, match="1 or more"):
-        hermite_matrices(index)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("index", [1, 2, 3, 5, 7, 8])
 @pytest.mark.parametrize("enlarged", [coarser, finer])
 def test_every_lattice_of_an_index_comes_once_whatever_the_basis(index: int, enlarged: object) -> None:
@@ -362,16 +349,3 @@ def test_coarser_and_finer_are_each_others(index: int) -> None:
     for lattice in finer(LATTICE, index):
         assert lattice_error(lattice, LATTICE, (100, 100)).label == f"subcell 1/{index}"
         assert sum(other.is_equivalent(LATTICE) for other in coarser(lattice, index)) == 1
-
-
-@pytest.mark.parametrize("index", [2, 3, 6])
-def test_the_duals_of_the_coarser_are_the_finer_of_the_dual(index: int) -> None:
-    """Each dual of a coarser lattice is one of the finer lattices of the dual, and all of them occur."""
-    duals = [lattice.dual() for lattice in coarser(LATTICE, index)]
-    expected = finer(LATTICE.dual(), index)
-    assert [sum(one.is_equivalent(other, 1e-10) for other in expected) for one in duals] == [1] * len(expected)
-
-
-def test_long_thin_lattices_have_coarser_ones() -> None:
-    """A lattice of 2 px by 10 000 px has its 30-fold ones, none refused for being nearly parallel."""
-    assert len(coarser(Lattice((2.0, 0.0), (0.3, 1e4)), 30)) == 72

@@ -119,15 +119,6 @@ def test_neither_basis_nor_origin_matters(pair: tuple[Lattice, Lattice], one: ob
     assert again.angle == pytest.approx(error.angle, abs=1e-5) and again.area_ratio == pytest.approx(error.area_ratio)
 
 
-@given(pairs())
-def test_a_supercell_of_the_truth_has_the_truth_for_subcell(pair: tuple[Lattice, Lattice]) -> None:
-    """Estimate and truth exchanged, the relation is the inverse one."""
-    error, back = lattice_error(*pair, SHAPE), lattice_error(*pair[::-1], SHAPE)
-    inverse = {"exact": "exact", "wrong": "wrong", "supercell": "subcell", "subcell": "supercell"}
-    assert (back.relation, back.k) == (inverse[error.relation], error.k)
-    assert back.area_ratio == pytest.approx(1 / error.area_ratio)
-
-
 @given(pairs(), st.floats(0.3, 20))
 def test_lengths_scale_and_relations_do_not(pair: tuple[Lattice, Lattice], scale: float) -> None:
     """Everything enlarged, tolerance and shape too, the errors in px are enlarged and the rest stays."""

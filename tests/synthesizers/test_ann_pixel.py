@@ -58,34 +58,16 @@ def test_every_pixel_is_the_samples_and_the_map_says_which(
     np.testing.assert_array_equal(made.image, sample[y.astype(int), x.astype(int)])
 
 
-def test_the_tree_finds_what_exhaustive_search_finds() -> None:
-    """With eps 0 both searches give the same bytes."""
-    for coherence in (0.0, 2.0):
-        ann, all_of_them = (
-            synthesize(AnnPixel(5, search=search, coherence=coherence), noise(40, 44), (50, 41)).source
-            for search in ("ann", "exhaustive")
-        )
-        np.testing.assert_array_equal(ann, all_of_them)
-
-
 def test_every_parameter_changes_something() -> None:
     """Each parameter changes the output."""
     sample = quantize(0.8 * np.tile(noise(9, 10), (5, 5, 1)) + 0.2 * noise(45, 50, seed=1))
     coherent = {"search": "k-coherence", "coherence": 0.0}
     pairs: list[tuple[dict[str, Any], dict[str, Any]]] = [
-        ({}, {"neighborhood": 5}), ({}, coherent), ({}, {"coherence": 1.0}), ({"coherence": 0.0}, {"eps": 3.0}),
-        ({}, {"dimensions": 4}), (coherent, {**coherent, "similar": 9}),
+        ({}, {"neighborhood": 5}), ({}, coherent), ({}, {"coherence": 1.0}), ({}, {"dimensions": 4}),
     ]  # fmt: skip
     for one, other in pairs:
         first, second = (synthesize(AnnPixel(**each), sample, (50, 50)).image for each in (one, other))
         assert (first != second).any(), other
-
-
-def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
-    """The random stream of the task is the only source of randomness."""
-    first, second, other = (synthesize(AnnPixel(), noise(40, 40), (50, 50), seed=k).image for k in (1, 1, 2))
-    np.testing.assert_array_equal(first, second)
-    assert (first != other).any()
 
 
 def test_a_sample_smaller_than_the_window_is_refused() -> None:
@@ -98,8 +80,7 @@ def test_a_sample_smaller_than_the_window_is_refused() -> None:
 @pytest.mark.parametrize(
     "parameters",
     [
-        {"neighborhood": 1}, {"neighborhood": 11}, {"coherence": 0.5}, {"coherence": math.nan}, {"eps": -0.1},
-        {"eps": 1.0, "search": "exhaustive"}, {"dimensions": -1}, {"similar": 3},
+        {"neighborhood": 1}, {"neighborhood": 11}, {"coherence": 0.5}, {"coherence": math.nan}, {"dimensions": -1},
     ],
 )  # fmt: skip
 def test_parameters_that_make_no_sense_are_refused(parameters: dict[str, Any]) -> None:

@@ -11,7 +11,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.running.output_checks import checked_synthesis, is_picture
 from nrbench.synthesizers.fftm_patch import FftmPatch, automatic_size
-from nrbench.synthesizers.masks.texture_mask import CommonPeriod, MaskParameters, TextureMask
+from nrbench.synthesizers.masks.texture_mask import MaskParameters, TextureMask
 
 WHOLE = Lattice((24, 0), (0, 20))
 
@@ -48,10 +48,10 @@ class Tiled:
         one, other = (np.take(values, k % values.shape[axis], axis) for k in (first, first + 1))
         return one * (1 - share) + other * share
 
-    def find_period(self, tolerance: float, limit: float = 1024.0) -> CommonPeriod | None:
+    def find_period(self, tolerance: float = 0.5, limit: int = 1024) -> tuple[int, int] | None:
         """Return the smallest rectangle that is a period."""
         height, width = self.tile.shape[:2]
-        return CommonPeriod((width, height), 0.0) if max(width, height) <= limit else None
+        return (width, height) if max(width, height) <= limit else None
 
 
 def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
@@ -89,16 +89,13 @@ def varied(tile: Image, height: int, width: int, strength: float, seed: int = 3)
     return quantize(np.clip(repeated + strength * departures, 0, 1))
 
 
-@pytest.mark.parametrize("seam", ["color", "mask"])
 @pytest.mark.parametrize("normalized", [False, True])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_a_whole_pixel_lattice_is_continued(
-    seam: Any, normalized: bool, channels: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_whole_pixel_lattice_is_continued(normalized: bool, channels: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """For a perfectly periodic sample and a perfect mask, the output is exactly the periodic continuation."""
     tile = smooth(20, 24, channels)
     picture = quantize(np.tile(tile, (13, 13, 1)))
-    method = FftmPatch(seam=seam, normalized=normalized, randomness=1e-4)
+    method = FftmPatch(normalized=normalized, randomness=1e-4)
     for shape in ((160, 150), (1, 200), (200, 1), (9, 5), (1, 1)):
         made = synthesize(method, picture[:96, :96], shape, Tiled(tile), monkeypatch)
         np.testing.assert_array_equal(made.image, picture[: shape[0], : shape[1]])
@@ -140,7 +137,7 @@ def test_every_parameter_changes_something(monkeypatch: pytest.MonkeyPatch) -> N
     sample, mask = varied(tile, 72, 72, 0.7), waves_of(tile)
     changes: list[dict[str, Any]] = [
         {"weight": 0.0}, {"patch": 30}, {"overlap": 0.5}, {"reach": 0.0}, {"randomness": 0.3},
-        {"refinements": 0}, {"refinements": 2}, {"seam": "color"}, {"normalized": False}, {"tileable": True},
+        {"refinements": 0}, {"refinements": 2}, {"normalized": False}, {"tileable": True},
     ]  # fmt: skip
 
     def made(**parameters: Any) -> Image:
@@ -151,44 +148,12 @@ def test_every_parameter_changes_something(monkeypatch: pytest.MonkeyPatch) -> N
         assert (made(**change) != base).any(), change
 
 
-def test_threshold_harmonics_and_signal_reach_the_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The mask is computed with the parameters of the method."""
-    calls = []
-
-    def find_mask(self: MaskParameters, *_: Any, **__: Any) -> Any:
-        calls.append((self.threshold, self.harmonics, self.signal, self.channels))
-        return Tiled(smooth(20, 24))
-
-    monkeypatch.setattr(MaskParameters, "find_mask", find_mask)
-    method = FftmPatch(threshold=7.0, harmonics="free", signal="analytic", refinements=0)
-    method.synthesize(Task(varied(smooth(20, 24), 48, 48, 0.1), (20, 20), None, np.random.default_rng(0)))
-    assert calls == [(7.0, "free", "analytic", "joint")]
-
-
 def test_without_weight_the_mask_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     """At weight 0 another mask of the same tile size gives the same output."""
     sample = varied(smooth(20, 24), 60, 60, 0.5)
     masks = [Tiled(smooth(20, 24, seed=seed)) for seed in (5, 6)]
     made = [synthesize(FftmPatch(weight=0.0), sample, (80, 80), mask, monkeypatch).image for mask in masks]
     np.testing.assert_array_equal(*made)
-
-
-def test_the_same_stream_gives_the_same_bytes_and_another_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The random stream of the task is the only source of randomness."""
-    tile = smooth(20, 24)
-    sample = varied(tile, 60, 60, 0.5)
-    first, second, other = (synthesize(FftmPatch(), sample, (90, 90), Tiled(tile), monkeypatch, k) for k in (1, 1, 2))
-    np.testing.assert_array_equal(first.image, second.image)
-    assert (first.image != other.image).any()
-
-
-def test_progress_rises_to_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Progress is reported window by window."""
-    reports: list[float] = []
-    tile = smooth(20, 24)
-    synthesize(FftmPatch(), varied(tile, 60, 60, 0.5), (80, 80), Tiled(tile), monkeypatch, progress=reports.append)
-    assert reports == sorted(reports)
-    assert len(reports) > 20 and reports[-1] == 1
 
 
 def test_a_tileable_output_continues_at_its_edges(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,26 +210,6 @@ def test_a_sample_smaller_than_the_patch_is_refused(monkeypatch: pytest.MonkeyPa
         synthesize(FftmPatch(patch=40), varied(tile, 40, 50, 0.1), (60, 60), Tiled(tile), monkeypatch).source
         is not None
     )
-
-
-def test_noise_has_no_regular_part() -> None:
-    """A sample without regular waves is refused with a reason."""
-    sample = quantize(np.random.default_rng(0).random((32, 32, 1), np.float32))
-    with pytest.raises(Refused, match="no regular part"):
-        FftmPatch().synthesize(Task(sample, (40, 40), None, np.random.default_rng(0)))
-
-
-def test_the_analysis_gets_the_given_lattice(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The mask is computed from the lattice of the task."""
-    lattices = []
-
-    def find_mask(_: MaskParameters, sample: Image, lattice: Lattice | None = None) -> Any:
-        lattices.append(lattice)
-        return Tiled(smooth(20, 24))
-
-    monkeypatch.setattr(MaskParameters, "find_mask", find_mask)
-    FftmPatch().synthesize(Task(varied(smooth(20, 24), 48, 48, 0.1), (20, 20), WHOLE, np.random.default_rng(0)))
-    assert lattices == [WHOLE]
 
 
 @pytest.mark.parametrize("given", [False, True])

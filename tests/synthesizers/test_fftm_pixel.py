@@ -122,7 +122,7 @@ def test_every_pixel_is_the_samples_and_the_map_says_which(
 @pytest.mark.parametrize("coherence", [0.0, 2.0])
 @pytest.mark.parametrize("dimensions", [0, 5])
 def test_the_tree_finds_what_exhaustive_search_finds(match: Any, coherence: float, dimensions: int) -> None:
-    """With eps 0 both searches give the same bytes, on noise and on a texture with many ties."""
+    """Both searches give the same bytes, on noise and on a texture with many ties."""
     tile = soft_tile(7, 9)
     for sample in (noise(40, 44), repeated(tile, (40, 44)), repeated(tile, (40, 44), 0.05)):
         ann, all_of_them = (
@@ -177,23 +177,10 @@ def test_every_parameter_changes_something() -> None:
     clustered, coherent = {"match": "cluster"}, {"search": "k-coherence", "coherence": 0.0}
     pairs: list[tuple[dict[str, Any], dict[str, Any]]] = [
         ({}, {"neighborhood": 4}), ({}, {"weight": 3.0}), ({}, clustered), ({}, coherent), ({}, {"coherence": 0.0}),
-        ({}, {"eps": 3.0}), ({}, {"dimensions": 4}), (coherent, {**coherent, "similar": 9}),
-        (clustered, {**clustered, "clusters": 9}), ({}, {"tileable": True}),
+        ({}, {"dimensions": 4}), ({}, {"tileable": True}),
     ]  # fmt: skip
     for one, other in pairs:
         assert (output(**one) != output(**other)).any(), other
-
-
-def test_the_same_stream_gives_the_same_bytes_and_another_does_not() -> None:
-    """The random stream of the task is the only source of randomness."""
-    tile = soft_tile(7, 9)
-    for match in MATCHES:
-        first, second, other = (
-            synthesize(FftmPixel(match=match), repeated(tile, (40, 40)), (50, 50), mask_of(tile), k).source
-            for k in (1, 1, 2)
-        )
-        np.testing.assert_array_equal(first, second)
-        assert (np.asarray(first) != np.asarray(other)).any()
 
 
 @pytest.mark.parametrize("tileable", [False, True])
@@ -205,16 +192,6 @@ def test_progress_rises_to_one(tileable: bool) -> None:
     assert reports == sorted(reports)
     assert reports[-1] == 1
     assert len(reports) > 8
-
-
-@pytest.mark.parametrize("shape", [(1, 90), (90, 1), (1, 1), (3, 4), (8, 8)])
-@pytest.mark.parametrize("neighborhood", [2, 6])
-def test_lines_and_outputs_smaller_than_the_sample_and_the_window_work(
-    shape: tuple[int, int], neighborhood: int
-) -> None:
-    """Outputs of any shape are filled completely."""
-    made = synthesize(FftmPixel(neighborhood), noise(30, 30), shape, mask_of(soft_tile(7, 9)))
-    assert made.image.shape == (*shape, 3)
 
 
 def test_a_sample_smaller_than_the_window_is_refused() -> None:
@@ -235,13 +212,6 @@ def test_a_flat_sample_gives_a_flat_output() -> None:
         np.testing.assert_allclose(made.image, 0.4, atol=0.002)
 
 
-def test_without_waves_it_is_refused() -> None:
-    """A sample without a regular part has no mask."""
-    flat = np.full((32, 32, 3), 0.4, np.float32)
-    with pytest.raises(Refused, match="no regular part"):
-        FftmPixel().synthesize(Task(flat, (40, 40), None, np.random.default_rng(0)))
-
-
 def test_it_makes_its_own_mask() -> None:
     """Without a given lattice or mask, the output continues the sample in phase, and the lattice is reported."""
     y, x = 2 * np.pi * np.indices((11, 13)) / np.array([11, 13])[:, np.newaxis, np.newaxis]
@@ -260,10 +230,8 @@ def test_it_makes_its_own_mask() -> None:
     "parameters",
     [
         {"neighborhood": 1}, {"neighborhood": 7}, {"weight": -1.0}, {"weight": math.nan}, {"weight": 101.0},
-        {"coherence": 0.5}, {"coherence": math.inf}, {"coherence": math.nan}, {"eps": -0.1}, {"eps": math.inf},
-        {"eps": 1.0, "search": "exhaustive"}, {"eps": 1.0, "search": "k-coherence"}, {"dimensions": -1},
-        {"similar": 3}, {"similar": 0, "search": "k-coherence"}, {"similar": 65, "search": "k-coherence"},
-        {"clusters": 9}, {"clusters": 1, "match": "cluster"}, {"weight": 2.0, "match": "cluster"},
+        {"coherence": 0.5}, {"coherence": math.inf}, {"coherence": math.nan}, {"dimensions": -1},
+        {"weight": 2.0, "match": "cluster"},
         {"tileable": True, "harmonics": "free"}, {"threshold": -1.0},
     ],
 )  # fmt: skip

@@ -9,6 +9,7 @@ from synthesis_cases import noise, synthesize
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.plugins.forms import Refused
+from nrbench.synthesizers import patch_based
 from nrbench.synthesizers.patch_based import PatchBased, Search
 from nrbench.synthesizers.patch_laying.raster_canvas import RasterCanvas, Spot
 
@@ -45,7 +46,9 @@ def rms_ratios(
 @pytest.mark.parametrize("epsilon", [0.0, 0.3, 0.5])
 def test_a_patch_fits_or_is_the_best(search: Search, epsilon: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each patch is within d_max. If none is, an exhaustive search takes the best one; there is always a patch."""
-    method = PatchBased(9, 3, epsilon, search, neighbors=15, search_error=0)
+    monkeypatch.setattr(patch_based, "NEIGHBORS", 15)
+    monkeypatch.setattr(patch_based, "SEARCH_ERROR", 0.0)
+    method = PatchBased(9, 3, epsilon, search)
     found = rms_ratios(method, noise(24, 27, seed=2), (45, 45), monkeypatch)
     assert len(found) == 48
     for distance, least, limit in found:
@@ -59,7 +62,8 @@ def test_a_patch_fits_or_is_the_best(search: Search, epsilon: float, monkeypatch
 
 def test_a_tree_that_finds_all_patches_misses_none_that_fits(monkeypatch: pytest.MonkeyPatch) -> None:
     """If the tree returns all patches, each drawn patch is within d_max, or the best of all if none is."""
-    method = PatchBased(9, 3, 0.5, "kdtree", neighbors=16 * 19, search_error=0)
+    monkeypatch.setattr(patch_based, "NEIGHBORS", 16 * 19)
+    method = PatchBased(9, 3, 0.5, "kdtree")
     found = rms_ratios(method, noise(24, 27, seed=2), (45, 45), monkeypatch)
     assert all(distance <= max(limit, least) + 1e-9 for distance, least, limit in found)
     assert any(least > limit for _, least, limit in found) and any(distance > least for distance, least, _ in found)
@@ -72,12 +76,10 @@ def test_a_tree_that_finds_all_patches_misses_none_that_fits(monkeypatch: pytest
         ({}, {"zone": 5}),
         ({}, {"epsilon": 1.0}),
         ({}, {"search": "kdtree"}),
-        ({"search": "kdtree", "epsilon": 1.0}, {"neighbors": 60}),
-        ({"search": "kdtree"}, {"search_error": 0.0}),
     ],
 )
 def test_every_parameter_changes_something(base: dict[str, Any], change: dict[str, Any]) -> None:
-    """Every parameter has an effect on noise, the last two if the tree is used."""
+    """Every parameter has an effect on noise."""
     first, other = (synthesize(PatchBased(**given), noise(40, 40), (90, 90)).image for given in (base, base | change))
     assert (first != other).any()
 
@@ -130,15 +132,6 @@ def test_feathering_blends_the_two_patches_of_a_zone() -> None:
         assert np.abs(made.image[:, x] * 255 - (share * new + (1 - share) * old)).max() <= 0.5 + 1e-3
 
 
-@pytest.mark.parametrize("search", SEARCHES)
-def test_the_same_stream_gives_the_same_bytes_and_another_does_not(search: Search) -> None:
-    """All randomness comes from the task."""
-    method = PatchBased(search=search)
-    first, second, other = (synthesize(method, noise(40, 40), (90, 90), seed=k).image for k in (1, 1, 2))
-    np.testing.assert_array_equal(first, second)
-    assert (first != other).any()
-
-
 def test_a_sample_smaller_than_a_patch_is_refused_with_a_way_out() -> None:
     """The refusal says what would fit."""
     with pytest.raises(Refused, match="patch <= 30"):
@@ -161,9 +154,6 @@ def test_a_zone_too_wide_for_the_sample_is_refused_with_a_way_out() -> None:
         ({"epsilon": -0.1}, "epsilon -0.1; choose 0"),
         ({"epsilon": float("nan")}, "epsilon nan; choose 0"),
         ({"epsilon": 1e200}, r"epsilon 1e\+200; choose 0 .* to 1e\+06"),
-        ({"neighbors": 0}, "neighbors 0; choose 1"),
-        ({"search_error": -1.0}, "search_error -1.0; choose 0"),
-        ({"search_error": 1e200}, r"search_error 1e\+200; choose 0 .* to 1e\+06"),
     ],
 )
 def test_bad_parameters_are_named(parameters: dict[str, float], message: str) -> None:

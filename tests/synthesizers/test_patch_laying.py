@@ -11,8 +11,13 @@ from synthesis_cases import noise
 from nrbench.imaging.convert import to_bytes
 from nrbench.synthesizers.gap_filling.blocks import box_slices
 from nrbench.synthesizers.gap_filling.matching import FrameMatcher, frame_mask
-from nrbench.synthesizers.patch_laying.choice import draw_within
-from nrbench.synthesizers.patch_laying.raster_canvas import RasterCanvas, RasterGrid, blend, feather_weights
+from nrbench.synthesizers.patch_laying.raster_canvas import (
+    RasterCanvas,
+    RasterGrid,
+    blend,
+    draw_within,
+    feather_weights,
+)
 from nrbench.synthesizers.patch_laying.zone_tree import ZoneTree
 
 
@@ -132,17 +137,3 @@ def test_the_tree_returns_at_most_all_patches() -> None:
         found = tree.find_nearest(np.full((10, 10, 3), 99, np.float32), 2**40)
         assert {tuple(place) for place in found.tolist()} == {(x, y) for x in range(8) for y in range(5)}
         assert len(found) == 40
-
-
-def test_components_are_orthonormal_and_keep_what_varies() -> None:
-    """Rounded components are nearly orthonormal, and a zone that varies in few directions is kept almost whole."""
-    rng = np.random.default_rng(1)
-    waves = np.cos(np.arange(64) * 0.7)[:, np.newaxis] * 40 + np.sin(np.arange(64) * 0.3) * 50 + 128
-    sample = (np.rint(waves + rng.normal(0, 1, waves.shape)) / 255).astype(np.float32)[..., np.newaxis]
-    tree = ZoneTree(FrameMatcher(sample, 16), (4, 16, 4, 16))
-    rows = tree._components.reshape(16, -1) / 4096
-    np.testing.assert_allclose(rows @ rows.T, np.eye(16), atol=0.02)
-    patches = np.lib.stride_tricks.sliding_window_view(to_bytes(sample)[..., 0], (16, 16)).reshape(-1, 16, 16)
-    zones = (patches * frame_mask((4, 16, 4, 16), 16)).reshape(len(patches), -1).astype(float)
-    zones -= zones.mean(0)
-    assert ((zones @ rows.T) ** 2).sum() > 0.98 * (zones**2).sum()

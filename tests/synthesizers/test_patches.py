@@ -87,16 +87,3 @@ def test_it_is_the_spline_of_scipy(channels: int) -> None:
         ndimage.map_coordinates(plane, points.T[::-1], order=5, mode="mirror", prefilter=False) for plane in planes
     ]
     np.testing.assert_allclose(quintic_at(padded, points), np.stack(expected, -1), atol=2e-6)
-
-
-def test_it_goes_through_the_pixels() -> None:
-    """At whole pixels, including the outermost, the values are the image's."""
-    image = np.random.default_rng(1).random((9, 8, 1))
-    padded = np.pad(
-        ndimage.spline_filter(image[..., 0], 5, mode="mirror")[..., np.newaxis],
-        ((PAD, PAD), (PAD, PAD), (0, 0)),
-        "reflect",
-    )
-    y, x = np.indices((9, 8))
-    found = quintic_at(padded, np.stack([x, y], -1).reshape(-1, 2).astype(np.float64))
-    np.testing.assert_allclose(found.reshape(9, 8), image[..., 0], atol=1e-6)

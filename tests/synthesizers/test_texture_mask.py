@@ -8,7 +8,8 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Texture
-from nrbench.synthesizers.masks.texture_mask import MaskParameters, TextureMask, find_common_period
+from nrbench.spectra.harmonics import Harmonics
+from nrbench.synthesizers.masks.texture_mask import MaskParameters, TextureMask
 
 STRENGTH = {"color": 0.3, "intensity": 0.2, "noise": 0.03}
 Y, X = np.indices((128, 128))
@@ -106,8 +107,7 @@ def test_a_single_wave_makes_a_mask() -> None:
     mask = MaskParameters().find_mask(gray(0.5 + 0.2 * np.cos(2 * np.pi * (0.0625 * X + 0.025 * Y)), 0.1))
     assert mask.harmonics.groups == (1,) and mask.lattice is None
     np.testing.assert_allclose(np.abs(mask.harmonics.frequencies), [[0.0625, 0.025]], atol=2e-4)
-    tile = mask.find_period(0.3)
-    assert tile is not None and tile.size == (16, 40) and tile.free == (False, False)
+    assert mask.find_period(0.3) == (16, 40)
 
 
 def test_two_gratings_have_a_lattice() -> None:
@@ -126,7 +126,7 @@ def test_pinstripes_are_one_group(period: float) -> None:
     assert mask.harmonics.groups == (1,) and len(mask.harmonics.frequencies) > 8
     assert 1 / np.abs(mask.harmonics.fundamentals).max() == pytest.approx(period, abs=0.1)
     tile = mask.find_period(0.5)
-    assert tile is not None and tile.free == (False, True) and abs(tile.size[0] - period) < 0.6
+    assert tile is not None and tile[0] == tile[1] and abs(tile[0] - period) < 0.6
 
 
 def test_two_lattices_have_a_common_tile() -> None:
@@ -135,7 +135,7 @@ def test_two_lattices_have_a_common_tile() -> None:
     mask = MaskParameters().find_mask(quantize(texture.image))
     assert mask.harmonics.groups[:2] == (2, 2)
     tile = mask.find_period(1.0)
-    assert tile is not None and np.abs(np.subtract(tile.size, 183)).max() <= 1
+    assert tile is not None and np.abs(np.subtract(tile, 183)).max() <= 1
 
 
 def test_constant_channels_stay_constant() -> None:
@@ -237,54 +237,40 @@ def test_bad_thresholds_are_refused(threshold: float) -> None:
         MaskParameters(threshold=threshold)
 
 
-def dual(*basis: tuple[float, float]) -> np.ndarray:
-    """Return the fundamentals of a lattice."""
-    return np.linalg.inv(np.array(basis)).T
+def mask_of(*bases: list[tuple[float, float]]) -> TextureMask:
+    """Return a mask of one wave for each fundamental of some lattices, or of stripes at a distance (x, y)."""
+    groups = [np.linalg.pinv(np.array(basis, np.float64)).T for basis in bases]
+    fundamentals = np.concatenate(groups)
+    count = len(fundamentals)
+    waves = Harmonics(
+        fundamentals, np.ones((count, 1)), np.zeros((count, 1)), np.zeros(1),
+        fundamentals, np.eye(count, dtype=np.int64), tuple(len(group) for group in groups), 1.0,
+    )  # fmt: skip
+    return TextureMask(waves)
 
 
 def test_a_lattice_has_its_own_rectangle() -> None:
     """The rectangle of a running bond is one brick wide and two courses high, up to rounding."""
-    found = find_common_period([dual((27.3, 0.0), (13.65, 12.2))])
-    assert found is not None and found.size == (27, 24)
-    assert found.error == pytest.approx(0.4) and found.free == (False, False)
+    assert mask_of([(27.3, 0.0), (13.65, 12.2)]).find_period() == (27, 24)
 
 
 def test_stripes_leave_a_side_free() -> None:
     """Along stripes any length is a period: that side is as long as the other."""
-    found = find_common_period([np.array([[0.0, 1 / 16.2]])])
-    assert found is not None and found.size == (16, 16) and found.free == (True, False)
+    assert mask_of([(0.0, 16.2)]).find_period() == (16, 16)
 
 
 def test_several_groups_share_a_period() -> None:
     """Periods of 6 and 10 px across, of two lattices, are both periods of 30; without one within the limit, None."""
-    groups = [dual((6.0, 0.0), (0.0, 5.0)), dual((10.0, 0.0), (0.0, 7.0))]
-    found = find_common_period(groups, 0.1)
-    assert found is not None and found.size == (30, 35) and found.error == pytest.approx(0)
-    assert find_common_period(groups, 0.1, 29) is None
+    mask = mask_of([(6.0, 0.0), (0.0, 5.0)], [(10.0, 0.0), (0.0, 7.0)])
+    assert mask.find_period(0.1) == (30, 35)
+    assert mask.find_period(0.1, 29) is None
 
 
 def test_its_sides_are_lattice_vectors() -> None:
-    """Whatever the lattice, both sides are within the tolerance of lattice vectors, and the error is that distance."""
+    """Whatever the lattice, both sides are within the tolerance of lattice vectors."""
     rng = np.random.default_rng(0)
     for _ in range(20):
         basis = rng.uniform(6, 20, (2, 2)) * [[1, 0.3], [-0.2, 1]]
-        found = find_common_period([np.linalg.inv(basis).T], 0.5)
-        if found is None:
-            continue
-        lattice = Lattice.from_basis(basis)
-        misses = np.hypot(*lattice.wrap(found.sides).T)
-        assert misses.max() == pytest.approx(found.error, abs=1e-9) and found.error <= 0.5
-
-
-def test_nothing_has_no_period() -> None:
-    """Without a group there is no rectangle."""
-    assert find_common_period([]) is None
-
-
-@pytest.mark.parametrize(
-    ("tolerance", "limit", "hint"), [(-1.0, 99, "less than"), (9.0, 99, "less than"), (0.5, 0, "limit")]
-)
-def test_bad_limits_are_refused(tolerance: float, limit: int, hint: str) -> None:
-    """Each message names valid values."""
-    with pytest.raises(BadInput, match=hint):
-        find_common_period([dual((10.0, 0.0), (0.0, 10.0))], tolerance, limit)
+        found = mask_of(basis.tolist()).find_period()
+        if found is not None:
+            assert np.hypot(*Lattice.from_basis(basis).wrap(np.diag(found)).T).max() <= 0.5

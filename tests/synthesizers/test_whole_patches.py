@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from nrbench.imaging.convert import quantize
 from nrbench.synthesizers.patchwork.patchwork import Patchwork, Window
-from nrbench.synthesizers.patchwork.translations import EntirePatch, Features, Layer
+from nrbench.synthesizers.patchwork.translations import EntirePatch, Features
 from nrbench.synthesizers.patchwork.whole_patches import Placement, WholePatches
 
 SIZE = (5, 6)
@@ -35,14 +35,12 @@ def test_whole_patches_cost_what_brute_force_finds(
     patch = gray_levels(rng, height, width, channels)
     window = gray_levels(rng, height + rows - 1, width + columns - 1, channels)
     known = rng.random(window.shape[:2]) < share
-    costs, areas = EntirePatch(patch, counts).compute_costs(Layer(window, known))
+    costs, areas = EntirePatch(patch, counts).compute_costs(window, known)
     for y, x in np.ndindex(counts):
         part = slice(y, y + height), slice(x, x + width)
         squares = ((window[part].astype(np.int64) - patch) ** 2).sum(-1)
         assert costs[y, x] == squares[known[part]].sum()
         assert areas[y, x] == known[part].sum()
-    if share == 1:
-        np.testing.assert_array_equal(EntirePatch(patch, counts).compute_costs(Layer(window))[0], costs)
 
 
 def whole_patches(
