@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -49,8 +50,8 @@ def plot_ranks(comparison: Comparison, width: float = 5.5) -> Figure:
     axes.set_xlabel(f"average rank over {tests.n} textures, 1 is the best", loc="right")
     for place, clique in enumerate(tests.cliques):
         x = 1 + 7 * (place + 1) / (72 * width - left - right)
-        style = {"lw": 3, "solid_capstyle": "butt", "clip_on": False, "transform": axes.get_yaxis_transform()}
-        axes.plot((x, x), clique, color=INK, **style)
+        style: Any = {"color": INK, "lw": 3, "solid_capstyle": "butt", "clip_on": False}
+        axes.plot((x, x), clique, transform=axes.get_yaxis_transform(), **style)
     return figure
 
 
@@ -121,7 +122,7 @@ def plot_cost(methods: Sequence[MethodSummary], width: float = 5.5) -> Figure:
             axes.plot((x, x), ends, color=GRAY if reference else INK, lw=0.9, zorder=2)
         sign, size, fill = ("D", 5.0, FAINT) if reference else ("o", 6.4 if chosen else 3.0, INK)
         axes.plot(x, y, marker=sign, ms=size, mfc=fill, mec=INK, mew=0.8, zorder=3)
-    shown = [methods[i].method for i in np.flatnonzero(named)]
+    shown = [one.method for one, chosen in zip(methods, named, strict=True) if chosen]
     draw_captions(axes, places[named], [one.label for one in shown], [one.reference for one in shown])
     figure.text(0.02, 3 / (72 * width * 0.62), describe_unnamed(named), **SMALL)
     return figure
