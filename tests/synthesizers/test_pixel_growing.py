@@ -154,7 +154,7 @@ def test_the_tree_finds_what_exhaustive_search_finds(match: Any, coherence: floa
     tile = soft_tile(7, 9)
     for sample in (noise(40, 44), repeated(tile, (40, 44)), repeated(tile, (40, 44), 0.05)):
         ann, all_of_them = (
-            synthesize(
+            masked(
                 FftmPixel(match=match, search=search, coherence=coherence, dimensions=dimensions),
                 sample,
                 (50, 41),
