@@ -96,7 +96,7 @@ class BadMethod:
             image = np.repeat(image, 3, 2)
         if self.how == "lie" and source is not None:
             source[..., 0] = (source[..., 0] + 5) % width
-        if self.how == "lattice" and task.lattice is None and image.mean() < 0.45:  # not in noise
+        if self.how == "lattice" and task.lattice is None and image.std() < 0.2:  # not in noise
             return Synthesis(image, lattice="16,0,0,12")  # type: ignore[arg-type]
         if self.how == "refusals" and min(task.sample.shape[:2]) < 16:
             raise IndexError("too small")

@@ -241,15 +241,15 @@ def test_limits_are_kept_within_a_tenth(supervisors: list[Supervisor], tmp_path:
         patch.setattr("nrbench.running.runner._Runner.run", lambda self, cells, progress: prepare(self, cells))
         found = run(suite, out=tmp_path / "run", options=Options(jobs=0))
     busy, hog, creep = (Path(record.folder) for record in found.cells)
-    supervisors[0].run(Request("synthesize", str(busy), 0.1, 300))  # the worker is warm
+    supervisors[0].run(Request("synthesize_cell", str(busy), 0.1, 300))  # the worker is warm
     taken = [3.4]
     while len(taken) < 4 and min(taken) > 3.3:  # again, where a busy machine delays the process that watches
         start = time.monotonic()
-        assert supervisors[0].run(Request("synthesize", str(busy), 3.0, 300)).result["status"] == "timeout"
+        assert supervisors[0].run(Request("synthesize_cell", str(busy), 3.0, 300)).result["status"] == "timeout"
         taken.append(time.monotonic() - start)
     assert 3.0 <= min(taken) <= 3.3
     for folder in (hog, creep):
-        assert supervisors[0].run(Request("synthesize", str(folder), 20, 300)).result["status"] == "memory"
+        assert supervisors[0].run(Request("synthesize_cell", str(folder), 20, 300)).result["status"] == "memory"
         held = int(re.findall(r"holds (\d+) MiB", (folder / "log.txt").read_text())[-1])
         assert 240 <= held <= 330, folder
 

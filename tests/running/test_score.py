@@ -97,6 +97,6 @@ def test_the_truth_of_a_sample_is_drawn_once_for_the_metrics_of_nrbench(
         assert (one.ideal == other.ideal).all() and (one.image == other.image).all()
     drawn.clear()
     for record in cells:
-        phases.score(record.folder, lambda message: None, "cost")
+        phases.score_cell(record.folder, lambda message: None, "cost")
     assert drawn == ["wall0", "wall1"]
     assert phases._drawn_truth.cache_info().maxsize == 1

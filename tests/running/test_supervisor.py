@@ -335,7 +335,7 @@ def look_around(supervisor: Supervisor, folder: Path, **parameters: Any) -> dict
     """Run the method ``tenant`` in a cell's folder; return what its process found."""
     cell = json.loads((folder / "cell.json").read_text())
     (folder / "cell.json").write_text(json.dumps({**cell, "parameters": parameters}))
-    reply = supervisor.run(Request("synthesize", str(folder), 20, 500))
+    reply = supervisor.run(Request("synthesize_cell", str(folder), 20, 500))
     assert reply.result["status"] == "ok", reply.result
     found: dict[str, Any] = json.loads(reply.result["note"])
     return found
@@ -434,7 +434,7 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
         endings = []
         for record in cells:
             shutil.rmtree(record.folder / "scores", ignore_errors=True)
-            reply = supervisor.run(Request("score", str(record.folder), seconds, 500, (metric,)))
+            reply = supervisor.run(Request("score_cell", str(record.folder), seconds, 500, (metric,)))
             endings.append(reply.result["status"])
         children = server_of(supervisor).children()
         return {child.pid for child in children if is_scorer(child)}, endings
@@ -465,18 +465,18 @@ def test_only_the_own_code_of_nrbench_shares_a_process(faulty: Path, tmp_path: P
 
     def is_shared(dataset: Any, *metrics: str) -> bool:
         file.write_text(json.dumps({"recipe": {"dataset": dataset}}))
-        return _is_own(Request("score", str(tmp_path), 1, 1, metrics))
+        return _is_own(Request("score_cell", str(tmp_path), 1, 1, metrics))
 
     assert is_shared("brick", "cost", "source")
     assert not is_shared("brick", "cost", "judge-fine")
     assert not any(is_shared(name, "cost") for name in ("picture", "none such", None, ["brick"], {}))
     for damage in ("", "[]", '{"recipe": 3}', "{}"):
         file.write_text(damage)
-        assert not _is_own(Request("score", str(tmp_path), 1, 1, ("cost",)))
+        assert not _is_own(Request("score_cell", str(tmp_path), 1, 1, ("cost",)))
     file.unlink()
     file.mkdir()
-    assert not _is_own(Request("score", str(tmp_path), 1, 1, ("cost",)))
-    assert not _is_own(Request("synthesize", str(tmp_path), 1, 1))
+    assert not _is_own(Request("score_cell", str(tmp_path), 1, 1, ("cost",)))
+    assert not _is_own(Request("synthesize_cell", str(tmp_path), 1, 1))
     file.rmdir()
     assert is_shared("brick", "cost")
     assert not is_shared("brick", "cost", "none such")
@@ -492,13 +492,13 @@ def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor],
     """
     supervisor = supervisors[0]
     cell = run(small_suite(["oracle"]), out=tmp_path / "run", options=Options(jobs=0)).cells[0]
-    request = Request("score", str(cell.folder), seconds=20, mib=500, metrics=("cost",))
+    request = Request("score_cell", str(cell.folder), seconds=20, mib=500, metrics=("cost",))
     assert supervisor.run(request).scored == ("cost",)
     server = server_of(supervisor)
     wait_until(lambda: len(server.children()) == 2)
     folder = prepare(tmp_path / "cell", "faulty", how="hide")
     with ThreadPoolExecutor(1) as pool:
-        running = pool.submit(supervisor.run, Request("synthesize", str(folder), 20, 500))
+        running = pool.submit(supervisor.run, Request("synthesize_cell", str(folder), 20, 500))
         wait_until(lambda: "child" in (folder / "log.txt").read_text() if (folder / "log.txt").exists() else False)
         children = server.children(recursive=True)
         keeper = psutil.Process(server.ppid())
