@@ -95,14 +95,14 @@ def _perform_phases(job: Request, runner: RequestRunner) -> Result:
 
 
 def _detect(job: Request, where: CellFolder, runner: RequestRunner) -> Result:
-    result = _run(runner, job).result
+    result = _run(runner, dataclasses.replace(job, metrics=())).result
     if result["status"] == "ok" and "lattice" not in result:
         result = {"status": "crash", "message": "ended without an answer"}
     return where.write_result(result)
 
 
 def _synthesize(job: Request, where: CellFolder, runner: RequestRunner) -> Result:
-    result = _run(runner, dataclasses.replace(job, phase="synthesize_cell")).result
+    result = _run(runner, dataclasses.replace(job, phase="synthesize_cell", metrics=())).result
     if result["status"] == "ok" and not where.output.is_file():
         result = {"status": "crash", "message": "ended without an output"}
     if result["status"] != "ok":
