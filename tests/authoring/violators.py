@@ -30,21 +30,20 @@ from nrbench.plugins.forms import (
 from nrbench.runs.records import Run
 
 CALLS: list[int] = []
+SMALL_CHANGES: dict[str, Callable[[], float]] = {
+    "determinism": lambda: float(np.random.default_rng().random()) / 10,
+    "state": lambda: CALLS.append(1) or (len(CALLS) % 7) / 100,
+    "processes": lambda: abs(hash("a word")) % 1000 / 10000,
+    "randomness": lambda: float(np.random.rand()) / 10,  # noqa: NPY002
+    "python": lambda: random.random() / 10,
+}
+"""What depends on more than the input."""
 
 
 def misbehave(how: str, array: Any) -> float:
     """Violate one of the clauses that all kinds share; return a small number that depends on the violation."""
-    if how == "determinism":
-        return float(np.random.default_rng().random()) / 10
-    if how == "state":
-        CALLS.append(len(CALLS))
-        return (len(CALLS) % 7) / 100
-    if how == "processes":
-        return abs(hash("a word")) % 1000 / 10000
-    if how == "randomness":
-        return float(np.random.rand()) / 10  # noqa: NPY002
-    if how == "python":
-        return random.random() / 10
+    if how in SMALL_CHANGES:
+        return SMALL_CHANGES[how]()
     if how == "seeds":
         np.random.seed(7)  # noqa: NPY002
     if how == "files":

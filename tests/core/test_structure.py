@@ -163,7 +163,7 @@ CLASHES = {
         "Answer", "Cell", "Choice", "Courses", "Deformation", "Evidence", "Harmonics", "Layer", "Pairs", "Peaks",
         "TileSet", "Windows",
     },
-    "functions": {"find_peaks", "follow_lattice", "score", "synthesize", "track_lattice"},
+    "functions": {"find_peaks", "follow_lattice", "track_lattice"},
 }
 """Names that still have two meanings. A name that is mended leaves this list."""
 LONG = {"register", "grow_knots", "sum_products"}
