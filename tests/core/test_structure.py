@@ -163,7 +163,7 @@ CLASHES = {
         "Answer", "Cell", "Courses", "Deformation", "Evidence", "Harmonics", "Layer",
         "TileSet", "Windows",
     },
-    "functions": {"follow_lattice", "track_lattice"},
+    "functions": {"follow_lattice", "score", "track_lattice"},
 }
 """Names that still have two meanings. A name that is mended leaves this list."""
 LONG = {"register", "grow_knots", "sum_products"}
