@@ -13,7 +13,7 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 
 from ..sampling.patches import Patches, Source
-from ..seams.minimum_cut import Links, Mask, cut_overlap
+from ..seams.minimum_cut import Links, Mask, cut_overlap, record_seams
 from ..seams.seam_kernels import link_costs
 from .blocks import OWN, Block, BlockGrid, Box, Sides, box_slices
 
@@ -274,9 +274,7 @@ def cut_graph(overlap: PatchOverlap, seams: Links) -> Mask:
     np.copyto(links.across, highest, where=~(overlap.known[:, 1:] & overlap.known[:, :-1]))
     np.copyto(links.down, highest, where=~(overlap.known[1:] & overlap.known[:-1]))
     new = cut_overlap(links, overlap.fixed_old(), overlap.fixed_new(), seams)
-    ends = ((new[:, 1:], new[:, :-1]), (new[1:], new[:-1]))
-    for seam, cost, (one, other) in zip(seams, links, ends, strict=True):
-        np.copyto(seam, np.where(one != other, cost, 0), where=one | other)
+    record_seams(seams, links, new, np.ones_like(new))
     return new
 
 

@@ -84,7 +84,7 @@ def test_the_minimum_cut_keeps_to_the_overlap() -> None:
     canvas.lay(40, 40, cuts.take(np.array([0])))
     before = canvas.values.copy()
     canvas.lay(50, 40, cuts.take(np.array([1])))
-    x, y, border = canvas.pixels[:, 0] + 50, canvas.pixels[:, 1] + 40, canvas.pixels[:, 5]
+    x, y, border = canvas.tile.pixels[:, 0] + 50, canvas.tile.pixels[:, 1] + 40, canvas.tile.pixels[:, 4]
     assert canvas.filled[y, x].all()
     ring = (before[y, x].any(-1)) & (border == 0)
     assert ring.any()

@@ -10,7 +10,7 @@ from nrbench.api import texture
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Task
-from nrbench.synthesizers.tile_laying.tile_shape import ElementWeights, element_costs, tile_shape
+from nrbench.synthesizers.tile_laying.tile_shape import element_costs, element_weights, tile_shape
 from nrbench.synthesizers.tile_set import LEAST_SIDE, TileLaying, TileSet
 
 LATTICES = [Lattice((24.3, 0.0), (0.0, 21.7)), Lattice((14.2, 12.7), (14.2, -12.7)), Lattice((23.4, 5.1), (-5.1, 23.4))]
@@ -167,13 +167,11 @@ def test_element_weights_are_least_at_joints() -> None:
     """The weight in the middle of a brick is at least three times that at the joint between two."""
     drawn = texture("brick", (160, 160), 5, width=27.3, height=12.2, joint=2.2, color=0.1)
     assert drawn.lattice is not None
-    weights = ElementWeights.of(quantize(drawn.image), drawn.lattice)
-    rows, columns = weights.table.shape
-    numbers = weights.numbers_from(np.zeros(2))
 
     def at(x: float, y: float) -> float:
-        u, v = numbers @ (x + drawn.lattice.origin[0], y + drawn.lattice.origin[1], 1)
-        return float(weights.table[round(v * rows) % rows, round(u * columns) % columns])
+        return float(
+            element_weights(quantize(drawn.image), drawn.lattice, np.add(drawn.lattice.origin, (x, y)), (1, 1))[0, 0]
+        )
 
     assert at(0, 0) > 3 * at(27.3 / 2, 0)
     assert at(0, 0) > 3 * at(0, 12.2 / 2)
